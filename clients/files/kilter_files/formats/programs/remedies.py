@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 
 AS_JOINTS = "Store it as joints: a controller shows them where the arm stands."
@@ -10,7 +11,7 @@ OWN_TARGET = "Declare a target of its own for each."
 OWN_NAME = "Give each target a name of its own."
 PLAIN_NUMBERS = "Write the target with numbers."
 SET_BEFORE = "Set base and tool in the routine, before the move and outside its branches."
-# what a reason says, and what helps then; the first that fits
+# what a reason says, as a pattern, and what helps then; the first that fits
 REMEDIES = (
     ("is beyond its limit", "Teach these targets within reach."),
     ("is held at its limit", "Teach these targets further from the limit."),
@@ -31,7 +32,7 @@ REMEDIES = (
     ("sets its", SET_BEFORE),
     ("behind it may set", SET_BEFORE),
     ("is set after it", SET_BEFORE),
-    ("changes $", SET_BEFORE),
+    (r"changes \$", SET_BEFORE),
     ("is set several times", SET_BEFORE),
     ("displaces it", AS_JOINTS),
     ("orientation is not kept", "Keep the orientation of the target in the move ($ORI_TYPE=#VAR, mode 0, SingArea \\Wrist)."),
@@ -50,8 +51,8 @@ REMEDIES = (
     ("computes", PLAIN_NUMBERS),
     ("without numbers", PLAIN_NUMBERS),
     ("is not a number", PLAIN_NUMBERS),
-    ("not a target of this file", "Filter the file that declares the target, or declare it here."),
-    ("no target of this file", "Filter the file that declares the target, or declare it here."),
+    (r"[( ][A-Za-z]\w*(?:\[\d+\])?: no[t]? ?a? ?target of this file", "Filter the file that declares the target."),
+    (r"(?:Offs|RelTool|pose_\w+)\(.*target of this file|:\{.*target of this file", PLAIN_NUMBERS),
     ("no position of this file", "Write a position of the program into the move."),
     ("not a unit quaternion", "Correct its four numbers: their squares add up to 1."),
     ("confdata is not understood", "Give four whole numbers, the last from 0 to 7."),
@@ -74,4 +75,4 @@ def remedy_of(reason: str) -> str:
     """Return what helps; empty where the reason says it itself, or nothing is known."""
     if any(said in reason for said in (": state it", ": state a rail", ": write ", ": set it", ": filter ")):
         return ""
-    return next((remedy for said, remedy in REMEDIES if said in reason), "")
+    return next((remedy for said, remedy in REMEDIES if re.search(said, reason)), "")
