@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from kilter_files.formats.unknown.bare_turns import bare_matrix, bare_quaternion
 from kilter_files.formats.unknown.guess import Columns
 from kilter_files.formats.unknown.names import words_of
 from kilter_files.ground.units import SIZES, UNKNOWN
@@ -46,7 +47,7 @@ class Turned:
     @property
     def open(self) -> bool:
         """Whether somebody has to fill in what could not be told."""
-        return UNKNOWN in (self.euler, self.unit)
+        return UNKNOWN in (self.euler, self.unit, self.quaternion)
 
 
 def turned(columns: Columns) -> Turned | None:
@@ -62,7 +63,20 @@ def turned(columns: Columns) -> Turned | None:
             unit, remark = _unit(columns, names)
             told = "; ".join(text for text in (whose, f"{UNKNOWN} {ASK}" if order == UNKNOWN else "", remark) if text)
             return Turned(names, euler=order, unit=unit, remark=told)
-    return _matrix(columns)
+    return _matrix(columns) or _bare(columns)
+
+
+def _bare(columns: Columns) -> Turned | None:
+    """An orientation that only its numbers tell: in a table without a header, in arrays, or in cells that are lists."""
+    pose = bare_matrix(columns)
+    if pose is not None:
+        names, place, rest, remark = pose
+        return Turned(names, matrix="rows", remark=remark, place=place, rest=rest)
+    found = bare_quaternion(columns)
+    if found is None:
+        return None
+    names, place, order, remark = found
+    return Turned(names, quaternion=order, remark=remark, place=place)
 
 
 def _matrix(columns: Columns) -> Turned | None:
