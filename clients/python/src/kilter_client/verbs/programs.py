@@ -70,8 +70,7 @@ def filter(  # noqa: A001 - a verb, as the command is called
         fanuc_j3: ``"same"`` where J3 of a FANUC program is the robot's, ``"coupled"`` where the robot's is J2 + J3.
         bases: frames that the program uses and does not hold, in its own numbers: ``{"2": (500, 0, 300, 0, 0, 0)}``, or one.
         tools: tools, in the same way.
-        tracks: external axes that carry the arm, by name: ``{"eax_a": "x"}``, or ``"-y,1000"`` with mm for each unit;
-            ``"none"`` is one that moves neither the arm nor a frame in use.
+        tracks: external axes that carry the arm: ``{"eax_a": "x"}``, ``"-y,1000"`` (mm a unit), ``"none"``: it carries nothing.
         strict: refuse the program unless every target is rewritten and its status is OK.
         again: correct a program that says that it was corrected: its targets were taught anew since.
 
@@ -93,10 +92,7 @@ def filter(  # noqa: A001 - a verb, as the command is called
     if first is not None:
         _refuse_other_robot(*first, document)
     understood = yield from understand(programs, document, joints)
-    for one in programs:
-        one.leave_poses(understood.left)
-    if understood.suspicion:
-        programs[0].warn(understood.suspicion)
+    _name_left(programs, understood)
     if strict:
         _refuse(_left(programs), programs, "is not rewritten", strict=True, suspicion=understood.suspicion)
     done = yield from _done(programs, understood, joints, document, version_id)
@@ -136,6 +132,13 @@ def _programs(path: str | PathLike[str], stated: Stated, again: bool) -> list[Pr
         files_marks.refuse_corrected(programs)
     _refuse_other_numbers(stated, programs[0].dialect)
     return programs
+
+
+def _name_left(programs: Sequence[Program], understood: Understood) -> None:
+    for one in programs:
+        one.leave_poses(understood.left)
+    if understood.suspicion:
+        programs[0].warn(understood.suspicion)
 
 
 def _version_id(robot: Document, version: ResourceReference | None) -> Steps[str | None]:

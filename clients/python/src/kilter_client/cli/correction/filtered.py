@@ -82,8 +82,7 @@ def filtered(
 
     A KRL program is read with its other file (.src or .dat) where that stands beside it; both are corrected, and the other is
     written beside --output.
-    Poses are rewritten where frame, tool and configuration are known; the others are named with their lines and left, or
-    refused with --strict.
+    Poses are rewritten where frame, tool and configuration are known; others are named and left, or refused with --strict.
     Comments, speeds, logic, white space, line ends and external axes stay as they are. A comment, in a table a column, says
     which version corrected the program; a program that says so is refused.
     """
