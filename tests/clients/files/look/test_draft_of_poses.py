@@ -85,6 +85,15 @@ def test_a_quaternion_of_a_matlab_file(
     agree(rows, q, p, turns)
 
 
+@pytest.mark.parametrize("last", [True, False])
+def test_matrices_of_a_matlab_file(tmp_path: Path, poses: tuple[Floats, Floats, Rotation], last: bool) -> None:
+    q, p, turns = poses
+    T = matrices(p, turns)
+    savemat(tmp_path / "a.mat", {"joints_deg": q, "T": T.transpose(1, 2, 0) if last else T})
+    _, rows = drafted(tmp_path / "a.mat", tmp_path)
+    agree(rows, q, p, turns)
+
+
 @pytest.mark.parametrize("by", ["rows", "columns", "twelve"])
 @pytest.mark.parametrize("joints", [True, False])
 def test_one_matrix_a_line(tmp_path: Path, poses: tuple[Floats, Floats, Rotation], by: str, joints: bool) -> None:
