@@ -145,6 +145,27 @@ def test_poses_in_a_list_of_records(
     assert [row["pose_id"] for row in rows[:4]] == [1, 1, 2, 2]
 
 
+def test_a_list_for_each_quantity(tmp_path: Path, poses: tuple[Floats, Floats, Rotation]) -> None:
+    q, p, turns = poses
+    content = {"joints_deg": q.tolist(), "positions": p.tolist(), "quat_xyzw": turns.as_quat().tolist(), "unit": "mm"}
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    _, rows = drafted(tmp_path / "a.json", tmp_path)
+    agree(rows, q, p, turns)
+
+
+def test_parts_of_a_pose_by_their_letters(tmp_path: Path, poses: tuple[Floats, Floats, Rotation]) -> None:
+    """As ROS writes a pose."""
+    q, p, turns = poses
+    records = [
+        {"joints_deg": q[k].tolist(), "pose": {"position": dict(zip("xyz", p[k].tolist(), strict=True)),
+         "orientation": dict(zip("xyzw", turns[k].as_quat().tolist(), strict=True))}}
+        for k in range(ROWS)
+    ]  # fmt: skip
+    (tmp_path / "a.yaml").write_text(yaml.safe_dump(records))
+    _, rows = drafted(tmp_path / "a.yaml", tmp_path)
+    agree(rows, q, p, turns)
+
+
 def test_a_document_without_records_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text('{"a": 1}')
     (tmp_path / "a.yaml").write_text("a: [1, 2")

@@ -66,10 +66,24 @@ def records_in(content: Any) -> list[dict[str, Any]]:
         return []
     if isinstance(content, dict):
         values = list(content.values())
+        columns = _columns_of_vectors(content)
+        if columns:
+            return columns
         if values and all(isinstance(one, dict) for one in values) and len(values) > 1:  # poses by their names
             return [{"name": name, **one} for name, one in content.items()]
         return max((records_in(one) for one in values if isinstance(one, list | dict)), key=len, default=[])
     return []
+
+
+def _columns_of_vectors(content: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The records of a document that has a list for each quantity, one of them of vectors; lists of numbers are columns."""
+    lists = {name: values for name, values in content.items() if isinstance(values, list) and len(values) > 1}
+    vectors = [values for values in lists.values() if all(isinstance(one, list) for one in values)]
+    if len(lists) < 2 or not vectors:
+        return []
+    count = max(map(len, vectors))
+    whole = {name: values for name, values in lists.items() if len(values) == count}
+    return [{name: values[k] for name, values in whole.items()} for k in range(count)] if len(whole) > 1 else []
 
 
 def _bytes_of(path: Path) -> bytes:

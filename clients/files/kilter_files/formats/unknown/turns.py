@@ -25,6 +25,7 @@ ANGLES: tuple[tuple[tuple[str, ...], str, str], ...] = (
 )
 ASK = 'order of the angles: "XYZ" about the moving axes, "xyz" about the fixed ones, or delete this table'
 UNIT = 0.01
+LETTER = re.compile(r"(.*[^A-Za-z]|)([wxyzWXYZ])(?:\s*[\[(].*)?")
 CELL = re.compile(r"(.*?)([0-4])[_ ,]?([0-4])\W*")  # of a matrix: m03, R_1_2, pose[2,3]
 
 
@@ -57,6 +58,9 @@ def turned(columns: Columns) -> Turned | None:
         names = _found(words, parts)
         if names and _is_unit(columns, names):
             return Turned(names, quaternion="wxyz", remark="four parts of length 1")
+    lettered = _lettered(columns)
+    if lettered:
+        return Turned(lettered, quaternion="wxyz", remark="four parts of length 1")
     for parts, order, whose in ANGLES:
         names = _found(words, parts)
         if names and columns.largest(names) is not None and columns.unit(names[0]) in (None, *SIZES["angle"]):
@@ -77,6 +81,20 @@ def _bare(columns: Columns) -> Turned | None:
         return None
     names, place, order, remark = found
     return Turned(names, quaternion=order, remark=remark, place=place)
+
+
+def _lettered(columns: Columns) -> tuple[str, ...]:
+    """Four columns of length 1 that are alike but for the letters w, x, y and z at their ends."""
+    stems: dict[str, dict[str, str]] = {}
+    for name in columns.names:
+        found = LETTER.fullmatch(name)
+        if found:
+            stems.setdefault(found[1], {})[found[2].lower()] = name
+    for parts in stems.values():
+        names = tuple(parts.get(letter, "") for letter in "wxyz")
+        if all(names) and _is_unit(columns, names):
+            return names
+    return ()
 
 
 def _matrix(columns: Columns) -> Turned | None:
