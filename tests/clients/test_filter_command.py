@@ -127,7 +127,7 @@ def test_what_cannot_be_rewritten_is_refused_and_nothing_is_written(
     assert b"LIN {X 1,Y 2,Z 3}\r\n" in output.read_bytes()
     output.unlink()
     path.write_bytes(krl(np.array([[0.0, 30, 40], [999, 0, 0]])))
-    for options, remedy in (([], "within reach."), (["--strict"], "within reach, or leave --strict out.")):
+    for options, remedy in (([], "within reach."), (["--strict"], "within reach. Or leave --strict out.")):
         said = document(capsys, "filter", path, "--robot", arm, "-o", output, *options, code=1)["detail"]
         assert "line 4: axis target: JOINT_LIMIT, j1 at 999 deg is beyond its limit of 170 deg" in said
         assert said.endswith(remedy)

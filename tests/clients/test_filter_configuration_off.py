@@ -147,3 +147,22 @@ def test_elements_that_a_loop_moves_to_by_a_computed_index_are_corrected(
     for one, text in zip(q, new["row{3}"].split(f",{NO_AXES}]")[:3], strict=True):
         body_of = text.rpartition("[[[")[2] if "[[[" in text else text.rpartition(",[[")[2]
         assert off_mm(one, f"robtarget p := [[{body_of},{NO_AXES}];", one) < WITHIN_MM
+
+
+@pytest.mark.parametrize(
+    ("inside", "known"), [("  ConfL\\Off;", True), ("  IF di1=1 THEN\n  ConfL\\Off;\n  ENDIF", False)]
+)
+def test_a_routine_that_is_called_may_switch_it_off(
+    arm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], inside: str, known: bool
+) -> None:
+    q = taught("irb120", 1, seed=67)[0]
+    one = near(q, 3.0)
+    body = [
+        "PROC main()", "  init;", joints(q), f"  MoveL p1, {WITH}", "ENDPROC", "PROC init()", inside, "  AccSet 50,50;",
+        "ENDPROC", "ENDMODULE",
+    ]  # fmt: skip
+    left, new = filtered(arm, tmp_path, "\n".join([HEAD, target("p1", one, WRONG), *body]), capsys)
+    assert (left == {}) == known
+    assert (new["p1"] != target("p1", one, WRONG)) == known
+    if known:
+        assert off_mm(q, new["p1"], one) < WITHIN_MM

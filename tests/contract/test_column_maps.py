@@ -87,7 +87,7 @@ def test_every_format_and_unit_is_documented() -> None:
     assert {name: tuple(re.findall(r"\.\w+", ends)) for name, ends in formats} == {
         name: reader.endings for name, reader in readers_for(MAP).items()
     }
-    assert PAGE.count("`csv`, `mat`, `parquet`, `tdms`, `xlsx` or `program`") == 1
+    assert PAGE.count("`csv`, `json`, `mat`, `parquet`, `tdms`, `xlsx`, `yaml` or `program`") == 1
     units = PAGE.partition("| of a | units |\n")[2].partition("\n\n")[0]
     stated = {
         name: tuple(re.findall(r"`([^`]+)`", line))

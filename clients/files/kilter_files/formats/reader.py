@@ -45,7 +45,11 @@ class LogHints:
 
 @dataclass(frozen=True)
 class Hints:
-    """What the person says of a file that does not say it itself; ``joints`` are columns of another, a row for each of its."""
+    """What the person says of a file that does not say it itself.
+
+    ``joints`` are columns of another file, a row for each of its. ``robot`` are the joints of the arm, sliding ones with ``:m``
+    at the end.
+    """
 
     rate_hz: float | None = None
     allow_cut: bool = False
@@ -55,6 +59,7 @@ class Hints:
     log: LogHints = field(default_factory=LogHints)
     layout: Layout = field(default_factory=Layout)
     joints: Mapping[str, Floats] | None = None
+    robot: Sequence[str] = ()
 
     @property
     def say_points(self) -> bool:

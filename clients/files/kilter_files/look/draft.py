@@ -107,6 +107,9 @@ def _file(shape: TableShape) -> str:
     out += [f"skip_rows = {layout.skip_rows}"] if layout.skip_rows else []
     out += ["units_row = true"] if layout.units_row else []
     out += [f"comment = {_quoted(layout.comment)}"] if layout.comment else []
+    out += [f"rows_per_pose = {layout.rows_per_pose}         # rows that make a matrix together"] * (
+        layout.rows_per_pose > 1
+    )
     if layout.missing:
         listed = ", ".join(_quoted(str(word)) for word in layout.missing)
         out.append(f"missing = [{listed}]   # words in columns of numbers")

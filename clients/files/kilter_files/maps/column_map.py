@@ -116,10 +116,13 @@ def _file(section: Section | None, formats: Collection[str]) -> tuple[str | None
         tuple(item if isinstance(item, str) else float(item) for item in section.items("missing")),
         section.flag("units_row", False),
         section.column("sheet"),
+        section.count("rows_per_pose", 1),
     )
     section.finish()
     if layout.sheet is not None and form not in (None, "xlsx"):
         raise section.error('a sheet belongs to a workbook (format = "xlsx")', "sheet")
+    if layout.rows_per_pose < 1 or (layout.rows_per_pose > 1 and (layout.header or form not in (None, "csv"))):
+        raise section.error("is of a text without a header (header = false), 1 or more", "rows_per_pose")
     return form, layout
 
 

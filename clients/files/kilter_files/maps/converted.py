@@ -20,7 +20,7 @@ from kilter_files.tables.source import Source, lines_of
 from kilter_files.tables.table import Table
 
 TIME, SET_BACK = "t_s", 0.02  # share of rows at which a clock goes back, above which rows are sorted by something else
-SESSION, NUMBER = "session", re.compile(r"[-+]?[\d.,]+(?:[eE][-+]?\d+)?")
+SESSION, POSE, NUMBER = "session", "pose_id", re.compile(r"[-+]?[\d.,]+(?:[eE][-+]?\d+)?")
 QUATERNION = ("qw", "qx", "qy", "qz")
 
 
@@ -73,10 +73,12 @@ def _convert(column: Column, source: Source) -> list[float]:
 
 
 def _session_names(column: Column, source: Source) -> list[str] | None:
-    """Cells of sessions that have names, none a number; None for any other column."""
-    if column.target != SESSION or column.source is None:
+    """Cells of sessions or poses that have names; None for any other column. A session's are names only, or numbers only."""
+    if column.target not in (SESSION, POSE) or column.source is None:
         return None
     cells = source.texts(column.source)
+    if column.target == POSE:
+        return cells if any(cell.strip() and not NUMBER.fullmatch(cell.strip()) for cell in cells) else None
     return None if any(NUMBER.fullmatch(cell.strip()) for cell in cells) or not any(map(str.strip, cells)) else cells
 
 

@@ -14,15 +14,17 @@ from kilter_files.robots.katana import read_katana
 from kilter_files.robots.table import read_table
 from kilter_files.robots.text import read_text
 from kilter_files.robots.universal import read_universal
+from kilter_files.robots.universal_dh import holds_dh
 from kilter_files.robots.urdf_chain import chain_of
 
 URDF = (".urdf", ".xml")
 TABLES = (".csv", ".tsv", ".txt", ".xlsx")
-UR = (".yaml", ".yml")
+UR = (".yaml", ".yml", ".conf")
 KATANA = (".cfg",)
+MOST_LETTERS = 100_000
 NEEDED = {
     "convention": (TABLES, "--convention belongs to a table (.csv, .xlsx)."),
-    "model": (UR, "--model belongs to the calibration YAML of Universal Robots."),
+    "model": (UR, "--model belongs to a calibration of Universal Robots (.yaml, calibration.conf)."),
     "base_link": (URDF, "--base-link belongs to a .urdf file."),
     "tip_link": (URDF, "--tip-link belongs to a .urdf file."),
 }
@@ -54,11 +56,23 @@ def read_robot(path: Path, described: Described) -> dict[str, Any]:
         MissingPackageError: the format needs the extra ``files``.
 
     """
-    ending = path.suffix.lower()
+    ending = _ending(path)
     for field, (endings, message) in NEEDED.items():
         if getattr(described, field) and ending not in endings:
             raise UsageError(message)
     return _described(_read(path, ending, described), described)
+
+
+def _ending(path: Path) -> str:
+    """The ending of a file; a controller's calibration is known by what it holds, too."""
+    ending = path.suffix.lower()
+    if (
+        ending in (".txt", ".cfg", "")
+        and path.is_file()
+        and holds_dh(path.read_text(encoding="latin-1")[:MOST_LETTERS])
+    ):
+        return ".conf"
+    return ending
 
 
 def described_document(document: Mapping[str, Any], described: Described) -> dict[str, Any]:

@@ -1,15 +1,16 @@
-"""Factory calibrations of Universal Robots arms: the YAML that ``ur_calibration`` extracts for the ROS driver."""
+"""Factory calibrations of Universal Robots arms: the YAML that ``ur_calibration`` extracts, or the controller's own file."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.ground.later import need, yaml
 from kilter_files.robots.text import read_text
+from kilter_files.robots.universal_dh import holds_dh, origins_of, read_dh
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -39,7 +40,7 @@ def read_universal(path: Path, model: str | None, name: str) -> dict[str, Any]:
     """Return a chain document with the calibrated joint origins.
 
     Raises:
-        FileError: no such YAML, or of another model than ``model``; the message says which one it is.
+        FileError: no such file, or of another model than ``model``; the message says which one it is.
         UsageError: no model, or one that is not known.
         MissingPackageError: PyYAML is not installed.
 
@@ -47,23 +48,37 @@ def read_universal(path: Path, model: str | None, name: str) -> dict[str, Any]:
     if model is None or model.lower() not in MODELS:
         said = "needs --model" if model is None else f"--model {model}: is not known"
         raise UsageError(f"{path.name}: {said}. Known are {', '.join(MODELS)}.")
-    origins = _origins(path)
-    refuse_other_model(path, model.lower(), sizes(origins))
+    text, flange = read_text(path), (0.0,) * 6
+    checked = f"checked to be a {model.upper()}"
+    if holds_dh(text):
+        table, adds = read_dh(path, text, MODELS[model.lower()])
+        placed, flange = origins_of(table, path)
+        origins: Mapping[str, tuple[float, ...]] = dict(zip(LINKS, placed, strict=True))
+        checked = f"added to the table of a {model.upper()}" if adds else checked
+    else:
+        origins, adds = _origins(path, text), False
+    if not adds:  # what is added to any table fits any
+        refuse_other_model(path, model.lower(), sizes(origins))
     elements: list[dict[str, Any]] = []
     for joint, link in zip(JOINTS, LINKS, strict=True):
-        x, y, z, roll, pitch, yaw = origins[link]
-        steps = (("x", "Tx", x * 1e3), ("y", "Ty", y * 1e3), ("z", "Tz", z * 1e3))
-        turns = (("yaw", "Rz", yaw), ("pitch", "Ry", pitch), ("roll", "Rx", roll))
-        elements += [{"name": f"{link}_{k}", "axis": axis, "value": value} for k, axis, value in steps]
-        elements += [{"name": f"{link}_{k}", "axis": axis, "value": math.degrees(value)} for k, axis, value in turns]
+        elements += _elements(link, origins[link])
         elements += [{"joint": joint, "axis": "Rz"}]
+    elements += _elements("flange", flange) if any(flange) else []
     return {
         "name": name,
         "convention": "chain",
-        "source": f"factory calibration {path.name}, checked to be a {model.upper()}",
+        "source": f"factory calibration {path.name}, {checked}",
         "joints": [{"name": joint, "limits_deg": [-LIMIT_DEG, LIMIT_DEG]} for joint in JOINTS],
         "elements": elements,
     }
+
+
+def _elements(link: str, origin: Sequence[float]) -> list[dict[str, Any]]:
+    x, y, z, roll, pitch, yaw = origin
+    steps = (("x", "Tx", x * 1e3), ("y", "Ty", y * 1e3), ("z", "Tz", z * 1e3))
+    turns = (("yaw", "Rz", yaw), ("pitch", "Ry", pitch), ("roll", "Rx", roll))
+    placed = [{"name": f"{link}_{k}", "axis": axis, "value": value} for k, axis, value in steps]
+    return placed + [{"name": f"{link}_{k}", "axis": axis, "value": math.degrees(value)} for k, axis, value in turns]
 
 
 def sizes(origins: Mapping[str, tuple[float, ...]]) -> tuple[float, ...]:
@@ -99,15 +114,18 @@ def refuse_other_model(path: Path, model: str, found: tuple[float, ...]) -> None
     )
 
 
-def _origins(path: Path) -> dict[str, tuple[float, ...]]:
+def _origins(path: Path, text: str) -> dict[str, tuple[float, ...]]:
     need(f"{path}: YAML files need", "pyyaml", "yaml")
     try:
-        document = yaml.safe_load(read_text(path))
+        document = yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise FileError(f"{path}: is not YAML ({error}).", file=str(path)) from error
     kinematics = document.get("kinematics") if isinstance(document, dict) else None
     if not isinstance(kinematics, dict):
-        raise FileError(f"{path}: has no 'kinematics'. Extract it with ur_calibration.", file=str(path))
+        raise FileError(
+            f"{path}: has no 'kinematics'. Extract it with ur_calibration, or take the controller's calibration.conf.",
+            file=str(path),
+        )
     return {link: _origin(path, link, kinematics.get(link)) for link in LINKS}
 
 

@@ -21,6 +21,7 @@ class Layout:
     missing: tuple[str | float, ...] = ()
     units_row: bool = False
     sheet: str | int | None = None
+    rows_per_pose: int = 1
 
     @property
     def missing_numbers(self) -> tuple[float, ...]:

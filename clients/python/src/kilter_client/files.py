@@ -20,7 +20,9 @@ with later(__name__):
     from kilter_files.formats.programs import marks as files_marks
     from kilter_files.formats.programs import one_target, rigid
     from kilter_files.formats.programs import reading as files_reading
+    from kilter_files.formats.programs import remedies as files_remedies
     from kilter_files.formats.programs.poses import postures as files_postures
+    from kilter_files.formats.programs.poses import track as files_track
     from kilter_files.look import refusals as files_refusals
     from kilter_files.look import summary as files_summary
     from kilter_files.look import unusual as files_unusual

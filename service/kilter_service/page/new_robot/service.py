@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 SIDE = 260.0  # of a figure, pixels
 ROOM = 1.15
-ENDINGS = (".urdf", ".xml", ".csv", ".tsv", ".txt", ".json", ".yaml", ".yml", ".cfg")
+ENDINGS = (".urdf", ".xml", ".csv", ".tsv", ".txt", ".json", ".yaml", ".yml", ".conf", ".cfg")
 VIEWS = (("From the side", 0, 2), ("From the front", 1, 2), ("From above", 0, 1))
 
 

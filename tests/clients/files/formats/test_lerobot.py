@@ -421,6 +421,10 @@ def test_inspect_says_what_they_are(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_a_range_that_ends_at_the_seam_of_the_encoder_is_doubted(
     tmp_path: Path, servo: str, change: dict[str, int], warned: bool
 ) -> None:
-    warnings = inspect(calibration(tmp_path, **{servo: change}))["warnings"]
+    path = calibration(tmp_path / "calibration/robots/so101_follower", **{servo: change})
+    warnings = inspect(path)["warnings"]
     assert len(warnings) == warned
     assert all(servo in text and "seam of the encoder" in text for text in warnings)
+    folder = dataset(tmp_path / "set", "v3.0", [recorded(ticks_of([40])[0], "DEGREES")])
+    assert [*read_joints(folder, hints=hints(path)).warnings] == warnings
+    assert inspect(folder, Hints(log=hints(path)))["warnings"][: len(warnings)] == warnings

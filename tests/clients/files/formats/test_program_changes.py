@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kilter_files.formats.programs.found import Stated
-from kilter_files.formats.programs.reading import read_programs
+from kilter_files.formats.programs.reading import read_program, read_programs
 
 NULL = (0.0,) * 6
 STATED = Stated({"1": NULL, "2": NULL}, {"1": NULL})
@@ -166,13 +166,44 @@ def fanuc(*lines: str, head: str = "") -> str:
     [
         ("  $MNUFRAME[1,2]=PR[5]", "the program sets UFRAME"),
         ("  $MNUTOOL[1,1]=PR[5]", "the program sets UTOOL"),
-        ("  UFRAME[2]=PR[5]", "the program sets UFRAME"),
+        ("  UFRAME[2]=PR[5] ;\n  1:  UFRAME[2]=PR[6]", "the program sets UFRAME"),
         ("  $GROUP[1].$UFRAME=PR[5]", "the program sets UFRAME"),
         ("  $MNUTOOL[1,1].$Z=5", "the program sets UTOOL"),
     ],
 )
 def test_fanuc_sets_a_frame(tmp_path: Path, statement: str, said: str) -> None:
-    assert left(tmp_path / "w.ls", fanuc(statement)) == {4: "L P[1]: a pose that is left", 7: f"P[1], a pose: {said}"}
+    found = left(tmp_path / "w.ls", fanuc(statement))
+    more = statement.count("\n")
+    assert found.keys() == {4 + more, 7 + more}
+    assert found[7 + more].startswith(f"P[1], a pose: {said}: set it once, by a register")
+
+
+FILLED = [f"  PR[9,{k}]={value} " for k, value in enumerate(("10.5", "(-20)", "130.000", "0", ".5", "-17.189"), 1)]
+
+
+@pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        (("  R[1]=5", *FILLED, "  UFRAME[2]=PR[9]", "  UFRAME_NUM=2"), ""),
+        ((*FILLED[:5], "  UFRAME[2]=PR[9]"), "by numbers it does not hold: state it, --base 2="),
+        ((*FILLED, "  PR[9]=LPOS", "  UFRAME[2]=PR[9]"), "by numbers it does not hold"),
+        ((*FILLED, "  PR[9,6]=PR[9,6]+5", "  UFRAME[2]=PR[9]"), "by numbers it does not hold"),
+        ((*FILLED, "  PR[R[1],6]=5", "  UFRAME[2]=PR[9]"), "by numbers it does not hold"),
+        (("  IF R[1]=1,JMP LBL[2]", *FILLED, "  UFRAME[2]=PR[9]"), "set it once"),
+        (("J P[2] 20% FINE", *FILLED, "  UFRAME[2]=PR[9]"), "set it once"),
+        ((*FILLED, "  UFRAME[2]=PR[9]", "  UFRAME[R[3]]=PR[9]"), "set it once"),
+        ((*FILLED, "  UFRAME[7]=PR[9]"), "UF : 2 is not in this program"),
+    ],
+)
+def test_fanuc_fills_a_register_and_sets_a_frame_by_it(tmp_path: Path, lines: tuple[str, ...], said: str) -> None:
+    path = tmp_path / "w.ls"
+    path.write_text(fanuc(*lines))
+    program = read_program(path, Stated({}, {"1": (0.0, 0, 100, 0, 0, 0)}))
+    (pose,) = program.cartesian
+    assert said in pose.why_left()
+    if not said:
+        bases, _ = pose.frames()
+        assert bases[0].numbers == (10.5, -20.0, 130.0, 0.0, 0.5, -17.189)
 
 
 @pytest.mark.parametrize("move", ["J PAL_3[A_1] 100% FINE", "L PAL_1[BTM] 100mm/sec FINE"])

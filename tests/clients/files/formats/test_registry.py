@@ -67,7 +67,9 @@ def test_a_new_reader_is_a_module_and_a_line(tmp_path: Path, toy: None) -> None:
     assert (inspect(path)["kind"], inspect(path)["rows"]) == ("toy", 2)
     assert ("upload --map", "toy", (".toy",), "a toy") in registry.list_formats()
     (tmp_path / "m.toml").write_text('[file]\nformat = "toys"\n' + columns)
-    with pytest.raises(FileError, match="must be one of csv, mat, parquet, program, tdms, toy, xlsx, not 'toys'"):
+    with pytest.raises(
+        FileError, match="must be one of csv, json, mat, parquet, program, tdms, toy, xlsx, yaml, not 'toys'"
+    ):
         prepare(path, column_map=tmp_path / "m.toml")
 
 

@@ -186,7 +186,7 @@ def test_a_pose_matrix_becomes_a_place_and_a_quaternion(tmp_path: Path, order: s
         (', equals = "ok"', "", "needs 'column' and either"),
         ('from = "X"', 'from = "x"', "there is no column 'x'"),
         ("[columns]", "[columns", "is not a readable column map"),
-        ('[file]', '[file]\nformat = "xls"', "file.format: must be one of csv, mat, parquet"),
+        ('[file]', '[file]\nformat = "xls"', "file.format: must be one of csv, json, mat, parquet"),
         ('[file]', "[file]\nskip_rows = -1", "file.skip_rows: must be a whole number"),
     ],
 )  # fmt: skip

@@ -9,9 +9,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, edited
 from kilter_files.ground.faults import fault
+
+if TYPE_CHECKING:
+    from kilter_files.formats.programs.poses.track import Track
 
 # every repeat is bounded: a damaged file must not make the search slow
 NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
@@ -22,10 +26,14 @@ EXTERNAL_AXES = "external axes are left out: what they move belongs to the base 
 
 @dataclass(frozen=True)
 class Stated:
-    """Frames that no program holds, as somebody stated them: numbers by the name or number that the program uses."""
+    """Frames that no program holds, as somebody stated them: numbers by the name or number that the program uses.
+
+    ``tracks`` are external axes, by name in small letters, that carry the arm.
+    """
 
     bases: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     tools: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    tracks: Mapping[str, Track] = field(default_factory=dict)
 
 
 @dataclass

@@ -38,9 +38,7 @@ AXIS = re.compile(rf"\s{{0,9}}([AE])(\d)\s{{1,9}}({NUMBER})\s{{0,9}}", re.I)
 ARM_AXIS = re.compile(r"\bA\d\s", re.I)
 MOVE = re.compile(rf"^[ \t]*({MOTIONS})(?:[ \t]+|(?=\{{))([^\r\n]+)", re.I | re.M)
 GOAL = re.compile(rf"[ \t]*(\{{[^{{}}]{{0,500}}\}}|{NAME}(?![\w.\[]))[ \t]*+(?=,|\r|\n|$|[A-Za-z])")
-ANY_ELEMENT = re.compile(
-    r"[ \t]*(\w{1,64})\[[^\]\r\n]{1,60}\][ \t]*(?=\r|\n|$|[A-Za-z])"
-)  # the program computes which
+ANY_ELEMENT = re.compile(r"[ \t]*(\w{1,64})\[[^\]\r\n]{1,60}\][ \t]*(?=\r|\n|$|[A-Za-z])")  # the program computes which
 WHERE_IT_STANDS = re.compile(
     r"[ \t]*\$(?:AXIS|POS)_ACT[ \t]*(?:C_\w{1,9}[ \t]*){0,2}", re.I
 )  # the start of most programs

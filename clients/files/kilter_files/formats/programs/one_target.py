@@ -126,6 +126,7 @@ class WrittenOut:
 class PoseTarget:
     """A target given as a pose, its numbers at their places, and the moves to it.
 
+    ``root`` is the zero of the rail that carries the arm, seen from the arm's root there.
     ``problem`` says why it cannot be rewritten. ``whole`` is the place of its list, where it has one. ``computed``: the places
     are those of another target, from which a move computes this one. ``unused`` is why it is left where no move surely
     goes to it.
@@ -142,6 +143,7 @@ class PoseTarget:
     whole: Span = (0, 0)
     computed: WrittenOut | None = None
     unused: str = UNUSED
+    root: Frame | None = None
 
     @property
     def first(self) -> int:
@@ -170,4 +172,4 @@ class PoseTarget:
         base, tool = self.uses[0].base, self.uses[0].tool
         assert not isinstance(base, str)
         assert not isinstance(tool, str)
-        return base, tool
+        return (base if self.root is None else (self.root, *base)), tool

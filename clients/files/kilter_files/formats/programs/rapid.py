@@ -119,11 +119,11 @@ def _note_other_uses(
             program.leave(
                 use.at, f"{use.name}: used{f' by {by}' if by else ''} otherwise than as the goal of a known move"
             )
-        for pose in poses.get(name, {}).values() if by and not TO_POSES.fullmatch(by) else ():
-            pose.unused = (
-                pose.unused if pose.unused != UNUSED else f"{by} is given it, and may move to it in other frames"
-            )
-            if name not in constant:
+        for pose in poses.get(name, {}).values() if not TO_POSES.fullmatch(by) else ():
+            line, given = line_at(text, use.at), f"{by} is given it, and may move to it in other frames"
+            elsewhere = given if by else f"line {line} uses it otherwise than as the goal of a known move"
+            pose.unused = elsewhere if pose.unused == UNUSED else pose.unused
+            if by and name not in constant:
                 pose.problem = pose.problem or f"{by} may change it"
     own = Spans([match.span() for match in HOLDS_TARGETS.finditer(text)])
     for written in (*TARGET.finditer(text), *PAIR.finditer(text)):

@@ -9,6 +9,7 @@ from pathlib import Path
 from kilter_files.formats.programs.dialects import DIALECTS
 from kilter_files.formats.programs.found import Dialect, Program, Stated, line_at
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget
+from kilter_files.formats.programs.remedies import remedies
 from kilter_files.ground.faults import fault, head_of
 
 MOST_BYTES = 16 << 20
@@ -118,12 +119,10 @@ def _checked(programs: list[Program]) -> list[Program]:
         program.leave_poses(poses)
     targets = [(program, target) for program in programs for target in program.targets]
     if not targets and len(poses) == sum(len(program.cartesian) for program in programs):
-        where = "".join(
-            f" Line {line}{_of(program, programs)}: {what}." for program in programs for line, what in program.left[:5]
-        )
-        raise fault(
-            programs[0].path, "holds no targets to rewrite", (where or " Store its targets as joints.").lstrip()
-        )
+        named = [(program, line, what) for program in programs for line, what in program.left]
+        where = " ".join(f"Line {line}{_of(program, programs)}: {what}." for program, line, what in named[:5])
+        helps = remedies(what for _, _, what in named) if named else ["Store its targets as joints."]
+        raise fault(programs[0].path, "holds no targets to rewrite", " ".join([where, *helps]).strip())
     count = len(targets[0][1].joints_deg) if targets else 0
     for program, target in targets:
         if len(target.joints_deg) != count:

@@ -6,8 +6,12 @@ from pathlib import Path
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.formats.tables.mat import read_mat
+from kilter_files.formats.unknown.described import describe_table
+from kilter_files.formats.unknown.understood import table_of
 from kilter_files.ground.later import np
 from kilter_files.tables.source import Source
+
+COMES_IN = "comes in with a column map (kilter upload --map); --draft writes a first one"
 
 
 class Mat(Reader[Source]):
@@ -25,13 +29,11 @@ class Mat(Reader[Source]):
         return head.start.startswith(b"MATLAB 5.0")
 
     def describe(self, head: Head) -> Document:
-        """Variables and their shapes."""
+        """Variables and their shapes, and what a draft of a map takes their columns for."""
         variables = read_mat(head.path).variables
         shapes = [{"name": name, "shape": list(np.shape(value))} for name, value in sorted(variables.items())]
-        return {
-            "variables": shapes,
-            "notes": ["comes in with a column map (kilter upload --map); --draft writes a first one"],
-        }
+        table = describe_table(head) if table_of(head) is not None else {"notes": [COMES_IN]}
+        return {**table, "kind": self.name, "variables": shapes}
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Source:
         """Read the variables."""

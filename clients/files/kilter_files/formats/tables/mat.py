@@ -14,8 +14,10 @@ from kilter_files.ground.errors import FileError
 from kilter_files.ground.later import need, np
 
 EXPRESSION = re.compile(
-    r"(?P<name>[A-Za-z]\w*(?:\.\w+)*)\s*(?:(?P<kind>[\[(])\s*(?P<row>:|\d+)\s*,\s*(?P<col>:|\d+)\s*[\])])?"
+    r"(?P<name>[A-Za-z]\w*(?:\.\w+)*)\s*(?:(?P<kind>[\[(])\s*(?P<row>:|\d+)\s*,\s*(?P<col>:|\d+)"
+    r"(?:\s*,\s*(?P<page>:|\d+))?\s*[\])])?"
 )
+MATRICES = ((3, 3), (3, 4), (4, 4))
 MOST_COLUMNS = 200
 MOST_ACROSS, WIDER = 9, 3  # an array of so few rows that is so many times wider holds a pose in each column
 
@@ -48,6 +50,8 @@ class MatSource:
             elif array.dtype.kind in "iufb" and array.ndim == 2 and array.shape[1] <= MOST_COLUMNS:
                 out += [f"{name}[:,{k}]" for k in range(array.shape[1])]
                 out += [f"{name}(:,{k + 1})" for k in range(array.shape[1])]
+            elif array.dtype.kind in "iufb" and array.ndim == 3:
+                out += _places_in_matrices(name, array.shape)
             elif array.dtype.kind in "iufb" and array.ndim == 1:
                 out.append(name)
         return out
@@ -75,6 +79,10 @@ class MatSource:
         if not match:
             raise self._error(name, 'is not a column of a .mat file: write "q[:,0]" (from 0), "q(:,1)" (from 1) or "t"')
         array = self._array(name, match["name"])
+        if (array.ndim == 3) != (match["page"] is not None):
+            raise self._error(
+                name, f"names {2 if match['page'] is None else 3} places of an array of shape {array.shape}"
+            )
         column = array if match["kind"] is None else self._slice(name, array, match)
         if column.ndim != 1:
             raise self._error(name, f'has shape {array.shape}: name one column, for example "{match["name"]}[:,0]"')
@@ -88,12 +96,14 @@ class MatSource:
                 raise self._error(expression, f"needs a variable {name!r}; the file has {', '.join(self.names)}")
             value = value[part]
         array = np.asarray(value)
-        if array.dtype.kind not in "iufb" or array.ndim not in (1, 2):
+        if array.dtype.kind not in "iufb" or array.ndim not in (1, 2, 3):
             raise self._error(expression, f"is not a real array (type {array.dtype}, shape {array.shape})")
         return array
 
     def _slice(self, expression: str | int, array: Any, match: re.Match[str]) -> Any:
         first = 0 if match["kind"] == "[" else 1
+        if array.ndim == 3:
+            return self._slice_matrices(expression, array, match, first)
         if array.ndim == 1:
             array = array.reshape(-1, 1)
         if (match["row"] == ":") == (match["col"] == ":"):
@@ -104,8 +114,33 @@ class MatSource:
             raise self._error(expression, f"is outside the array, whose shape is {array.shape}")
         return array[:, index] if axis else array[index]
 
+    def _slice_matrices(self, expression: str | int, array: Any, match: re.Match[str], first: int) -> Any:
+        said = [match["row"], match["col"], match["page"]]
+        if said.count(":") != 1:
+            raise self._error(expression, 'must keep one direction whole: "T[0,3,:]"')
+        index = tuple(slice(None) if one == ":" else int(one) - first for one in said)
+        inside = all(isinstance(k, slice) or 0 <= k < size for k, size in zip(index, array.shape, strict=True))
+        if not inside:
+            raise self._error(expression, f"is outside the array, whose shape is {array.shape}")
+        return array[index]
+
     def _error(self, expression: str | int, why: str) -> FileError:
         return FileError(f"{self.path}: {expression!r} {why}.", file=str(self.path), column=expression)
+
+
+def _places_in_matrices(name: str, shape: tuple[int, ...]) -> list[str]:
+    """The elements of matrices that lie behind one another, each a column: ``T[0,3,:]`` and ``T(1,4,:)``."""
+    if shape[:2] in MATRICES:
+        return [
+            f"{name}{left}{i + first},{j + first},:{right}"
+            for left, right, first in (("[", "]", 0), ("(", ")", 1)) for i in range(shape[0]) for j in range(shape[1])
+        ]  # fmt: skip
+    if shape[1:] in MATRICES:
+        return [
+            f"{name}{left}:,{i + first},{j + first}{right}"
+            for left, right, first in (("[", "]", 0), ("(", ")", 1)) for i in range(shape[1]) for j in range(shape[2])
+        ]  # fmt: skip
+    return []
 
 
 def _lies_across(rows: int, columns: int) -> bool:

@@ -25,6 +25,7 @@ def read_text(path: Path, layout: Layout) -> TextSource:
         names = header_names(path, head)
         records = records[1:] if layout.units_row else records
     else:
+        records = _joined(path, records, layout.rows_per_pose)
         names = [str(i) for i in range(len(records[0][1]))]
     _refuse_ragged(path, names, records, layout)
     return TextSource(path, layout, names, [row for _, row in records], [line for line, _ in records])
@@ -49,6 +50,17 @@ def _records(path: Path, layout: Layout) -> list[tuple[int, list[str]]]:
             f"{path}: is not {layout.encoding} text ({error}). State its 'encoding', for example \"latin-1\".",
             file=str(path),
         ) from error
+
+
+def _joined(path: Path, records: list[tuple[int, list[str]]], count: int) -> list[tuple[int, list[str]]]:
+    """Join rows that make one pose together, as those of a matrix; each has the line of its first."""
+    if len(records) % count:
+        raise FileError(
+            f"{path}: {len(records)} rows are not whole poses of {count}. Correct the file, or 'rows_per_pose'.",
+            file=str(path),
+        )
+    blocks = (records[k : k + count] for k in range(0, len(records), count))
+    return [(block[0][0], [cell for _, cells in block for cell in cells]) for block in blocks]
 
 
 def _refuse_ragged(path: Path, names: list[str], records: list[tuple[int, list[str]]], layout: Layout) -> None:

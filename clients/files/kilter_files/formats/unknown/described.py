@@ -15,7 +15,7 @@ def describe_table(head: Head) -> Document:
         FileError: no table of numbers.
 
     """
-    found = table_of(head) or understand(head.path)
+    found = table_of(head) or understand(head.path, head.hints.robot)
     shape, columns = found.shape, found.columns
     out = []
     for name in columns.names:

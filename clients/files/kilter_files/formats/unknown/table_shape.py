@@ -97,7 +97,18 @@ def _text(path: Path) -> tuple[Layout, dict[str, str | None]]:
             path, "no table of numbers was found in its beginning", "Export it as CSV with a line of names above."
         )
     head_line, header, units_row, comment, units = _head(path, rows[delimiter], decimal)
-    return Layout(delimiter, decimal, encoding, head_line - 1, header, comment, (), units_row), units
+    layout = Layout(delimiter, decimal, encoding, head_line - 1, header, comment, (), units_row)
+    return replace(layout, rows_per_pose=4) if _are_matrices(rows[delimiter], layout) else layout, units
+
+
+def _are_matrices(rows: Sequence[Row], layout: Layout) -> bool:
+    """Whether every fourth row is 0, 0, 0, 1, as in blocks of 4 x 4 matrices."""
+    kept = [cells for line, cells in rows if line > layout.skip_rows]
+    kept = [cells for cells in kept if not (layout.comment and cells[0].startswith(layout.comment))]
+    whole = kept[: len(kept) // 4 * 4]
+    if layout.header or len(whole) < 8 or any(len(cells) != 4 for cells in whole):
+        return False
+    return all([parse_number(cell, layout.decimal) for cell in cells] == [0, 0, 0, 1] for cells in whole[3::4])
 
 
 def _workbook(path: Path) -> tuple[Layout, dict[str, str | None]]:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from kilter_files.formats.unknown.bare_turns import bare_matrix, bare_quaternion
 from kilter_files.formats.unknown.guess import Columns
 from kilter_files.formats.unknown.names import words_of
 from kilter_files.ground.units import SIZES, UNKNOWN
@@ -24,6 +25,7 @@ ANGLES: tuple[tuple[tuple[str, ...], str, str], ...] = (
 )
 ASK = 'order of the angles: "XYZ" about the moving axes, "xyz" about the fixed ones, or delete this table'
 UNIT = 0.01
+LETTER = re.compile(r"(.*[^A-Za-z]|)([wxyzWXYZ])(?:\s*[\[(].*)?")
 CELL = re.compile(r"(.*?)([0-4])[_ ,]?([0-4])\W*")  # of a matrix: m03, R_1_2, pose[2,3]
 
 
@@ -46,7 +48,7 @@ class Turned:
     @property
     def open(self) -> bool:
         """Whether somebody has to fill in what could not be told."""
-        return UNKNOWN in (self.euler, self.unit)
+        return UNKNOWN in (self.euler, self.unit, self.quaternion)
 
 
 def turned(columns: Columns) -> Turned | None:
@@ -56,13 +58,43 @@ def turned(columns: Columns) -> Turned | None:
         names = _found(words, parts)
         if names and _is_unit(columns, names):
             return Turned(names, quaternion="wxyz", remark="four parts of length 1")
+    lettered = _lettered(columns)
+    if lettered:
+        return Turned(lettered, quaternion="wxyz", remark="four parts of length 1")
     for parts, order, whose in ANGLES:
         names = _found(words, parts)
         if names and columns.largest(names) is not None and columns.unit(names[0]) in (None, *SIZES["angle"]):
             unit, remark = _unit(columns, names)
             told = "; ".join(text for text in (whose, f"{UNKNOWN} {ASK}" if order == UNKNOWN else "", remark) if text)
             return Turned(names, euler=order, unit=unit, remark=told)
-    return _matrix(columns)
+    return _matrix(columns) or _bare(columns)
+
+
+def _bare(columns: Columns) -> Turned | None:
+    """An orientation that only its numbers tell: in a table without a header, in arrays, or in cells that are lists."""
+    pose = bare_matrix(columns)
+    if pose is not None:
+        names, place, rest, remark = pose
+        return Turned(names, matrix="rows", remark=remark, place=place, rest=rest)
+    found = bare_quaternion(columns)
+    if found is None:
+        return None
+    names, place, order, remark = found
+    return Turned(names, quaternion=order, remark=remark, place=place)
+
+
+def _lettered(columns: Columns) -> tuple[str, ...]:
+    """Four columns of length 1 that are alike but for the letters w, x, y and z at their ends."""
+    stems: dict[str, dict[str, str]] = {}
+    for name in columns.names:
+        found = LETTER.fullmatch(name)
+        if found:
+            stems.setdefault(found[1], {})[found[2].lower()] = name
+    for parts in stems.values():
+        names = tuple(parts.get(letter, "") for letter in "wxyz")
+        if all(names) and _is_unit(columns, names):
+            return names
+    return ()
 
 
 def _matrix(columns: Columns) -> Turned | None:

@@ -18,6 +18,9 @@ from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.units import SIZES, UNKNOWN
 
+POSES = "poses?|pose id|punkt|point|messpunkt|label"
+LONGEST_NAME = 40
+
 
 @dataclass(frozen=True)
 class Understood:
@@ -60,7 +63,7 @@ def table_of(head: Head) -> Understood | None:
     """What names and ranges tell of a file, None where it holds no table of numbers; of one head it is found out once."""
     if "table" not in head.found:
         try:
-            head.found["table"] = understand(head.path)
+            head.found["table"] = understand(head.path, head.hints.robot)
         except FileError:
             head.found["table"] = None
     found: Understood | None = head.found["table"]
@@ -124,9 +127,10 @@ def _rest(columns: Columns, taken: set[str]) -> list[Entry]:
     for words, make in (
         (r"temp\w*|t", _temperature),
         ("payload|load|last|nutzlast|mass|masse", _payload),
-        ("poses?|pose id|punkt|point|messpunkt", _pose),
+        (POSES, _pose),
     ):
         found.append(one(columns, taken, words, partial(make, columns)))
+    found += [] if found[-1] is not None else [_named_pose(columns, taken)]
     return [entry for entry in found if entry is not None]
 
 
@@ -143,6 +147,16 @@ def _payload(columns: Columns, name: str) -> Entry | None:
     if unit is not None and unit not in SIZES["mass"]:
         return None
     return Entry("payload_kg", name, unit or UNKNOWN, "" if unit else "the file states no unit: kg or g", (name,))
+
+
+def _named_pose(columns: Columns, taken: set[str]) -> Entry | None:
+    """A column that names the pose of each row in words, as ``P1`` and ``P2``."""
+    for name in columns.names:
+        if name not in taken and columns.numbers(name) is None and re.search(rf"\b(?:{POSES})\b", words_of(name)):
+            cells = columns.texts(name)
+            if all(cells) and len(set(cells)) > 1 and max(map(len, cells)) <= LONGEST_NAME:
+                return Entry("pose_id", name, None, "names become numbers", (name,))
+    return None
 
 
 def _pose(columns: Columns, name: str) -> Entry | None:

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 ALL_ROUND = (-720.0, 720.0)  # of a joint without limits
 BEFORE = "the target before it is left too"
+MOST_MISFIT = "most stated configurations of the program fit no posture of the robot"
 SAME_DEG = 1e-6
+MOST_TRIED = 20  # poses by which other signs are tried
 
 
 @dataclass(frozen=True)
@@ -43,11 +45,15 @@ class ProgramJoints:
 
 @dataclass(frozen=True)
 class Understood:
-    """Joints of the robot, deg, that poses mean, and why the others are left."""
+    """Joints of the robot, deg, that poses mean, and why the others are left.
+
+    ``suspicion`` says that the robot does not look like the arm of the program; empty: it does.
+    """
 
     joints_deg: Mapping[PoseTarget, tuple[float, ...]]
     left: Mapping[PoseTarget, str]
     branches: Mapping[PoseTarget, Branch] = field(default_factory=dict)
+    suspicion: str = ""
 
 
 def understand(programs: Sequence[Program], robot: Document, joints: ProgramJoints) -> Steps[Understood]:
@@ -121,7 +127,34 @@ def _chosen(
             left[pose] = one
         else:
             joints_deg[pose], branches[pose] = one.joints_deg, one.branch
+    doubtful = _suspicion(poses, dict(zip(poses, found[len(before) :], strict=True)), left, limits, signs)
+    if doubtful:  # what fits by chance is another posture
+        return Understood({}, {pose: left.get(pose, MOST_MISFIT) for pose in poses}, {}, doubtful)
     return Understood(joints_deg, left, branches)
+
+
+def _suspicion(
+    poses: Sequence[PoseTarget],
+    found: Mapping[PoseTarget, robots.Reaching],
+    left: Mapping[PoseTarget, str],
+    limits: Sequence[tuple[float, float]],
+    signs: Sequence[float],
+) -> str:
+    """Say that most stated configurations fit no posture of the arm, and by which signs they would; empty: they do."""
+    stated = [pose for pose in poses if pose.stated is not None]
+    misfits = [pose for pose in stated if left.get(pose) == files_postures.NO_SUCH]
+    if len(misfits) < 2 or 2 * len(misfits) < len(stated):
+        return ""
+    sample = [(pose.stated, found[pose].postures) for pose in misfits[:MOST_TRIED] if pose.stated is not None]
+    other = files_postures.fitting_signs(sample, limits, signs)
+    said = f"{len(misfits)} of {len(stated)} stated configurations fit no posture of the robot. "
+    if other is not None:
+        return (
+            f"{said}They fit with --signs {','.join('+' if sign > 0 else '-' for sign in other)}: check it at the arm."
+        )
+    return (
+        f"{said}Its zero, its limits or the coupling of joint 3 are not the controller's: compare kilter robot check."
+    )
 
 
 def _follow(

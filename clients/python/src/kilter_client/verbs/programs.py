@@ -11,7 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 from kilter_client.errors import FileError, UsageError
-from kilter_client.files import files_found, files_marks, files_reading, one_target
+from kilter_client.files import (
+    files_found,
+    files_marks,
+    files_postures,
+    files_reading,
+    files_remedies,
+    files_track,
+    one_target,
+)
 from kilter_client.requests.calls import robots, versions
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.program import FilteredProgram
@@ -25,6 +33,7 @@ if TYPE_CHECKING:
     from kilter_client.results.program import FilteredProgram
     from kilter_files.formats.programs.found import Program, Stated
     from kilter_files.formats.programs.one_target import JointTarget, PoseTarget
+    from kilter_files.formats.programs.poses.track import Track
 
 Frames: TypeAlias = "Mapping[str, Sequence[float] | str] | Sequence[float] | str"
 
@@ -42,6 +51,7 @@ def filter(  # noqa: A001 - a verb, as the command is called
     fanuc_j3: str | None = None,
     bases: Frames | None = None,
     tools: Frames | None = None,
+    tracks: Mapping[str, str] | None = None,
     strict: bool = False,
     again: bool = False,
 ) -> Steps[FilteredProgram]:
@@ -60,6 +70,7 @@ def filter(  # noqa: A001 - a verb, as the command is called
         fanuc_j3: ``"same"`` where J3 of a FANUC program is the robot's, ``"coupled"`` where the robot's is J2 + J3.
         bases: frames that the program uses and does not hold, in its own numbers: ``{"2": (500, 0, 300, 0, 0, 0)}``, or one.
         tools: tools, in the same way.
+        tracks: external axes that carry the arm: ``{"eax_a": "x"}``, ``"-y,1000"`` (mm a unit), ``"none"``: it carries nothing.
         strict: refuse the program unless every target is rewritten and its status is OK.
         again: correct a program that says that it was corrected: its targets were taught anew since.
 
@@ -70,7 +81,7 @@ def filter(  # noqa: A001 - a verb, as the command is called
         ConflictError: the robot has no active version.
 
     """
-    programs = _programs(program, bases, tools, again)
+    programs = _programs(program, _stated(bases, tools, tracks), again)
     coupled = _coupled(programs[0], fanuc_j3)
     name = reference("robot", robot)
     document = yield from robots.one(name)
@@ -81,10 +92,9 @@ def filter(  # noqa: A001 - a verb, as the command is called
     if first is not None:
         _refuse_other_robot(*first, document)
     understood = yield from understand(programs, document, joints)
-    for one in programs:
-        one.leave_poses(understood.left)
+    _name_left(programs, understood)
     if strict:
-        _refuse(_left(programs), programs, "is not rewritten", strict=True)
+        _refuse(_left(programs), programs, "is not rewritten", strict=True, suspicion=understood.suspicion)
     done = yield from _done(programs, understood, joints, document, version_id)
     wanted = {"OK"} if strict else ANSWERED
     wrong = [(d.program, d.target.line, f"{d.target.name}: {d.said}") for d in done if d.status not in wanted]
@@ -94,13 +104,41 @@ def filter(  # noqa: A001 - a verb, as the command is called
     return FilteredProgram.read(_report(programs, done, texts))
 
 
-def _programs(path: str | PathLike[str], bases: Frames | None, tools: Frames | None, again: bool) -> list[Program]:
-    stated = files_found.Stated(_frames(bases, "base"), _frames(tools, "tool"))
+def _stated(bases: Frames | None, tools: Frames | None, tracks: Mapping[str, str] | None) -> Stated:
+    return files_found.Stated(_frames(bases, "base"), _frames(tools, "tool"), _tracks(tracks or {}))
+
+
+def _tracks(given: Mapping[str, str]) -> dict[str, Track]:
+    """Read external axes that carry the arm.
+
+    Raises:
+        UsageError: one is not stated as an axis.
+
+    """
+    out = {}
+    for name, said in given.items():
+        track = files_track.parse_track(said)
+        if track is None or not name:
+            raise UsageError(
+                f"--track {name}={said}: give a direction of the arm's root, as --track eax_a=x or E1=-y,1000."
+            )
+        out[name.lower()] = track
+    return out
+
+
+def _programs(path: str | PathLike[str], stated: Stated, again: bool) -> list[Program]:
     programs = files_reading.read_programs(Path(fspath(path)), stated)
     if not again:
         files_marks.refuse_corrected(programs)
     _refuse_other_numbers(stated, programs[0].dialect)
     return programs
+
+
+def _name_left(programs: Sequence[Program], understood: Understood) -> None:
+    for one in programs:
+        one.leave_poses(understood.left)
+    if understood.suspicion:
+        programs[0].warn(understood.suspicion)
 
 
 def _version_id(robot: Document, version: ResourceReference | None) -> Steps[str | None]:
@@ -200,7 +238,7 @@ def _done(
         for _, target in places
     ]
     if not rows:
-        _refuse(_left(programs), programs, "has no target that can be", strict=False)
+        _refuse(_left(programs), programs, "has no target that can be", strict=False, suspicion=understood.suspicion)
     names = [f"q{k}_deg" for k in range(1, len(joints.signs) + 1)]
     columns = {name: [q[k] for q in rows] for k, name in enumerate(names)}
     content = yield from correct(str(robot["name"]), columns, version=version)
@@ -273,7 +311,12 @@ def _left(programs: Sequence[Program]) -> list[tuple[Program, int, str]]:
 
 
 def _refuse(
-    places: Sequence[tuple[Program, int, str]], programs: Sequence[Program], what: str, *, strict: bool
+    places: Sequence[tuple[Program, int, str]],
+    programs: Sequence[Program],
+    what: str,
+    *,
+    strict: bool,
+    suspicion: str = "",
 ) -> None:
     """Refuse a program for these places: to leave ``strict`` out helps only where it was given.
 
@@ -287,8 +330,9 @@ def _refuse(
             f"{f'{one.path.name}, ' if several else ''}line {line}: {said}" for one, line, said in places[:SHOWN]
         )
         more = f" and {len(places) - SHOWN} more" if len(places) > SHOWN else ""
-        leave = ", or leave --strict out" if strict else ""
-        remedy = f"Nothing is written. Store these targets as joints within reach{leave}."
+        fits = [said for _, _, said in places if not (suspicion and files_postures.NO_SUCH in said)]
+        helps = " ".join(["Nothing is written.", *([suspicion] if suspicion else []), *files_remedies.remedies(fits)])
+        remedy = f"{helps} Or leave --strict out." if strict else helps
         path = programs[0].path
         at = [{"file": str(one.path), "line": line} for one, line, _ in places]
         context = {"places": at} if several else {"lines": [line for _, line, _ in places]}

@@ -33,7 +33,7 @@ def stated(
 
 
 def compared(robot: str, found: Calibration, prepared: Prepared, file: str) -> Steps[tuple[Document, Prepared]]:
-    """Return the condition that a follower's calibration is, and the rows with what was not compared.
+    """Return the condition that a follower's calibration is, and the rows with what was not compared or looks wrong.
 
     Raises:
         FileError: it is of another arm, or its servos do not reach a reading.
@@ -47,7 +47,8 @@ def compared(robot: str, found: Calibration, prepared: Prepared, file: str) -> S
         for unit, values in [files_summary.in_shown_unit(name, given)]
     }
     files_beside_rows.refuse_unreached(found, Path(file), shown, servos, prepared.lines)
+    told = found.seam_warnings(servos.values())
     if not servos:
-        told = files_beside_rows.NOT_COMPARED.format(file=found.path, joints=", ".join(joints))
-        prepared = replace(prepared, warnings=(*prepared.warnings, told))
+        told.append(files_beside_rows.NOT_COMPARED.format(file=found.path, joints=", ".join(joints)))
+    prepared = replace(prepared, warnings=(*prepared.warnings, *told))
     return {CONDITION: found.sha256}, prepared

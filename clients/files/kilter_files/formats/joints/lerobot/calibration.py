@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -63,14 +63,15 @@ class Calibration:
         named = (folder.lower(), whole.stem.lower())
         return TELEOPERATORS in whole.parts or any(LEADER in name and FOLLOWER not in name for name in named)
 
-    def seam_warnings(self) -> list[str]:
-        """Name each servo whose range ends at the seam of its encoder: its zero, the middle of the range, is then wrong."""
+    def seam_warnings(self, used: Collection[str] = ()) -> list[str]:
+        """Name each servo, or of those ``used``, whose range ends at the seam of its encoder: its zero is then wrong."""
         return [
             f"servo {name!r}: its range {servo.range_min} to {servo.range_max} ends at the seam of the encoder and was "
             "probably cut there. Its zero is then wrong by tens of degrees. Put the joint into the middle of its travel "
             "and calibrate again, unless it rotates all the way round"
             for name, servo in self.servos.items()
             if not name.endswith(FULL_TURN)
+            and (not used or name in used)
             and (servo.range_min <= SEAM_TICKS or servo.range_max >= TICKS - 1 - SEAM_TICKS)
         ]
 

@@ -146,8 +146,11 @@ def log_of_dataset(path: Path, hints: LogHints) -> JointLog:
     q, episode, time = np.concatenate(angles), np.concatenate(episodes), np.concatenate(times)
     columns = {f"q{k + 1}_deg": q[:, k] for k in range(len(recorded.joints))}
     log = checked_log(path, columns | {"t_s": time + _starts(recorded.dataset)[episode.astype(int)]}, [], "row")
-    sha256 = None if recorded.calibration is None else recorded.calibration.sha256
-    return replace(log, notes=tuple(log_notes(recorded)), calibration_sha256=sha256)
+    log = replace(log, notes=tuple(log_notes(recorded)))
+    if recorded.calibration is None:
+        return log
+    cut = recorded.calibration.seam_warnings(recorded.servos)
+    return replace(log, warnings=(*log.warnings, *cut), calibration_sha256=recorded.calibration.sha256)
 
 
 def log_notes(recorded: Recorded) -> Iterator[str]:

@@ -8,15 +8,14 @@ from kilter_files.formats.programs.found import NUMBER, Program, line_at
 from kilter_files.formats.programs.notations import FANUC, Frame
 from kilter_files.formats.programs.one_target import PoseTarget, Span, Use
 from kilter_files.formats.programs.poses.configurations import Config
+from kilter_files.formats.programs.poses.fanuc_frames import settings_of
+from kilter_files.formats.programs.poses.track import frame_on_track
 
 NULL = Frame(FANUC, (0.0,) * 6)
 PART = re.compile(rf"\b([XYZWPR]|E\d)\s{{0,9}}=\s{{0,9}}({NUMBER})\s{{0,9}}(mm|deg)")
 FRAME_NUMBER = re.compile(r"\b(UF|UT)\s?:\s{0,9}(\w{1,3})")
 TURN = r"\s{0,9}(-?\d)\s{0,9}"
 CONFIG = re.compile(rf"\bCONFIG\s?:\s?'\s{{0,9}}([NF])\s{{1,9}}([UD])\s{{1,9}}([TB])\s{{0,9}},{TURN},{TURN},{TURN}'")
-SET = re.compile(
-    r"(?:\b|\$MN|\.\$)U(FRAME|TOOL)\s?(?:\[[^\]\n]{1,40}\]|(?<=\$UFRAME)|(?<=\$UTOOL))[.$\w]{0,20}\s?=", re.I
-)
 TRACKS = re.compile(r"^\s*LINE_TRACK_SCHEDULE(?:_NUMBER)?\s*:\s*0*[1-9]", re.I | re.M)
 OFFSET = re.compile(r"\b(?:Offset|Tool_Offset|INC|VOFFSET)\b", re.I)
 NOT_TAUGHT = re.compile(r"=\s{0,9}\*{3,}")  # what a controller writes of a position that nobody taught
@@ -31,8 +30,9 @@ def pose_of(program: Program, number: str, at: int, span: Span) -> PoseTarget:
     config = CONFIG.search(text, *span)
     problem = f"without {', '.join(missing)}" if missing else "" if config else "its CONFIG is not understood"
     problem = "it is not taught (********)" if NOT_TAUGHT.search(text, *span) else problem
-    if any(name[0] == "E" and float(match[2]) for name, match in parts.items()):
-        problem = problem or "an external axis may move its base"
+    axes = {name: float(match[2]) for name, match in parts.items() if name[0] == "E"}
+    root, why = frame_on_track(program.stated, FANUC, axes)
+    problem = problem or why
     if TRACKS.search(text):
         problem = problem or "it moves with what the program tracks (LINE_TRACK)"
     whole = [parts[name] for name in FANUC.names if name in parts]
@@ -40,22 +40,30 @@ def pose_of(program: Program, number: str, at: int, span: Span) -> PoseTarget:
     pose = PoseTarget(
         f"P[{number}]", line_at(text, at), FANUC, numbers, tuple(match.span(2) for match in whole), problem=problem
     )
-    pose.whole = span
+    pose.whole, pose.root = span, root
     if config is not None:
         turns = (int(config[4]), int(config[5]), int(config[6]))
         spans = (config.span(4), config.span(5), config.span(6))
         pose.configuration = Config(config[1] == "F", config[2] == "U", config[3] == "T", turns, spans)
     named = {match[1]: match[2] for match in FRAME_NUMBER.finditer(text, *span)}
-    changed = {match[1].upper() for match in SET.finditer(text)}
-    base = "the program sets UFRAME" if "FRAME" in changed else _frame(program, "base", named.get("UF"))
-    tool = "the program sets UTOOL" if "TOOL" in changed else _frame(program, "tool", named.get("UT"))
+    base, tool = (_frame(program, which, named.get(short)) for which, short in (("base", "UF"), ("tool", "UT")))
     pose.uses.append(Use(base if isinstance(base, str) else (base,), tool))
     return pose
 
 
 def _frame(program: Program, which: str, number: str | None) -> Frame | str:
+    """The frame of a number: the one that the program sets, else the stated one."""
     stated = program.stated.bases if which == "base" else program.stated.tools
     found = stated.get(number or "") or stated.get("")
+    name = "UFRAME" if which == "base" else "UTOOL"
+    settings = [one for one in settings_of(program.text) if one.name == name and one.number in (number, "")]
+    if settings:
+        one = settings[0]
+        if len(settings) > 1 or not one.first or not one.number:
+            return f"the program sets {name}: set it once, by a register filled with six numbers before any move"
+        if one.numbers is None and found is None:
+            return f"the program sets {name}[{number}] by numbers it does not hold: state it, --{which} {number}=X,Y,Z,W,P,R"
+        found = one.numbers or found
     if found is not None:
         return Frame(FANUC, found)
     if number == "0":

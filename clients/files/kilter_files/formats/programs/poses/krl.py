@@ -10,6 +10,7 @@ from kilter_files.formats.programs.krl_lines import EXTERNAL_PART, GIVEN, parts_
 from kilter_files.formats.programs.notations import KRL
 from kilter_files.formats.programs.one_target import PoseTarget
 from kilter_files.formats.programs.poses.configurations import StatusTurn
+from kilter_files.formats.programs.poses.track import AT_ZERO, frame_on_track
 
 INDEX = r"\[\s{0,9}\d{1,4}\s{0,9}(?:,\s{0,9}\d{1,4}\s{0,9}){0,2}\]"  # constants, of an array of up to three dimensions
 NAME = rf"\w{{1,64}}(?:{INDEX})?"
@@ -20,7 +21,6 @@ POSE = re.compile(
 )
 PART = re.compile(rf"\s{{0,9}}(\w{{1,2}})\s{{1,9}}({NUMBER}|'B\s?[01]{{1,16}}')\s{{0,9}}", re.I)
 COMPUTED_INDEX = re.compile(r"(?<![\w$.])(\w{1,64})[ \t]*\[[ \t\d,]*[^ \t\d,\]]")
-EXTERNAL = "an external axis may move its base"
 BRANCH_BITS, TAUGHT_ABSOLUTE = 0b111, 0b10000  # of S; KUKA keeps its bit 3 zero
 TWICE = "bit 4 of its S says that a controller with absolute accuracy taught it: it would be corrected twice"
 
@@ -50,8 +50,9 @@ def pose_of(program: Program, match: re.Match[str]) -> PoseTarget:
     missing = [name for name in KRL.names if name not in parts]
     if missing and not problem:
         problem = f"without {', '.join(missing)}"
-    if any(name[0] == "E" and _value(text) for name, (text, _) in parts.items()):
-        problem = problem or EXTERNAL
+    axes = {name: _value(text) for name, (text, _) in parts.items() if name[0] == "E"}
+    root, why = frame_on_track(program.stated, KRL, axes)
+    problem = problem or why
     if "S" in parts:
         problem = problem or _of_status(int(_value(parts["S"][0])))
     numbers = tuple(_value(parts[name][0]) if name in parts else 0.0 for name in KRL.names)
@@ -62,7 +63,7 @@ def pose_of(program: Program, match: re.Match[str]) -> PoseTarget:
         stated = StatusTurn(int(_value(status)), int(_value(turn)), turn, span)
     name = "".join(match[2].split()) if match[2] else "a move"
     line = line_at(program.text, match.start())
-    return PoseTarget(name, line, KRL, numbers, spans, stated, problem=problem, whole=match.span(4))
+    return PoseTarget(name, line, KRL, numbers, spans, stated, problem=problem, whole=match.span(4), root=root)
 
 
 def _of_status(status: int) -> str:
@@ -102,7 +103,8 @@ def note_changes(text: str, poses: Mapping[str, PoseTarget]) -> None:
 def note_external(program: Program) -> None:
     """Note poses that do not say where an external axis is which the program moves: it stays where it was."""
     files = [program, *([program.beside] if program.beside is not None else [])]
-    moved = {axis for one in files for axis in _moved(one.text)}
+    stays = {name for name, track in program.stated.tracks.items() if not any(track.along)}
+    moved = {axis for one in files for axis in _moved(one.text) if f"e{axis}" not in stays}
     for one in files if moved else ():
         for pose in one.cartesian:
             start, end = pose.whole
@@ -116,5 +118,5 @@ def _moved(text: str) -> Iterator[str]:
     for line in blanked(text, ";").splitlines():
         for match in () if OTHER_LINE.match(line) else EXTERNAL_AXIS.finditer(line):
             value = match[2]
-            if value is None or re.fullmatch(NUMBER, value) is None or float(value):
+            if value is None or re.fullmatch(NUMBER, value) is None or abs(float(value)) > AT_ZERO:
                 yield match[1] or match[3]

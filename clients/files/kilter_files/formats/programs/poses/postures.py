@@ -20,6 +20,7 @@ SINGULAR = "it is at a singularity, where joints cannot be told apart"
 SEVERAL = "several joints reach it, and which it means is not stated"
 NOT_CERTAIN = "joints reach it that may not be all: it is at a singularity, or near one"
 NOT_STATED = "its configuration is not stated, and the target from which the arm comes is not known"
+NO_SUCH = "no joints within their limits have its configuration"
 DIFFERENT = "moves come to it with different joints"
 
 
@@ -46,7 +47,25 @@ def by_configuration(
             found += [Found(joints, branch) for joints in itertools.product(*fitting)]
     if len(found) > 1:
         return SEVERAL
-    return found[0] if found else "no joints within their limits have its configuration" if postures else OUT_OF_REACH
+    return found[0] if found else NO_SUCH if postures else OUT_OF_REACH
+
+
+def fitting_signs(
+    stated: Sequence[tuple[Configuration, Sequence[Mapping[str, Any]]]], limits: Limits, signs: Sequence[float]
+) -> Sequence[float] | None:
+    """Return other signs of joints by which all of these configurations fit the postures beside them: the fewest changes.
+
+    None where no signs do, or where several do that change as few.
+    """
+    for count in range(1, len(signs) + 1):
+        found = []
+        for turned in itertools.combinations(range(len(signs)), count):
+            other = [-sign if k in turned else sign for k, sign in enumerate(signs)]
+            fits = (by_configuration(one, postures, limits, other) for one, postures in stated)
+            found += [other] if not any(one in (NO_SUCH, OUT_OF_REACH) for one in fits) else []
+        if found:
+            return found[0] if len(found) == 1 else None
+    return None
 
 
 def after(near: Found, postures: Sequence[Mapping[str, Any]], limits: Limits, *, straight: bool) -> Found | str:

@@ -9,6 +9,7 @@ from kilter_files.formats.programs.found import NUMBER, Program, Stated, line_at
 from kilter_files.formats.programs.notations import NOT_UNIT, RAPID, Frame
 from kilter_files.formats.programs.one_target import PoseTarget
 from kilter_files.formats.programs.poses.configurations import ConfData
+from kilter_files.formats.programs.poses.track import frame_on_track
 from kilter_files.formats.programs.rapid_uses import ROUTINE, changed, declared_again, other_uses
 
 NULL = Frame(RAPID, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
@@ -43,11 +44,12 @@ def pose_of(program: Program, name: str, match: re.Match[str]) -> PoseTarget:
     quadrants = [int(value) for value in values[7:11] if value == int(value)]
     if len(quadrants) < 4 or not 0 <= quadrants[3] <= 7:
         problem = problem or "its confdata is not understood"
-    if any(value and abs(value) < UNUSED_AXIS for value in values[11:]):
-        problem = problem or "an external axis may move its base"
+    axes = {f"eax_{name}": value for name, value in zip("abcdef", values[11:], strict=True) if abs(value) < UNUSED_AXIS}
+    root, why = frame_on_track(program.stated, RAPID, axes)
+    problem = problem or why
     spans = tuple(match.span(k) for k in range(1, 8))
     pose = PoseTarget(name, line_at(program.text, match.start()), RAPID, tuple(values[:7]), spans, problem=problem)
-    pose.whole = match.span()
+    pose.whole, pose.root = match.span(), root
     if len(quadrants) == 4:
         one, four, six, branch = quadrants
         pose.configuration = ConfData((one, four, six), branch, (match.span(8), match.span(9), match.span(10)))

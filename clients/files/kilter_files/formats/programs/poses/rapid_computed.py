@@ -49,6 +49,7 @@ class Computed:
         start, stop = of.whole
         ends = "".join(re.findall(r"\r\n|\r|\n", said))
         target = PoseTarget(said[:40], line_at(self._text, at), RAPID, numbers, of.spans, of.configuration)
+        target.root = of.root
         target.computed = WrittenOut(of, (at, end), ends, self._text[start:stop], start)
         return self._program.add_pose(target, counted=False)
 

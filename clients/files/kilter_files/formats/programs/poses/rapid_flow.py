@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 from kilter_files.formats.programs.poses.in_force import InForce
 
@@ -46,19 +47,12 @@ class RapidFlow:
         self._way = InForce(sorted({*control, *((at, 0) for at, _ in calls)}, key=lambda one: one[0]), starts)
         self._switched: dict[str, InForce] = {}
         for kind in self._ever_off:
-            force = InForce(control, starts)
             settings: list[tuple[int, object]] = [
                 (match.start(), match[2].upper()) for match in SWITCHED.finditer(text) if match[1].upper() == kind
             ]
-            names = {force.owner(match.end()): match[1].upper() for match in ROUTINE.finditer(text)}
-            setting = {names.get(force.owner(at), "") for at, _ in settings}
-            while more := {names.get(force.owner(at), "") for at, name in calls if name in setting} - setting:
-                setting |= more
-            settings += [(at, name) for at, name in calls if name in setting]
             settings += [(at, UNKNOWN) for at in starts]  # a routine begins with what its caller left
-            for at, value in sorted(settings, key=lambda one: one[0]):
-                force.set(at, value)
-            self._switched[kind] = force
+            settings += _set_by_calls(text, _in_force(control, starts, settings), calls)
+            self._switched[kind] = _in_force(control, starts, settings)
 
     def joined(self, first: int, second: int) -> bool:
         """Say whether the program always comes from one place to the other."""
@@ -70,6 +64,30 @@ class RapidFlow:
             return (False,)
         known, value = self._switched[kind].at(at)
         return (value == "OFF",) if known and value in ("ON", "OFF") else (False, True)
+
+
+def _in_force(control: Sequence[Place], starts: Sequence[int], settings: Sequence[tuple[int, object]]) -> InForce:
+    force = InForce(control, starts)
+    for at, value in sorted(settings, key=lambda one: one[0]):
+        force.set(at, value)
+    return force
+
+
+def _set_by_calls(text: str, own: InForce, calls: Sequence[tuple[int, str]]) -> list[tuple[int, object]]:
+    """What calls set: the value with which a routine ends that calls no other one that sets it, else one not known."""
+    names = {own.owner(match.end()): match[1].upper() for match in ROUTINE.finditer(text)}
+    ends = {name: (own.starts[number] - 1 if number < len(own.starts) else len(text)) for number, name in names.items()}
+    setting = {names.get(own.owner(at), "") for at, value in own.settings if value != UNKNOWN}
+    plain = set(setting)
+    while more := {names.get(own.owner(at), "") for at, name in calls if name in setting} - setting:
+        setting |= more
+    plain -= {names.get(own.owner(at), "") for at, name in calls if name in setting}
+    found: list[tuple[int, object]] = []
+    for at, name in calls:
+        if name in setting:
+            known, value = own.at(ends[name]) if name in plain and name in ends else (False, UNKNOWN)
+            found.append((at, value if known else UNKNOWN))
+    return found
 
 
 def _control(text: str) -> tuple[list[Place], list[tuple[int, str]]]:

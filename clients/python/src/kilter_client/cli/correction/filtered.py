@@ -12,7 +12,7 @@ from kilter_client import Kilter
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import emit, note, say
 from kilter_client.errors import UsageError
-from kilter_client.files import files_reading
+from kilter_client.files import files_reading, files_remedies
 
 if TYPE_CHECKING:
     from kilter_client.results.program import FilteredProgram
@@ -33,6 +33,13 @@ Base = Annotated[
     ),
 ]
 Tool = Annotated[list[str] | None, typer.Option(help="Tool, in the same way: 1=0,0,120.5,0,0,0.")]
+Track = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="External axis that carries the arm: NAME=AXIS, the direction in the frame of the arm's root, as eax_a=x or "
+        "E1=-y,1000 (mm for each unit of the program); E2=none: it moves no frame in use. More than once."
+    ),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -60,6 +67,7 @@ def filtered(
     ] = None,
     base: Base = None,
     tool: Tool = None,
+    track: Track = None,
     diff: Annotated[bool, typer.Option("--diff", help="Print the changed lines.")] = False,
     strict: Annotated[
         bool, typer.Option("--strict", help="Write nothing unless every target is rewritten and its status is OK.")
@@ -74,8 +82,7 @@ def filtered(
 
     A KRL program is read with its other file (.src or .dat) where that stands beside it; both are corrected, and the other is
     written beside --output.
-    Poses are rewritten where frame, tool and configuration are known; the others are named with their lines and left, or
-    refused with --strict.
+    Poses are rewritten where frame, tool and configuration are known; others are named and left, or refused with --strict.
     Comments, speeds, logic, white space, line ends and external axes stay as they are. A comment, in a table a column, says
     which version corrected the program; a program that says so is refused.
     """
@@ -89,6 +96,7 @@ def filtered(
             fanuc_j3=fanuc_j3 and fanuc_j3.value,
             bases=_named(base),
             tools=_named(tool),
+            tracks=_named(track),
             strict=strict,
             again=again,
         )
@@ -114,6 +122,8 @@ def _note(done: FilteredProgram, as_json: bool) -> None:
     for line in done.left:
         place = f"{line['file']}, line {line['line']}" if len(done.texts) > 1 else f"line {line['line']}"
         note(f"Warning: {place} is left as it is: {line['what']}.", as_json)
+    for remedy in files_remedies.remedies(str(line["what"]) for line in done.left):
+        note(f"What helps: {remedy}", as_json)
     for remark in done.notes:
         note(f"Note: {remark}", as_json)
 

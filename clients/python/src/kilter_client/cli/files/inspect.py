@@ -89,7 +89,7 @@ def inspect(
     ] = None,
     robot: Annotated[
         str | None,
-        typer.Option("--robot", help="With --draft: the arm, whose joints the columns may be named after."),
+        typer.Option("--robot", help="The arm, whose joints the columns may be named after."),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -104,7 +104,9 @@ def inspect(
         raise UsageError(f"--rate {rate}: give frames per second, above 0.")
     order = arguments.split_names([joint_order or ""])
     log = LogHints(topic, order, calibration=calibration, norm_mode=norm_mode, zero=zero)
-    document = look(file, rate_hz=rate, allow_cut=allow_cut, preset=preset, euler=euler, unit=unit, log=log)
+    document = look(
+        file, rate_hz=rate, allow_cut=allow_cut, preset=preset, euler=euler, unit=unit, log=log, robot=joints_of(robot)
+    )
     emit(document, as_json, _show)
     if document["problems"]:
         raise typer.Exit(1)

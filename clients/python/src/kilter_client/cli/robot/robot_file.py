@@ -15,7 +15,7 @@ from kilter_client.errors import UsageError
 from kilter_files.robots import Described, read_robot
 from kilter_files.robots.plain_name import checked_name, plain_name
 
-ROBOT_FILE = "robot.json, .urdf, a DH table (.csv, .xlsx), a UR calibration (.yaml), or a KNI .cfg."
+ROBOT_FILE = "robot.json, .urdf, a DH table (.csv, .xlsx), a UR calibration (.yaml, .conf), or a KNI .cfg."
 
 # name of the option -> its type and help; every one may be left out
 OPTIONS: dict[str, Any] = {
