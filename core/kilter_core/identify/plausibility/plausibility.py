@@ -134,7 +134,7 @@ def _diagnosed(sample: Sample) -> Finding | None:
     """The mix-up, or the two together, that explain all rows."""
     if not _far(sample):
         return None
-    known = list(mix_ups(sample.begin.robot))
+    known = [m for m in mix_ups(sample.begin.robot) if sample.rotations is not None or not m.inverted]
     hurried = replace(sample, limit=HOPELESS * sample.placed.size)
     read = [(m, hurried.without(m)) for m in known]
     found = _certain(sample, [((m,), s) for m, s in read])
