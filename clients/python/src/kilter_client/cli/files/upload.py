@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client.cli.files.calibrated_rows import stated_servos
-from kilter_client.cli.files.checks import Unchecked
 from kilter_client.cli.files.dry_run import show_dry_run, what_it_holds
 from kilter_client.cli.files.inspect import JointOrder, Topic
 from kilter_client.cli.files.match import joints_of
@@ -121,7 +120,9 @@ def upload(
     measured_at: MeasuredAt = None,
     instrument: InstrumentName = None,
     dry_run: DryRun = False,
-    unchecked: Unchecked = False,
+    unchecked: Annotated[
+        bool, typer.Option("--unchecked", help="Store rows that look mixed up, with a warning.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Upload measurements: contract columns as they are, a device's files converted, a lab's own through a map.
@@ -130,6 +131,7 @@ def upload(
     """
     stated = (payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm)
     conditions, at = conditions_of(*stated, cameras), moment_of(measured_at)
+    conditions |= {"unchecked": True} if unchecked and not campaign else {}
     if campaign and (name or notes or conditions or at or instrument or calibration):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     # The robot's joints, where a bag names its joints and nobody said which is the first.
