@@ -58,7 +58,7 @@ class _Sample:
     board: int
 
     def shuffled(self) -> float:
-        """What hand-eye leaves (m) where the joints belong to other rows: the median of some shuffles; inf: it tells nothing."""
+        """What hand-eye leaves (m, median of some shuffles) with joints of other rows; inf where it tells nothing."""
         rng, q = np.random.default_rng(0), self.rows.q
         left = np.array([self.left(q[rng.permutation(len(q))]) for _ in range(SHUFFLES)])
         return float(np.median(left[np.isfinite(left)])) if np.isfinite(left).any() else np.inf
