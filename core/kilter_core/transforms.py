@@ -16,10 +16,11 @@ def pose_from_xyz_rpy(xyz_m: Floats, rpy_rad: Floats) -> Floats:
     return T
 
 
-def xyz_rpy_from_pose(T: Floats) -> tuple[Floats, Floats]:
+def xyz_rpy_from_pose(T: Floats, near: Floats | None = None) -> tuple[Floats, Floats]:
     """Return (xyz (3,) m, rpy (3,) rad) of a pose (4, 4), exact to rounding at and near pitch 90 degrees too.
 
-    The inverse of :func:`pose_from_xyz_rpy`.
+    Two triples of angles, and any with whole turns more, say one rotation: those next to ``near (3,)`` rad, or without it
+    pitch within 90 and the others within 180 degrees. The inverse of :func:`pose_from_xyz_rpy`.
     """
     R = T[:3, :3]
     yaw = float(np.arctan2(R[1, 0], R[0, 0])) if np.hypot(R[0, 0], R[1, 0]) > 1e-15 else 0.0
@@ -28,7 +29,16 @@ def xyz_rpy_from_pose(T: Floats) -> tuple[Floats, Floats]:
     rest = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ R
     roll = float(np.arctan2(-rest[1, 2], rest[1, 1]))
     rpy = np.array([roll, float(np.arctan2(-rest[2, 0], rest[0, 0])), yaw])
+    if near is not None:
+        both = np.array([rpy, [rpy[0] + np.pi, np.pi - rpy[1], rpy[2] + np.pi]])
+        both -= 2.0 * np.pi * np.round((both - near) / (2.0 * np.pi))
+        rpy = both[np.argmin(np.sum((both - near) ** 2, axis=1))]
     return T[:3, 3] + 0.0, rpy + 0.0  # no zero has a sign, which tables would show
+
+
+def rotation_between(T: Floats, other: Floats) -> float:
+    """Angle (rad) of the rotation from one pose (4, 4) to another."""
+    return float(np.linalg.norm(rotation_log((T[:3, :3].T @ other[:3, :3])[None])))
 
 
 def aligned(R: Floats, z: Floats) -> Floats:

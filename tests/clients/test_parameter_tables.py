@@ -93,6 +93,9 @@ def test_a_version_compares_with_nominal(kilter: Kilter, robot: str, version: di
             assert changes[row["name"]]["change"] == pytest.approx(row["change"], abs=1e-6)
             assert changes[row["name"]]["sigma_b"] == pytest.approx(row["sigma"])
         assert row["change"] == pytest.approx(math.remainder(row["value"] - row["nominal"], 360.0), abs=1e-9)
+    listed = printed(capsys, "versions", robot)
+    assert "axial_compliance; masses uncertain" in listed
+    assert " load_error" not in listed + printed(capsys, "effects")
     back = kilter.versions.diff(version["id"], "nominal")
     assert back["effects_removed"] == ["axial_compliance", "load_error"]
     name = "compliance_2"

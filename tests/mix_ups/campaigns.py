@@ -13,7 +13,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.robot import Robot
 from kilter_core.observations import Observations
 from tests.core.campaigns import measured
-from tests.core.truth import Arm, Floats
+from tests.core.truth import Arm, Floats, Step
 from tests.mix_ups.arms import BUILDS, Pair, some_pair
 
 SEES = ("position", "pose", "markers")
@@ -52,6 +52,19 @@ def genuine(
     rows = _worn(pair, q, rng, noise, see) if worn else measured(pair.true, q, rng, noise, see)
     state = ", worn" if worn else ""
     return Genuine(robot, rows, pair, f"{build}, {moving or 'all'} move, {see}{state}")
+
+
+def fixed_steps(g: Genuine) -> list[Step]:
+    """Fixed steps of an arm that are not zero: what a table can lack."""
+    return [s for s in g.pair.drawn.steps if s.joint is None and s.value]
+
+
+def without_step(g: Genuine, number: int) -> Genuine:
+    """The same campaign of an arm whose table lacks one of its fixed steps."""
+    missing = fixed_steps(g)[number]
+    drawn = replace(g.pair.drawn, steps=tuple(s for s in g.pair.drawn.steps if s is not missing))
+    robot = robot_from_document(drawn.document())
+    return replace(g, robot=robot, pair=replace(g.pair, drawn=drawn), kind=f"{g.kind}, without {missing.name}")
 
 
 def _worn(pair: Pair, q: Floats, rng: np.random.Generator, noise: float, see: str) -> Observations:
@@ -126,6 +139,21 @@ def _zero(g: Genuine, rng: np.random.Generator) -> Observations:
     )
 
 
+def _coupled(g: Genuine, rng: np.random.Generator) -> Observations:
+    """The last joint but two, or one before it, is read with the motion of the joint before."""
+    turns = [j.kind == "revolute" for j in g.robot.joints]
+    joint = next(j for j in range(g.robot.n_joints - 3, 0, -1) if turns[j] and turns[j - 1])
+    return replace(g.rows, q=g.rows.q - np.outer(g.rows.q[:, joint - 1], np.arange(g.robot.n_joints) == joint))
+
+
+def inverted(g: Genuine) -> Observations:
+    """The reference in the frame of the tool, in place of the tool in that of the reference."""
+    assert g.rows.position is not None
+    assert g.rows.rotation is not None
+    turned = g.rows.rotation.transpose(0, 2, 1)
+    return replace(g.rows, position=-np.einsum("nij,nj->ni", turned, g.rows.position), rotation=turned)
+
+
 def _points(change: Callable[[Floats], Floats]) -> Callable[[Genuine, np.random.Generator], Observations]:
     def mixed(g: Genuine, rng: np.random.Generator) -> Observations:
         if g.rows.markers is not None:
@@ -148,6 +176,7 @@ MIXED: dict[str, Callable[[Genuine, np.random.Generator], Observations]] = {
     "radians declared as degrees": _degrees,
     "one joint in radians": _one_in_radians,
     "a zero 90 degrees off": _zero,
+    "a joint read with the one before": _coupled,
     "millimetres declared as metres": _points(lambda p: p * 1e3),
     "inches declared as millimetres": _points(lambda p: p / 25.4),
     "x and y exchanged": _points(lambda p: p[..., [1, 0, 2]]),

@@ -12,9 +12,10 @@ from kilter_core.errors import CoreError
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.model import Calibration
 from tests.mix_ups.arms import BUILDS
-from tests.mix_ups.campaigns import MIXED, Genuine, genuine
+from tests.mix_ups.campaigns import MIXED, Genuine, fixed_steps, genuine, without_step
 
 FEW = 5  # every fifth genuine campaign moves two or three joints only
+LACKING = 3  # the table of every third arm lacks a step
 
 
 def said(g: Genuine, rows: object = None) -> str:
@@ -36,6 +37,13 @@ def is_worn(seed: int) -> bool:
     return bool(seed // 2 % 2)
 
 
+def of_number(seed: int) -> Genuine:
+    """The genuine campaign of this number; the table of every third arm lacks one of its fixed steps."""
+    g = genuine(seed, moving=of_few_joints(seed), worn=is_worn(seed))
+    steps = len(fixed_steps(g))
+    return g if seed % LACKING or not steps else without_step(g, seed // LACKING % steps)
+
+
 def bounds(k: int, n: int) -> tuple[float, float]:
     """95 % bounds of Clopper and Pearson."""
     low = 0.0 if k == 0 else float(beta.ppf(0.025, k, n - k + 1))
@@ -51,15 +59,16 @@ def main() -> None:
     given = asked.parse_args()
     accused = []
     for seed in range(given.seed, given.seed + given.genuine):
-        g = genuine(seed, moving=of_few_joints(seed), worn=is_worn(seed))
+        g = of_number(seed)
         text = said(g)
         if text:
             accused.append(seed)
             print(f"accused: {seed} ({g.kind}): {text}")
     few = sum(of_few_joints(s) is not None for s in range(given.seed, given.seed + given.genuine))
     worn = sum(is_worn(s) for s in range(given.seed, given.seed + given.genuine))
-    print(f"genuine campaigns accused: {len(accused)} of {given.genuine} ({few} with two or three moving joints, {worn} worn), "
-          f"95 % bounds {bounds(len(accused), given.genuine)}")  # fmt: skip
+    lacking = sum(s % LACKING == 0 for s in range(given.seed, given.seed + given.genuine))
+    print(f"genuine campaigns accused: {len(accused)} of {given.genuine} ({few} with two or three moving joints, {worn} worn, "
+          f"{lacking} with a table that lacks a step), 95 % bounds {bounds(len(accused), given.genuine)}")  # fmt: skip
     found, count = Counter[str](), 0
     for round_ in range(given.rounds):
         for build in BUILDS:

@@ -1,10 +1,11 @@
-"""Ten mix-ups on five builds of arms are refused; genuine campaigns, also of few moving joints, are not."""
+"""Eleven mix-ups on five builds of arms are refused; genuine campaigns, also of few moving joints, are not."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
@@ -17,7 +18,7 @@ from kilter_core.model import Calibration
 from tests.core.campaigns import measured
 from tests.core.truth import some_pose, ur10
 from tests.mix_ups.arms import BUILDS
-from tests.mix_ups.campaigns import MIXED, genuine
+from tests.mix_ups.campaigns import MIXED, genuine, inverted
 from tests.mix_ups.score import bounds, is_worn, of_few_joints, said
 
 NAMED = {
@@ -27,6 +28,7 @@ NAMED = {
     "millimetres declared as metres": "millimetres declared as metres",
     "inches declared as millimetres": "inches declared as millimetres",
     "shifted by one row": "of the joints one row below",
+    "a joint read with the one before": " looks read as joint ",
     "shuffled": "Joints and positions do not belong together",
 }
 
@@ -60,6 +62,24 @@ def test_two_hundred_mix_ups_and_a_thousand_genuine_campaigns() -> None:
         if not said((g := genuine(900 + seed, build)), mix(g, np.random.default_rng(seed)))
     ]
     assert bounds(len(missed), 250)[1] < 0.03, missed
+
+
+@pytest.mark.parametrize("build", ["6R", "SCARA"])
+def test_poses_that_are_inverted_are_named(build: str) -> None:
+    g = genuine(61, build, see="pose")
+    assert "The poses look inverted" in said(g, inverted(g))
+
+
+@pytest.mark.parametrize(("seed", "joint", "sign"), [(62, 5, 1.0), (62, 5, -1.0), (63, 4, 1.0)])
+def test_coupled_wrists_are_named_by_the_orientation_too(seed: int, joint: int, sign: float) -> None:
+    """The tool point on the last axis: its place says nothing of that joint."""
+    g, rng = genuine(seed, "6R", see="pose"), np.random.default_rng(seed)
+    rows = measured(replace(g.pair.true, tool=pin.SE3.Identity()), g.rows.q, rng, 5e-5, "pose")
+    coupled = rows.q + sign * np.outer(rows.q[:, joint - 1], np.arange(6) == joint)
+    word, undo = ("plus", "minus") if sign > 0 else ("minus", "plus")
+    text = said(g, replace(rows, q=coupled))
+    assert f"Joint {joint + 1} looks read as joint {joint + 1} {word} joint {joint}" in text
+    assert f"upload joint {joint + 1} {undo} joint {joint} in its column" in text
 
 
 def test_rows_shifted_by_one_are_named_whatever_is_held_out() -> None:

@@ -200,6 +200,7 @@ def test_the_first_page_without_a_tolerance_has_the_budget_and_says_how_to_have_
     assert "no tolerance was stated" in page
     assert "kilter accept katana --tolerance 0.3" in page
     assert f"As it is, these rows prove none: {found['lacking'][0]['message'][:40]}" in page
+    assert "they prove" not in page
     one = found["campaigns"][0]
     shows(page, one["budget"], [one["before"], one["after"]])
     client.post(f"/v1/campaigns/{arm['second']}/retire").raise_for_status()

@@ -17,6 +17,8 @@ from kilter_service.ground.db import Database
 from tests.core.truth import Floats
 from tests.mix_ups.campaigns import Genuine, genuine
 from tests.mix_ups.columns import columns_of
+from tests.service.conftest import WorkerProcess
+from tests.service.watched_robot import Until
 
 JSON = {"content-type": "application/json"}
 
@@ -126,3 +128,23 @@ def test_a_number_that_stands_for_nothing_is_refused_with_its_row(client: httpx.
     assert answer.status_code == 400
     assert "The tool is not where the joints put it in row 10 by " in answer.json()["detail"]
     assert "not of this robot" not in answer.json()["detail"]
+
+
+def test_rows_that_a_person_calls_right_are_stored_and_fitted_with_a_warning(
+    client: httpx.Client, worker: WorkerProcess, until: Until, arm: Genuine
+) -> None:
+    worker.start()
+    rows = columns_of(arm, replace(arm.rows, q=np.roll(arm.rows.q, 7, axis=0)))
+    refused = client.post(f"/v1/campaigns/{campaign(client, arm)}/observations", json=rows)
+    assert refused.json()["code"] == "foreign_observations"
+    assert refused.json()["detail"].endswith("If the rows are right all the same, upload them with --unchecked.")
+    right = campaign(client, arm, conditions={"unchecked": True})
+    stored = client.post(f"/v1/campaigns/{right}/observations", json=rows).raise_for_status().json()
+    assert [one["code"] for one in stored["warnings"]] == ["foreign_observations"]
+    asked = {"kind": "identify", "robot": "arm", "campaigns": [right]}
+    assert client.post("/v1/jobs/check", json=asked).raise_for_status().json()["problems"] == []
+    job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+    until(lambda: client.get(f"/v1/jobs/{job}").json()["state"] in ("succeeded", "failed"))
+    done = client.get(f"/v1/jobs/{job}").json()
+    assert done["state"] == "succeeded", done["error"]
+    assert "foreign_observations" in [one["code"] for one in done["result"]["warnings"]]

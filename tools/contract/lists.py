@@ -37,7 +37,7 @@ def lists_text() -> str:
 
 
 def _effects() -> Iterator[dict[str, str]]:
-    for kind in EFFECTS.values():
+    for kind in (one for one in EFFECTS.values() if not one.nuisance):
         needs = sorted(NEEDED.get(need, need) for need in kind.needs)
         yield {"id": kind.id, "acts_on": _place(kind), "needs": ", ".join(needs), "summary": kind.summary}
 

@@ -16,8 +16,10 @@ from kilter_core.identify.registry import METHODS
 from kilter_core.identify.rows.errors_by_kind import KindErrors, errors_of, pooled
 from kilter_core.identify.rows.measurement_of_rows import between_rows, measurement_for
 from kilter_core.identify.uncertainty.held_arm import beside_held_arm
+from kilter_core.identify.view_report import held_views
 from kilter_core.identify.views.cameras import with_cameras
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.camera.view_scatter import ToolErrors
 from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -46,6 +48,7 @@ class Held:
     poses: PoseErrors
     rows: RowErrors
     kinds: KindErrors
+    views: ToolErrors | None
 
 
 def cross_validated(
@@ -57,8 +60,8 @@ def cross_validated(
     progress: Progress,
     prior: Prior | None,
     each: Each,
-) -> tuple[dict[str, Errors], PoseErrors, RowErrors, KindErrors]:
-    """Errors on held-out poses, pooled over the folds."""
+) -> tuple[dict[str, Errors], PoseErrors, RowErrors, KindErrors, ToolErrors | None]:
+    """Errors on held-out poses and views, pooled over the folds."""
     shape = measurement_for(train, options, begin.marker_points).marker_points
     tasks = []
     for inside, outside in fold_splits(train, folds, options.seed):
@@ -69,7 +72,9 @@ def cross_validated(
     names = [name for name in found[0].errors if all(name in one.errors for one in found)]
     errors = {name: Errors.concatenate([one.errors[name] for one in found]) for name in names}
     poses, rows = (PoseErrors.concatenate([one.poses for one in found]), RowErrors.concatenate([h.rows for h in found]))
-    return errors, poses, rows, pooled([one.kinds for one in found])
+    views = [one.views for one in found if one.views is not None]
+    seen = ToolErrors.concatenate(views) if views else None
+    return errors, poses, rows, pooled([one.kinds for one in found]), seen
 
 
 def held_of(fold: Fold, progress: Progress) -> Held:
@@ -91,6 +96,7 @@ def held_of(fold: Fold, progress: Progress) -> Held:
         poses=PoseErrors.of(compared, unseen),
         rows=RowErrors.of(stages, unseen, fold.outside),
         kinds=errors_of(stages, unseen),
+        views=held_views(stages["identified"], fold.unseen, shown),
     )
 
 

@@ -189,15 +189,17 @@ def unobservable_names(model: RobotModel, observations: Observations) -> Iterato
 def _absolute(calibration: Calibration) -> dict[str, float]:
     model = calibration.model
     values = dict(zip(calibration.names, (float(v) for v in calibration.values), strict=True))
-    return values | _frame("base", model.T_base) | _frame("tool", model.T_tool)
+    robot = calibration.robot
+    return values | _frame("base", model.T_base, robot.T_base) | _frame("tool", model.T_tool, robot.T_tool)
 
 
 def _nominal(calibration: Calibration) -> dict[str, float]:
     robot = calibration.robot
     values = {p.name: p.value for p in calibration.model.parameters}
-    return values | _frame("base", robot.T_base) | _frame("tool", robot.T_tool)
+    return values | _frame("base", robot.T_base, robot.T_base) | _frame("tool", robot.T_tool, robot.T_tool)
 
 
-def _frame(which: str, T: Floats) -> dict[str, float]:
-    xyz, rpy = xyz_rpy_from_pose(T)
+def _frame(which: str, T: Floats, nominal: Floats) -> dict[str, float]:
+    """A frame's numbers, of its angles those next to the nominal ones."""
+    xyz, rpy = xyz_rpy_from_pose(T, xyz_rpy_from_pose(nominal)[1])
     return dict(zip([f"{which}_{k}" for k in ("x", "y", "z", "rx", "ry", "rz")], map(float, [*xyz, *rpy]), strict=True))

@@ -53,6 +53,7 @@ from kilter_core.identify.uncertainty.predictive import Predictive, left_of, pre
 from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.identify.view_report import (
+    held_views,
     predictive_of,
     tell_less,
     too_large_to_deploy,
@@ -65,6 +66,7 @@ from kilter_core.identify.view_report import (
 from kilter_core.identify.views.cameras import with_cameras
 from kilter_core.identify.views.timing import bad_timing
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.camera.view_scatter import ToolErrors
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -201,10 +203,10 @@ def identify(
     begin, train, validation, frames = _in_one_frame(begin, train, validation, options)
     begin, of_type = of_its_type(begin, train, options, fleet)
     progress(0.02, "splitting by pose")
-    held, compared, by_row, kinds = NOTHING_HELD
+    (held, compared, by_row, kinds), views = NOTHING_HELD, None
     if isinstance(validation, Folds):
         given = (nominal, begin, train, validation.folds, options, progress, prior, each)
-        held, compared, by_row, kinds = cross_validated(*given)
+        held, compared, by_row, kinds, views = cross_validated(*given)
     train, validation, options, (inside, outside) = _parted(train, validation, options, begin)
     begin, measurement = _seen(begin, train, options)
     found, wanted = _registered(begin, measurement.of_tool(), options, prior)
@@ -217,7 +219,7 @@ def identify(
     if isinstance(validation, Observations):
         apart = (stages, geometry_alone(begin, measurement, options), frames, validation, options, measurement)
         held, compared, by_row, kinds, own[len(own) :] = held_out(*apart)
-        by_row = by_row.numbered(outside)
+        by_row, views = by_row.numbered(outside), held_views(calibration, validation, measurement)
     progress(0.95, "identifiability")
     errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
@@ -227,7 +229,7 @@ def identify(
     fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
     return replace(
         result, own_frames=tuple(own), inside=inside, fitted_rows=fitted, held_rows=by_row, held_kinds=kinds, fleet=of_type,
-        fitted_kinds=errors_of(stages, measurement), **_views(result, said, validation, measurement, held, begin),
+        fitted_kinds=errors_of(stages, measurement), **_views(result, said, views, measurement, held, begin),
     )  # fmt: skip
 
 
@@ -256,12 +258,12 @@ def _stages(nominal: Calibration, found: Calibration, identified: Calibration) -
 
 
 def _views(
-    result: Identification, warnings: tuple[dict[str, Any], ...], validation: Validation, measurement: Measurement,
+    result: Identification, warnings: tuple[dict[str, Any], ...], unfitted: ToolErrors | None, measurement: Measurement,
     held: dict[str, Errors], begin: Calibration,
 ) -> dict[str, Any]:  # fmt: skip
     """What views say, of those held out and of shuffled joints too, and the warnings with theirs."""
     views = with_control(result.views, begin, measurement.observations)
-    views = with_held(views, result.calibration, validation, measurement)
+    views = with_held(views, unfitted)
     shown = {name: errors.to_document()["rms_mm"] for name, errors in held.items()}
     said = *too_large_to_deploy(views, shown.get("registration_only")), *tell_less(views, shown.get("identified"))
     return {"views": views, "warnings": (*unless_astray(warnings), *said)}

@@ -23,7 +23,7 @@ from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.identify.views.camera_report import cameras_document, pixels_document, tool_document
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.camera.view_scatter import ViewScatter
+from kilter_core.measurement.camera.view_scatter import ToolErrors, ViewScatter
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Ints
@@ -104,15 +104,17 @@ def with_control(said: dict[str, Any], begin: Calibration, train: Observations) 
     return {**said, "pixels": {**said["pixels"], **shuffled_control(begin, train)}}
 
 
-def with_held(said: dict[str, Any], identified: Calibration, validation: Any, train: Measurement) -> dict[str, Any]:
+def held_views(identified: Calibration, held: Observations, train: Measurement) -> ToolErrors | None:
+    """Motions of the tool that explain views that were not fitted; None without views."""
+    views = Measurement.of(held, held=True, anchor=train).pixels
+    return None if views is None else views.tool_errors(identified)
+
+
+def with_held(said: dict[str, Any], held: ToolErrors | None) -> dict[str, Any]:
     """The same with how far off the tool is in views that were not fitted, where there are such."""
-    if "pixels" not in said or not isinstance(validation, Observations):
+    if "pixels" not in said or held is None:
         return said
-    held = Measurement.of(validation, held=True, anchor=train).pixels
-    if held is None:
-        return said
-    found = held.tool_errors(identified).scatter()
-    return {**said, "pixels": {**said["pixels"], "validation": tool_document(found)}}
+    return {**said, "pixels": {**said["pixels"], "validation": tool_document(held.scatter())}}
 
 
 def wrong_views(

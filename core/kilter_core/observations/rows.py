@@ -14,7 +14,7 @@ from kilter_core.errors import ObservationError
 from kilter_core.observations.clock import came_back, clock_of
 from kilter_core.observations.repeats import group_means, numbered_poses, numbered_rows
 from kilter_core.observations.rig import Rig
-from kilter_core.types import Floats, Ints
+from kilter_core.types import Bools, Floats, Ints
 
 WHOLE = ("rig", "directions_derived")  # fields that have no row for each of the rows
 SET_UP = ("session", "setup")  # of a tracker: rows of cameras alone belong to the first
@@ -73,6 +73,7 @@ class Observations(Conditions):
     ``pose_weight (N, 6, 6)`` takes what is left of a position (m) and of a rotation vector (rad), in the axes of the
     measurements, to three numbers in m and three in rad that are independent, the three of each equally well known.
     ``directions_derived`` says that ``direction`` is what the order of the rows tells, and that nobody stated it.
+    ``unchecked (N,)`` are rows that a person says are right, whatever they look like.
     """
 
     q: Floats
@@ -99,6 +100,7 @@ class Observations(Conditions):
     pixel_sigma: Floats | None = None
     camera: Ints | None = None
     board: Ints | None = None
+    unchecked: Bools | None = None
     rig: Rig | None = None
     directions_derived: bool = False
 
@@ -138,6 +140,11 @@ class Observations(Conditions):
             # A payload whose place is not stated hangs at the tool point.
             parts = [
                 part if part.payload_com is not None else replace(part, payload_com=np.zeros((len(part), 3)))
+                for part in parts
+            ]
+        if any(part.unchecked is not None for part in parts):
+            parts = [
+                part if part.unchecked is not None else replace(part, unchecked=np.zeros(len(part), dtype=bool))
                 for part in parts
             ]
         parts = _with_same_conditions(_beside(_with_one_rig(parts)))

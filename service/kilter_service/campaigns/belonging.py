@@ -38,8 +38,9 @@ class Judged:
 class Belonging:
     """Rows of one upload: `take` every piece in order, then ask what was `found`."""
 
-    def __init__(self, columns: Sequence[Column], robot: Robot) -> None:
+    def __init__(self, columns: Sequence[Column], robot: Robot, conditions: dict[str, Any] | None = None) -> None:
         self._columns = columns
+        self._unchecked = {"unchecked": (conditions or {}).get("unchecked")}
         self._robot = robot
         self._blocks: list[tuple[int, pa.Table]] = []  # with the number of rows before each
         self._before = 0
@@ -69,7 +70,7 @@ class Belonging:
         if not blocks:
             return Judged()
         index = np.concatenate([np.arange(first, first + block.num_rows) for first, block in blocks])
-        rows = observations(pa.concat_tables([block for _, block in blocks]), self._columns, {})
+        rows = observations(pa.concat_tables([block for _, block in blocks]), self._columns, self._unchecked)
         found = judged(self._robot, rows)
         clock = core_clock.clock_warnings(rows) if self._every == 1 else ()
         return replace(found, warnings=(*astray_rows.renumbered(found.warnings, index), *clock))
@@ -96,8 +97,10 @@ def judged(robot: Robot, rows: Observations) -> Judged:
     return Judged(None, tuple(warnings))
 
 
-def judged_whole(table: pa.Table, columns: Sequence[Column], robot: Robot) -> Judged:
+def judged_whole(
+    table: pa.Table, columns: Sequence[Column], robot: Robot, conditions: dict[str, Any] | None = None
+) -> Judged:
     """What looks mixed up in all rows of a campaign that came in parts."""
-    whole = Belonging(columns, robot)
+    whole = Belonging(columns, robot, conditions)
     whole.take(table)
     return whole.found()

@@ -95,7 +95,7 @@ class Facts:
 
 def facts(rows: Rows, known: Judged | None = None) -> Facts:
     """Look at rows; some seconds for a million of them. ``known``: what is known already of mix-ups in them."""
-    belong = known or judged_whole(rows.table, rows.columns, rows.robot)
+    belong = known or judged_whole(rows.table, rows.columns, rows.robot, rows.conditions)
     seen = observations(rows.table, rows.columns, rows.conditions)
     points = _points(seen)
     # Copies of a row repeat its pose without a reading: their noise would be nothing.

@@ -15,7 +15,7 @@ from kilter_service.campaigns.joint_limits import JointLimits
 from kilter_service.campaigns.payload_size import PayloadSize
 from kilter_service.campaigns.view_rules import ViewRules
 from kilter_service.contract.columns import BASE, CONTACTS, NAMED, PLACE, TILTS
-from kilter_service.ground.core import units
+from kilter_service.ground.core import belonging, units
 from kilter_service.ground.tables.columns import Column
 from kilter_service.robots.reach import longest_reach
 
@@ -38,7 +38,13 @@ UNITS_MM = {1e3: "m", 100.0: "dm", 25.4: "inch", 10.0: "cm", 1.0: "mm", 1e-3: "u
 class RowRules:
     """The rules for one upload to one robot; `check` every piece in order, then `finish`."""
 
-    def __init__(self, columns: Sequence[Column], robot: Robot, views: ViewRules | None = None) -> None:
+    def __init__(
+        self,
+        columns: Sequence[Column],
+        robot: Robot,
+        views: ViewRules | None = None,
+        conditions: dict[str, Any] | None = None,
+    ) -> None:
         self.columns = columns
         self._views = views
         self.robot = robot
@@ -46,7 +52,8 @@ class RowRules:
         self._beside = _beside(columns)
         self._limits = JointLimits()
         self._payload = PayloadSize(robot)
-        self._belonging = Belonging(columns, robot)
+        self._belonging = Belonging(columns, robot, conditions)
+        self._unchecked = bool((conditions or {}).get("unchecked"))
         self._low: dict[str, float] = {}
         self._high: dict[str, float] = {}
         self._sample: list[tuple[Floats, Floats]] = []
@@ -84,7 +91,8 @@ class RowRules:
 
         """
         found = self._belonging.found()
-        self._check_units(next((one for one in found.warnings if one["code"] == "rows_astray"), None))
+        if not self._unchecked:
+            self._check_units(next((one for one in found.warnings if one["code"] == "rows_astray"), None))
         # Another unit, sign or zero explains limits better than wrong rows.
         beyond = () if found.explains_limits else self._limits.finish()
         if found.refusal is not None:
@@ -103,7 +111,7 @@ class RowRules:
             why = f"the values are not in {column.name.rpartition('_')[2]}, or not of this robot."
             raise ObservationError(
                 f"Column {column.name!r} spreads over {spreads[column]:.3g} m, but the arm reaches {reach:.3g} m: "
-                f"{astray['message'] if astray else why}",
+                f"{astray['message'] if astray else why} {belonging.WAY_OUT}",
                 column=column.name, spread_m=spreads[column], **({"rows": astray["rows"]} if astray else {}),
             )  # fmt: skip
 

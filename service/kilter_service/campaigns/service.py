@@ -256,7 +256,7 @@ def checked_chunks(
             "Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ..., or link1_deg ..., or "
             "tilt1x_deg ..., or corners u1_px, v1_px ..., or what held the tool, socket_id, plane_id or bar_id with bar_mm."
         )
-    rules = RowRules(columns, robot, views_rules(columns, conditions))
+    rules = RowRules(columns, robot, views_rules(columns, conditions), conditions)
     chunks = []
     for number, table in enumerate(reading.tables(path, media, Names.stated(conditions))):
         rules.check(table)
@@ -287,7 +287,8 @@ def _refuse_mixed_up(database: Database, campaign_id: str, parts: Parts) -> None
             return
         robot = robots.core_robot(session, campaign.robot_id)
         table = store.table(session, campaign_id)
-    refusal = judged_whole(table, read_columns(table.column_names, [j.kind for j in robot.joints]), robot).refusal
+    columns = read_columns(table.column_names, [j.kind for j in robot.joints])
+    refusal = judged_whole(table, columns, robot, campaign.conditions).refusal
     if refusal is not None:
         raise refusal
 

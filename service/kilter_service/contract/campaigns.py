@@ -113,6 +113,10 @@ class Conditions(Strict):
     boards: Annotated[list[Board], Field(min_length=1, max_length=MOST_CAMERAS)] | None = Field(
         None, description="Boards that the cameras saw, in the order of their numbers; null: none."
     )
+    unchecked: Literal[True] | None = Field(
+        None,
+        description="The rows are right, whatever they look like: upload and jobs warn where they would refuse; null: no.",
+    )
 
 
 class _Campaign(Strict):

@@ -18,6 +18,7 @@ from kilter_service.ground.db.row import now
 from kilter_service.ground.texts import plural
 
 NONE = "–"
+MASSES = "load_error"  # carried beside effects that follow loads: nobody asks for it
 WIDE = 2 * 1.96  # standard deviations of a 95 % interval
 DIGITS = 3  # of a number whose uncertainty is not known
 TICKED = re.compile(r"`([^`]+)`")
@@ -195,11 +196,17 @@ def of_joints(numbers: Sequence[int]) -> str:
     return f"joint{'s' if len(numbers) > 1 else ''} {joined_by_and([str(number) for number in numbers])}"
 
 
+def list_effects(ids: Sequence[str], none: str = "geometry only") -> str:
+    """List the effects of a model; that its masses count as uncertain is said apart."""
+    own = ", ".join(name for name in ids if name != MASSES) or none
+    return f"{own}; masses uncertain" if MASSES in ids else own
+
+
 FILTERS: Mapping[str, Callable[..., Any]] = {
     "number": number, "mm": mm, "within": within, "like": like, "beside": beside, "unit": unit, "bare": bare,
     "largest": largest,
     "sigma_of": sigma_of, "chance": chance, "age": age, "moment": moment, "percent": percent, "count": count,
     "why_unusual": why_unusual,
     "measured": measured, "fine": fine, "between": between, "duration": duration, "ticked": ticked, "stayed": stayed,
-    "left_out": left_out, "called": called,
+    "left_out": left_out, "called": called, "list_effects": list_effects,
 }  # fmt: skip

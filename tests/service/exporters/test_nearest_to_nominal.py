@@ -207,6 +207,36 @@ def test_the_nominal_numbers_are_those_of_the_frames_that_corrections_work_in(fo
     np.testing.assert_allclose(*at, atol=1e-9)
 
 
+LYING = {
+    "name": "lying", "convention": "chain", "joints": [{"name": f"j{k}"} for k in (1, 2, 3, 4)],
+    "elements": [
+        {"joint": "j1", "axis": "Rx"}, {"name": "a_1", "axis": "Tx", "value": 300},
+        {"joint": "j2", "axis": "Ry"}, {"name": "a_2", "axis": "Tx", "value": 400},
+        {"joint": "j3", "axis": "Ry"}, {"name": "a_3", "axis": "Tx", "value": 250}, {"joint": "j4", "axis": "Rx"},
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("turn", [(0.12, -0.1, 0.13), (-0.2, 0.3, -0.01), (0.0, 0.2, 0.0), (0.1, -0.2, 0.0)])
+def test_a_base_near_pitch_90_degrees_differs_by_one_rotation(turn: tuple[float, float, float]) -> None:
+    """Joint 1 is about x: the table's base has pitch 90 degrees. Turned by 0.2 it differed by -171.6 in one angle."""
+    nominal = Calibration.nominal(robot_from_document(LYING))
+    small = pin.SE3(pin.exp3(np.radians(turn)), np.zeros(3)).homogeneous
+    moved = Calibration(replace(nominal.model, T_base=small), nominal.values, wanted_base=np.eye(4))
+    text = export("dh-csv", exportable(LYING, moved)).text
+    rows = re.findall(r"^# number base (r\S+) nominal=(\S+) exported=(\S+)(?: difference=(\S+))?$", text, re.MULTILINE)
+    found = {name: tuple(float(value) for value in numbers if value) for name, *numbers in rows}
+    angle = found.pop("rotation_deg")[2]
+    angles = np.array([found[name] for name in ("rx_deg", "ry_deg", "rz_deg")])  # nominal and exported, no difference
+    before, now = (pin.rpy.rpyToMatrix(*np.radians(column)) for column in angles.T)
+    assert abs(angles[1, 0]) == pytest.approx(90.0)
+    assert angle == pytest.approx(np.degrees(np.linalg.norm(pin.log3(before.T @ now))), abs=1e-5)
+    assert 0.05 < angle < 0.4
+    other = np.array([angles[0, 1] + 180.0, 180.0 - angles[1, 1], angles[2, 1] + 180.0]) - angles[:, 0]
+    beside = other - 360.0 * np.round(other / 360.0)
+    assert np.linalg.norm(angles[:, 1] - angles[:, 0]) <= np.linalg.norm(beside) + 1e-6
+
+
 def placed(text: str) -> Floats:
     """Numbers of a MATLAB function, or poses of a URDF's origins: at pitch 90 degrees other angles say the same pose."""
     if text.startswith("function"):

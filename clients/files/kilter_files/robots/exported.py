@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-NUMBER = re.compile(r"^# number (\S+) (\S+) nominal=(\S+) exported=(\S+) difference=(\S+)$", re.MULTILINE)
+NUMBER = re.compile(r"^# number (\S+) (\S+) nominal=(\S+) exported=(\S+)(?: difference=(\S+))?$", re.MULTILINE)
 ZERO = re.compile(
     r"^# zero_offset (\S+) (deg|mm)=(\S+)(?: half_width_(?:deg|mm)=(\S+))?(?: state=(\S+))?$", re.MULTILINE
 )
@@ -16,7 +16,7 @@ def lists_of_export(content: bytes) -> dict[str, Any]:
     """Both lists of a file that has them, else nothing."""
     text = content.decode("utf-8", "replace")
     numbers = [
-        {"where": where, "name": name, "nominal": float(a), "exported": float(b), "difference": float(c)}
+        {"where": where, "name": name, "nominal": float(a), "exported": float(b), "difference": float(c) if c else None}
         for where, name, a, b, c in NUMBER.findall(text)
     ]
     offsets = [_offset(*found) for found in ZERO.findall(text)]

@@ -31,7 +31,11 @@ def believable(sample: Sample, mixed: Sequence[MixUp], read: Sample) -> bool:
     robot = sample.begin.robot
     if np.linalg.norm(read.placed.tool) > max(LONGEST_TOOL * reach(robot), LEAST_TOOL_M):
         return False
-    if any(m.of_units for m in mixed) and not _within_limits(robot, read):
+    units = [m.factor for m in mixed if m.of_units and m.factor is not None]
+    if units and not _within_limits(robot, read):
+        return False
+    # Readings that a larger unit makes smaller are beyond the limits as they are: else it only makes a joint stand still.
+    if any(np.min(factor) < 1.0 for factor in units) and _within_limits(robot, sample):
         return False
     factor = float(np.prod([m.length for m in mixed]))
     return factor == 1.0 or _tells(sample, read, factor)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.errors import ObservationError
 from kilter_core.identify.plausibility.astray_rows import astray_warnings
 from kilter_core.identify.plausibility.lagging import lag_warnings
 from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
@@ -16,29 +17,50 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 
+WAY_OUT = "If the rows are right all the same, upload them with --unchecked."
+# Refusals that judge how rows look, and may be wrong about them; all others say what rows are not.
+JUDGEMENTS = (
+    "foreign_observations", "markers_swapped", "corners_misplaced", "intrinsics_differ", "views_astray", "board_scale_differs",
+)  # fmt: skip
+
 
 def refuse_mixed_up(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:
     """Refuse rows that a mix-up explains far better than physics; return warnings about what only looks odd.
 
     Give all ``rows`` of a campaign in the order they came, before any are held out: joints of the row above are found
-    only where the row above is there. Set-ups of an instrument, each in a frame of its own, are judged one by one.
+    only where the row above is there. Set-ups of an instrument, each in a frame of its own, are judged one by one. Where
+    a person says that rows are right (``unchecked``), what they would be refused for is a warning.
 
     Raises:
-        ObservationError: ``foreign_observations`` or ``markers_swapped``, with what looks wrong, how much that explains,
-            and the remedy, which was tried; or what is wrong with the columns.
+        ObservationError: one of :data:`JUDGEMENTS`, with what looks wrong, how much that explains, and the remedy, which
+            was tried; or what is wrong with the columns.
 
     """
     warnings: list[dict[str, Any]] = []
-    if rows.position is not None or rows.markers is not None:
-        for part in _parts(rows):
-            of_tool = Measurement.of(part, begin.marker_points, held=True).of_tool()
-            refuse_feigned_turns(begin, of_tool)
-            warnings += [w for w in refuse_foreign(begin, of_tool) if w not in warnings]
-        warnings += astray_warnings(begin, rows)
-    if rows.pixels is not None:
-        warnings += refuse_unrelated_views(begin, rows)
-    refuse_foreign_links(begin.robot, rows)
+    try:
+        warnings += _judge_tool(begin, rows)
+        if rows.pixels is not None:
+            warnings += refuse_unrelated_views(begin, rows)
+        refuse_foreign_links(begin.robot, rows)
+    except ObservationError as error:
+        if error.code not in JUDGEMENTS:
+            raise
+        if rows.unchecked is None or not rows.unchecked.any():
+            raise type(error)(f"{error.message} {WAY_OUT}", code=error.code, **error.context) from error
+        warnings.append({"code": error.code, "message": f"{error.message} The rows count all the same (--unchecked)."})
     return (*warnings, *lag_warnings(begin.robot, rows))
+
+
+def _judge_tool(begin: Calibration, rows: Observations) -> list[dict[str, Any]]:
+    """Refuse rows of an instrument that cannot be of the arm; what only looks odd in them."""
+    warnings: list[dict[str, Any]] = []
+    if rows.position is None and rows.markers is None:
+        return warnings
+    for part in _parts(rows):
+        of_tool = Measurement.of(part, begin.marker_points, held=True).of_tool()
+        refuse_feigned_turns(begin, of_tool)
+        warnings += [w for w in refuse_foreign(begin, of_tool) if w not in warnings]
+    return [*warnings, *astray_warnings(begin, rows)]
 
 
 def _parts(rows: Observations) -> list[Observations]:

@@ -8,8 +8,10 @@ from itertools import combinations
 
 import numpy as np
 
+from kilter_core.arm.conversions.screws import screws_of_chain
 from kilter_core.arm.robot import Robot
 from kilter_core.parameters import DEG, MM
+from kilter_core.transforms import inverses
 from kilter_core.types import Floats, Ints
 
 # What the values were, what they were declared as, and what converts them to what they were.
@@ -20,6 +22,7 @@ LENGTHS = (
     ("centimetres", "metres", 1e-2), ("centimetres", "millimetres", 10.0),
 )  # fmt: skip
 COLUMNS = "the columns, or their names in the column map,"
+PARALLEL = 0.999  # cosine of the angle of two axes that are
 JOIN = "join joints and measurements by pose number or time again, and upload again"
 
 
@@ -55,8 +58,8 @@ class MixUp:
     """One mix-up, what to do about it, and how to read the rows without it.
 
     The reading is: take the joints of another row (``rows`` of :data:`ELSEWHERE`), in this ``order``, in the units they
-    have on the wire, times ``factor (n,)`` plus ``offset (n,)``; points times ``length``, one coordinate with the other
-    sign if ``mirror``.
+    have on the wire, times ``factor (n,)``, plus ``coupling (n, n)`` times themselves, plus ``offset (n,)``; points times
+    ``length``, one coordinate with the other sign if ``mirror``; poses ``inverted``, which needs rotations.
     """
 
     sentence: str
@@ -64,8 +67,10 @@ class MixUp:
     order: tuple[int, ...] | None = None
     factor: Floats | None = None
     offset: Floats | None = None
+    coupling: Floats | None = None
     length: float = 1.0
     mirror: bool = False
+    inverted: bool = False
     rows: str = ""
     of_units: bool = False  # of joints
 
@@ -75,16 +80,16 @@ class MixUp:
             q = (q * unit)[:, list(self.order)] / unit
         if self.factor is not None:
             q = q * self.factor
+        if self.coupling is not None:
+            q = q + q @ self.coupling.T
         return q if self.offset is None else q + self.offset
 
-    def points(self, points: Floats) -> Floats:
-        """Points (N, 3) as they were meant."""
-        return points * (self.length * (np.array([1.0, 1.0, -1.0]) if self.mirror else 1.0))
-
-    def rotations(self, rotations: Floats) -> Floats:
-        """Rotations (N, 3, 3) that go with those points."""
-        hand = np.diag([1.0, 1.0, -1.0])
-        return np.asarray(hand @ rotations @ hand) if self.mirror else rotations
+    def poses(self, points: Floats, rotations: Floats | None) -> tuple[Floats, Floats | None]:
+        """Points (N, 3) and, where measured, rotations (N, 3, 3) as they were meant."""
+        if self.inverted and rotations is not None:
+            points, rotations = inverses(points, rotations)
+        hand = np.diag([1.0, 1.0, -1.0]) if self.mirror else np.eye(3)
+        return self.length * points @ hand, None if rotations is None else np.asarray(hand @ rotations @ hand)
 
 
 def wire_units(robot: Robot) -> Floats:
@@ -98,6 +103,7 @@ def mix_ups(robot: Robot) -> Iterator[MixUp]:
     yield from _signs(robot.n_joints)
     yield from _units(robot)
     yield from _zeros(robot)
+    yield from _couplings(robot)
     for was, declared, factor in LENGTHS:
         ratio = max(factor, 1.0 / factor)
         yield MixUp(
@@ -109,6 +115,11 @@ def mix_ups(robot: Robot) -> Iterator[MixUp]:
         "The positions look left-handed: two coordinates are exchanged, or one has the other sign",
         f"correct {COLUMNS} and upload again",
         mirror=True,
+    )
+    yield MixUp(
+        "The poses look inverted: the reference in the frame of the tool, in place of the tool in that of the reference",
+        "invert each pose (position and orientation), and upload again",
+        inverted=True,
     )
     for name, (sentence, remedy, _) in ELSEWHERE.items():
         yield MixUp(sentence, remedy, rows=name)
@@ -179,6 +190,35 @@ def _zeros(robot: Robot) -> Iterator[MixUp]:
                 f"add {degrees} degrees to the column of joint {j + 1}, or to its offset in the robot (DH and MDH differ)",
                 offset=_at(n, [j], np.radians(degrees), 0.0),
             )
+
+
+def _couplings(robot: Robot) -> Iterator[MixUp]:
+    """Joints read with the motion of the joint before: against the horizontal as FANUC's J3, or behind coupled gears."""
+    n, axes = robot.n_joints, _directions(robot)
+    for j in range(1, n):
+        if not robot.joints[j - 1].kind == robot.joints[j].kind == "revolute":
+            continue
+        for sign in (1.0, -1.0):
+            coupling = np.zeros((n, n))
+            coupling[j, j - 1] = sign
+            read, undone = ("minus", "plus") if sign > 0 else ("plus", "minus")
+            sentence = f"Joint {j + 1} looks read as joint {j + 1} {read} joint {j}, "
+            remedy = f"upload joint {j + 1} {undone} joint {j} in its column"
+            if sign * (axes[j] @ axes[j - 1]) < -PARALLEL:
+                names = f"{robot.joints[j].name}={robot.joints[j - 1].name}"
+                follows = f"{remedy}, or add the robot from its table with --follows {names}"
+                yield MixUp(f"{sentence}against the horizontal (as FANUC's J3)", follows, coupling=coupling)
+            else:
+                yield MixUp(f"{sentence}as through coupled gears", remedy, coupling=coupling)
+
+
+def _directions(robot: Robot) -> Floats:
+    """Vectors (n, 3) about which the joints' own axes turn, as they count, all joints at zero."""
+    screws, moving = (
+        screws_of_chain(robot.chain),
+        [k for k, e in enumerate(robot.chain.elements) if e.joint is not None],
+    )
+    return (screws.direction * screws.ratio[:, None])[[moving.index(k) for k in robot.chain.primary]]
 
 
 def _at(n: int, joints: list[int], value: float, rest: float = 1.0) -> Floats:

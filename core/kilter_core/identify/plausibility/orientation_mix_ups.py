@@ -89,7 +89,7 @@ def _of_joints(sample: Sample) -> Iterator[Reading]:
     """Mix-ups of joints that the positions do not see, as of those behind the last bend."""
     limit = POSITION * sample.placed.size + 1e-4
     for m in mix_ups(sample.begin.robot):
-        if m.length != 1.0 or m.mirror or m.offset is not None:
+        if m.length != 1.0 or m.mirror or m.inverted or m.offset is not None:
             continue
         read = sample.without(m)
         if read.placed.size <= limit and read.rotations is not None:

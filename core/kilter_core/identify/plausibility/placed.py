@@ -134,9 +134,9 @@ class Sample:
         """The rows read as they would have been without a mix-up."""
         unit = wire_units(self.begin.robot)
         q = self.elsewhere[mix_up.rows] if mix_up.rows else self.q
+        points, rotations = mix_up.poses(self.points, self.rotations)
         return replace(
-            self, q=mix_up.joints(q, unit), limit=self.limit * max(1.0, mix_up.length), points=mix_up.points(self.points),
-            rotations=None if self.rotations is None else mix_up.rotations(self.rotations),
+            self, q=mix_up.joints(q, unit), limit=self.limit * max(1.0, mix_up.length), points=points, rotations=rotations,
             elsewhere={name: mix_up.joints(q, unit) for name, q in self.elsewhere.items()},
         )  # fmt: skip
 

@@ -18,10 +18,11 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.identify.plausibility.believable import believable
+from kilter_core.identify.plausibility.lacking import find_lacking
 from kilter_core.identify.plausibility.mix_ups import LENGTHS, MixUp, mix_ups
 from kilter_core.identify.plausibility.orientation_mix_ups import rotation_faults
 from kilter_core.identify.plausibility.placed import ROWS, Placed, Sample, place
-from kilter_core.identify.plausibility.unrelated import mastered_otherwise, unrelated
+from kilter_core.identify.plausibility.unrelated import FAR, find_misfit, mastered_otherwise
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.marker_checks import equal_markers
 from kilter_core.model import Calibration
@@ -32,7 +33,6 @@ FOREIGN = "foreign_observations"
 FEWEST_POSES = 12  # distinct poses below which nine numbers of base and tool can imitate too much
 NEAR_M = 1e-3  # registration of a real arm that is not looked at further,
 NEAR = 0.005  # or this share of the workspace
-FAR = 0.03  # share from which two mix-ups together, or one in some rows, are looked for: they leave more, and cost more
 FACTOR = 5.0
 PAIRS = 4.0  # times that for two mix-ups together: among thousands of readings chance has more to offer
 GOOD = 0.1  # share of the workspace that the right reading may leave
@@ -47,7 +47,8 @@ CHANGED_M = 0.02  # a base or tool that moves by less in a campaign is a shift t
 class Finding:
     """Mix-ups (or-ed) that explain the rows, and the registration's residual m with and without them.
 
-    ``moved`` is by how much (m) base or tool changed, where that is what explains them.
+    ``moved`` is by how much (m) base or tool changed, where that is what explains them; ``read`` the rows without the
+    mix-up, where it is one.
     """
 
     sentences: tuple[str, ...]
@@ -55,6 +56,7 @@ class Finding:
     before: float
     after: float
     moved: float | None = None
+    read: Sample | None = None
 
 
 def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[str, Any], ...]:
@@ -72,16 +74,31 @@ def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[s
     if len(sample) < FEWEST_POSES:
         return copied
     found = _diagnosed(sample) or _changed(sample) or _in_part(sample)
-    if found is not None and not mastered_otherwise(sample, ALIKE * found.after):
+    if found is not None and not _explained_otherwise(sample, found):
         moved = {} if found.moved is None else {"moved_mm": mm(found.moved)}
         _refuse(found.sentences, found.remedies, mm(found.before), mm(found.after), "mm", moved)
-    _refuse_unrelated(sample)
+    odd = (*copied, *_description_warnings(sample))
     if sample.rotations is None or _far(sample):
-        return copied
+        return odd
     accused, warnings = rotation_faults(sample, o.rotation is not None)
     if accused is not None:
         _refuse(*accused, "deg")
-    return (*copied, *warnings)
+    return (*odd, *warnings)
+
+
+def _explained_otherwise(sample: Sample, found: Finding) -> bool:
+    """Whether other zeros of the joints, or one transform more in the description, explain the rows as well.
+
+    A transform has six numbers to fit: in place of one mix-up it must leave less than one more beside the mix-up does.
+    """
+    left = ALIKE * found.after
+    if mastered_otherwise(sample, left):
+        return True
+    if found.read is None:
+        return find_lacking(sample).left <= left
+    if found.after <= max(NEAR_M, NEAR * sample.spread):
+        return False
+    return find_lacking(sample).left * ALIKE <= find_lacking(found.read).left
 
 
 def _copied(markers: Floats | None) -> Iterator[dict[str, Any]]:
@@ -111,18 +128,31 @@ def _refuse(
     )  # fmt: skip
 
 
-def _refuse_unrelated(sample: Sample) -> None:
-    """Refuse rows of which base and tool make no more than of shuffled ones, and which no mix-up explains."""
-    found = unrelated(sample) if _far(sample) else None
-    if found is not None:
-        before, shuffled = mm(found.left), mm(found.shuffled)
+def _description_warnings(sample: Sample) -> Iterator[dict[str, Any]]:
+    """Warn of a description that does not fit the rows.
+
+    Raises:
+        ObservationError: base and tool make no more of the rows than of shuffled ones.
+
+    """
+    found = find_misfit(sample) if _far(sample) else None
+    if found is None:
+        return
+    before, shuffled = mm(found.left), mm(found.shuffled)
+    left = f"with base and tool registered {before:.3g} mm are left, {shuffled:.3g} mm with the rows shuffled"
+    if not found.belongs:
         raise ObservationError(
-            f"Joints and positions do not belong together: with base and tool registered {before:.3g} mm are left, "
-            f"{shuffled:.3g} mm with the rows shuffled, and no mix-up of columns, signs, units, zeros or rows explains it. "
-            "Remedy: join each measurement with the joints of its own pose again, by pose number or time, and check that "
-            "the robot is the one that was measured.",
+            f"Joints and positions do not belong together: {left}, and no mix-up of columns, signs, units, zeros or rows "
+            "explains it. Remedy: join each measurement with the joints of its own pose again, by pose number or time, and "
+            "check that the robot is the one that was measured.",
             code=FOREIGN, looks=["Joints and positions do not belong together"], before_mm=before, shuffled_mm=shuffled,
         )  # fmt: skip
+    lacks = f"It looks to lack {found.lacking}. " if found.lacking else ""
+    yield {
+        "code": "description_does_not_fit", "before_mm": before, "shuffled_mm": shuffled,
+        "message": f"The robot's description does not fit the rows: {left}. {lacks}Correct the robot's table or URDF and add "
+        "it again.",
+    }  # fmt: skip
 
 
 def _far(sample: Sample) -> bool:
@@ -134,7 +164,7 @@ def _diagnosed(sample: Sample) -> Finding | None:
     """The mix-up, or the two together, that explain all rows."""
     if not _far(sample):
         return None
-    known = list(mix_ups(sample.begin.robot))
+    known = [m for m in mix_ups(sample.begin.robot) if sample.rotations is not None or not m.inverted]
     hurried = replace(sample, limit=HOPELESS * sample.placed.size)
     read = [(m, hurried.without(m)) for m in known]
     found = _certain(sample, [((m,), s) for m, s in read])
@@ -167,10 +197,11 @@ def _certain(sample: Sample, read: Sequence[tuple[tuple[MixUp, ...], Sample]], s
     best = read[0][1]
     if _misfit(best) * FACTOR * stricter > _misfit(sample) or _misfit(best) * stricter > GOOD:
         return None
-    alike = [m for m, s in read if _misfit(s) <= ALIKE * _misfit(best)]
+    alike = [ms for ms, s in read if _misfit(s) <= ALIKE * _misfit(best)]
     sentences = tuple(", and ".join(_then(m.sentence, k) for k, m in enumerate(ms)) for ms in alike)
     remedies = tuple("; and ".join(m.remedy for m in ms) for ms in alike)
-    return Finding(sentences, tuple(dict.fromkeys(remedies)), sample.placed.size, best.placed.size)
+    before, after = sample.placed.size, best.placed.size
+    return Finding(sentences, tuple(dict.fromkeys(remedies)), before, after, read=best if len(alike[0]) == 1 else None)
 
 
 def _misfit(sample: Sample) -> float:

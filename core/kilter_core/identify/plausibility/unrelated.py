@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.identify.plausibility.believable import reach
+from kilter_core.identify.plausibility.lacking import find_lacking
 from kilter_core.identify.plausibility.placed import Sample, place
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 
 SHUFFLES = 5
-SHARE = 0.5  # of what shuffled rows leave: rows that belong together leave far less
+FAR = 0.03  # share of the workspace below which errors of an arm may leave it
+SHARE = 0.5  # of what shuffled rows leave: rows that belong together leave less
 OF_REACH = 0.1  # more than this is left by no arm that is the one described
 MOVED_M = 0.02  # rms distance of points and flange from their middle, below which nothing is told
 STEPS = 8
@@ -22,33 +24,35 @@ EXPLAINED = 0.2  # share of the residual that joint zeros may leave and still ex
 
 
 @dataclass(frozen=True)
-class Unrelated:
-    """What base and tool leave (m) of the rows, and of the same rows shuffled."""
+class Misfit:
+    """What base and tool leave (m) of the rows, and of the same rows shuffled; what the description lacks, in words."""
 
     left: float
     shuffled: float
+    lacking: str = ""
+
+    @property
+    def belongs(self) -> bool:
+        """Whether joints and positions belong together: shuffled rows leave far more, or one transform explains them."""
+        return bool(self.lacking) or self.left <= SHARE * self.shuffled
 
 
-def unrelated(sample: Sample) -> Unrelated | None:
-    """Say whether joints and positions belong together at all; None where they do.
-
-    What wrong zeros of the joints explain belongs together: an arm that was never mastered leaves a lot, and can be
-    identified.
-    """
-    if sample.spread < MOVED_M:
+def find_misfit(sample: Sample) -> Misfit | None:
+    """What rows leave that are not of the arm described; None where zeros of the joints or errors of an arm explain it."""
+    left = sample.placed.size
+    if sample.spread < MOVED_M or left < FAR * sample.spread or with_zeros(sample).placed.size < EXPLAINED * left:
         return None
-    left, shuffled = sample.placed.size, _shuffled(sample)
-    if left <= SHARE * shuffled and left <= OF_REACH * reach(sample.begin.robot):
-        return None
-    if with_zeros(sample).placed.size < EXPLAINED * left:
-        return None
-    return Unrelated(left, shuffled)
+    shuffled, lacking = _residual_of_shuffled_rows(sample), find_lacking(sample)
+    if lacking.left <= EXPLAINED * left:
+        return Misfit(left, shuffled, lacking.words)
+    fits = left <= SHARE * shuffled and left <= OF_REACH * reach(sample.begin.robot)
+    return None if fits else Misfit(left, shuffled)
 
 
-def _shuffled(sample: Sample) -> float:
+def _residual_of_shuffled_rows(sample: Sample) -> float:
     rng = np.random.default_rng(0)
-    return float(np.median([place(sample.flange[rng.permutation(len(sample))], sample.points).size
-                            for _ in range(SHUFFLES)]))  # fmt: skip
+    shuffled = [sample.flange[rng.permutation(len(sample))] for _ in range(SHUFFLES)]
+    return float(np.median([place(flange, sample.points).size for flange in shuffled]))
 
 
 def mastered_otherwise(sample: Sample, left: float) -> bool:

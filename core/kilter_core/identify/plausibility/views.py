@@ -58,9 +58,10 @@ class _Sample:
     board: int
 
     def shuffled(self) -> float:
-        """What hand-eye leaves (m) where the joints belong to other rows: the median of some shuffles."""
+        """What hand-eye leaves (m, median of some shuffles) with joints of other rows; inf where it tells nothing."""
         rng, q = np.random.default_rng(0), self.rows.q
-        return float(np.median([self.left(q[rng.permutation(len(q))]) for _ in range(SHUFFLES)]))
+        left = np.array([self.left(q[rng.permutation(len(q))]) for _ in range(SHUFFLES)])
+        return float(np.median(left[np.isfinite(left)])) if np.isfinite(left).any() else np.inf
 
     def left(self, q: Floats) -> float:
         """What hand-eye leaves (m, median) with these joint readings; inf where it tells nothing."""
@@ -94,6 +95,8 @@ def refuse_unrelated_views(begin: Calibration, rows: Observations) -> tuple[dict
     q = sample.rows.q
     given = sample.left(q)
     shuffled = sample.shuffled()
+    if not np.isfinite([given, shuffled]).all():
+        return ()
     reversed_ = {j: sample.left(np.where(np.arange(q.shape[1]) == j, -q, q)) for j in range(q.shape[1])}
     best = min(reversed_, key=lambda j: (reversed_[j], j))
     name = begin.robot.joints[best].name

@@ -43,10 +43,11 @@ def refuse_misplaced_corners(views: Pixels) -> None:
         mine = np.flatnonzero((cameras == c) & (boards == b) & views.measured())
         pixels = views.pixels[mine[:: max(1, -(-len(mine) // MOST_VIEWS))]][:, : len(board.corners)]
         rms = board_poses(camera, np.array(camera.values), board, pixels)[2]
-        seen = pixels[np.isfinite(rms)]
+        told = np.isfinite(rms)  # where no pose was found, nothing is known of the corners
+        seen = pixels[told]
         if not len(seen):
             continue
-        off, spread = float(np.nanmedian(rms)), float(np.median(np.sqrt(np.nanvar(seen, axis=1).sum(axis=1))))
+        off, spread = float(np.median(rms[told])), float(np.median(np.sqrt(np.nanvar(seen, axis=1).sum(axis=1))))
         if off > MISPLACED * spread:
             far = f"{off:.3g} px" if off < spread else "as much as they spread"
             raise ObservationError(

@@ -1,7 +1,13 @@
-"""The pose of a board in each picture: homography or direct linear transform, refined until its corners fit best."""
+"""The pose of a board in each picture: from several starts, each refined until the corners fit best.
+
+A homography, or a direct linear transform of corners in space, starts near the pose under strong perspective. From afar
+noise decides what they say of perspective; weak perspective has two starts, mirrored in depth (Collins and Bartoli,
+Infinitesimal plane-based pose estimation, 2014, at the middle of the board).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -53,11 +59,11 @@ def _found(model: str, intrinsics: Floats, corners: Floats, pixels: Floats) -> F
     if not usable.all():
         return _of_usable(model, intrinsics, corners, pixels, usable)
     flats = np.where(seen[..., None], normalised(model, intrinsics, pixels), 0.0)
-    p, R = (_by_homography if flat else _in_space)(local, flats, seen)
     lens = model, intrinsics
-    p, R, rms = _refined(lens, local, p, R, pixels)
-    if flat:
-        p, R, rms = _better((p, R, rms), _refined(lens, local, p, _other_side(p, R), pixels))
+    p, R, rms = _refined(lens, local, *(_by_homography if flat else _in_space)(local, flats, seen), pixels)
+    starts = [(p, _other_side(p, R))] if flat else []
+    for start in (*starts, *_from_afar(local, flats, seen)):
+        p, R, rms = _better((p, R, rms), _refined(lens, local, *start, pixels))
     R_board = R @ frame.T
     return p - R_board @ centre, R_board, rms, np.asarray(np.isfinite(rms) & (p[:, 2] > 0.0))
 
@@ -111,6 +117,36 @@ def _in_space(local: Floats, flats: Floats, seen: Bools) -> tuple[Floats, Floats
     scale = np.cbrt(np.linalg.det(P[:, :, :3]))[:, None, None]
     P = P / np.where(scale == 0.0, 1.0, scale)
     return P[:, :, 3], nearest_rotation(P[:, :, :3])
+
+
+def _from_afar(local: Floats, flats: Floats, seen: Bools) -> Iterator[tuple[Floats, Floats]]:
+    """The two poses that weak perspective tells: the board is seen in the direction of its middle, its depth is lost."""
+    rays = np.concatenate([flats, np.ones((*seen.shape, 1))], axis=-1)
+    middle = np.sum(rays * seen[..., None], axis=1)
+    ahead = _turned_to(middle)
+    turned = rays @ ahead
+    turned = turned[..., :2] / turned[..., 2:]
+    board = np.column_stack([local[:, :2], np.ones(len(local))])
+    weighed = board.T @ (board * seen[..., None])
+    found = np.linalg.solve(weighed + 1e-12 * np.trace(weighed, axis1=1, axis2=2)[:, None, None] * np.eye(3),
+                            board.T @ (turned * seen[..., None])).transpose(0, 2, 1)  # fmt: skip
+    size = np.maximum(np.linalg.norm(found[:, :, :2], ord=2, axis=(1, 2)), 1e-12)[:, None]
+    across = found[:, :, :2] / size[:, None]
+    place = np.concatenate([found[:, :, 2], np.ones((len(found), 1))], axis=1) / size
+    depth = np.sqrt(np.maximum(1.0 - np.sum(across**2, axis=1), 0.0))
+    depth[:, 1] *= np.where(np.sum(across[:, :, 0] * across[:, :, 1], axis=1) > 0.0, -1.0, 1.0)
+    for sign in (1.0, -1.0):
+        first, second = np.concatenate([across, sign * depth[:, None]], axis=1).transpose(2, 0, 1)
+        R = nearest_rotation(np.stack([first, second, np.cross(first, second)], axis=-1))
+        yield np.einsum("nij,nj->ni", ahead, place), ahead @ R
+
+
+def _turned_to(v: Floats) -> Floats:
+    """The smallest rotations (N, 3, 3) that turn z to vectors (N, 3) with a positive z."""
+    across = np.stack([-v[:, 1], v[:, 0], np.zeros(len(v))], axis=1)
+    size = np.linalg.norm(across, axis=1, keepdims=True)
+    angle = np.arctan2(size[:, 0], v[:, 2])[:, None]
+    return np.asarray(Rotation.from_rotvec(across / np.maximum(size, 1e-12) * angle).as_matrix())
 
 
 def _smallest(A: Floats) -> Floats:

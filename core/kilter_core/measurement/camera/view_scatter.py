@@ -8,6 +8,7 @@ shrunk by what is noise in them, and then scaled so that together they scatter a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -154,6 +155,15 @@ class ToolErrors:
         e = C @ (A.transpose(0, 2, 1) @ flat)
         count = int(np.count_nonzero(told[rows])) - 6 * len(rows)
         return ToolErrors(rows, e[:, :, 0], C, float(np.sum((flat - A @ e) ** 2)), count)
+
+    @staticmethod
+    def concatenate(parts: Sequence[ToolErrors]) -> ToolErrors:
+        """Errors of several parts of the views, as of folds; rows count within their part."""
+        return ToolErrors(
+            np.concatenate([part.rows for part in parts]), np.concatenate([part.motion for part in parts]),
+            np.concatenate([part.covariance for part in parts]), sum(part.rest for part in parts),
+            sum(part.numbers for part in parts),
+        )  # fmt: skip
 
     @property
     def sigma_px(self) -> float:

@@ -147,4 +147,6 @@ def _filled(fields: dict[str, Any], conditions: dict[str, Any], rows: int) -> di
     com = conditions.get("payload_com_mm")
     if fields["payload_com"] is None and com is not None:
         fields["payload_com"] = np.tile(np.asarray(com, dtype=np.float64) * MM, (rows, 1))
+    if conditions.get("unchecked"):
+        fields["unchecked"] = np.ones(rows, dtype=bool)
     return fields

@@ -69,8 +69,8 @@ def sought(database: Database, robot: str, kind: str, text: str) -> dict[str, An
 
 
 def effects_in_words() -> dict[str, str]:
-    """Return the effects that a model may have, by id, with what each is."""
-    return {name: effect.summary for name, effect in sorted(registry.EFFECTS.items())}
+    """Return the effects that a person may add to a model, by id, with what each is."""
+    return {name: effect.summary for name, effect in sorted(registry.EFFECTS.items()) if not effect.nuisance}
 
 
 def checked(database: Database, key: str, job: NewJob) -> tuple[JobCheck, str]:

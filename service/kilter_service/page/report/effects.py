@@ -37,15 +37,16 @@ class Contributions:
 
 
 def effects_of(database: Database, version: Version, search: GapResult | None) -> Contributions:
-    """Say of each effect what it is and what it does."""
+    """Say of each effect what it is and what it does; uncertain masses move nothing by themselves."""
+    own = [one for one in version.effects if one != words.MASSES]
     named = {one.id: one for one in (search.effects if search is not None else None) or []}
     moved = contributions.moved_by_each(database, version.id)
     sizes = {one.effect: [one.rms_mm, one.largest_mm] for one in moved.effects}
-    searched = [named[one].moves_mm if one in named else None for one in version.effects]
-    lengths = [[*sizes.get(effect, [None, None]), here] for effect, here in zip(version.effects, searched, strict=True)]
+    searched = [named[one].moves_mm if one in named else None for one in own]
+    lengths = [[*sizes.get(effect, [None, None]), here] for effect, here in zip(own, searched, strict=True)]
     shown = []
     unit, columns = words.in_columns(lengths)
-    for effect, (rms, largest, here) in zip(version.effects, columns, strict=True):
+    for effect, (rms, largest, here) in zip(own, columns, strict=True):
         found = named.get(effect)
         joints = words.of_joints(found.joints) if found is not None and found.joints else ""
         kind = registry.EFFECTS.get(effect)

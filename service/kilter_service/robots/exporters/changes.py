@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from kilter_core.arm.conversions.tables import angles_and_lengths
-from kilter_core.transforms import xyz_rpy_from_pose
+from kilter_core.transforms import rotation_between, xyz_rpy_from_pose
 from kilter_service.robots.exporters.urdf_words import away_from_the_cut
 
 if TYPE_CHECKING:
@@ -34,18 +34,13 @@ ZERO_STATES = (
 
 
 class Change(NamedTuple):
-    """A number of the table: nominal, as exported, and the difference."""
+    """A number of the table: nominal, as exported, and the difference; None of an angle that says one rotation with others."""
 
     where: str
     name: str
     nominal: float
     exported: float
-
-    @property
-    def difference(self) -> float:
-        """Exported minus nominal; an angle within 180 degrees."""
-        apart = self.exported - self.nominal
-        return math.remainder(apart, 360.0) if self.name.endswith("_deg") else apart
+    difference: float | None
 
 
 def changes(table: ClosestTable, joints: Sequence[Joint]) -> Iterator[Change]:
@@ -55,7 +50,11 @@ def changes(table: ClosestTable, joints: Sequence[Joint]) -> Iterator[Change]:
         before = dict(angles_and_lengths(nominal))
         for name, value in angles_and_lengths(row):
             if value is not None:
-                yield Change(joint.name, name, before[name] or 0.0, value)
+                apart = value - (before[name] or 0.0)
+                turns = name.endswith("_deg")
+                yield Change(
+                    joint.name, name, before[name] or 0.0, value, math.remainder(apart, 360.0) if turns else apart
+                )
     yield from _of_frame("tool", table.nominal_tool, table.tool)
 
 
@@ -86,7 +85,7 @@ def zero_offsets(table: ClosestTable, joints: Sequence[Joint], known: KnownZeros
     numbers = {joint.name: k for k, joint in enumerate(joints)}
     wanted = {joint.name: "d_mm" if joint.kind == "prismatic" else "theta_offset_deg" for joint in joints}
     for change in changes(table, joints):
-        if wanted.get(change.where) == change.name:
+        if wanted.get(change.where) == change.name and change.difference is not None:
             k, unit = numbers[change.where], change.name.rpartition("_")[2]
             half = math.nan if known is None else float(known.half_width[k])
             half = 1e3 * half if unit == "mm" else math.degrees(half)
@@ -105,7 +104,8 @@ def change_comments(table: ClosestTable, joints: Sequence[Joint], known: KnownZe
         yield "Numbers, nominal and exported; what the measurements do not tell is as the version has it, which is nominal."
     for change in changes(table, joints):
         numbers = f"nominal={_plain(change.nominal)} exported={_plain(change.exported)}"
-        yield f"number {_word(change.where)} {change.name} {numbers} difference={_plain(change.difference)}"
+        apart = "" if change.difference is None else f" difference={_plain(change.difference)}"
+        yield f"number {_word(change.where)} {change.name} {numbers}{apart}"
     yield ZERO_SIGN
     yield ZERO_STATES
     for one in zero_offsets(table, joints, known):
@@ -114,11 +114,16 @@ def change_comments(table: ClosestTable, joints: Sequence[Joint], known: KnownZe
 
 
 def _of_frame(where: str, nominal: NDArray[np.float64], exported: NDArray[np.float64]) -> Iterator[Change]:
-    poses = (xyz_rpy_from_pose(nominal), xyz_rpy_from_pose(exported))
-    pairs = [(1e3 * xyz, np.degrees(away_from_the_cut(rpy))) for xyz, rpy in poses]
-    for unit, k, prefix in (("mm", 0, ""), ("deg", 1, "r")):
-        for axis, before, now in zip("xyz", pairs[0][k], pairs[1][k], strict=True):
-            yield Change(where, f"{prefix}{axis}_{unit}", float(before), float(now))
+    """The numbers of a frame, of its angles those next to the nominal ones, and by how much it is rotated."""
+    xyz, rpy = xyz_rpy_from_pose(nominal)
+    rpy = away_from_the_cut(rpy)
+    moved, turned = xyz_rpy_from_pose(exported, rpy)
+    for axis, before, now in zip("xyz", 1e3 * xyz, 1e3 * moved, strict=True):
+        yield Change(where, f"{axis}_mm", float(before), float(now), float(now - before))
+    for axis, before, now in zip("xyz", np.degrees(rpy), np.degrees(turned), strict=True):
+        yield Change(where, f"r{axis}_deg", float(before), float(now), None)
+    angle = math.degrees(rotation_between(nominal, exported))
+    yield Change(where, "rotation_deg", 0.0, angle, angle)
 
 
 def _plain(value: float) -> str:

@@ -53,7 +53,7 @@ def _table(version: Exportable, convention: str) -> Written:
     out.write(f"# kilter {convention} table, each row {WORDS[convention]}\n")
     out.write(f"# robot {version.version.robot}, version {version.version.id}\n")
     for name in ("base", "tool"):
-        out.write(f"# {name} {_frame(getattr(table, name))}\n")
+        out.write(f"# {name} {_frame(getattr(table, name), getattr(table, f'nominal_{name}'))}\n")
     if not np.allclose(table.gravity, (0.0, 0.0, -STANDARD_GRAVITY), rtol=0.0, atol=LEVEL):
         pairs = zip("xyz", table.gravity.tolist(), strict=True)
         out.write(f"# gravity {' '.join(f'{axis}_m_s2={value!r}' for axis, value in pairs)}\n")
@@ -105,8 +105,8 @@ def _limit(joint: Joint, column: str) -> str:
     return f"{value * 1e3 if unit == 'mm' else math.degrees(value):.12g}"
 
 
-def _frame(T: NDArray[np.float64]) -> str:
-    xyz, rpy = xyz_rpy_from_pose(T)
+def _frame(T: NDArray[np.float64], nominal: NDArray[np.float64]) -> str:
+    xyz, rpy = xyz_rpy_from_pose(T, away_from_the_cut(xyz_rpy_from_pose(nominal)[1]))
     values = [*((f"{k}_mm", v * 1e3) for k, v in zip("xyz", xyz, strict=True))]
-    values += [(f"r{k}_deg", math.degrees(v)) for k, v in zip("xyz", away_from_the_cut(rpy), strict=True)]
+    values += [(f"r{k}_deg", math.degrees(v)) for k, v in zip("xyz", rpy, strict=True)]
     return " ".join(f"{name}={float(value)!r}" for name, value in values)

@@ -23,14 +23,16 @@ class Value(NamedTuple):
 
 
 def wire_values(calibration: Calibration) -> dict[str, Value]:
-    """Return every parameter by name; base and tool as x, y, z and rx, ry, rz of the frame (URDF order)."""
+    """Return every parameter by name; base and tool as x, y, z and rx, ry, rz (URDF) next to the nominal ones."""
     model, values = calibration.model.absorb_frame_increments(calibration.values)
     out = {}
     for parameter, value in zip(model.parameters, values, strict=True):
         unit, scale = reported(parameter.unit)
         out[parameter.name] = Value(float(value) * scale, unit)
-    for which, T in (("base", model.T_base), ("tool", model.T_tool)):
-        xyz, rpy = transforms.xyz_rpy_from_pose(np.asarray(T))
+    robot = calibration.robot
+    for which, T, nominal in (("base", model.T_base, robot.T_base), ("tool", model.T_tool, robot.T_tool)):
+        near = transforms.xyz_rpy_from_pose(np.asarray(nominal))[1]
+        xyz, rpy = transforms.xyz_rpy_from_pose(np.asarray(T), near)
         numbers = [*(xyz * 1e3), *np.degrees(rpy)]
         out |= {f"{which}_{k}": Value(float(v), unit) for (k, unit), v in zip(FRAME, numbers, strict=True)}
     return out

@@ -70,7 +70,7 @@ def _show(found: dict[str, Any]) -> None:
             number(one["after"]["max_mm"], 3),
             number(one["error_mm"], 3),
             number(one["guard_band_mm"], 3),
-            number(one["provable_mm"], 3),
+            "none" if found["lacking"] else number(one["provable_mm"], 3),
             one["instrument"] or "none",
         )
         for one in found["campaigns"]

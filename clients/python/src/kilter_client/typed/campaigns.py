@@ -68,6 +68,8 @@ class Conditions(Record):
     """Force on the tool point in the tool frame, N."""
     tool_moment_nm: tuple[float, ...]
     """Moment on the tool point in the tool frame, N m."""
+    unchecked: bool | None
+    """The rows are right, whatever they look like: upload and jobs warn where they would refuse; None: no."""
 
 
 class Upload(Record):

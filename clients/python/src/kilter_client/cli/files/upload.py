@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client.cli.files.calibrated_rows import stated_servos
-from kilter_client.cli.files.checks import Unchecked
 from kilter_client.cli.files.dry_run import show_dry_run, what_it_holds
 from kilter_client.cli.files.inspect import JointOrder, Topic
 from kilter_client.cli.files.joint_names import joints_of
@@ -51,6 +50,7 @@ IntoCampaign = Annotated[
     typer.Option("--campaign", metavar="ID", help="Add to this campaign (id, name or `latest`) instead of making one."),
 ]
 InstrumentName = Annotated[str | None, typer.Option(metavar="NAME", help="The instrument: `kilter instrument list`.")]
+Unchecked = Annotated[bool, typer.Option("--unchecked", help="Store rows that look mixed up, with a warning.")]
 ToolForce = Annotated[str | None, typer.Option(metavar="FX,FY,FZ", help="Force on the tool point, in its frame, N.")]
 ToolMoment = Annotated[str | None, typer.Option(metavar="MX,MY,MZ", help="Moment on the tool, in its frame, N m.")]
 ColumnMap = Annotated[
@@ -129,7 +129,7 @@ def upload(
     Makes a campaign, or adds to --campaign. The same file again changes nothing.
     """
     stated = (payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm)
-    conditions, at = conditions_of(*stated, cameras), moment_of(measured_at)
+    conditions, at = conditions_of(*stated, cameras, unchecked and not campaign), moment_of(measured_at)
     if campaign and (name or notes or conditions or at or instrument or calibration):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     # The robot's joints, where a bag names its joints and nobody said which is the first.
@@ -187,9 +187,11 @@ def conditions_of(
     force: str | None = None,
     moment: str | None = None,
     cameras: Path | None = None,
+    unchecked: bool = False,
 ) -> dict[str, Any]:
     """Return what holds for the whole campaign."""
-    return (rig_conditions(cameras) if cameras else {}) | campaigns.conditions_of(
+    stated = (rig_conditions(cameras) if cameras else {}) | ({"unchecked": True} if unchecked else {})
+    return stated | campaigns.conditions_of(
         payload_kg=payload_kg,
         payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
         temperature_c=temperature_c,

@@ -13,12 +13,16 @@ STATES = {
 }  # fmt: skip
 
 
+def _plain(value: float | None) -> str:
+    return "" if value is None else f"{value:.6g}"
+
+
 def show(document: dict[str, Any]) -> None:
     """Print both as tables."""
     if "numbers" not in document:
         return
     rows = [
-        (one["where"], one["name"], *(f"{one[key]:.6g}" for key in ("nominal", "exported", "difference")))
+        (one["where"], one["name"], *(_plain(one[key]) for key in ("nominal", "exported", "difference")))
         for one in document["numbers"]
     ]
     show_rows(("joint or frame", "number", "nominal", "exported", "difference"), rows)

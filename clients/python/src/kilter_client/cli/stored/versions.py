@@ -21,6 +21,8 @@ from kilter_client.requests.calls.versions import NOMINAL
 from kilter_client.results.digits import decimals, estimate
 from kilter_client.results.rows import saved
 
+MASSES = "load_error"  # carried beside effects that follow loads: nobody asks for it
+
 group = typer.Typer(
     help="List, name, retire and purge versions; without a command, list those of a robot.",
     rich_markup_mode=None,
@@ -152,7 +154,7 @@ def _show_list(document: dict[str, Any]) -> None:
             "*" if v["active"] else "",
             v["id"],
             v["name"] + (" (retired)" if v["retired_at"] else ""),
-            ", ".join(v["effects"]) or "geometry",
+            _effects(v["effects"]),
             _held_out(v["metrics"]),
             v["parent_id"] or "",
             str(v["created_at"])[:16].replace("T", " "),
@@ -160,6 +162,11 @@ def _show_list(document: dict[str, Any]) -> None:
         for v in document["versions"]
     ]
     show_rows(("", "version", "name", "effects", "mean mm", "parent", "made"), rows)
+
+
+def _effects(ids: list[str]) -> str:
+    own = ", ".join(name for name in ids if name != MASSES) or "geometry"
+    return f"{own}; masses uncertain" if MASSES in ids else own
 
 
 def _held_out(metrics: dict[str, Any]) -> str:
