@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import Effect, Local
+from kilter_core.effects.base import Derivative, Effect, Local
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import REVERSAL, Separator
 from kilter_core.parameters import Parameter
@@ -44,6 +44,15 @@ class Backlash(Effect):
 
         """
         return self.joint_angle(batch, values, self.column(batch, "direction") / 2.0)
+
+    def doubt(self, batch: Batch, values: Floats) -> tuple[Derivative, ...]:
+        """Half the width either way, in rows that a joint came to from a side that nobody knows."""
+        if batch.direction is None:
+            return ()
+        acting = ((k, j, batch.direction[:, j] == 0.0) for k, j in enumerate(self.acting(batch.q.shape[1])))
+        return tuple(
+            Derivative(k, j, dq=0.5 * values[k] * unknown) for k, j, unknown in acting if values[k] and unknown.any()
+        )
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Add the values to their joints."""

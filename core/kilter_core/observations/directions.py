@@ -48,11 +48,13 @@ def last_motion(q: Floats, starts: Bools | None = None, rests: Bools | None = No
 
 
 def _new_session(rows: Observations, order: Ints) -> Bools:
-    """Which rows (N,), in order, begin a session."""
+    """Which rows (N,), in order, begin a session, or follow rows that are not there."""
     new = np.zeros(len(order), dtype=bool)
     for column in (rows.session, rows.setup):
         if column is not None:
             new[1:] |= np.diff(column[order]) != 0
+    if rows.row is not None:
+        new[1:] |= np.diff(rows.row[order]) != 1
     return new
 
 

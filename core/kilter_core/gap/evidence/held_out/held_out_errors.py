@@ -216,12 +216,15 @@ class HoldoutEvaluator:
         return np.zeros(0, dtype=np.int64) if self.moving or self.rows is None else self._given[~self.kept]
 
     def _spread(self) -> Floats | None:
-        """Covariance (N, m, m) of the predictions of the held-out rows by that of the fit; None for joint data."""
+        """Covariance (N, m, m) of the predictions of the held-out rows: of the fit, and of signs that nobody knows.
+
+        None for joint data.
+        """
         source, problem = self.search.problem.settings.source, self.search.problem
         if self.rows is None or self.fit is None or not source.observes_tool:
             return None
         other, values = on_rows(source, self.rows, self.search, problem.values)
-        return predicted_covariance(other, values, self.fit)
+        return predicted_covariance(other, values, self.fit) + other.doubt(values)
 
     @property
     def _left_share(self) -> float:

@@ -16,7 +16,6 @@ from scipy.stats import chi2, f
 from kilter_core.gap.evidence.fits.posterior import Posterior
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator, on_rows
 from kilter_core.gap.noise.visits import visits_of
-from kilter_core.gap.search.linear.in_space import root_of
 from kilter_core.gap.search.sources.rounding import readings_of
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
@@ -77,10 +76,10 @@ def unseen_fit(held: HoldoutEvaluator, matters_mm: float) -> UnseenFit | None:
     if rows is None or known is None or not plain or not noise.absolute:
         return None
     other, values = on_rows(source, rows, held.search, problem.values)
-    row = problem.settings.of_row
-    back = np.linalg.inv(root_of(row if problem.settings.doubt is None else row + _doubt(held)))
+    back = np.linalg.inv(np.linalg.cholesky(problem.settings.of_row + np.nan_to_num(other.doubt(values))))
     seen, kept = np.isfinite(other.residual(values)), held.kept
-    r, B = np.nan_to_num(other.residual(values)) @ back.T, back @ _spread(other, values, known)
+    r = np.einsum("nij,nj->ni", back, np.nan_to_num(other.residual(values)))
+    B = back @ _spread(other, values, known)
     r, B = np.where(seen, r, 0.0)[kept], np.where(seen[..., None], B, 0.0)[kept]
     visit, count = _independent(held, rows.select(kept))
     r, B = _by_visit(r, visit, count), _by_visit(B, visit, count)
@@ -94,7 +93,7 @@ def unseen_fit(held: HoldoutEvaluator, matters_mm: float) -> UnseenFit | None:
     law = chi2(free, scale=1.0 / free) if np.isinf(noise.freedom) else f(free, max(noise.freedom, 1.0))
     told = held.report()
     left = source.rms(told.after @ told.lower.T)
-    floor = source.rms(np.eye(len(back)) * np.sqrt(len(back) * told.floor) @ told.lower.T)
+    floor = source.rms(np.eye(back.shape[1]) * np.sqrt(back.shape[1] * told.floor) @ told.lower.T)
     return UnseenFit(total, free, float(law.sf(total / free)), held.poses, left, floor, metres(matters_mm))
 
 
@@ -104,13 +103,6 @@ def _spread(source: Source, values: Floats, known: Posterior) -> Floats:
     own = [known.names.index(name) for name in names]
     w, V = np.linalg.eigh(known.covariance[np.ix_(own, own)])
     return np.asarray(J @ (V * np.sqrt(np.maximum(w, 0.0))))
-
-
-def _doubt(held: HoldoutEvaluator) -> Floats:
-    """Covariance (m, m) that doubtful signs of loads add to a row, on average over those fitted."""
-    settings = held.search.problem.settings
-    assert settings.doubt is not None
-    return np.asarray(np.mean(settings.doubt[settings.used], axis=0))
 
 
 def _independent(held: HoldoutEvaluator, rows: Observations) -> tuple[Ints, Ints]:

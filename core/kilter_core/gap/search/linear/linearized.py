@@ -237,9 +237,12 @@ def reloaded(settings: ProblemSettings, values: Floats) -> ProblemSettings:
 
 
 def doubted(settings: ProblemSettings, values: Floats) -> ProblemSettings:
-    """The setting with the scatter that doubtful signs of loads have at these values; itself where it has not changed."""
-    source = settings.source
-    if source.batch.blur is None:
+    """The setting with the scatter that doubtful signs of loads, and sides that nobody knows, have at these values.
+
+    Itself where it has not changed.
+    """
+    source, direction = settings.source, settings.source.batch.direction
+    if source.batch.blur is None and (direction is None or direction.all()):
         return settings
     doubt = source.doubt(values)
     before = 0.0 if settings.doubt is None else settings.doubt
