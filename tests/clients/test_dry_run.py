@@ -120,7 +120,7 @@ def test_a_unit_that_explains_readings_outside_the_limits_is_named(
     assert document(capsys, "upload", robot, path, "--dry-run")["refused"] == []
 
 
-@pytest.mark.parametrize("beyond", [0.29, 0.31])
+@pytest.mark.parametrize("beyond", [9.9, 10.1])
 def test_the_tolerance_of_the_limits_is_the_servers(
     kilter: Kilter, robot: str, write_campaign: Write, capsys: Capture, beyond: float
 ) -> None:
@@ -129,8 +129,8 @@ def test_the_tolerance_of_the_limits_is_the_servers(
     lines = path.read_text().splitlines()
     lines[3] = ",".join([repr(joint["limits_deg"][1] + beyond), *lines[3].split(",")[1:]])
     path.write_text("\n".join(lines) + "\n")
-    code = 0 if beyond < 0.3 else 1
-    assert bool(document(capsys, "upload", robot, path, "--dry-run", code=code)["refused"]) == (beyond > 0.3)
+    code = 0 if beyond < 10 else 1
+    assert bool(document(capsys, "upload", robot, path, "--dry-run", code=code)["refused"]) == (beyond > 10)
     document(capsys, "upload", robot, path, code=code)
 
 

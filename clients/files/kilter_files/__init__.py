@@ -171,6 +171,12 @@ def as_it_is(path: Path) -> Prepared:
             f"({', '.join(registry.readers_for(reader.DEVICE))}).",
             file=str(path),
         )
+    if kind == JSON_TYPE and registry.recognised(path, "json"):
+        raise FileError(
+            f"{path}: holds a list of poses, not contract columns. Send it with a column map (--map columns.toml; a first "
+            f"one: `kilter inspect {quote(str(path))} --draft columns.toml`).",
+            file=str(path),
+        )
     try:
         return Prepared(path.read_bytes(), kind, notes=("its columns are sent as they are",))
     except OSError as error:

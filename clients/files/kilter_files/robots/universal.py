@@ -10,7 +10,7 @@ from typing import Any
 from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.ground.later import need, yaml
 from kilter_files.robots.text import read_text
-from kilter_files.robots.universal_dh import holds_dh, origins_of, read_dh
+from kilter_files.robots.universal_dh import holds_dh, lists_in, origins_of, read_dh
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -49,6 +49,8 @@ def read_universal(path: Path, model: str | None, name: str) -> dict[str, Any]:
         said = "needs --model" if model is None else f"--model {model}: is not known"
         raise UsageError(f"{path.name}: {said}. Known are {', '.join(MODELS)}.")
     text, flange = read_text(path), (0.0,) * 6
+    document = None if holds_dh(text) else _document(path, text)
+    text = text if document is None else lists_in(document)
     checked = f"checked to be a {model.upper()}"
     if holds_dh(text):
         table, adds = read_dh(path, text, MODELS[model.lower()])
@@ -56,7 +58,7 @@ def read_universal(path: Path, model: str | None, name: str) -> dict[str, Any]:
         origins: Mapping[str, tuple[float, ...]] = dict(zip(LINKS, placed, strict=True))
         checked = f"added to the table of a {model.upper()}" if adds else checked
     else:
-        origins, adds = _origins(path, text), False
+        origins, adds = _origins(path, document), False
     if not adds:  # what is added to any table fits any
         refuse_other_model(path, model.lower(), sizes(origins))
     elements: list[dict[str, Any]] = []
@@ -114,12 +116,15 @@ def refuse_other_model(path: Path, model: str, found: tuple[float, ...]) -> None
     )
 
 
-def _origins(path: Path, text: str) -> dict[str, tuple[float, ...]]:
+def _document(path: Path, text: str) -> Any:
     need(f"{path}: YAML files need", "pyyaml", "yaml")
     try:
-        document = yaml.safe_load(text)
+        return yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise FileError(f"{path}: is not YAML ({error}).", file=str(path)) from error
+
+
+def _origins(path: Path, document: Any) -> dict[str, tuple[float, ...]]:
     kinematics = document.get("kinematics") if isinstance(document, dict) else None
     if not isinstance(kinematics, dict):
         raise FileError(

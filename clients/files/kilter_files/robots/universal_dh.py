@@ -30,6 +30,14 @@ def holds_dh(text: str) -> bool:
     return any({f"{stem}a", f"{stem}d", f"{stem}alpha"} <= found for stem in (DELTA, WHOLE))
 
 
+def lists_in(document: Any) -> str:
+    """Return the lists of such a table in a YAML document, wherever they are, as text; empty: there are none."""
+    if not isinstance(document, dict):
+        return ""
+    own = [f"{key} = {value}" for key, value in document.items() if isinstance(value, list)]
+    return "\n".join([*own, *filter(None, map(lists_in, document.values()))])
+
+
 def read_dh(path: Path, text: str, nominal_mm: Sequence[float]) -> tuple[Table, bool]:
     """Return theta, a, d, alpha (rad, m) of six joints, and whether they were added to a nominal table.
 

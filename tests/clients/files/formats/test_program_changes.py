@@ -185,6 +185,7 @@ FILLED = [f"  PR[9,{k}]={value} " for k, value in enumerate(("10.5", "(-20)", "1
     ("lines", "said"),
     [
         (("  R[1]=5", *FILLED, "  UFRAME[2]=PR[9]", "  UFRAME_NUM=2"), ""),
+        ((*FILLED, "  UFRAME[2:bench]=PR[9:by numbers]"), ""),
         ((*FILLED[:5], "  UFRAME[2]=PR[9]"), "by numbers it does not hold: state it, --base 2="),
         ((*FILLED, "  PR[9]=LPOS", "  UFRAME[2]=PR[9]"), "by numbers it does not hold"),
         ((*FILLED, "  PR[9,6]=PR[9,6]+5", "  UFRAME[2]=PR[9]"), "by numbers it does not hold"),

@@ -138,6 +138,8 @@ def test_poses_in_a_list_of_records(
     path = tmp_path / f"a{ending}"
     path.write_text(json.dumps(content) if ending == ".json" else yaml.safe_dump(content))
     text, rows = drafted(path, tmp_path)
+    with pytest.raises(FileError, match=r"column map .*kilter inspect .* --draft columns.toml"):
+        prepare(path)
     assert 'pose_id = { from = "pose_id" }' in text
     for row in rows:
         row |= {f"q{j}_deg": float(np.degrees(row[f"q{j}_rad"])) for j in range(1, 7)}

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
@@ -78,6 +79,9 @@ def test_whole_tables_are_checked_against_the_model(tmp_path: Path) -> None:
     document = read_robot(path, Described("arm", model="ur5"))
     assert np.abs(poses(document, q) - product(table, q)).max() < 1e-9
     assert "It is a UR5" in refused(path, model="ur10")
+    nested = {"kinematics": {f"dh_{name}": values.tolist() for name, values in table.items()}, "hash": 5}
+    other = write(tmp_path / "nested.yaml", yaml.safe_dump(nested, default_flow_style=False))
+    assert np.abs(poses(read_robot(other, Described("arm", model="ur5")), q) - product(table, q)).max() < 1e-9
 
 
 def test_a_controllers_calibration_is_known_by_what_it_holds(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ SET = re.compile(
     re.I,
 )
 FROM_REGISTER = re.compile(r"PR\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]\s*")
+NUMBERED = re.compile(r"\s?(\d+)\s?(?::[^\]\n]*)?")
 WAY = re.compile(r"\s*(?:LBL|JMP|IF|ELSE|ENDIF|SELECT|FOR|ENDFOR|CALL|RUN|[JLCAS]\s+P)", re.I)
 BRANCHES = re.compile(r"\b(?:JMP|CALL)\b", re.I)
 
@@ -51,9 +52,9 @@ def settings_of(text: str) -> tuple[Setting, ...]:
             source = FROM_REGISTER.fullmatch(setting[3])
             values = registers.get(str(int(source[1])), {}) if source is not None and first else {}
             numbers = tuple(values[k] for k in sorted(values)) if len(values) == 6 else None
-            number = (setting[2] or "").strip()
-            plain = number.isdigit() and not setting[0].startswith("$")
-            found.append(Setting(f"U{setting[1].upper()}", str(int(number)) if plain else "", numbers, first))
+            plain = None if "$" in setting[0] else NUMBERED.fullmatch(setting[2] or "")
+            number = "" if plain is None else str(int(plain[1]))
+            found.append(Setting(f"U{setting[1].upper()}", number, numbers, first))
         elif (changed := REGISTER.match(said)) is not None:
             registers = {} if changed[1] is None else {k: v for k, v in registers.items() if k != str(int(changed[1]))}
     return tuple(found)
