@@ -37,7 +37,7 @@ def coupled(document: Item, turned: Sequence[str], follows: Sequence[str]) -> It
     if document.get("convention") in ("dh", "mdh"):
         document = _as_chain(document)
     if document.get("convention") != "chain":
-        raise UsageError("--turned needs a table or a chain: in a URDF, turn the axis of the joint round instead.")
+        raise UsageError("--turned needs a table or a chain: in a URDF, reverse the axis of the joint instead.")
     elements = [dict(element) for element in document["elements"]]
     for name in turned:
         for element in _of(elements, name):

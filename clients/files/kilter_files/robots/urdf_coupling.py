@@ -1,4 +1,4 @@
-"""A joint of a URDF that its controller reads against the horizontal: an axis that mimics the joint before turns it back."""
+"""A joint of a URDF that its controller reads against the horizontal: an axis that mimics the joint before rotates it back."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from kilter_files.ground.errors import UsageError
 from kilter_files.ground.later import np
 from kilter_files.ground.names import did_you_mean
 
-TURNS = ("revolute", "continuous")
+ROTATING = ("revolute", "continuous")
 PARALLEL = math.cos(math.radians(1.0))
 
 
 def uncoupled_urdf(text: str, follower: str, leader: str) -> str:
     """Return a URDF in which ``follower`` keeps its reading in space while ``leader`` moves.
 
-    A massless link between them turns on the follower's axis and mimics the leader backwards.
+    A massless link between them rotates about the follower's axis and mimics the leader backwards.
 
     Raises:
-        UsageError: a joint that is not there, or that does not turn about an axis parallel to the leader's after it.
+        UsageError: a joint that is not there, or that does not rotate about an axis parallel to the leader's after it.
 
     """
     root = ElementTree.fromstring(text)  # noqa: S314 - the reader refused document types, without which there are no entities
@@ -34,12 +34,12 @@ def uncoupled_urdf(text: str, follower: str, leader: str) -> str:
             )
     first, second = joints[leader], joints[follower]
     between = _between(root, first, second)
-    if between is None or any(joint.get("type") not in TURNS for joint in (first, second)):
+    if between is None or any(joint.get("type") not in ROTATING for joint in (first, second)):
         raise UsageError(_misplaced(follower, leader))
-    turn = np.eye(3)
+    rotation = np.eye(3)
     for joint in between:
-        turn = turn @ _origin(joint)
-    along = float(_axis(first) @ turn @ _axis(second))
+        rotation = rotation @ _origin(joint)
+    along = float(_axis(first) @ rotation @ _axis(second))
     if abs(along) < PARALLEL:
         raise UsageError(_misplaced(follower, leader))
     _insert(root, second, leader, -math.copysign(1.0, along))

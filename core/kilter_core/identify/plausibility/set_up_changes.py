@@ -24,8 +24,9 @@ from kilter_core.types import Floats, Ints
 CLEARLY = 2.5  # times less that must be left with a set-up for each campaign: loads and drift of an arm take less
 ALIKE = 1.2  # times what base and tool together leave, up to which one of them explains it
 CHANCE = 1e-9  # of as much from campaigns of one set-up
-MOST_ROWS = 400  # of a campaign that are looked at
-FEWEST_ROWS = 6
+MOST_ROWS = 4000  # of all campaigns together that are looked at
+MOST_PARTS = 20  # campaigns or sessions: of more the frames would be as many as the rows
+FEWEST_ROWS = 6  # of a campaign, or it says nothing
 SMALL = 1e-8  # singular values below that share of the largest move nothing
 SETTLES = ("tool",), ("base",), ("base", "tool")
 
@@ -42,18 +43,15 @@ class SetUpChange:
 
 def set_up_change(calibration: Calibration, parts: Sequence[Observations]) -> SetUpChange | None:
     """Return the frames that differ between the ``parts`` that a calibration was fitted to; None where one does for all."""
-    rows = [part.select(part.tool_seen) for part in parts]
-    rows = [part.select(evenly(len(part), MOST_ROWS)) for part in rows]
-    if (
-        len(rows) < 2
-        or min(map(len, rows)) < FEWEST_ROWS
-        or any(r.position is None and r.markers is None for r in rows)
-    ):
+    seen = [part.select(part.tool_seen) for part in parts if part.position is not None or part.markers is not None]
+    rows = [part for part in seen if len(part) >= FEWEST_ROWS]
+    if not 2 <= len(rows) <= MOST_PARTS:
         return None
+    rows = [part.select(evenly(len(part), MOST_ROWS // len(rows))) for part in rows]
     try:
         joined = Observations.concatenate([replace(part, pose_id=None) for part in rows])
         return _found(calibration, joined, np.repeat(np.arange(len(rows)), list(map(len, rows))))
-    except CoreError:  # rows that differ in what was measured, or lack what an effect reads
+    except (CoreError, np.linalg.LinAlgError):  # rows that differ in what was measured, or lack what an effect reads
         return None
 
 

@@ -78,5 +78,5 @@ def test_couplings_that_a_urdf_cannot_have(tmp_path: Path, follows: str, said: s
 def test_a_turned_joint_of_a_urdf_is_refused_with_the_remedy(tmp_path: Path) -> None:
     path = tmp_path / "arm.urdf"
     path.write_text(URDF.format(sign=1))
-    with pytest.raises(UsageError, match="turn the axis of the joint round instead"):
+    with pytest.raises(UsageError, match="reverse the axis of the joint instead"):
         read_robot(path, Described("r", turned=["j3"]))
