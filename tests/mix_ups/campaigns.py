@@ -183,3 +183,7 @@ MIXED: dict[str, Callable[[Genuine, np.random.Generator], Observations]] = {
     "shifted by one row": _joints_of(lambda n, rng: np.roll(np.arange(n), 1)),
     "shuffled": _joints_of(lambda n, rng: rng.permutation(n)),
 }
+POSES_MIXED: dict[str, Callable[[Genuine, np.random.Generator], Observations]] = {
+    "poses inverted": lambda g, rng: inverted(g),
+}
+"""The same of campaigns that measured poses."""
