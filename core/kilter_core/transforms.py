@@ -19,7 +19,7 @@ def pose_from_xyz_rpy(xyz_m: Floats, rpy_rad: Floats) -> Floats:
 def xyz_rpy_from_pose(T: Floats, near: Floats | None = None) -> tuple[Floats, Floats]:
     """Return (xyz (3,) m, rpy (3,) rad) of a pose (4, 4), exact to rounding at and near pitch 90 degrees too.
 
-    Two triples of angles, and any with whole turns more, say one rotation: those next to ``near (3,)`` rad, or without it
+    Two triples of angles, and any with 360 degrees more, say one rotation: those next to ``near (3,)`` rad, or without it
     pitch within 90 and the others within 180 degrees. The inverse of :func:`pose_from_xyz_rpy`.
     """
     R = T[:3, :3]

@@ -140,9 +140,10 @@ def _zero(g: Genuine, rng: np.random.Generator) -> Observations:
 
 
 def _coupled(g: Genuine, rng: np.random.Generator) -> Observations:
-    """The last joint but two, or one before it, is read with the motion of the joint before."""
+    """The last joint but two, one before it or else one behind it is read with the motion of the joint before."""
     turns = [j.kind == "revolute" for j in g.robot.joints]
-    joint = next(j for j in range(g.robot.n_joints - 3, 0, -1) if turns[j] and turns[j - 1])
+    n = g.robot.n_joints
+    joint = next(j for j in (*range(n - 3, 0, -1), n - 2, n - 1) if turns[j] and turns[j - 1])
     return replace(g.rows, q=g.rows.q - np.outer(g.rows.q[:, joint - 1], np.arange(g.robot.n_joints) == joint))
 
 
@@ -183,3 +184,7 @@ MIXED: dict[str, Callable[[Genuine, np.random.Generator], Observations]] = {
     "shifted by one row": _joints_of(lambda n, rng: np.roll(np.arange(n), 1)),
     "shuffled": _joints_of(lambda n, rng: rng.permutation(n)),
 }
+POSES_MIXED: dict[str, Callable[[Genuine, np.random.Generator], Observations]] = {
+    "poses inverted": lambda g, rng: inverted(g),
+}
+"""The same of campaigns that measured poses."""

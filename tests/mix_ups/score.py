@@ -12,7 +12,7 @@ from kilter_core.errors import CoreError
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.model import Calibration
 from tests.mix_ups.arms import BUILDS
-from tests.mix_ups.campaigns import MIXED, Genuine, fixed_steps, genuine, without_step
+from tests.mix_ups.campaigns import MIXED, POSES_MIXED, Genuine, fixed_steps, genuine, without_step
 
 FEW = 5  # every fifth genuine campaign moves two or three joints only
 LACKING = 3  # the table of every third arm lacks a step
@@ -72,8 +72,8 @@ def main() -> None:
     found, count = Counter[str](), 0
     for round_ in range(given.rounds):
         for build in BUILDS:
-            g = genuine(1000 * (given.seed + 1) + 7 * round_, build)
-            for name, mix in MIXED.items():
+            for name, mix in (MIXED | POSES_MIXED).items():
+                g = genuine(1000 * (given.seed + 1) + 7 * round_, build, see="pose" if name in POSES_MIXED else None)
                 count += 1
                 text = said(g, mix(g, np.random.default_rng(round_)))
                 found[name] += bool(text)

@@ -44,7 +44,7 @@ def test_no_step_that_lacks_is_an_accusation() -> None:
         warnings_of(g, step)
 
 
-@pytest.mark.parametrize("seed", range(300, 330))
+@pytest.mark.parametrize("seed", range(300, 312))
 def test_genuine_campaigns_are_not_accused(seed: int) -> None:
     g = of_number(seed)
     assert said(g) == "", g.kind

@@ -137,7 +137,7 @@ def test_rows_that_a_person_calls_right_are_stored_and_fitted_with_a_warning(
     rows = columns_of(arm, replace(arm.rows, q=np.roll(arm.rows.q, 7, axis=0)))
     refused = client.post(f"/v1/campaigns/{campaign(client, arm)}/observations", json=rows)
     assert refused.json()["code"] == "foreign_observations"
-    assert refused.json()["detail"].endswith("If the rows are right all the same, upload them with --unchecked.")
+    assert refused.json()["detail"].endswith("upload them to a new campaign with --unchecked.")
     right = campaign(client, arm, conditions={"unchecked": True})
     stored = client.post(f"/v1/campaigns/{right}/observations", json=rows).raise_for_status().json()
     assert [one["code"] for one in stored["warnings"]] == ["foreign_observations"]

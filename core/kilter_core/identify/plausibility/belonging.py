@@ -17,7 +17,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 
-WAY_OUT = "If the rows are right all the same, upload them with --unchecked."
+WAY_OUT = "If the rows are right all the same, upload them to a new campaign with --unchecked."
 # Refusals that judge how rows look, and may be wrong about them; all others say what rows are not.
 JUDGEMENTS = (
     "foreign_observations", "markers_swapped", "corners_misplaced", "intrinsics_differ", "views_astray", "board_scale_differs",

@@ -63,11 +63,11 @@ def find_lacking(sample: Sample) -> Lacking:
 
 
 def _starts(sample: Sample, link: Link) -> list[Floats]:
-    """No rotation, and the quarter turns from which least is left; the smallest first."""
-    turns = _quarter_turns()
-    sizes = np.array([_placed_size(sample, link, start) for start in turns])
+    """No rotation, and the quarter rotations from which least is left; the smallest first."""
+    rotations = _quarter_rotations()
+    sizes = np.array([_placed_size(sample, link, start) for start in rotations])
     best = set(np.argsort(sizes)[:REFINED]) | set(np.flatnonzero(sizes < ALIKE * sizes.min())[:REFINED])
-    return [turns[k] for k in sorted(best | {0})]
+    return [rotations[k] for k in sorted(best | {0})]
 
 
 def _links(sample: Sample) -> Iterator[Link]:
@@ -82,8 +82,8 @@ def _links(sample: Sample) -> Iterator[Link]:
 
 
 @cache
-def _quarter_turns() -> Floats:
-    """The 24 rotations by quarter turns as poses (24, 4, 4), the smallest first."""
+def _quarter_rotations() -> Floats:
+    """The 24 rotations by quarter rotations as poses (24, 4, 4), the smallest first."""
     poses = np.tile(np.eye(4), (24, 1, 1))
     group = Rotation.create_group("O")
     poses[:, :3, :3] = group.as_matrix()[np.argsort(np.round(group.magnitude(), 6), kind="stable")]

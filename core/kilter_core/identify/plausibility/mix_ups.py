@@ -213,7 +213,7 @@ def _couplings(robot: Robot) -> Iterator[MixUp]:
 
 
 def _directions(robot: Robot) -> Floats:
-    """Vectors (n, 3) about which the joints' own axes turn, as they count, all joints at zero."""
+    """Vectors (n, 3) about which the joints' own axes rotate, as they count, all joints at zero."""
     screws, moving = (
         screws_of_chain(robot.chain),
         [k for k, e in enumerate(robot.chain.elements) if e.joint is not None],

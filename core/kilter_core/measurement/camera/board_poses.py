@@ -123,13 +123,13 @@ def _from_afar(local: Floats, flats: Floats, seen: Bools) -> Iterator[tuple[Floa
     """The two poses that weak perspective tells: the board is seen in the direction of its middle, its depth is lost."""
     rays = np.concatenate([flats, np.ones((*seen.shape, 1))], axis=-1)
     middle = np.sum(rays * seen[..., None], axis=1)
-    ahead = _turned_to(middle)
-    turned = rays @ ahead
-    turned = turned[..., :2] / turned[..., 2:]
+    ahead = _rotation_to(middle)
+    seen_ahead = rays @ ahead
+    seen_ahead = seen_ahead[..., :2] / seen_ahead[..., 2:]
     board = np.column_stack([local[:, :2], np.ones(len(local))])
     weighed = board.T @ (board * seen[..., None])
     found = np.linalg.solve(weighed + 1e-12 * np.trace(weighed, axis1=1, axis2=2)[:, None, None] * np.eye(3),
-                            board.T @ (turned * seen[..., None])).transpose(0, 2, 1)  # fmt: skip
+                            board.T @ (seen_ahead * seen[..., None])).transpose(0, 2, 1)  # fmt: skip
     size = np.maximum(np.linalg.norm(found[:, :, :2], ord=2, axis=(1, 2)), 1e-12)[:, None]
     across = found[:, :, :2] / size[:, None]
     place = np.concatenate([found[:, :, 2], np.ones((len(found), 1))], axis=1) / size
@@ -141,8 +141,8 @@ def _from_afar(local: Floats, flats: Floats, seen: Bools) -> Iterator[tuple[Floa
         yield np.einsum("nij,nj->ni", ahead, place), ahead @ R
 
 
-def _turned_to(v: Floats) -> Floats:
-    """The smallest rotations (N, 3, 3) that turn z to vectors (N, 3) with a positive z."""
+def _rotation_to(v: Floats) -> Floats:
+    """The smallest rotations (N, 3, 3) that take z to vectors (N, 3) with a positive z."""
     across = np.stack([-v[:, 1], v[:, 0], np.zeros(len(v))], axis=1)
     size = np.linalg.norm(across, axis=1, keepdims=True)
     angle = np.arctan2(size[:, 0], v[:, 2])[:, None]
