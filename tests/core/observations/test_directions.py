@@ -84,3 +84,13 @@ def test_campaigns_with_and_without_a_condition_go_together(lacking: str) -> Non
         assert found[n:].tolist() == np.zeros_like(Q).tolist()
     else:
         assert not set(found[:n].tolist()) & set(found[n:].tolist())
+
+
+def test_a_row_after_ones_that_are_not_there_has_no_direction() -> None:
+    whole = with_directions(Observations(q=Q, row=np.arange(1, len(Q) + 1)))
+    assert whole.direction is not None
+    kept = [0, 1, 4, 5]
+    found = with_directions(Observations(q=Q[kept], row=np.array(kept) + 1)).direction
+    assert found is not None
+    assert found[2].tolist() == [0, 0]
+    assert found[1].tolist() == whole.direction[1].tolist()

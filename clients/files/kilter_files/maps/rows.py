@@ -44,6 +44,9 @@ def keep_rows(source: Source, table: Table, keep: tuple[Keep, ...], drop_missing
         )
     if empty:
         table.warnings.append(f"{len(empty)} rows left out because a value is missing")
+        # The arm was there all the same: who derives directions must know that these rows do not follow one another.
+        number = {i: float(k) for k, i in enumerate(kept, 1)}
+        table.columns.setdefault("row", [number.get(i, math.nan) for i in range(len(table))])
     table.keep([i for i in kept if i not in empty])
     if not len(table):
         raise FileError(f"{source.path}: no row is left. Loosen the conditions under [rows].", file=str(source.path))

@@ -318,3 +318,12 @@ dir1 = { from = "v", still_below = 0.1 }
     assert any("link2_deg is the same in every row: a dead channel" in text for text in prepared.warnings)
     with pytest.raises(FileError, match="still_below"):
         convert(tmp_path, mapped.replace('unit = "deg" }', 'unit = "deg", still_below = 1 }', 1), data)
+
+
+def test_rows_keep_their_numbers_where_one_between_is_left_out(tmp_path: Path) -> None:
+    head, first, second, lost, lacking = LAB.splitlines()
+    every_ok = lost.replace(";lost", ";ok")
+    prepared = convert(tmp_path, MAP, "\n".join([head, first, lacking, second, lost, every_ok]) + "\n")
+    assert [row["row"] for row in rows(prepared)] == [1, 3, 4]  # what a condition leaves out was no visit
+    whole = convert(tmp_path, MAP, "\n".join([head, first, second]) + "\n")
+    assert "row" not in rows(whole)[0]
