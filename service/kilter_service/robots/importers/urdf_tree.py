@@ -288,7 +288,9 @@ def rpy_of(origin: Element | None, place: str) -> Floats:
         return rpy
     quaternion = numbers(origin, "quat_xyzw", (0, 0, 0, 1), place)
     if abs(np.linalg.norm(quaternion) - 1.0) > ROUNDED:
-        raise RobotError(f"{place}: quat_xyzw has a length other than 1: give a unit quaternion.", field="urdf", place=place)
+        raise RobotError(
+            f"{place}: quat_xyzw has a length other than 1: give a unit quaternion.", field="urdf", place=place
+        )
     rotation = Rotation.from_quat(quaternion)
     if origin.get("rpy") is not None and (rotation.inv() * Rotation.from_euler("xyz", rpy)).magnitude() > ROUNDED:
         raise RobotError(f"{place}: rpy and quat_xyzw are two rotations: leave one out.", field="urdf", place=place)
