@@ -262,8 +262,7 @@ def _views(
     held: dict[str, Errors], begin: Calibration,
 ) -> dict[str, Any]:  # fmt: skip
     """What views say, of those held out and of shuffled joints too, and the warnings with theirs."""
-    views = with_control(result.views, begin, measurement.observations)
-    views = with_held(views, unfitted)
+    views = with_held(with_control(result.views, begin, measurement.observations), unfitted)
     shown = {name: errors.to_document()["rms_mm"] for name, errors in held.items()}
     said = *too_large_to_deploy(views, shown.get("registration_only")), *tell_less(views, shown.get("identified"))
     return {"views": views, "warnings": (*unless_astray(warnings), *said)}
@@ -285,14 +284,13 @@ def _belonging(begin: Calibration, train: Observations, validation: Validation) 
     """Refuse rows that cannot be of this robot or are held out and fitted at once; what is odd about those to fit."""
     refuse_missing_columns(begin, train)
     remarks = refuse_mixed_up(begin, train)
-    if not isinstance(validation, Observations):
-        return remarks
-    refuse_shared_rows(train, validation, "validation")
-    return (*remarks, *of_held_out(refuse_mixed_up(begin, validation)))
+    if isinstance(validation, Observations):
+        refuse_shared_rows(train, validation, "validation")
+        remarks = (*remarks, *of_held_out(refuse_mixed_up(begin, validation)))
+    return remarks
 
 
 def _section(progress: Progress, start: float, share: float) -> Progress:
-    """Progress of a part that begins at ``start`` of the whole and takes ``share`` of it."""
     return lambda fraction, stage: progress(start + share * fraction, stage)
 
 

@@ -22,7 +22,7 @@ from kilter_core.measurement.pose_weights import DEVIATIONS, scale_of, weights
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
-from kilter_core.observations.rows import CONTACTS
+from kilter_core.observations.same_columns import CONTACTS
 from kilter_core.transforms import inverse, inverses
 from kilter_core.types import Bools, Floats
 

@@ -14,13 +14,10 @@ from kilter_core.errors import ObservationError
 from kilter_core.observations.clock import came_back, clock_of
 from kilter_core.observations.repeats import group_means, numbered_poses, numbered_rows
 from kilter_core.observations.rig import Rig
+from kilter_core.observations.same_columns import CONTACTS, INSTRUMENT, with_same_columns
 from kilter_core.types import Bools, Floats, Ints
 
 WHOLE = ("rig", "directions_derived")  # fields that have no row for each of the rows
-SET_UP = ("session", "setup")  # of a tracker: rows of cameras alone belong to the first
-INSTRUMENT = ("position", "markers")  # columns by which an instrument says where the tool was
-TOOL = (*INSTRUMENT, "socket", "plane", "bar")  # columns that say where the tool was
-CONTACTS = ("socket", "plane", "bar", "bar_length")  # columns that say what held its ball
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +144,7 @@ class Observations(Conditions):
                 part if part.unchecked is not None else replace(part, unchecked=np.zeros(len(part), dtype=bool))
                 for part in parts
             ]
-        parts = _with_same_conditions(_beside(_with_one_rig(parts)))
+        parts = with_same_columns(parts)
         names = set(parts[0]._present())
         for part in parts[1:]:
             if set(part._present()) != names:
@@ -290,117 +287,3 @@ class Observations(Conditions):
             for f in fields(self)
             if f.name not in WHOLE and getattr(self, f.name) is not None
         }
-
-
-def _beside(parts: Sequence[Observations]) -> Sequence[Observations]:
-    """Campaigns side by side that measured different things: readings of sensors that others lack are empty there.
-
-    Where one did not measure the tool at all, its place is empty too. Campaigns that measured the tool differently differ.
-    """
-    parts = _with_contacts(parts)
-    for name in ("link_q", "command", "tilt"):
-        shapes = [getattr(part, name).shape[1:] for part in parts if getattr(part, name) is not None]
-        if shapes:
-            parts = [_filled(part, name, max(shapes)) for part in parts]  # the longest has the base too
-    # Beside views all have the columns of contacts: there an instrument alone says who measured the tool.
-    told = TOOL if all(part.pixels is None for part in parts) else INSTRUMENT
-    first = next((part for part in parts if _measured(part, told)), None)
-    if first is None:
-        return parts
-    others = [not _measured(part, told) for part in parts]
-    for name in ("position", "rotation", "markers"):
-        value = getattr(first, name)
-        if value is not None:
-            parts = [
-                _filled(part, name, value.shape[1:]) if other else part
-                for part, other in zip(parts, others, strict=True)
-            ]
-    return parts
-
-
-def _with_same_conditions(parts: Sequence[Observations]) -> Sequence[Observations]:
-    """Campaigns of which some do not know from which side joints came, in which session, or when."""
-    if any(part.direction is not None for part in parts):
-        parts = [p if p.direction is not None else replace(p, direction=np.zeros_like(p.q)) for p in parts]
-    if any(part.session is not None for part in parts):
-        free = 1 + max(int(part.session.max()) for part in parts if part.session is not None)
-        parts = [
-            p if p.session is not None else replace(p, session=np.full(len(p), free + k)) for k, p in enumerate(parts)
-        ]
-    lost: dict[str, Any] = {name: None for name in ("t", "row") if any(getattr(part, name) is None for part in parts)}
-    return _with_pose_numbers([replace(part, **lost) for part in parts])
-
-
-def _with_contacts(parts: Sequence[Observations]) -> Sequence[Observations]:
-    """Campaigns beside others whose ball sockets, planes and bars held: nothing held those that measured no place."""
-    if all(part.pixels is None for part in parts):
-        return parts
-    for name in CONTACTS:
-        if any(getattr(part, name) is not None for part in parts):
-            parts = [_unheld(part, name) for part in parts]
-    return parts
-
-
-def _unheld(part: Observations, name: str) -> Observations:
-    if getattr(part, name) is not None:
-        return part
-    none = np.full(len(part), np.nan) if name == "bar_length" else np.zeros(len(part), dtype=np.int64)
-    changes: dict[str, Any] = {name: none}
-    return replace(part, **changes)
-
-
-def _measured(part: Observations, columns: Sequence[str]) -> bool:
-    return any(getattr(part, name) is not None for name in columns)
-
-
-def _filled(part: Observations, name: str, shape: tuple[int, ...]) -> Observations:
-    """The rows with a column of this shape: empty where it is missing, or where it ends before its last places."""
-    own = getattr(part, name)
-    if own is not None and own.shape[1:] == shape:
-        return part
-    out = np.full((len(part), *shape), np.nan)
-    if own is not None:
-        out[:, : own.shape[1]] = own
-    made: dict[str, Any] = {name: out}
-    return replace(part, **made)
-
-
-def _with_one_rig(parts: Sequence[Observations]) -> Sequence[Observations]:
-    """Campaigns with all cameras and boards described once; rows that no camera measured have no pixels."""
-    if all(part.rig is None for part in parts):
-        return parts
-    rig = Rig.merged(part.rig for part in parts if part.rig is not None)
-    parts = _with_pose_numbers(parts)
-    codes = {name: next((c[0] for p in parts if (c := getattr(p, name)) is not None), None) for name in SET_UP}
-    return [_seen_by(part, rig, parts, codes) for part in parts]
-
-
-def _with_pose_numbers(parts: Sequence[Observations]) -> Sequence[Observations]:
-    """Campaigns that all number their poses where views do: cameras at one pose share a number, which others lack."""
-    if all(part.pose_id is None for part in parts):
-        return parts
-    out, free = [], 1 + max(int(part.pose_id.max()) for part in parts if part.pose_id is not None)
-    for part in parts:
-        if part.pose_id is None:
-            part = replace(part, pose_id=free + numbered_poses(part.q))
-            assert part.pose_id is not None
-            free = 1 + int(part.pose_id.max())
-        out.append(part)
-    return out
-
-
-def _seen_by(part: Observations, rig: Rig, parts: Sequence[Observations], codes: dict[str, Any]) -> Observations:
-    """One of the campaigns with the cameras and boards of all, and of the set-up of the first tracker where it has none."""
-    own = part.rig or Rig((), ())
-    changes: dict[str, Any] = {"rig": rig}
-    for name, before, after in (("camera", own.cameras, rig.cameras), ("board", own.boards, rig.boards)):
-        places = np.array([[a.name for a in after].index(b.name) for b in before] + [-1], dtype=np.int64)
-        column = getattr(part, name)
-        changes[name] = places[np.full(len(part), -1) if column is None else column]
-    part = _filled(replace(part, **changes), "pixels", (rig.most_corners, 2))
-    if any(one.pixel_sigma is not None for one in parts):
-        part = _filled(part, "pixel_sigma", (rig.most_corners, 2))
-    missing: dict[str, Any] = {
-        k: np.full(len(part), c) for k, c in codes.items() if c is not None and getattr(part, k) is None
-    }
-    return replace(part, **missing)

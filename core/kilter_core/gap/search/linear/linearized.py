@@ -237,10 +237,7 @@ def reloaded(settings: ProblemSettings, values: Floats) -> ProblemSettings:
 
 
 def doubted(settings: ProblemSettings, values: Floats) -> ProblemSettings:
-    """The setting with the scatter that doubtful signs of loads, and sides that nobody knows, have at these values.
-
-    Itself where it has not changed.
-    """
+    """The setting with the scatter of doubtful signs of loads and of unknown sides at these values; itself if unchanged."""
     source, direction = settings.source, settings.source.batch.direction
     if source.batch.blur is None and (direction is None or direction.all()):
         return settings
