@@ -43,9 +43,9 @@ def test_poses_that_do_not_tell_are_said_to_once_and_where_they_are_listed(capsy
     poses = [{"kind": "new", "change": None, "separates": ["a", "b"], "information_factor": f} for f in (1.02, 1.05)]
     warning = {"code": "poses_will_not_tell", "message": sentence}
     out = printed(capsys, next_poses=poses, told_apart={"sentence": sentence}, warnings=[warning])
-    asked = out.splitlines().index("Measure next, to tell a from b (2 poses):")
+    asked = out.splitlines().index("Measure next (2 poses):")
     assert out.splitlines()[asked + 1 : asked + 3] == [
-        "  new poses: 2, information times 1.05 after all",
+        "  new poses: 2, to tell a from b, information times 1.05 after all",
         f"  {sentence}",
     ]
     assert out.count(sentence) == 1

@@ -43,7 +43,7 @@ from kilter_core.gap.evidence.similarity.testability import (
 from kilter_core.gap.evidence.stability import inclusion
 from kilter_core.gap.evidence.verdict import Evidence, Judged, is_settled, judge, run_verdict, sentence
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.report.aside import agreement_sentence, rows_aside
+from kilter_core.gap.report.aside import agreement_sentence, poses_again, rows_aside
 from kilter_core.gap.report.effect_curves import effect_curves
 from kilter_core.gap.report.ends import at_ends
 from kilter_core.gap.report.figures import figures
@@ -213,6 +213,7 @@ class _Run:
         gap = gap_document(prepared, found, judging)
         self.progress(0.95, "next poses and pictures")
         poses, told = self._next_poses(found, effects)
+        poses = [*(poses_again(prepared, self.validation, held.set_aside) if self.options.next_poses else ()), *poses]
         return GapReport(
             stored=kept, verdict=verdict, effects=effects, unseen=unseen, remains=rest,
             sentence=sentence(verdict, effects, fit, left, rest.words) + ("" if unseen is None else unseen.sentence())

@@ -13,7 +13,7 @@ from tests.core.campaigns import table_errors
 from tests.core.correct.twins import ARMS
 
 QUICK = GapOptions(
-    effects=("eccentricity", "encoder_scale"), resamples=10, permutations=10, bootstraps=499, next_poses=0
+    effects=("eccentricity", "encoder_scale"), resamples=10, permutations=10, bootstraps=499, next_poses=2
 )
 BUMP_RAD, WIDE_RAD, NOISE_M = np.radians(0.05), np.radians(10.0), 2e-5
 
@@ -34,6 +34,7 @@ def hunted(name: str, seed: int, joint: int | None, wrong: int = 0) -> tuple[dic
     points[spoilt] += 5e-4 * np.array([0.6, -0.5, 0.6])
     rows = Observations(q, points, t=60.0 * np.arange(len(q)), pose_id=order)
     report = find_gap(robot_from_document(ideal.document()), rows, QUICK, validation=0.25).to_document()
+    report["spoilt_q"] = q[spoilt]
     return report, set(np.flatnonzero(there).tolist()), set(spoilt.tolist())
 
 
@@ -50,6 +51,10 @@ def test_wrong_readings_are_set_aside_as_before_and_counted() -> None:
     report, _, wrong = hunted("six", 1, None, wrong=3)
     assert wrong <= {one["row"] for one in (*report["set_aside"], *report["held_aside"])}
     assert report["verdict"] == "no_gap"
+    first = report["next_poses"][:3]
+    assert {one["change"] for one in first} == {"measure again what was set aside"}
+    asked = {tuple(np.round(np.radians(one["q_deg"]), 3)) for one in first}
+    assert asked == {tuple(np.round(row, 3)) for row in report["spoilt_q"]}
     assert "This is of 65 of 68 visits: 3 were set aside as wrong readings." in report["sentence"]
 
 

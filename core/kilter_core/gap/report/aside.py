@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from kilter_core.gap.report.next_poses import set_aside_again
 from kilter_core.gap.search.prepare import Prepared
 from kilter_core.identify.fit.tukey import points_mm, sizes_of
 from kilter_core.measurement import Measurement
@@ -28,6 +29,15 @@ def agreement_sentence(prepared: Prepared, held: Observations | None, spikes: In
         f" This is of {total - aside} of {total} visits: {aside} {'was' if aside == 1 else 'were'} set aside as wrong "
         "readings. Measure their poses again; what errs there again is the arm."
     )
+
+
+def poses_again(prepared: Prepared, held: Observations | None, spikes: Ints) -> list[dict[str, Any]]:
+    """The poses of what was set aside, of rows searched and held out, as documents: to be measured first."""
+    source = prepared.problem.settings.source
+    if not source.observes_places:
+        return []
+    parts = [prepared.given.select(prepared.outlying), *([] if held is None else [held.select(spikes)])]
+    return [row for rows in parts if len(rows) for row in set_aside_again(rows, source.model.robot)]
 
 
 def rows_aside(calibration: Calibration, rows: Observations, which: Ints, sigma: float) -> list[dict[str, Any]]:

@@ -29,6 +29,7 @@ POOL = 250
 WARMER_K = 5.0
 LATER_S = 600.0
 CHANGE_FIRST = 0.9  # a condition change is proposed first from this share of the new poses' information
+ASIDE = "measure again what was set aside"
 SPARE_LOAD = 0.1  # of the arm's mass, where no load was ever carried
 
 
@@ -78,6 +79,15 @@ def rows_of(proposals: Sequence[Proposal], names: tuple[str, str], robot: Robot)
     """Proposals as documents: joint angles in degrees (prismatic joints in mm), load, directions and gain."""
     scale = wire_scale(robot)
     return [_row(p, k, names, scale) for p in proposals for k in range(len(p.rows))]
+
+
+def set_aside_again(rows: Observations, robot: Robot) -> list[dict[str, Any]]:
+    """The poses of visits that were set aside, as documents: what errs there again is the arm, and no wrong reading."""
+    first = np.sort(np.unique(rows.pose_groups(), return_index=True)[1])
+    again = Proposal(rows.select(first), "repeat", ASIDE, 1.0, (1.0,) * len(first))
+    scale = wire_scale(robot)
+    told = (_row(again, k, ("wrong reading", "error of the arm"), scale) for k in range(len(first)))
+    return [row | {"information_factor": None} for row in told]
 
 
 def wire_scale(robot: Robot) -> Floats:

@@ -206,7 +206,7 @@ def _couplings(robot: Robot) -> Iterator[MixUp]:
             remedy = f"upload joint {j + 1} {undone} joint {j} in its column"
             if sign * (axes[j] @ axes[j - 1]) < -PARALLEL:
                 names = f"{robot.joints[j].name}={robot.joints[j - 1].name}"
-                follows = f"{remedy}, or add the robot from its table with --follows {names}"
+                follows = f"{remedy}, or add the robot again with --follows {names}"
                 yield MixUp(f"{sentence}against the horizontal (as FANUC's J3)", follows, coupling=coupling)
             else:
                 yield MixUp(f"{sentence}as through coupled gears", remedy, coupling=coupling)

@@ -68,7 +68,7 @@ def _next(result: GapResult) -> str:
     poses = result.next_poses or []
     if poses:
         changes = list(dict.fromkeys(pose.change or "new poses" for pose in poses))
-        pair = " from ".join(poses[0].separates or [])
+        pair = " from ".join(poses[-1].separates or [])
         tell = f", to tell {pair.replace('_', ' ')}" if pair else ""
         return f"{plural(len(poses), 'pose')}{tell}: {'; '.join(changes)}."
     if any(effect.verdict == "class_confirmed" for effect in result.effects or []):

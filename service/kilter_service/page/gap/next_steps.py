@@ -18,7 +18,7 @@ def plan(database: Database, job: GapJob) -> Job:
     result = job.result
     if result is None or result.version_id is None:
         raise ServiceError(f"Job {job.id} made no version to plan with.", code="option_invalid", job=job.id)
-    if result.next_poses:
+    if any(pose.information_factor is not None for pose in result.next_poses or []):
         options = PlanOptions(purpose="separate", version=result.version_id)
     else:
         asked = {"purpose": "identify", "version": result.version_id, "effects": _effects(job)}

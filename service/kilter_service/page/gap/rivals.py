@@ -43,7 +43,8 @@ def rivals(result: GapResult) -> list[Rival]:
 def _alike(effect: NamedEffect, place: int, result: GapResult) -> Rival:
     rival = (effect.alias_set or [])[place]
     wrong = "–" if rival.p_wrong is None else percent(rival.p_wrong)
-    apart = _apart(result.next_poses or [], rival.correlation)
+    told = [pose for pose in result.next_poses or [] if pose.information_factor is not None]
+    apart = _apart(told, rival.correlation)
     return Rival(called(rival), called(effect), number(rival.correlation), True, wrong, apart)
 
 

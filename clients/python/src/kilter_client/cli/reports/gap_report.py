@@ -250,12 +250,12 @@ def _not_testable(rows: Sequence[Mapping[str, Any]]) -> None:
 def _next_poses(poses: Sequence[Mapping[str, Any]], told: Mapping[str, Any]) -> None:
     if not poses:
         return
-    say(f"Measure next, to tell {' from '.join(poses[0].get('separates') or ['?'])} ({len(poses)} poses):")
+    say(f"Measure next ({len(poses)} poses):")
     for kind, change in dict.fromkeys((p.get("kind"), p.get("change")) for p in poses):
         own = [p for p in poses if (p.get("kind"), p.get("change")) == (kind, change)]
-        say(
-            f"  {change or 'new poses'}: {len(own)}, information times {number(own[-1].get('information_factor'), 3)} after all"
-        )
+        apart, factor = " from ".join(own[0].get("separates") or ["?"]), own[-1].get("information_factor")
+        more = "" if factor is None else f", information times {number(factor, 3)} after all"
+        say(f"  {change or 'new poses'}: {len(own)}, to tell {apart}{more}")
     if told.get("sentence"):
         say(f"  {told['sentence']}")
 
