@@ -7,6 +7,8 @@ from xml.etree import ElementTree
 
 from kilter_files.ground.errors import FileError, UsageError
 
+FREE = ("floating", "planar")  # types of joints that hold nothing
+
 
 def chain_of(path: Path, text: str, base_link: str | None, tip_link: str | None) -> tuple[str, str]:
     """Return the first and the last link of the arm; what was not said is taken where the file leaves no choice.
@@ -34,7 +36,10 @@ def chain_of(path: Path, text: str, base_link: str | None, tip_link: str | None)
 
 
 def _ends(path: Path, text: str) -> tuple[list[str], list[str]]:
-    """Return the links that hang on no other, and those on which none hangs, in the order of the file."""
+    """Return the links that hang on no other, and those on which none hangs, in the order of the file.
+
+    Floating and planar joints hold nothing, so a link that only they join to others is no end of an arm.
+    """
     if "<!DOCTYPE" in text:
         raise FileError(f"{path}: a URDF has no document type: take the <!DOCTYPE> out.", file=str(path))
     try:
@@ -43,6 +48,8 @@ def _ends(path: Path, text: str) -> tuple[list[str], list[str]]:
         remedy = "If it is a .xacro, expand it first: xacro FILE > arm.urdf."
         raise FileError(f"{path}: is not XML ({error}). {remedy}", file=str(path)) from error
     links = [link.get("name", "") for link in root.findall("link")]
-    held = {end.get("link") for joint in root.findall("joint") for end in joint.findall("child")}
-    holding = {end.get("link") for joint in root.findall("joint") for end in joint.findall("parent")}
-    return [link for link in links if link not in held], [link for link in links if link not in holding]
+    joints = [joint for joint in root.findall("joint") if joint.get("type") not in FREE]
+    held = {end.get("link") for joint in joints for end in joint.findall("child")}
+    holding = {end.get("link") for joint in joints for end in joint.findall("parent")}
+    first = [link for link in links if link in holding and link not in held]
+    return first, [link for link in links if link in held and link not in holding]

@@ -377,3 +377,14 @@ def test_formulas_without_values_are_named_and_never_read_as_empty(tmp_path: Pat
     path.write_bytes(workbook([["theta_offset_deg", "d_mm"], [0, 1], ["=90*2", 1]]))
     said = refused(path, convention="dh")
     assert "cell A3 holds a formula without a computed value. Open the workbook" in said
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_an_arm_ends_where_only_a_free_joint_holds_it_or_what_it_carries(tmp_path: Path, kind: str) -> None:
+    links = "".join(f'<link name="{name}"/>' for name in ("world", "base", "upper", "tool", "box"))
+    joint = '<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/></joint>'
+    joints = [("root", kind, "world", "base"), ("a", "revolute", "base", "upper"), ("b", "revolute", "upper", "tool")]
+    text = "".join(joint.format(*one) for one in (*joints, ("grasp", kind, "tool", "box")))
+    path = write(tmp_path / "arm.urdf", f'<robot name="r">{links}{text}</robot>')
+    found = read_robot(path, Described(name="arm"))
+    assert (found["base_link"], found["tip_link"]) == ("base", "tool")
