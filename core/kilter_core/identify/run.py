@@ -33,7 +33,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.astray_rows import of_held_out, unless_astray
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
-from kilter_core.identify.plausibility.flat_boards import bent_boards
+from kilter_core.identify.plausibility.views.flat_boards import bent_boards
 from kilter_core.identify.reference import named, refuse_contradicted, wanted_frames
 from kilter_core.identify.registry import METHODS
 from kilter_core.identify.report import known_of_fit, null_rows, parameter_rows, warnings_of

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import norm
 
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.plausibility.views import scale_sentence
+from kilter_core.identify.plausibility.views.unrelated_views import scale_sentence
 from kilter_core.identify.views.cameras import Cameras, rig_of, unknown_rig
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.transforms import inverse

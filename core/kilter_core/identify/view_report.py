@@ -10,10 +10,10 @@ import numpy as np
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.moved_apart import Apart
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.plausibility.astray_views import astray, astray_views
 from kilter_core.identify.plausibility.moved_parts import Found, camera_moved
-from kilter_core.identify.plausibility.view_residuals import ViewResiduals
-from kilter_core.identify.plausibility.views import shuffled_control
+from kilter_core.identify.plausibility.views.astray_views import astray, astray_views
+from kilter_core.identify.plausibility.views.unrelated_views import shuffled_control
+from kilter_core.identify.plausibility.views.view_residuals import ViewResiduals
 from kilter_core.identify.scale_gauge import contradicted_scale
 from kilter_core.identify.uncertainty.by_views import by_views, predictive_of_views, sigmas_of, view_scatter
 from kilter_core.identify.uncertainty.clustered import clustered

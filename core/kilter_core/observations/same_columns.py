@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from kilter_core.observations.repeats import numbered_poses
 from kilter_core.observations.rig import Rig
 
-if TYPE_CHECKING:
-    from kilter_core.observations.rows import Observations
+Rows: TypeAlias = Any  # Observations, which join themselves by this module
 
 SET_UP = ("session", "setup")  # of a tracker: rows of cameras alone belong to the first
 INSTRUMENT = ("position", "markers")  # columns by which an instrument says where the tool was
@@ -20,7 +19,7 @@ TOOL = (*INSTRUMENT, "socket", "plane", "bar")  # columns that say where the too
 CONTACTS = ("socket", "plane", "bar", "bar_length")  # columns that say what held its ball
 
 
-def with_same_columns(parts: Sequence[Observations]) -> Sequence[Observations]:
+def with_same_columns(parts: Sequence[Rows]) -> Sequence[Rows]:
     """Return campaigns with the same columns, empty or unknown where one did not measure or state them.
 
     Campaigns that measured the tool in different ways still differ.
@@ -28,7 +27,7 @@ def with_same_columns(parts: Sequence[Observations]) -> Sequence[Observations]:
     return _with_same_conditions(_beside(_with_one_rig(parts)))
 
 
-def _beside(parts: Sequence[Observations]) -> Sequence[Observations]:
+def _beside(parts: Sequence[Rows]) -> Sequence[Rows]:
     """Campaigns side by side that measured different things: readings of sensors that others lack are empty there.
 
     Where one did not measure the tool at all, its place is empty too. Campaigns that measured the tool differently differ.
@@ -54,7 +53,7 @@ def _beside(parts: Sequence[Observations]) -> Sequence[Observations]:
     return parts
 
 
-def _with_same_conditions(parts: Sequence[Observations]) -> Sequence[Observations]:
+def _with_same_conditions(parts: Sequence[Rows]) -> Sequence[Rows]:
     """Campaigns of which some do not know from which side joints came, in which session, or when."""
     if any(part.direction is not None for part in parts):
         parts = [p if p.direction is not None else replace(p, direction=np.zeros_like(p.q)) for p in parts]
@@ -67,7 +66,7 @@ def _with_same_conditions(parts: Sequence[Observations]) -> Sequence[Observation
     return _with_pose_numbers([replace(part, **lost) for part in parts])
 
 
-def _with_contacts(parts: Sequence[Observations]) -> Sequence[Observations]:
+def _with_contacts(parts: Sequence[Rows]) -> Sequence[Rows]:
     """Campaigns beside others whose ball sockets, planes and bars held: nothing held those that measured no place."""
     if all(part.pixels is None for part in parts):
         return parts
@@ -77,7 +76,7 @@ def _with_contacts(parts: Sequence[Observations]) -> Sequence[Observations]:
     return parts
 
 
-def _unheld(part: Observations, name: str) -> Observations:
+def _unheld(part: Rows, name: str) -> Rows:
     if getattr(part, name) is not None:
         return part
     none = np.full(len(part), np.nan) if name == "bar_length" else np.zeros(len(part), dtype=np.int64)
@@ -85,11 +84,11 @@ def _unheld(part: Observations, name: str) -> Observations:
     return replace(part, **changes)
 
 
-def _measured(part: Observations, columns: Sequence[str]) -> bool:
+def _measured(part: Rows, columns: Sequence[str]) -> bool:
     return any(getattr(part, name) is not None for name in columns)
 
 
-def _filled(part: Observations, name: str, shape: tuple[int, ...]) -> Observations:
+def _filled(part: Rows, name: str, shape: tuple[int, ...]) -> Rows:
     """The rows with a column of this shape: empty where it is missing, or where it ends before its last places."""
     own = getattr(part, name)
     if own is not None and own.shape[1:] == shape:
@@ -101,7 +100,7 @@ def _filled(part: Observations, name: str, shape: tuple[int, ...]) -> Observatio
     return replace(part, **made)
 
 
-def _with_one_rig(parts: Sequence[Observations]) -> Sequence[Observations]:
+def _with_one_rig(parts: Sequence[Rows]) -> Sequence[Rows]:
     """Campaigns with all cameras and boards described once; rows that no camera measured have no pixels."""
     if all(part.rig is None for part in parts):
         return parts
@@ -111,7 +110,7 @@ def _with_one_rig(parts: Sequence[Observations]) -> Sequence[Observations]:
     return [_seen_by(part, rig, parts, codes) for part in parts]
 
 
-def _with_pose_numbers(parts: Sequence[Observations]) -> Sequence[Observations]:
+def _with_pose_numbers(parts: Sequence[Rows]) -> Sequence[Rows]:
     """Campaigns that all number their poses where views do: cameras at one pose share a number, which others lack."""
     if all(part.pose_id is None for part in parts):
         return parts
@@ -125,7 +124,7 @@ def _with_pose_numbers(parts: Sequence[Observations]) -> Sequence[Observations]:
     return out
 
 
-def _seen_by(part: Observations, rig: Rig, parts: Sequence[Observations], codes: dict[str, Any]) -> Observations:
+def _seen_by(part: Rows, rig: Rig, parts: Sequence[Rows], codes: dict[str, Any]) -> Rows:
     """One of the campaigns with the cameras and boards of all, and of the set-up of the first tracker where it has none."""
     own = part.rig or Rig((), ())
     changes: dict[str, Any] = {"rig": rig}

@@ -46,7 +46,7 @@ with later(__name__):
     from kilter_core.identify.fleet import versions as core_versions
     from kilter_core.identify.plausibility import another_arm as core_another_arm
     from kilter_core.identify.plausibility import astray_rows, believable, belonging, set_up_changes, sheet_order, units
-    from kilter_core.identify.plausibility import views as core_views
+    from kilter_core.identify.plausibility.views import unrelated_views as core_views
     from kilter_core.identify.rows import measurement_of_rows
     from kilter_core.identify.uncertainty import predictive, workspace
     from kilter_core.measurement import contacts, metrics

@@ -12,7 +12,7 @@ from kilter_core.identify.plausibility.lagging import lag_warnings
 from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
 from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
 from kilter_core.identify.plausibility.plausibility import refuse_foreign
-from kilter_core.identify.plausibility.views import refuse_unrelated_views
+from kilter_core.identify.plausibility.views.unrelated_views import refuse_unrelated_views
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import f
 
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.plausibility.view_residuals import NUMBERS, Part, ViewResiduals
+from kilter_core.identify.plausibility.views.view_residuals import NUMBERS, Part, ViewResiduals
 from kilter_core.observations.clock import clock_of
 from kilter_core.parameters import degrees, mm
 from kilter_core.types import QUANTILE, Bools, Floats, Ints

@@ -16,6 +16,7 @@ from scipy.stats import chi2, f
 from kilter_core.gap.evidence.fits.posterior import Posterior
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator, on_rows
 from kilter_core.gap.noise.visits import visits_of
+from kilter_core.gap.search.linear.in_space import root_of
 from kilter_core.gap.search.sources.rounding import readings_of
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
@@ -76,7 +77,7 @@ def unseen_fit(held: HoldoutEvaluator, matters_mm: float) -> UnseenFit | None:
     if rows is None or known is None or not plain or not noise.absolute:
         return None
     other, values = on_rows(source, rows, held.search, problem.values)
-    back = np.linalg.inv(np.linalg.cholesky(problem.settings.of_row + np.nan_to_num(other.doubt(values))))
+    back = np.linalg.inv(root_of(problem.settings.of_row + np.nan_to_num(other.doubt(values))))
     seen, kept = np.isfinite(other.residual(values)), held.kept
     r = np.einsum("nij,nj->ni", back, np.nan_to_num(other.residual(values)))
     B = back @ _spread(other, values, known)

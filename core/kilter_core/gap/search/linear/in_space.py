@@ -52,5 +52,5 @@ def derivatives_of(problem: LinearizedProblem, own: Sequence[int]) -> Floats:
 
 
 def root_of(covariance: Floats) -> Floats:
-    """Lower triangular root (m, m) of a covariance."""
-    return np.asarray(np.linalg.cholesky(covariance + 1e-20 * np.eye(len(covariance))), dtype=np.float64)
+    """Lower triangular root (..., m, m) of covariances."""
+    return np.asarray(np.linalg.cholesky(covariance + 1e-20 * np.eye(covariance.shape[-1])), dtype=np.float64)

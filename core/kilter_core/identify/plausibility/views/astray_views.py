@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from kilter_core.identify.plausibility.view_residuals import NUMBERS, ViewResiduals
+from kilter_core.identify.plausibility.views.view_residuals import NUMBERS, ViewResiduals
 from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats, Ints
 

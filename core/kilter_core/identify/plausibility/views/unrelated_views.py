@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.identify.plausibility.astray_views import rows_off
+from kilter_core.identify.plausibility.views.astray_views import rows_off
 from kilter_core.identify.views.other_rig import refuse_misplaced_corners, refuse_other_camera
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.board_poses import board_poses
