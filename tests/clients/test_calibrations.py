@@ -122,7 +122,6 @@ def test_markers_that_changed_places_are_refused_by_client_and_server(
     sheet = str(write(tmp_path / "swapped.csv", train.q, cells))
     refused = said(capsys, "upload", "swapped", sheet, code=1)
     assert "markers 'm1' and 'm3' change places between rows 20 and 21" in refused["detail"]
-    by_server = said(capsys, "upload", "swapped", sheet, "--unchecked", code=1)
-    assert by_server["code"] == "markers_swapped"
-    assert "From row 21 on" in by_server["detail"]
     assert said(capsys, "campaigns", "list", "swapped")["campaigns"] == []
+    by_server = said(capsys, "upload", "swapped", sheet, "--unchecked")  # whoever says that they are right is believed
+    assert any("From row 21 on" in one for one in by_server["warnings"])

@@ -420,15 +420,14 @@ def test_a_version_that_predicts_nothing_at_all_is_refused(lab: Lab) -> None:
 
 def test_what_a_version_needs_and_a_campaign_lacks_is_said(lab: Lab) -> None:
     q = lab.readings(60, 1)
-    directions = np.random.default_rng(4).choice([-1.0, 1.0], q.shape)
-    columns = {f"dir{j + 1}": directions[:, j].tolist() for j in range(6)}
-    version = lab.identify([lab.campaign(q, 1, **columns)], effects=["backlash"])
+    warm = np.random.default_rng(4).uniform(18.0, 30.0, len(q)).tolist()
+    version = lab.identify([lab.campaign(q, 1, temperature_c=warm)], effects=["thermal_growth"])
     plain = lab.identify([lab.campaign(lab.readings(40, 2), 2)])
     bare = lab.campaign(lab.readings(20, 3), 3)
     found = lab.activate(version).raise_for_status().json()
     assert found["compared"] is None
     assert codes(found["warnings"]) == {"campaign_not_compared", "nothing_to_compare"}
-    assert any("c (3)" in w["message"] and "direction" in w["message"] for w in found["warnings"])
+    assert any("c (3)" in w["message"] and "temperature" in w["message"] for w in found["warnings"])
     found = lab.activate(plain).raise_for_status().json()
     assert found["compared"]["campaigns"] == [bare]
     assert found["compared"]["active"] is None

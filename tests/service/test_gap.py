@@ -143,13 +143,14 @@ def test_what_the_data_lack_is_said(client: httpx.Client, worker: Any, until: Un
     whole = arm.columns
     first = np.unique(whole["pose_id"], return_index=True)[1]
     once = {name: [values[k] for k in first] for name, values in whole.items()}
-    campaigns = [arm.upload(without(whole, "dir")), arm.upload(once)]
+    campaigns = [arm.upload(without(whole, "temperature")), arm.upload(once)]
     worker.start()
-    blind, relative = (arm.hunt(until, campaign) for campaign in campaigns)
-    backlash = next(row for row in blind["not_testable"] if row["id"] == "backlash")
-    assert "direction" in backlash["reason"]
-    assert backlash["remedy"]
-    assert "backlash" not in {e["id"] for e in blind["effects"]}
+    blind = arm.hunt(until, campaigns[0], options={"effects": ["thermal_growth", "eccentricity"]})
+    relative = arm.hunt(until, campaigns[1])
+    growth = next(row for row in blind["not_testable"] if row["id"] == "thermal_growth")
+    assert "temperature_c" in growth["reason"]
+    assert growth["remedy"]
+    assert "thermal_growth" not in {e["id"] for e in blind["effects"]}
     # One row per pose: nothing tells the noise, so no verdict can be more than provisional.
     assert "no_repeats" in {w["code"] for w in relative["warnings"]}
     assert "relative" in relative["sentence"]

@@ -55,6 +55,10 @@ def from_unknown_sides(
     arm, there = _as_corrected(calibration, done, temperature_c)
     if "direction" not in arm.model.needs:
         return out
+    # What follows a column that a path lacks moves the tool alike on either side.
+    arm = arm.with_effects(
+        [e for e in arm.model.effects if all(getattr(there, name, 0) is not None for name in e.needs)]
+    )
     axes = arm.wanted().model.T_base[:3, :3]
     unknown = (done.direction == 0.0) & (done.status == Status.OK)[:, None]
     for joint in np.flatnonzero(unknown.any(axis=0)):

@@ -239,7 +239,7 @@ def reloaded(settings: ProblemSettings, values: Floats) -> ProblemSettings:
 def doubted(settings: ProblemSettings, values: Floats) -> ProblemSettings:
     """The setting with the scatter of doubtful signs of loads and of unknown sides at these values; itself if unchanged."""
     source, direction = settings.source, settings.source.batch.direction
-    if source.batch.blur is None and (direction is None or direction.all()):
+    if not source.observes_tool or (source.batch.blur is None and (direction is None or direction.all())):
         return settings
     doubt = source.doubt(values)
     before = 0.0 if settings.doubt is None else settings.doubt
