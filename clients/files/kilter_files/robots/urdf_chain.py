@@ -38,7 +38,7 @@ def chain_of(path: Path, text: str, base_link: str | None, tip_link: str | None)
 def _ends(path: Path, text: str) -> tuple[list[str], list[str]]:
     """Return the links that hang on no other, and those on which none hangs, in the order of the file.
 
-    Floating and planar joints hold nothing, so a link that only they join to others is no end of an arm.
+    Floating and planar joints hold nothing, so an arm does not end at a link that only they join to others.
     """
     if "<!DOCTYPE" in text:
         raise FileError(f"{path}: a URDF has no document type: take the <!DOCTYPE> out.", file=str(path))
