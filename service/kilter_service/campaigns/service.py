@@ -13,12 +13,12 @@ from kilter_core.errors import ObservationError
 from kilter_service.campaigns import store, wire
 from kilter_service.campaigns.belonging import judged_whole
 from kilter_service.campaigns.chunks import Chunk, write_chunk
-from kilter_service.campaigns.payload_size import payload_warning
 from kilter_service.campaigns.records import CampaignRecord
-from kilter_service.campaigns.rules import RowRules
+from kilter_service.campaigns.row_rules.payload_size import payload_warning
+from kilter_service.campaigns.row_rules.rules import RowRules
+from kilter_service.campaigns.row_rules.view_rules import views_rules
 from kilter_service.campaigns.servo_zeros import refuse_other_servos, refuse_other_zeros
 from kilter_service.campaigns.stamps import date_by_stamps, last_stamp
-from kilter_service.campaigns.view_rules import views_rules
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.columns import CONTACTS, TILTS
 from kilter_service.contract.remarks import Remark

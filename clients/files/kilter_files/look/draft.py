@@ -77,7 +77,7 @@ def draft(path: Path, robot: Sequence[str] = ()) -> Draft:
     )
     lines += [f"# not used: {joined_names(found.unused)}"] if found.unused else []
     lines += [] if axes else [JOIN.rstrip(), POSES]
-    lines += ["", *_turned_lines(columns, turn)] if turn else []
+    lines += ["", *_orientation_lines(columns, turn)] if turn else []
     lines += _poses(columns, found.entries, axes) + _rows(columns, found.entries, found.unused)
     text = _top(path, found.open) + "\n".join(lines) + "\n"
     return Draft(text, found.open, found.guessed, sorted(found.taken), found.unused)
@@ -125,7 +125,7 @@ def _line(columns: Columns, entry: Entry) -> str:
     return f"{key} = {{ from = {_quoted(source)}{unit} }}{mark}"
 
 
-def _turned_lines(columns: Columns, turn: Turned) -> list[str]:
+def _orientation_lines(columns: Columns, turn: Turned) -> list[str]:
     listed = ", ".join(_quoted(columns.key(name)) for name in turn.names)
     out = ["[orientation]", f"from = [{listed}]"]
     mark = f"   # {turn.remark}" if turn.remark else ""

@@ -63,23 +63,27 @@ def _convert(column: Column, source: Source) -> list[float]:
         texts = source.texts(column.source)
         stamps = stamps_of(texts, source.lines, source.path, column.source, column.date_format)
         return times_of_rows(seconds_of(stamps)) if stamps else []
-    names = _session_names(column, source)
-    if names is not None:
-        return [float(number_of_session(name)) if name.strip() else math.nan for name in names]
+    numbers = _numbers_of_names(column, source)
+    if numbers:
+        return [float(numbers.get(cell.strip(), math.nan)) for cell in source.texts(column.source)]
     convert = converter(column.unit, unit_of(column.target) or "")
     assert convert is not None  # the map was checked when it was read
     values = [convert(column.scale * value + column.offset) for value in source.numbers(column.source)]
     return values if column.still_below is None else _directions(values, column.still_below)
 
 
-def _session_names(column: Column, source: Source) -> list[str] | None:
-    """Cells of sessions or poses that have names; None for any other column. A session's are names only, or numbers only."""
+def _numbers_of_names(column: Column, source: Source) -> dict[str, int]:
+    """Return the numbers of sessions or poses that have names, empty for any other column.
+
+    A session has the same number in every file, and its cells are names only. Poses are counted in a file from 1.
+    """
     if column.target not in (SESSION, POSE) or column.source is None:
-        return None
-    cells = source.texts(column.source)
+        return {}
+    cells = dict.fromkeys(filter(None, map(str.strip, source.texts(column.source))))
+    numeric = [NUMBER.fullmatch(cell) is not None for cell in cells]
     if column.target == POSE:
-        return cells if any(cell.strip() and not NUMBER.fullmatch(cell.strip()) for cell in cells) else None
-    return None if any(NUMBER.fullmatch(cell.strip()) for cell in cells) or not any(map(str.strip, cells)) else cells
+        return {} if all(numeric) else {cell: number for number, cell in enumerate(cells, 1)}
+    return {} if any(numeric) else {cell: number_of_session(cell) for cell in cells}
 
 
 def _directions(speeds: list[float], still_below: float) -> list[float]:
@@ -97,9 +101,8 @@ def _understood(column: Column, source: Source) -> str:
         return f"{column.target} = {column.value:g} in every row"
     turned = f" x {column.scale:g}" if column.scale != 1 else ""
     shifted = f" {column.offset:+g}" if column.offset else ""
-    names = _session_names(column, source)
-    called = {name: number_of_session(name) for name in dict.fromkeys(filter(str.strip, names or ()))}
-    numbered = f": {told(called)}" if called else ""
+    numbers = _numbers_of_names(column, source)
+    numbered = f": {told(numbers)}" if numbers else ""
     unit = f" [{column.unit}]" if column.unit else ""
     return f"{column.target} from {column.source!r}{turned}{shifted}{unit}{numbered}"
 

@@ -1,8 +1,8 @@
 """Factory calibrations of Universal Robots arms as DH tables: a controller's ``calibration.conf``, and lists ``dh_a`` ...
 
-Axes 2, 3 and 4 are nearly parallel, so the common normals of a calibrated table lie metres away and turned. What a joint
-does not feel, a displacement along its axis and a rotation about it, is handed on to the next link: frames stay near
-those of the drawing, and so do their small errors.
+Axes 2, 3 and 4 are nearly parallel, so the common normals of a calibrated table lie metres away and point elsewhere.
+What a joint does not feel, a displacement along its axis and a rotation about it, is handed on to the next link: frames
+stay near the nominal ones, and so do their small errors.
 """
 
 from __future__ import annotations

@@ -9,19 +9,22 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, edited
 from kilter_files.ground.faults import fault
-
-if TYPE_CHECKING:
-    from kilter_files.formats.programs.poses.track import Track
 
 # every repeat is bounded: a damaged file must not make the search slow
 NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 SAME_DEG = 5e-10  # a joint that moves less keeps its characters
 DATA = "no move of the program goes to these joints, and it uses them otherwise"
 EXTERNAL_AXES = "external axes are left out: what they move belongs to the base or the tool"
+
+
+@dataclass(frozen=True)
+class Track:
+    """Which way a rail carries the arm's root, in the root's own frame, mm for each unit of the program."""
+
+    along: tuple[float, float, float]
 
 
 @dataclass(frozen=True)

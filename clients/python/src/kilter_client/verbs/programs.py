@@ -31,9 +31,8 @@ from kilter_client.verbs.versions import correct
 
 if TYPE_CHECKING:
     from kilter_client.results.program import FilteredProgram
-    from kilter_files.formats.programs.found import Program, Stated
+    from kilter_files.formats.programs.found import Program, Stated, Track
     from kilter_files.formats.programs.one_target import JointTarget, PoseTarget
-    from kilter_files.formats.programs.poses.track import Track
 
 Frames: TypeAlias = "Mapping[str, Sequence[float] | str] | Sequence[float] | str"
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 
-from kilter_files.formats.programs.found import NUMBER, Stated
+from kilter_files.formats.programs.found import NUMBER, Stated, Track
 from kilter_files.formats.programs.notations import Frame, Notation
 
 # mm or deg: where an arm of which errors are some mm in a metre stands this far from where it is taken to be, its
@@ -14,13 +13,6 @@ from kilter_files.formats.programs.notations import Frame, Notation
 AT_ZERO = 0.01
 WRITTEN = re.compile(rf"\s*([-+]?)([xyz])\s*(?:,\s*({NUMBER})\s*)?", re.I)
 NONE = "none"
-
-
-@dataclass(frozen=True)
-class Track:
-    """Which way a rail carries the arm's root, in the root's own frame, mm for each unit of the program."""
-
-    along: tuple[float, float, float]
 
 
 def parse_track(said: str) -> Track | None:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from kilter_core.errors import ObservationError
 from kilter_core.types import Floats
 from kilter_service.campaigns.belonging import Belonging
-from kilter_service.campaigns.joint_limits import JointLimits
-from kilter_service.campaigns.payload_size import PayloadSize
-from kilter_service.campaigns.view_rules import ViewRules
+from kilter_service.campaigns.row_rules.joint_limits import JointLimits
+from kilter_service.campaigns.row_rules.payload_size import PayloadSize
+from kilter_service.campaigns.row_rules.view_rules import ViewRules
 from kilter_service.contract.columns import BASE, CONTACTS, NAMED, PLACE, TILTS
 from kilter_service.ground.core import belonging, units
 from kilter_service.ground.tables.columns import Column
