@@ -75,15 +75,16 @@ def _convert(column: Column, source: Source) -> list[float]:
 def _numbers_of_names(column: Column, source: Source) -> dict[str, int]:
     """Return the numbers of sessions or poses that have names, empty for any other column.
 
-    A session has the same number in every file, and its cells are names only. Poses are counted in a file from 1.
+    One name has the same number in every file: rows of two files may share a session, or a pose. A session's cells are names
+    only, of poses some may be.
     """
     if column.target not in (SESSION, POSE) or column.source is None:
         return {}
     cells = dict.fromkeys(filter(None, map(str.strip, source.texts(column.source))))
     numeric = [NUMBER.fullmatch(cell) is not None for cell in cells]
-    if column.target == POSE:
-        return {} if all(numeric) else {cell: number for number, cell in enumerate(cells, 1)}
-    return {} if any(numeric) else {cell: number_of_session(cell) for cell in cells}
+    if all(numeric) if column.target == POSE else any(numeric):
+        return {}
+    return {cell: number_of_session(cell) for cell in cells}
 
 
 def _directions(speeds: list[float], still_below: float) -> list[float]:
