@@ -189,4 +189,4 @@ def test_names_of_poses_become_numbers(tmp_path: Path, poses: tuple[Floats, Floa
     found = [float(row["pose_id"]) for row in rows]
     assert found == found[:2] * (ROWS // 2)
     assert found[0] != found[1]
-    assert any("pose_id from 'Pose': 1 is 'Pose A', 2 is 'Pose B'" in note for note in done.notes)
+    assert any(f"{found[0]:.0f} is 'Pose A', {found[1]:.0f} is 'Pose B'" in note for note in done.notes)
