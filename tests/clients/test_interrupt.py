@@ -32,6 +32,9 @@ def started(*arguments: str) -> subprocess.Popen[str]:
     )
 
 
+MANY = 20_000  # draws of a search, which is then not over before the interruption on a slow machine either
+
+
 def interrupted(process: subprocess.Popen[str]) -> tuple[str, str]:
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
@@ -43,16 +46,16 @@ def interrupted(process: subprocess.Popen[str]) -> tuple[str, str]:
 @pytest.mark.parametrize("command", ["gap", "watch"])
 def test_while_a_job_runs(robot: str, kilter: Kilter, write_campaign: Write, command: str) -> None:
     campaign = kilter.campaigns.add(robot, "monday")["id"]
-    kilter.campaigns.upload(campaign, write_campaign(400))  # the search must not be over before the interruption
+    kilter.campaigns.upload(campaign, write_campaign(400))
     if command == "watch":
-        job = kilter.jobs.submit("gap", robot, [campaign])["id"]
+        job = kilter.jobs.submit("gap", robot, [campaign], options={"bootstraps": MANY})["id"]
         process = started("jobs", "watch", "latest", "--robot", robot)
         assert process.stderr is not None
         assert process.stderr.readline() == f"job 'latest' is {job}\n"
         while kilter.jobs.get(job)["state"] == "queued":
             continue
     else:
-        process = started("gap", robot, "--campaign", "monday")
+        process = started("gap", robot, "--campaign", "monday", "--option", f"bootstraps={MANY}")
         assert process.stderr is not None
         process.stderr.readline()
         job = process.stderr.readline().split()[1]
