@@ -113,7 +113,7 @@ def inspect(path: Path | str, **said: Any) -> dict[str, Any]:
 def draft(path: Path | str, robot: Sequence[str] = ()) -> Draft:
     """Draft a column map for a file: what names and ranges tell, and marks where they do not.
 
-    ``robot`` are the joints of the arm, from base to tool; sliding ones end in ``:m``.
+    ``robot`` are the joints of the arm, from base to tool; prismatic ones end in ``:m``.
 
     Raises:
         FileError: no table of numbers is found in it.

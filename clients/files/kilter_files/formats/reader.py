@@ -47,8 +47,8 @@ class LogHints:
 class Hints:
     """What the person says of a file that does not say it itself.
 
-    ``joints`` are columns of another file, a row for each of its. ``robot`` are the joints of the arm, sliding ones with ``:m``
-    at the end.
+    ``joints`` are columns of another file, a row for each of its. ``robot`` are the joints of the arm, prismatic ones with
+    ``:m`` at the end.
     """
 
     rate_hz: float | None = None

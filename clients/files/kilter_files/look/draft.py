@@ -59,7 +59,7 @@ class Draft:
 
 
 def draft(path: Path, robot: Sequence[str] = ()) -> Draft:
-    """Draft a column map for a file; ``robot`` are the joints of the arm, sliding ones with ``:m`` at the end.
+    """Draft a column map for a file; ``robot`` are the joints of the arm, prismatic ones with ``:m`` at the end.
 
     Raises:
         FileError: no table of numbers is found in it.

@@ -58,7 +58,7 @@ def unplaced_axes(columns: Columns, found: Sequence[Entry]) -> Entry | None:
 
 
 def _columns_by_kind(robot: Sequence[str], turning: Sequence[str], beside: Sequence[str]) -> list[str]:
-    """Return the columns in the robot's order where its only sliding joints are the axes beside the arm."""
+    """Return the columns in the robot's order where its only prismatic joints are the axes beside the arm."""
     slides = [joint.endswith(":m") for joint in robot]
     if not beside or slides.count(True) != len(beside) or slides.count(False) != len(turning):
         return []

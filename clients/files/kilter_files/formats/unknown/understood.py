@@ -71,7 +71,7 @@ def table_of(head: Head) -> Understood | None:
 
 
 def understand(path: Path, robot: Sequence[str] = ()) -> Understood:
-    """Find out what the columns of a file are; ``robot`` are the joints of the arm, sliding ones with ``:m`` at the end.
+    """Find out what the columns of a file are; ``robot`` are the joints of the arm, prismatic ones with ``:m`` at the end.
 
     Raises:
         FileError: no table of numbers is found in it.
