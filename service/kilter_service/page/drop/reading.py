@@ -39,7 +39,7 @@ def read(database: Database, draft: Draft) -> None:
 
 
 def _joints(database: Database, robot: str) -> list[str]:
-    """Return the robot's joint names; those that slide end in ``:m``, as the readers of files take them."""
+    """Return the robot's joint names; the prismatic ones end in ``:m``, as the readers of files take them."""
     return [one.name + (":m" if one.kind == "prismatic" else "") for one in robots.get(database, robot).joints]
 
 

@@ -96,7 +96,7 @@ def _worker(database: Database) -> Check:
     found = _heartbeats(database, "worker")
     alive = [one for one in found if _alive(one)]
     if alive:
-        return Check(ok=True, detail=f"{len(alive)} alive{_was_set(alive)}")
+        return Check(ok=True, detail=f"{len(alive)} alive{_was_set()}")
     why = (
         _ahead(found)
         or _starting("worker", found)
@@ -116,7 +116,7 @@ def _process(database: Database, process: str, expected: bool) -> Check:
         return Check(ok=not expected, detail=said)
     silent = [one for one in found if not _alive(one)]
     if not silent:
-        return Check(ok=True, detail=f"{len(found)} alive{_was_set(found)}")
+        return Check(ok=True, detail=f"{len(found)} alive{_was_set()}")
     names = ", ".join(one.name for one in silent)
     said = f"{names} last spoke {max(one.age_s for one in silent):.0f} s ago: {REMEDY.format(process)}"
     return Check(ok=False, detail=_ahead(silent) or said)
@@ -143,16 +143,12 @@ def _starting(process: str, found: list[store.Heartbeat]) -> str | None:
 
 
 def _alive(one: store.Heartbeat) -> bool:
-    return _spoke_now(one) or any(abs(one.age_s - by_s) <= SILENT_AFTER_S for by_s in clock().sets_s())
+    return any(abs(one.age_s - by_s) <= SILENT_AFTER_S for by_s in (0.0, *clock().sets_s()))
 
 
-def _spoke_now(one: store.Heartbeat) -> bool:
-    return abs(one.age_s) <= SILENT_AFTER_S
-
-
-def _was_set(alive: list[store.Heartbeat]) -> str:
-    """What to say of heartbeats that are dated by the clock as it was before."""
-    by_s = 0.0 if any(map(_spoke_now, alive)) else max(clock().sets_s(), key=abs, default=0.0)
+def _was_set() -> str:
+    """What to say when the clock was set a moment ago: heartbeats may be dated by the clock as it was before."""
+    by_s = max(clock().sets_s(), key=abs, default=0.0)
     if not by_s:
         return ""
     return f"; the clock was just set {'forward' if by_s > 0 else 'back'} by {abs(by_s):.0f} s"

@@ -16,7 +16,7 @@ AXIS_NUMBER = re.compile(r"(?<=[a-z])(?=\d)")
 
 
 def robot_joints(columns: Columns, robot: Sequence[str], found: Sequence[Entry]) -> list[Entry]:
-    """Return the lines of the joints of a robot, by their names or else by their kinds; ``:m`` ends those that slide.
+    """Return the lines of the joints of a robot, by their names or else by their kinds; ``:m`` ends the prismatic ones.
 
     ``found`` are the lines that names and ranges tell without it. They stay where they are as many as the robot has.
     """
