@@ -146,6 +146,16 @@ def test_a_confirmation_without_the_effect_contradicts_it(robot, small):
     assert not effect.gates["confirmation"]
 
 
+def test_a_law_of_time_stays_behind_where_the_confirmation_has_another_clock(robot):
+    drift = ("zero_drift", (1,), (3e-7,))
+    rows = campaign(robot, [drift], poses=60, seed=3, arm=1)
+    report = find_gap(robot, rows, replace(QUICK, effects=("zero_drift", "eccentricity")), confirmation=again(robot, []))
+    effect = next(j for j in report.effects if j.evidence.candidate.id == "zero_drift")
+    assert effect.evidence.replication.outcome == "not_testable"
+    assert "another clock" in effect.evidence.replication.reason
+    assert effect.gates["confirmation"]  # which says nothing against it
+
+
 def test_a_confirmation_that_cannot_show_the_effect_says_so(robot):
     rows = campaign(robot, [("backlash", (1,), (6e-4,))], poses=45, revisits=15, seed=3, arm=1)
     blind = replace(again(robot, [("backlash", (1,), (6e-4,))]), direction=None)

@@ -16,6 +16,7 @@ from scipy.stats import norm
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect
+from kilter_core.effects.law_of_time import LawOfTime
 from kilter_core.errors import CoreError, ObservationError, TooFewPosesError
 from kilter_core.gap.evidence.fits.posterior import Posterior
 from kilter_core.gap.evidence.guarded import Guarded
@@ -34,6 +35,7 @@ from kilter_core.types import Floats, Progress
 
 NONZERO = 0.01  # chance of calling an effect seen again that is not there
 AGREES = 3.0  # combined standard deviations within which two amplitudes are one
+ELSEWHEN = "It goes with the clock of the search: a campaign on another clock does without it."
 ONCE = "It happened once, in the rows of the search: another campaign cannot show it again, and comes after it."
 WORSE = "It predicts the confirmation worse than the search's fit without it."
 WIDE = 1e4  # prior sigmas: amplitudes are fitted again, without a prior
@@ -202,7 +204,8 @@ def replication(
         return Replication((), np.zeros(0), np.zeros(0), None, None, ONCE)
     missing = _missing(candidate.effects[0], rows)
     if missing or not names:
-        why = f"The confirmation has no {' and no '.join(missing)}." if missing else "It is part of no stored model."
+        elsewhen = ELSEWHEN if isinstance(candidate.effects[0], LawOfTime) else "It is part of no stored model."
+        why = f"The confirmation has no {' and no '.join(missing)}." if missing else elsewhen
         return Replication((), np.zeros(0), np.zeros(0), None, None, why)
     return confirmation.of_parameters(names, np.array([p.prior_sigma for p in parameters]), candidate.positive)
 
@@ -244,7 +247,8 @@ def _placed(found: Calibration, rows: Observations, options: GapOptions, progres
 def _linear(prepared: Prepared, found: Calibration, posterior: Posterior) -> tuple[Floats, Floats, tuple[str, ...]]:
     """Whitened residual at the values of the search, derivatives by its parameters but base and tool, their names."""
     problem, source = prepared.problem, prepared.problem.settings.source
-    G, names, moved = source.by_version(problem.values, found, posterior.names)
+    kept = set(found.names)  # laws of time stay behind where the clock is another, and the library has them again
+    G, names, moved = source.by_version(problem.values, found, [name for name in posterior.names if name in kept])
     J = problem.settings.whitening.columns(G)
     return problem.raw + J @ moved, J, tuple(names)
 
