@@ -95,7 +95,7 @@ def test_what_revisits_say_is_told_beside_the_effect_that_they_bear_out(capsys: 
 
 
 def test_the_joints_at_which_both_halves_name_an_effect_are_told(capsys: pytest.CaptureFixture[str]) -> None:
-    halves = {"named": [True, True], "apart_sigma": 0.7, "beside_shapes_sigma": 9.0, "joints": [2, 5]}
+    halves = {"named": [True, True], "apart_sigma": 0.7, "joints": [2, 5]}
     play = {"id": "backlash", "joints": [2, 4, 5], "verdict": "class_confirmed", "gain_mm": 0.2, "p_value": 1e-9}
     assert "; both name it at joint 2, 5\n" in printed(capsys, effects=[play | {"halves": halves}])
     assert "Both name it at joint 2, 5." in " ".join(claim_of(NamedEffect(**play, halves=halves)).remarks)

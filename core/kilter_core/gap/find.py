@@ -17,7 +17,7 @@ from kilter_core.gap.evidence.fits.intervals import Amplitude, amplitudes, seen_
 from kilter_core.gap.evidence.fits.sign_uncertainty import narrowed
 from kilter_core.gap.evidence.fits.widened import widened
 from kilter_core.gap.evidence.guarded import Guard
-from kilter_core.gap.evidence.halves import Sides, halves
+from kilter_core.gap.evidence.halves import Halves, Sides, halves
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy, adequacy
 from kilter_core.gap.evidence.held_out.by_kind import by_kind
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator, gap_document, noise_document
@@ -45,11 +45,11 @@ from kilter_core.gap.evidence.verdict import Evidence, Judged, is_settled, judge
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.aside import agreement_sentence, poses_again, rows_aside
 from kilter_core.gap.report.effect_curves import effect_curves
-from kilter_core.gap.report.ends import at_ends
 from kilter_core.gap.report.figures import figures
 from kilter_core.gap.report.localization import Place, localize, remains
 from kilter_core.gap.report.next_poses import rows_of, separate
 from kilter_core.gap.report.report import GapReport, Remains
+from kilter_core.gap.report.search_warnings import at_ends, size_warnings, unloaded_warnings, unplanned_warnings
 from kilter_core.gap.report.stored import Stored, stored
 from kilter_core.gap.report.told_apart import Proposed, never_told, told_apart
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
@@ -57,7 +57,6 @@ from kilter_core.gap.search.events import numbered
 from kilter_core.gap.search.finalize import chance, or_geometry_alone
 from kilter_core.gap.search.forward_selection import SearchResult, search
 from kilter_core.gap.search.linear.complete_form import incomplete_sentence, incomplete_warnings, missing_directions
-from kilter_core.gap.search.linear.in_space import fit_rms
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.gap.search.re_evaluated_search import rejudged
@@ -75,7 +74,6 @@ from kilter_core.identify.comparison.other_setups import CONFIRM, elsewhere
 from kilter_core.identify.identifiable.load_model import far_from_stated
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
-from kilter_core.identify.report import large_residual
 from kilter_core.identify.rows.read_tilt import as_inputs
 from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.identify.views.planned_views import PlannedViews
@@ -83,12 +81,11 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import clock_warnings
-from kilter_core.parameters import degrees, metres, reported
+from kilter_core.parameters import metres, reported
 from kilter_core.types import Progress, unheard
 
 SEARCHES = 2  # the second where the noise of the first showed that more could be tested
 AGAIN = "a second search under the noise of the first"
-LARGE_DEG = 2.0  # left between two encoders of a joint: worth a warning
 
 
 def find_gap(
@@ -227,9 +224,11 @@ class _Run:
             alias_matrix=alias_matrix(problem, candidates, found.chosen), noise=noise_document(found.problem.settings),
             warnings=(
                 *incomplete_warnings(lacking),
-                *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
+                *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(),
+                *unloaded_warnings(prepared), *size_warnings(found),
                 *self._worse(found, held, kept), *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
-                *self._unplanned(effects), *kept.alike(), *(() if told is None else told.warnings()),
+                *(unplanned_warnings(problem) if effects and self.options.next_poses else ()),
+                *kept.alike(), *(() if told is None else told.warnings()),
                 *event_warnings(
                     found, events(found, self.every, moves_mm(found)),
                     {j.evidence.place for j in effects if not j.certain},
@@ -268,11 +267,11 @@ class _Run:
             lambda: self.budget.over(RESAMPLING, "resamples of poses"),
         )  # fmt: skip
         shuffled = controls(
-            found, self.options.permutations, self.options.seed,
+            found, list(drafts), self.options.permutations, self.options.seed,
             _stage(self.progress, 0.85, 0.95, "negative control"),
             lambda: self.budget.over(SHUFFLING, "shuffles of the negative control"),
         )  # fmt: skip
-        tried = [replace(drafts[c.place], inclusion=shares[c.place], control=c) for c in shuffled]
+        tried = [replace(drafts[c.place], inclusion=shares.get(c.place), control=c) for c in shuffled]
         out = sorted((judged(evidence) for evidence in tried), key=lambda j: -j.evidence.gain_mm)
         return tuple(out), control_document(found, shuffled, self.options.permutations, self.options.seed)
 
@@ -280,22 +279,31 @@ class _Run:
         self, found: SearchResult, fit: Adequacy, left: Misfit, kept: Stored, held: HoldoutEvaluator,
         whole: Callable[[float], bool], aliases: dict[int, tuple[Alias, ...]],
     ) -> dict[int, Evidence]:  # fmt: skip
-        """All evidence but that of resamples and shuffles, which take longest and only matter where this lets a name rise."""
+        """All evidence but that of resamples and shuffles, of what takes the most off the errors first.
+
+        These take longest, and only matter where this lets a name rise. No verdict waits for profile intervals.
+        """
+        moved, again = moves_mm(found), self._replications(found, kept)
+        own, sides = dict[int, Halves | None](), Sides(found, self.options.max_effects)
+        # Only where something else is left is an effect asked to rise by itself.
+        alone = {k for k in found.chosen if not whole(moved[k]) and not fit.too_large}
+        for k in sorted(found.chosen, key=held.taken_off, reverse=True):
+            late = k in alone and self.budget.over(MEASURING, "the halves of the campaign")
+            own[k] = halves(sides, k, [a.place for a in aliases[k]]) if k in alone and not late else None
         sizes = amplitudes(
-            found, _stage(self.progress, 0.5, 0.58, "profile intervals"),
+            found, _stage(self.progress, 0.6, 0.65, "profile intervals"),
             lambda: self.budget.over(MEASURING, "profile intervals"),
         )  # fmt: skip
-        moved, again = moves_mm(found), self._replications(found, kept)
-        out, sides = {}, Sides(found, self.options.max_effects)
-        for n, k in enumerate(found.chosen):
-            self.progress(0.6 + 0.05 * n / len(found.chosen), "held-out poses")
-            # Only where something else is left is an effect asked to rise by itself.
-            alone = not whole(moved[k]) and not fit.too_large
-            late = alone and self.budget.over(MEASURING, "the halves of the campaign")
-            own = halves(sides, k, [a.place for a in aliases[k]]) if alone and not late else None
-            borne = None if own is None or not own.lasts else outweighing(found, k, own.joints, left)
-            evidence = self._evidence(found, k, aliases[k], sizes, held)
-            out[k] = replace(evidence, moves_mm=moved[k], replication=again.get(k), halves=own, borne=borne)
+        out = {}
+        for k, told in own.items():
+            borne = None if told is None or not told.lasts else outweighing(found, k, told.joints, left)
+            evidence, late = (
+                self._evidence(found, k, aliases[k], sizes, held),
+                told is None and k in alone and sides.able,
+            )
+            out[k] = replace(
+                evidence, moves_mm=moved[k], replication=again.get(k), halves=told, untimed=late, borne=borne
+            )
         return out
 
     def _replications(self, found: SearchResult, kept: Stored) -> dict[int, Replication]:
@@ -326,36 +334,6 @@ class _Run:
             local_bump_test(found, place, self.prepared.visits.observations.q),
             held.poses, joints, any_, separated=separated(found, place),
         )  # fmt: skip
-
-    def _large(self, found: SearchResult) -> Iterator[dict[str, Any]]:
-        """Say when much is left after everything that was named: a fact about the model, no verdict about the rows."""
-        problem, size = found.problem, fit_rms(found.problem)
-        if problem.settings.source.observes_tool:
-            source = problem.settings.source
-            points = source.model.predict(source.batch, source.model_values(problem.values)).position
-            yield from large_residual(size, points)
-        elif degrees(size) > LARGE_DEG:
-            yield {"code": "large_residual", "message": f"{degrees(size):.2f} deg are left between the encoders."}
-
-    def _unsearched(self) -> Iterator[dict[str, Any]]:
-        """Say which effects were not looked for because nothing is known to load the joints."""
-        source = self.prepared.problem.settings.source
-        loaded = list(dict.fromkeys(e.id for e in self.prepared.library.effects if "moments" in e.needs))
-        if loaded and not np.any(source.batch.wrench):
-            yield {
-                "code": "no_load", "effects": loaded,
-                "message": f"{', '.join(loaded)} were not looked for: they follow load moments, and neither link masses nor a "
-                "payload are known. Give the robot's links mass_kg and com_mm, or the rows payload_kg, and search again.",
-            }  # fmt: skip
-
-    def _unplanned(self, effects: tuple[Judged, ...]) -> Iterator[dict[str, Any]]:
-        """Say why no poses are proposed where contacts decide which poses the arm can take."""
-        if effects and self.options.next_poses and not self.prepared.problem.settings.source.observes_places:
-            yield {
-                "code": "no_next_poses",
-                "message": "No poses are proposed: the contact decides which poses the arm can take. To make a name surer, "
-                "hold the ball in more placements, with joint angles and orientations that differ from those measured.",
-            }
 
     def _worse(self, found: SearchResult, held: HoldoutEvaluator, kept: Stored) -> Iterator[dict[str, Any]]:
         """Warn when held-out poses are predicted worse than by geometry, or by base and tool, alone."""

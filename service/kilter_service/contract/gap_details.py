@@ -49,7 +49,7 @@ class HeldOutGain(Stored):
 
 
 class Gates(Stored):
-    """The tests an effect passed or did not; all must be passed to be confirmed."""
+    """The tests an effect passed or did not; all must be passed to be confirmed. Null: not tested."""
 
     physical: bool | None = Field(None, description="It is a cause, not a shape.")
     adequate: bool | None = Field(None, description="Of earlier searches: the model with it agrees with the rows.")
@@ -152,9 +152,6 @@ class Halves(Stored):
     with_mm: Mm | None = Field(None, description="Mean error of each half predicted by the other with it, mm.")
     without_mm: Mm | None = Field(None, description="The same without it, mm.")
     better: bool | None = Field(None, description="Whether that is better beyond chance.")
-    beside_shapes_sigma: float | None = Field(
-        None, description="Standard deviations by which it differs from zero beside every smooth shape without a cause."
-    )
     joints: list[int] | None = Field(
         None, description="Its joints at which both halves name it, or its class, from 1; null: it acts at none."
     )

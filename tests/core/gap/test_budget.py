@@ -51,6 +51,10 @@ def test_what_there_is_no_time_for_is_left_out_and_said() -> None:
     assert {j.evidence.candidate.id for j in named.effects} == {"backlash", "eccentricity"}
     assert "resamples of poses" in left_out(named)
     assert {j.verdict for j in named.effects} == {"provisional"}
+    assert {(j.gates["inclusion"], j.gates["negative_control"]) for j in named.effects} == {(None, None)}  # not failed
+    assert "not every test was made" in named.sentence
+    remedies = {one for row in named.to_document()["effects"] for one in row["to_confirm"]}
+    assert "Not tested in the time: inclusion, negative_control. Search again with a larger budget_s." in remedies
     assert named.calibration.values.shape == whole.calibration.values.shape
     (said,) = [w["message"] for w in named.warnings if w["code"] == "budget_spent"]
     assert "resamples of poses" in said

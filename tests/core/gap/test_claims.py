@@ -149,7 +149,9 @@ def test_a_confirmation_without_the_effect_contradicts_it(robot, small):
 def test_a_law_of_time_stays_behind_where_the_confirmation_has_another_clock(robot):
     drift = ("zero_drift", (1,), (3e-7,))
     rows = campaign(robot, [drift], poses=60, seed=3, arm=1)
-    report = find_gap(robot, rows, replace(QUICK, effects=("zero_drift", "eccentricity")), confirmation=again(robot, []))
+    report = find_gap(
+        robot, rows, replace(QUICK, effects=("zero_drift", "eccentricity")), confirmation=again(robot, [])
+    )
     effect = next(j for j in report.effects if j.evidence.candidate.id == "zero_drift")
     assert effect.evidence.replication.outcome == "not_testable"
     assert "another clock" in effect.evidence.replication.reason
@@ -273,7 +275,9 @@ def test_no_share_is_told_of_a_gap_that_noise_would_leave(robot):
 def told(called: str, verdict: str, moves_mm: float, empirical: bool = False) -> Any:
     """What a sentence reads of an effect that was judged."""
     evidence = SimpleNamespace(moves_mm=moves_mm, candidate=SimpleNamespace(empirical=empirical))
-    return SimpleNamespace(called=called, verdict=verdict, evidence=evidence)
+    return SimpleNamespace(
+        called=called, verdict=verdict, evidence=evidence, gates={"held_out": verdict != "provisional"}
+    )
 
 
 def test_a_shape_that_explains_all_leaves_nothing():

@@ -44,37 +44,39 @@ class Control:
     survived: float
 
     @property
-    def passed(self) -> bool:
-        """Whether the name vanished."""
-        return self.survived <= SURVIVING
+    def passed(self) -> bool | None:
+        """Whether the name vanished; None where no shuffle tried it."""
+        return self.survived <= SURVIVING if self.shuffles else None
 
 
 def controls(
-    search: SearchResult, shuffles: int, seed: int, progress: Callable[[float], None],
+    search: SearchResult, places: Sequence[int], shuffles: int, seed: int, progress: Callable[[float], None],
     over: Callable[[], bool] = lambda: False,
 ) -> tuple[Control, ...]:  # fmt: skip
     """Shuffle for every chosen effect. One that needs no label has the residual vectors shuffled over the poses.
 
-    Where time is ``over`` the rest is not shuffled: an effect that no shuffle tried has survived all of them.
+    ``places`` are the chosen ones, what matters most first: where time is ``over`` the rest is not shuffled, and
+    one that fewer shuffles tried than tell anything is not tested.
     """
     rng = np.random.default_rng(seed)
     count = min(shuffles, FEW) if len(search.problem.settings.used) > LARGE else shuffles
     out = []
-    for n, place in enumerate(search.chosen):
+    for n, place in enumerate(places):
         bench = _Bench.of(search, place)
         label = bench.label
         hits = tried = 0
         for k in range(count):
             if over():
+                hits, tried = (hits, tried) if tried >= FEW else (0, 0)
                 break
             tried += 1
-            progress((n + k / count) / len(search.chosen))
+            progress((n + k / count) / len(places))
             order = _order(
                 search.problem.settings.group, rng, label is not None and search.problem.settings.inflation <= 1.0
             )
             hits += bench.poses_named(order) if label is None else bench.label_named(label, order)
         out.append(
-            Control(place, "poses" if label is None else WORDS.get(label, label), tried, hits / tried if tried else 1.0)
+            Control(place, "poses" if label is None else WORDS.get(label, label), tried, hits / tried if tried else 0.0)
         )
     return tuple(out)
 
@@ -113,7 +115,7 @@ def control_document(search: SearchResult, shuffled: Sequence[Control], shuffles
         for c in shuffled
     ]  # fmt: skip
     return {
-        "passed": all(c.passed for c in shuffled), "effects": rows, "shuffles": shuffles,
+        "passed": all(c.passed is not False for c in shuffled), "effects": rows, "shuffles": shuffles,
         "names_in_shuffled_residuals": false_names(search, shuffles, seed),
     }  # fmt: skip
 

@@ -1,8 +1,8 @@
 """Does a name last where something else is left: the two halves of a campaign, one after the other, against each other.
 
 On real arms something is always left (trap 17). There an effect must rise on its own evidence: each half names it, both
-show the same amplitude, each predicts the other half better with it than without it, and it stands beside every smooth
-shape without a cause that what is left may have.
+show the same amplitude, and each predicts the other half better with it than without it. It is claimed as its class then,
+so it need not stand beside every smooth shape that what is left may have: a sag at three loads stood beside none.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from scipy.stats import chi2, norm
 
 from kilter_core.gap.evidence.fits.intervals import all_shown
 from kilter_core.gap.evidence.guarded import Guarded
-from kilter_core.gap.evidence.similarity.smooth import is_curve, own_curve
 from kilter_core.gap.evidence.stability import SMALLEST, reweighted
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
@@ -28,7 +27,6 @@ from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats
 
 AGREE = 3.0  # combined standard deviations within which the amplitudes of both halves are one
-BESIDE = 3.0  # standard deviations by which it must differ from zero beside every smooth shape
 AGAIN = 0.01  # chance below which an effect is there beside all that a half names
 POSES_PER_HALF = 12  # poses of a half: fewer hold no geometry
 RANK = 1e-8  # share of the largest singular value below which a direction of a half is not seen
@@ -39,27 +37,20 @@ class Halves:
     """What the halves say of one effect.
 
     ``named`` of either half, amplitudes ``apart`` in combined standard deviations, mean errors of the other half's
-    poses ``predicted`` with and without it (None for joint data), and by how many deviations it stands ``beside`` shapes.
+    poses ``predicted`` with and without it (None for joint data).
     ``joints`` (from 0) are those of it at which both halves name it, or its class, and show it; None where it acts at none.
     """
 
     named: tuple[bool, bool]
     apart: float
     predicted: Guarded
-    beside: float
     length: bool  # whether the errors are lengths
     joints: tuple[int, ...] | None = None
 
     @property
     def lasts(self) -> bool:
         """Whether name, amplitude and prediction are the same in both halves, at a joint that both name."""
-        return (
-            all(self.named)
-            and self.joints != ()
-            and self.apart <= AGREE
-            and self.predicted.better
-            and self.beside > BESIDE
-        )
+        return all(self.named) and self.joints != () and self.apart <= AGREE and self.predicted.better
 
     def to_document(self) -> dict[str, Any]:
         """Plain numbers, mm."""
@@ -68,7 +59,6 @@ class Halves:
             "lasts": self.lasts, "named": list(self.named), "apart_sigma": self.apart,
             "with_mm": mm(told.with_it) if self.length else None,
             "without_mm": mm(told.without) if self.length else None, "better": told.better,
-            "beside_shapes_sigma": self.beside,
             "joints": None if self.joints is None else [j + 1 for j in self.joints],
         }  # fmt: skip
 
@@ -156,7 +146,7 @@ def halves(sides: Sides, place: int, rivals: Sequence[int]) -> Halves | None:
     again = [half.again(place, rivals) for half in sides.searched]
     told, length = Guarded.of(with_it, without), search.problem.settings.source.observes_tool
     joints = _joints_of_both(search, place, again, fits)
-    return Halves((bool(again[0]), bool(again[1])), apart, told, _beside(search, place), length, joints)
+    return Halves((bool(again[0]), bool(again[1])), apart, told, length, joints)
 
 
 def _joints_of_both(
@@ -244,25 +234,3 @@ def _same(one: Candidate, other: Candidate) -> bool:
         return False
     joints, others = set(one.joints or ()), set(other.joints or ())
     return not joints or not others or bool(joints & others)
-
-
-def _beside(search: SearchResult, place: int) -> float:
-    """Deviations from zero of an effect beside the smooth shapes of every joint and of the workspace.
-
-    Of an error curve no more is claimed than that its joint has one, so the shapes of that joint do not count.
-    """
-    selector, gram = search.selector, search.problem.gram
-    candidate = selector.scorer.candidates[place]
-    joints = set(candidate.joints or ()) if is_curve(candidate) else set[int]()
-    shapes = [
-        c for c in selector.scorer.candidates
-        if c.empirical and "partner" not in c.effects[0].counted and not own_curve(c, joints)
-    ]  # fmt: skip
-    rest = selector.columns([k for k in search.chosen if k != place])
-    taken = sorted({*rest, *(k for c in shapes for k in c.columns)} - set(candidate.columns))
-    given = gram.given(taken)
-    rank = given.rank(candidate.columns)
-    if not rank:
-        return 0.0
-    gain = given.reduction(candidate.columns) / selector.variance(gram, search.chosen)
-    return float(norm.isf(max(float(chi2.sf(gain, rank)), 1e-300) / 2.0))

@@ -37,8 +37,7 @@ def inclusion(
     """Share of resamples in which each chosen candidate, and any of its class, is selected again.
 
     ``classes`` gives the places that count as the same name; ``rising`` are those whose verdict waits for this: where there
-    are none, a few resamples tell enough. Where time is ``over`` before enough of them were drawn to say anything, no name
-    returned.
+    are none, a few resamples tell enough. Empty where time is ``over`` before enough of them were drawn to say anything.
     """
     # Pairs cost most of a search under unknown noise; what entered one by one is looked for one by one again.
     selector = replace(search.selector, pairs=search.selector.scorer.absolute or search.paired)
@@ -57,7 +56,7 @@ def inclusion(
             break
         if over():
             if b < (LOOK if rising else FEW):
-                return dict.fromkeys(search.chosen, (0.0, 0.0))
+                return {}
             done = b
             break
         if b % 5 == 0:

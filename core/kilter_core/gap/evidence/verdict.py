@@ -11,7 +11,7 @@ from kilter_core.effects.physical import Separator
 from kilter_core.gap.evidence.claim import CLASS, MEMBER, Claim
 from kilter_core.gap.evidence.control import Control
 from kilter_core.gap.evidence.fits.intervals import Amplitude
-from kilter_core.gap.evidence.halves import BESIDE, Halves
+from kilter_core.gap.evidence.halves import Halves
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
 from kilter_core.gap.evidence.held_out.practical_size import Misfit
 from kilter_core.gap.evidence.replication import Replication
@@ -33,7 +33,7 @@ class Evidence:
     place: int
     candidate: Candidate
     aliases: tuple[Alias, ...]
-    inclusion: tuple[float, float]  # of its own name, of its class
+    inclusion: tuple[float, float] | None  # of its own name, of its class; None: no time to resample
     held_out: tuple[float, float, float]  # gain, its standard error, and how surely it was predicted
     control: Control | None
     amplitudes: tuple[Amplitude, ...]
@@ -47,13 +47,18 @@ class Evidence:
     replication: Replication | None = None
     separated: tuple[Separated, ...] = ()  # evidence for the name within its physical class
     halves: Halves | None = None  # where something else is left
+    untimed: bool = False  # no time to ask them
     borne: tuple[int, ...] | None = None  # joints at which they bear it out; None: not asked, or acts at none
 
     @property
     def lasts(self) -> bool:
         """Whether it rises on its own evidence where something else is left: between halves, or in a confirmation."""
-        again = self.replication is not None and self.replication.certain
-        return self.halves is not None and (self.halves.lasts or (again and self.halves.beside > BESIDE))
+        return self.seen_again or (self.halves is not None and self.halves.lasts)
+
+    @property
+    def seen_again(self) -> bool:
+        """Whether a confirmation shows it with the same amplitude, and is predicted better by it beyond chance."""
+        return self.replication is not None and self.replication.certain
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,7 @@ class Judged:
 
     evidence: Evidence
     verdict: str
-    gates: dict[str, bool]
+    gates: dict[str, bool | None]  # None: not tested, for want of time
     numbers: dict[str, float | None]
     alias_set: tuple[Alias, ...]
     claim: Claim
@@ -89,17 +94,17 @@ def judge(
     rivals = tuple(a for a in evidence.aliases if a.member or not a.candidate.empirical)
     numbers = _numbers(search, evidence, fit, library, bool(rivals))
     replication = evidence.replication
-    gates = {
+    gates: dict[str, bool | None] = {
         "physical": not evidence.candidate.empirical,
-        "lasts": settled or evidence.lasts,
-        "held_out": evidence.held_out[0] > 0.0 and evidence.held_out[2] > SURE_GAIN,
+        "lasts": settled or evidence.lasts or (None if evidence.untimed else False),
+        "held_out": evidence.seen_again or (evidence.held_out[0] > 0.0 and evidence.held_out[2] > SURE_GAIN),
         "unseen_poses": evidence.unseen_poses > 0 or (replication is not None and replication.replicated),
         "no_empirical_alias": len(rivals) == len(evidence.aliases)
         and not evidence.local_bump
         and not _shadowed(search, evidence),
         "plausible": _plausible(evidence, library),
         "seen": evidence.seen,
-        "inclusion": evidence.inclusion[1 if rivals else 0] >= INCLUDED,
+        "inclusion": None if evidence.inclusion is None else evidence.inclusion[1 if rivals else 0] >= INCLUDED,
         "negative_control": evidence.control is None or evidence.control.passed,
     }
     if replication is not None:
@@ -127,7 +132,7 @@ def is_settled(fit: Adequacy, misfit: Misfit, refuted: bool, moves_mm: float) ->
     return not refuted and (bool(fit.adequate) or misfit.small_beside(moves_mm))
 
 
-def _level(gates: dict[str, bool], claim: Claim, replication: Replication | None) -> str:
+def _level(gates: dict[str, bool | None], claim: Claim, replication: Replication | None) -> str:
     """The highest level that the gates allow: what was seen again is replicated, and no more than its claim says."""
     if not all(gates.values()):
         return "provisional"
@@ -153,8 +158,10 @@ def _numbers(
         "shadowed": _shadow(search, evidence),
         "plausible": max((_beyond(a, library, evidence.candidate) for a in evidence.amplitudes), default=0.0),
         "seen": float(evidence.seen),
-        "inclusion": evidence.inclusion[1 if class_ else 0],
-        "negative_control": None if evidence.control is None else evidence.control.survived,
+        "inclusion": None if evidence.inclusion is None else evidence.inclusion[1 if class_ else 0],
+        "negative_control": None
+        if evidence.control is None or not evidence.control.shuffles
+        else evidence.control.survived,
     }
     if (sensor := _sensed(evidence)) is not None:
         numbers["sensor"] = sensor
@@ -217,7 +224,7 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfi
         f"{noise}."
         if sure
         else f"Nothing that matters is missing: the model agrees with the measurements {noise}.",
-        "provisional": _risen(judged, adequacy, left) or f"{names}: likely, but not every test was passed.",
+        "provisional": _risen(judged, adequacy, left) or _likely(_once(judged), judged),
         "unexplained": _risen(judged, adequacy, left)
         or _shaped(judged, adequacy)
         or f"Something is left that no known effect explains{left}."
@@ -236,10 +243,16 @@ def _shaped(judged: tuple[Judged, ...], adequacy: Adequacy) -> str:
     if not shapes or not adequacy.adequate:
         return ""
     rest = [name for name in _once(judged) if name not in shapes]
-    likely = f" {', '.join(rest)}: likely, but not every test was passed." if rest else ""
+    likely = f" {_likely(rest, judged)}" if rest else ""
     return (
         f"{', '.join(shapes)}: of no known cause, but with this shape the model agrees with the rows searched.{likely}"
     )
+
+
+def _likely(names: Sequence[str], judged: Sequence[Judged]) -> str:
+    """Say of names that are not sure whether they failed a test, or whether there was no time for all of them."""
+    failed = any(passed is False for j in judged if j.called in names for passed in j.gates.values())
+    return f"{', '.join(names)}: likely, but not every test was {'passed' if failed else 'made'}."
 
 
 def _once(judged: Sequence[Judged]) -> list[str]:
@@ -255,7 +268,7 @@ def _risen(judged: tuple[Judged, ...], adequacy: Adequacy, left: str) -> str:
     likely = [name for name in _once(judged) if name not in (*_once(surely), *shapes)]
     if not sure:
         return ""
-    rest = f" {', '.join(likely)}: likely, but not every test was passed." if likely else ""
+    rest = f" {_likely(likely, judged)}" if likely else ""
     rest = (f" {', '.join(shapes)}: of no known cause." if shapes else "") + rest
     other = {False: f"; something else remains{left}.", None: "; whether something else remains is not known."}
     return "; ".join(sure) + other.get(adequacy.adequate, ".") + rest

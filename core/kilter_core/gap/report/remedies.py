@@ -27,5 +27,8 @@ REMEDIES = {
 
 
 def to_confirm(judged: Judged) -> list[str]:
-    """What is missing to a higher level, one sentence for each gate that was not passed."""
-    return [REMEDIES[name] for name, passed in judged.gates.items() if not passed]
+    """What is missing to a higher level, a sentence for each gate that was not passed, and one for those not tested."""
+    untested = [name for name, passed in judged.gates.items() if passed is None]
+    later = f"Not tested in the time: {', '.join(untested)}. Search again with a larger budget_s."
+    failed = [REMEDIES[name] for name, passed in judged.gates.items() if passed is False]
+    return [*failed, later] if untested else failed

@@ -299,12 +299,12 @@ class Selector(CandidateSets):
         """The set with a family that another hides: whole families first, then the joints of each that show."""
         for k in self.faint_families(gram, chosen)[:TRIED]:
             self.tick()
-            effect = self.scorer.candidates[k].id
-            others = (m for m in chosen if self.scorer.candidates[m].id != effect)
+            others = (m for m in chosen if self.scorer.candidates[m].id != self.scorer.candidates[k].id)
             after = self.improved(gram, self.merged(gram, (*others, k), critical), critical)
+            if self.names(after) > most or max(self.tails(gram, after), default=0.0) >= critical:
+                continue
             variance = min(self.variance(gram, one) for one in (after, chosen))
-            gain = self.criterion(gram, after, variance) - self.criterion(gram, chosen, variance)
-            if gain > FAMILY_MARGIN and self.names(after) <= most and max(self.tails(gram, after)) < critical:
+            if self.criterion(gram, after, variance) - self.criterion(gram, chosen, variance) > FAMILY_MARGIN:
                 return after
         return chosen
 

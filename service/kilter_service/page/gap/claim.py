@@ -177,8 +177,7 @@ def _halves(told: Halves, joints: Sequence[int], unit: str) -> str:
         where = f" Both name it {at}."
     return (
         f"Something else is left, so each half of the campaign was asked: {named} of 2 name it{both}; the amplitudes are "
-        f"{number(told.apart_sigma, 2)} standard deviations apart. Beside every smooth shape without a cause it differs from "
-        f"zero by {number(told.beside_shapes_sigma, 2)} standard deviations.{where}"
+        f"{number(told.apart_sigma, 2)} standard deviations apart.{where}"
     )
 
 

@@ -286,7 +286,7 @@ class Evidence(Record):
 
 
 class Gates(Record):
-    """The tests an effect passed or did not; all must be passed to be confirmed."""
+    """The tests an effect passed or did not; all must be passed to be confirmed. Null: not tested."""
 
     adequate: bool | None
     """Of earlier searches: the model with it agrees with the rows."""

@@ -113,8 +113,6 @@ class Halves(Record):
 
     apart_sigma: float | None
     """Standard deviations between the two amplitudes."""
-    beside_shapes_sigma: float | None
-    """Standard deviations by which it differs from zero beside every smooth shape without a cause."""
     better: bool | None
     """Whether that is better beyond chance."""
     joints: tuple[int, ...]

@@ -86,9 +86,10 @@ def _effects(effects: Sequence[Mapping[str, Any]], unit: str) -> None:
     )
     for effect in effects:
         _class(effect)
-        failed = [name for name, passed in (effect.get("gates") or {}).items() if not passed]
-        if failed:
-            say(f"  {_name(effect)} is not more than {effect['verdict']}: not passed {', '.join(failed)}")
+        failed = [name for name, passed in (effect.get("gates") or {}).items() if passed is False]
+        if failed or (effect["verdict"] == "provisional" and effect.get("to_confirm")):
+            passed = f"not passed {', '.join(failed)}" if failed else "not all tests were made"
+            say(f"  {_name(effect)} is not more than {effect['verdict']}: {passed}")
             for remedy in effect.get("to_confirm") or ():
                 say(f"    {remedy}")
         _remarks(effect, unit)
