@@ -102,15 +102,19 @@ def rotation_exp(w: Floats) -> Floats:
 
 def twisted(v: Floats, w: Floats) -> Floats:
     """Pose (4, 4) of a twist: the exponential of (v, w), m and rad."""
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = rotation_exp(w), left_jacobian(w) @ v
+    return out
+
+
+def left_jacobian(w: Floats) -> Floats:
+    """Left Jacobian (3, 3) of SO(3) at a rotation vector: Exp(w + d) = Exp(J d) Exp(w); its transpose is the right one."""
     angle = float(np.linalg.norm(w))
     W = skew(w[None])[0]
     small = angle < 1e-4  # below, the next terms are beyond the last digit
     a = 0.5 - angle**2 / 24.0 if small else (1.0 - np.cos(angle)) / angle**2
     b = 1.0 / 6.0 - angle**2 / 120.0 if small else (angle - np.sin(angle)) / angle**3
-    out = np.eye(4)
-    out[:3, :3] = rotation_exp(w)
-    out[:3, 3] = v + a * (W @ v) + b * (W @ (W @ v))
-    return out
+    return np.asarray(np.eye(3) + a * W + b * (W @ W))
 
 
 def skew(v: Floats) -> Floats:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from kilter_core.arm.conversions.screws import chain_frames, screws_of_chain
 from kilter_core.identify.plausibility.placed import Sample, place
 from kilter_core.parameters import degrees, mm
-from kilter_core.transforms import inverse, rotation_exp, rotation_log
+from kilter_core.transforms import inverse, left_jacobian, rotation_exp, rotation_log, skew
 from kilter_core.types import Floats
 
 REFINED = 3  # starts of each link from which the transform is fitted
@@ -23,6 +23,7 @@ SURELY = 0.8  # times what another transform leaves: a better one
 ENOUGH = 0.05  # share of what is left without: no better transform is looked for
 RIDGE = 1e-3  # m per m and rad: what base, tool and zeros say as well stays with them
 EVALUATIONS = 300
+SETTLED = 1e-6  # share of the squares by which a last step lowers them: sizes are compared to a tenth
 STRAIGHT_RAD = np.radians(3.0)  # an axis that is so near x, y or z is called so, a smaller rotation is not named
 SHORT = 0.02  # share of the workspace: a shorter shift is not named beside a rotation
 
@@ -98,13 +99,33 @@ def _fit_transform(sample: Sample, link: Link, start: Floats) -> Floats:
     """The transform (4, 4) near ``start`` that with base and tool leaves least of the points."""
     placed = place(link.flange(sample.flange, start), sample.points)
     begin = np.concatenate([np.zeros(6), rotation_log(placed.rotation[None])[0], placed.place, placed.tool])
+    flange = np.linalg.inv(link.poses) @ sample.flange
+    after = link.poses @ start
+
+    def chain(x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Rotations of transform and base, and the points (K, 3) before the transform and before the base."""
+        turned, base = rotation_exp(x[:3]), rotation_exp(x[6:9])
+        before = flange[:, :3, 3] + flange[:, :3, :3] @ x[12:]
+        moved = np.einsum("kij,kj->ki", after[:, :3, :3], before @ turned.T + x[3:6]) + after[:, :3, 3]
+        return turned, base, before, moved
 
     def left(x: Floats) -> Floats:
-        flange = link.flange(sample.flange, start @ _pose(x[:6]))
-        points = (flange[:, :3, 3] + flange[:, :3, :3] @ x[12:]) @ rotation_exp(x[6:9]).T + x[9:12]
-        return np.concatenate([(points - sample.points).reshape(-1), RIDGE * x[:6]])
+        _, base, _, moved = chain(x)
+        return np.concatenate([(moved @ base.T + x[9:12] - sample.points).reshape(-1), RIDGE * x[:6]])
 
-    return np.asarray(start @ _pose(least_squares(left, begin, method="lm", max_nfev=EVALUATIONS).x[:6]))
+    def slopes(x: Floats) -> Floats:
+        turned, base, before, moved = chain(x)
+        carried = base @ after[:, :3, :3]
+        J = np.zeros((len(before), 3, 15))
+        J[:, :, :3] = -carried @ turned @ skew(before) @ left_jacobian(x[:3]).T
+        J[:, :, 3:6] = carried
+        J[:, :, 6:9] = -base @ skew(moved) @ left_jacobian(x[6:9]).T
+        J[:, :, 9:12] = np.eye(3)
+        J[:, :, 12:] = carried @ turned @ flange[:, :3, :3]
+        return np.vstack([J.reshape(-1, 15), np.eye(6, 15) * RIDGE])
+
+    found = least_squares(left, begin, slopes, method="lm", ftol=SETTLED, max_nfev=EVALUATIONS)
+    return np.asarray(start @ _pose(found.x[:6]))
 
 
 def _pose(x: Floats) -> Floats:
@@ -115,9 +136,9 @@ def _pose(x: Floats) -> Floats:
 
 
 def _describe(link: Link, transform: Floats, short: float) -> str:
-    """The transform in words, at the end of the link where it shifts less."""
+    """The transform in words, at its beginning unless it clearly shifts less at its end."""
     after, before = transform, inverse(link.end) @ transform @ link.end
-    at_end = float(np.linalg.norm(before[:3, 3])) < float(np.linalg.norm(after[:3, 3]))
+    at_end = float(np.linalg.norm(before[:3, 3])) + short < float(np.linalg.norm(after[:3, 3]))
     found, where = (before, f"before joint {link.number + 1}") if at_end else (after, f"after joint {link.number}")
     parts = []
     about, shift = rotation_log(found[None, :3, :3])[0], found[:3, 3]
