@@ -44,6 +44,7 @@ from kilter_core.gap.evidence.stability import inclusion
 from kilter_core.gap.evidence.verdict import Evidence, Judged, is_settled, judge, run_verdict, sentence
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.aside import agreement_sentence, poses_again, rows_aside
+from kilter_core.gap.report.doubtful_poses import doubts_of
 from kilter_core.gap.report.effect_curves import effect_curves
 from kilter_core.gap.report.ends import at_ends
 from kilter_core.gap.report.figures import figures
@@ -215,7 +216,8 @@ class _Run:
         poses, told = self._next_poses(found, effects)
         poses = [*(poses_again(prepared, self.validation, held.set_aside) if self.options.next_poses else ()), *poses]
         return GapReport(
-            stored=kept, verdict=verdict, effects=effects, unseen=unseen, remains=rest,
+            stored=kept.with_doubts(doubts_of(held, verdict, unseen)),
+            verdict=verdict, effects=effects, unseen=unseen, remains=rest,
             sentence=sentence(verdict, effects, fit, left, rest.words) + ("" if unseen is None else unseen.sentence())
             + incomplete_sentence(lacking) + agreement_sentence(prepared, self.validation, held.set_aside),
             where=places,

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.search.rows.wrong_rows import along_one_joint
+from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.model.doubts import unexplained_error
 from kilter_core.observations import Observations
 from tests.core.campaigns import table_errors
 from tests.core.correct.twins import ARMS
@@ -16,6 +20,25 @@ QUICK = GapOptions(
     effects=("eccentricity", "encoder_scale"), resamples=10, permutations=10, bootstraps=499, next_poses=2
 )
 BUMP_RAD, WIDE_RAD, NOISE_M = np.radians(0.05), np.radians(10.0), 2e-5
+
+
+def searched(name: str, seed: int, joint: int | None, wrong: int = 0) -> tuple[Any, ...]:
+    """A search of 68 visits with wrong readings in directions of their own; how to go on: random numbers, arms, the bump."""
+    rng, ideal = np.random.default_rng(seed), ARMS[name]
+    real, (lower, upper) = ideal.moved(table_errors(ideal, rng, 2e-4, 4e-4)), ideal.limits
+    poses = rng.uniform(lower, upper, (45, ideal.n))
+    order = np.concatenate([np.arange(45), rng.permutation(45)[:23]])
+
+    def bumped(q: np.ndarray) -> np.ndarray:
+        return np.zeros(len(q), bool) if joint is None else np.abs(q[:, joint] - poses[5, joint]) < 0.5 * WIDE_RAD
+
+    q, actual = poses[order], poses[order]
+    actual[bumped(q), joint or 0] += BUMP_RAD
+    points = real.poses(actual)[0] + rng.normal(0.0, NOISE_M, (len(q), 3))
+    spoilt, way = rng.permutation(len(q))[:wrong], rng.normal(size=(wrong, 3))
+    points[spoilt] += 5e-4 * way / np.linalg.norm(way, axis=1, keepdims=True)
+    rows = Observations(q, points, t=60.0 * np.arange(len(q)), pose_id=order)
+    return find_gap(robot_from_document(ideal.document()), rows, QUICK, validation=0.25), rng, ideal, real, bumped
 
 
 def hunted(name: str, seed: int, joint: int | None, wrong: int = 0) -> tuple[dict, set[int], set[int]]:
@@ -56,6 +79,35 @@ def test_wrong_readings_are_set_aside_as_before_and_counted() -> None:
     asked = {tuple(np.round(np.radians(one["q_deg"]), 3)) for one in first}
     assert asked == {tuple(np.round(row, 3)) for row in report["spoilt_q"]}
     assert "This is of 65 of 68 visits: 3 were set aside as wrong readings." in report["sentence"]
+
+
+@pytest.mark.parametrize(("name", "seed", "joint"), [("ur", 20, 2), ("seven", 20, 3), ("seven", 21, 2)])
+def test_a_version_is_unsure_wherever_the_joint_of_an_error_that_was_set_aside_is_near(
+    name: str, seed: int, joint: int
+) -> None:
+    """One to four visits in the bump are set aside: elsewhere in it no pose is plain, or its error is within twice u95."""
+    report, rng, ideal, real, bumped = searched(name, seed, joint)
+    version, lower, upper = report.calibration, *ideal.limits
+    q = rng.uniform(lower, upper, (400, ideal.n))
+    actual = q.copy()
+    actual[bumped(q), joint] += BUMP_RAD
+    assert bumped(q).sum() >= 8
+    off = np.abs(version.predict(Observations(q)).position - real.poses(actual)[0])
+    stated = Predictive.from_document(report.stored.covariance()).of_the_tool(version, Observations(q))
+    stated += unexplained_error(version.doubts, q)[:, None]
+    plain = ~np.any([doubt.holds(q) for doubt in version.doubts], axis=0)
+    beyond = (off > 2.0 * stated).any(axis=1)
+    assert not (plain & beyond).any()
+    assert np.isfinite([doubt.low[joint] for doubt in version.doubts]).any()
+
+
+def test_wrong_readings_make_a_version_unsure_near_their_poses_alone() -> None:
+    report, *_ = searched("six", 20, None, wrong=2)
+    assert report.verdict == "no_gap"
+    assert len(report.calibration.doubts) == 2
+    assert all(np.isfinite(doubt.low).all() for doubt in report.calibration.doubts)
+    q = np.random.default_rng(1).uniform(*ARMS["six"].limits, (400, 6))
+    assert np.count_nonzero(unexplained_error(report.calibration.doubts, q)) < 4
 
 
 def test_errors_that_are_all_alike_are_along_no_joint() -> None:

@@ -29,6 +29,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held as held_rows
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration, RobotModel
+from kilter_core.model.doubts import Doubt
 from kilter_core.observations import Observations
 from kilter_core.parameters import indices
 from kilter_core.types import Ints
@@ -50,6 +51,10 @@ class Stored:
     held: Observations | None = None
     geometry: Calibration | None = None
     left: Predictive | None = None
+
+    def with_doubts(self, doubts: tuple[Doubt, ...]) -> Stored:
+        """The version that says where it is less sure than its parameters say."""
+        return replace(self, calibration=replace(self.calibration, doubts=doubts))
 
     def parameters(self) -> list[dict[str, Any]]:
         """Rows of the free parameters, as an identification has them."""

@@ -44,8 +44,12 @@ class UnseenFit:
     @property
     def refuted(self) -> bool:
         """Whether more is left than noise explains, and more of it than is too small to matter."""
-        beyond = float(np.sqrt(max(self.left**2 - self.noise**2, 0.0)))
-        return self.p_value <= REFUTED and beyond > self.matters
+        return self.p_value <= REFUTED and self.beyond > self.matters
+
+    @property
+    def beyond(self) -> float:
+        """What they leave in space beyond noise, rms, m."""
+        return float(np.sqrt(max(self.left**2 - self.noise**2, 0.0)))
 
     def verdict(self, of_run: str) -> str:
         """The verdict of a run, where rows that no choice saw agree with it: nothing is closed that is open there."""
