@@ -74,6 +74,11 @@ def test_wrong_readings_are_set_aside_as_before_and_counted() -> None:
     report, _, wrong = hunted("six", 1, None, wrong=3)
     assert wrong <= {one["row"] for one in (*report["set_aside"], *report["held_aside"])}
     assert report["verdict"] == "no_gap"
+    told, whole, aside = report["predictive"], report["adequacy"]["held_out"], len(report["held_aside"])
+    assert aside == 1  # of three: with it one visit more is counted, whose three numbers are 25 deviations off
+    assert (told["of_all"] - told["of"], whole["freedom_all"] - whole["freedom"]) == (3, 3)
+    assert told["inside_all"] <= told["inside"] + 1
+    assert whole["chi2_all"] - whole["chi2"] > 20.0**2
     first = report["next_poses"][:3]
     assert {one["change"] for one in first} == {"measure again what was set aside"}
     asked = {tuple(np.round(np.radians(one["q_deg"]), 3)) for one in first}

@@ -92,6 +92,17 @@ def _aside(result: GapResult) -> Iterator[str]:
         every = result.gap.validation_after_all_mm if result.gap is not None else None
         with_them = "" if every is None else f"; with them the error after is {number(every, 4)} mm"
         yield f"{plural(held, 'held-out visit')} no model of this search predicts, left out of its errors{with_them}."
+    told, fit = result.predictive, None if result.adequacy is None else result.adequacy.held_out
+    if told is not None and told.of_all:
+        yield (
+            f"Of held-out coordinates {told.inside} of {told.of} are within their 95 % intervals; with what was set aside "
+            f"{told.inside_all} of {told.of_all}."
+        )
+    if fit is not None and fit.freedom_all:
+        yield (
+            f"Their chi-square is {number(fit.chi2)} for {fit.freedom} numbers; with what was set aside "
+            f"{number(fit.chi2_all)} for {fit.freedom_all}."
+        )
 
 
 def _limits(result: GapResult) -> str:
