@@ -21,7 +21,7 @@ from kilter_core.gap.search.linear.in_space import fit_rms, noise_rms, rms_at, r
 from kilter_core.gap.search.linear.linearized import solved
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.prepare import Prepared, windowed
-from kilter_core.gap.search.rows.wrong_rows import along_one_joint
+from kilter_core.gap.search.rows.wrong_rows import along_one_motion
 from kilter_core.gap.search.sources.rounding import rounding_document
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
@@ -207,7 +207,7 @@ class HoldoutEvaluator:
 
         left = np.vstack([problem.raw.reshape(-1, size)[aside], after[first]])
         which = np.concatenate([np.flatnonzero(aside), len(aside) + first])
-        found = along_one_joint(left, which, motion, rows.q.shape[1])[int(aside.sum()) :]
+        found = along_one_motion(left, which, motion, rows.q.shape[1])[int(aside.sum()) :]
         return np.asarray(spike & np.isin(visit, visit[first[found]]))
 
     @property
