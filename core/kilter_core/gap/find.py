@@ -41,7 +41,7 @@ from kilter_core.gap.evidence.similarity.testability import (
     untestable,
 )
 from kilter_core.gap.evidence.stability import inclusion
-from kilter_core.gap.evidence.verdict import Evidence, Judged, is_settled, judge, run_verdict, sentence
+from kilter_core.gap.evidence.verdict import SURE, Evidence, Judged, is_settled, judge, run_verdict, sentence
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.aside import agreement_sentence, poses_again, rows_aside
 from kilter_core.gap.report.doubtful_poses import doubts_of
@@ -50,15 +50,15 @@ from kilter_core.gap.report.ends import at_ends
 from kilter_core.gap.report.figures import figures
 from kilter_core.gap.report.localization import Place, localize, remains
 from kilter_core.gap.report.next_poses import rows_of, separate
+from kilter_core.gap.report.remarks import large, left_out_warnings, unplanned, unsearched
 from kilter_core.gap.report.report import GapReport, Remains
-from kilter_core.gap.report.stored import Stored, stored
+from kilter_core.gap.report.stored import Stored, settled_search, stored
 from kilter_core.gap.report.told_apart import Proposed, never_told, told_apart
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
 from kilter_core.gap.search.events import numbered
 from kilter_core.gap.search.finalize import chance, or_geometry_alone
 from kilter_core.gap.search.forward_selection import SearchResult, search
 from kilter_core.gap.search.linear.complete_form import incomplete_sentence, incomplete_warnings, missing_directions
-from kilter_core.gap.search.linear.in_space import fit_rms
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.gap.search.re_evaluated_search import rejudged
@@ -76,7 +76,6 @@ from kilter_core.identify.comparison.other_setups import CONFIRM, elsewhere
 from kilter_core.identify.identifiable.load_model import far_from_stated
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
-from kilter_core.identify.report import large_residual
 from kilter_core.identify.rows.read_tilt import as_inputs
 from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.identify.views.planned_views import PlannedViews
@@ -84,12 +83,11 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import clock_warnings
-from kilter_core.parameters import degrees, metres, reported
+from kilter_core.parameters import metres, reported
 from kilter_core.types import Progress, unheard
 
 SEARCHES = 2  # the second where the noise of the first showed that more could be tested
 AGAIN = "a second search under the noise of the first"
-LARGE_DEG = 2.0  # left between two encoders of a joint: worth a warning
 
 
 def find_gap(
@@ -206,6 +204,10 @@ class _Run:
         whole = partial(is_settled, fit, left, unseen is not None and unseen.refuted)
         lacking = missing_directions(problem, found.columns)
         effects, control = self._judged(found, fit, left, kept, held, whole, bool(lacking))
+        of_version, seen, source = settled_search(found, effects), held, found.problem.settings.source
+        if of_version is not found:
+            kept = stored(of_version, self.begin, prepared.rows, self.options, self.validation)
+            seen = HoldoutEvaluator(of_version, prepared, self.validation, kept.posterior)
         verdict = run_verdict(effects, fit, left)
         if unseen is not None:
             verdict = unseen.verdict(verdict)
@@ -229,9 +231,11 @@ class _Run:
             alias_matrix=alias_matrix(problem, candidates, found.chosen), noise=noise_document(found.problem.settings),
             warnings=(
                 *incomplete_warnings(lacking),
-                *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(), *self._unsearched(), *self._large(found),
-                *self._worse(found, held, kept), *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
-                *self._unplanned(effects), *kept.alike(), *(() if told is None else told.warnings()),
+                *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(),
+                *unsearched(source, prepared.library.effects), *large(found), *self._worse(of_version, seen, kept),
+                *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
+                *left_out_warnings(effects), *kept.alike(), *(() if told is None else told.warnings()),
+                *(unplanned(source) if effects and self.options.next_poses else ()),
                 *event_warnings(
                     found, events(found, self.every, moves_mm(found)),
                     {j.evidence.place for j in effects if not j.certain},
@@ -263,7 +267,7 @@ class _Run:
         def judged(evidence: Evidence) -> Judged:
             return judge(found, evidence, fit, self.prepared.library, whole(evidence.moves_mm), lacking)
 
-        rising = [k for k, evidence in drafts.items() if judged(evidence).verdict != "provisional"]
+        rising = [k for k, evidence in drafts.items() if judged(evidence).verdict in SURE]
         shares = inclusion(
             found, classes, rising, self.options.resamples, self.options.seed,
             _stage(self.progress, 0.65, 0.85, "selecting again on resamples"),
@@ -329,36 +333,6 @@ class _Run:
             held.poses, joints, any_, separated=separated(found, place),
         )  # fmt: skip
 
-    def _large(self, found: SearchResult) -> Iterator[dict[str, Any]]:
-        """Say when much is left after everything that was named: a fact about the model, no verdict about the rows."""
-        problem, size = found.problem, fit_rms(found.problem)
-        if problem.settings.source.observes_tool:
-            source = problem.settings.source
-            points = source.model.predict(source.batch, source.model_values(problem.values)).position
-            yield from large_residual(size, points)
-        elif degrees(size) > LARGE_DEG:
-            yield {"code": "large_residual", "message": f"{degrees(size):.2f} deg are left between the encoders."}
-
-    def _unsearched(self) -> Iterator[dict[str, Any]]:
-        """Say which effects were not looked for because nothing is known to load the joints."""
-        source = self.prepared.problem.settings.source
-        loaded = list(dict.fromkeys(e.id for e in self.prepared.library.effects if "moments" in e.needs))
-        if loaded and not np.any(source.batch.wrench):
-            yield {
-                "code": "no_load", "effects": loaded,
-                "message": f"{', '.join(loaded)} were not looked for: they follow load moments, and neither link masses nor a "
-                "payload are known. Give the robot's links mass_kg and com_mm, or the rows payload_kg, and search again.",
-            }  # fmt: skip
-
-    def _unplanned(self, effects: tuple[Judged, ...]) -> Iterator[dict[str, Any]]:
-        """Say why no poses are proposed where contacts decide which poses the arm can take."""
-        if effects and self.options.next_poses and not self.prepared.problem.settings.source.observes_places:
-            yield {
-                "code": "no_next_poses",
-                "message": "No poses are proposed: the contact decides which poses the arm can take. To make a name surer, "
-                "hold the ball in more placements, with joint angles and orientations that differ from those measured.",
-            }
-
     def _worse(self, found: SearchResult, held: HoldoutEvaluator, kept: Stored) -> Iterator[dict[str, Any]]:
         """Warn when held-out poses are predicted worse than by geometry, or by base and tool, alone."""
         unit = "deg" if found.problem.settings.source.unit == "rad" else "mm"
@@ -383,7 +357,7 @@ class _Run:
         open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member
                       and not never_told(j.evidence.candidate, a.candidate, self.robot)]) for j in effects]  # fmt: skip
         asked = next(((j, a) for j, a in open_ if a), None)
-        weak = [(j, list[Alias]()) for j in effects if j.verdict == "provisional"]
+        weak = [(j, list[Alias]()) for j in effects if j.verdict not in SURE]
         if not (asked or weak):
             return [], None
         j, rivals = asked or weak[0]

@@ -166,7 +166,8 @@ class NamedEffect(AtJoints):
     model_config = ConfigDict(serialize_by_alias=True, validate_by_name=True)
 
     verdict: str | None = Field(
-        None, description="`replicated`, `confirmed`, `class_confirmed` or `provisional`, the surest first."
+        None,
+        description="`replicated`, `confirmed`, `class_confirmed`, `provisional` or `contradicted`, the surest first.",
     )
     empirical: bool | None = Field(None, description="Whether it is a shape without a cause.")
     claim: Claim | None = Field(None, description="What is claimed: the narrowest set that the data single out.")

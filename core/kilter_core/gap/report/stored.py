@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,9 +11,11 @@ import numpy as np
 from kilter_core.effects import Effect
 from kilter_core.gap.evidence.fits.left_over import left_over
 from kilter_core.gap.evidence.fits.posterior import Posterior, posterior
+from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.masses import with_masses
 from kilter_core.gap.search.start_model import SHIFT
 from kilter_core.identify.comparison.model_comparison import geometry_alone
@@ -159,6 +161,19 @@ def stored(
     calibration = replace(calibration, wanted_base=base, wanted_tool=tool)
     geometry = None if held is None else geometry_alone(calibration, shown, asked, (SHIFT,))
     return Stored(calibration, wide, shown.observations, nominal, held, geometry, left_over(found, wide))
+
+
+def settled_search(found: SearchResult, effects: Sequence[Judged]) -> SearchResult:
+    """The search fitted again without the named effects that a version is not to hold; itself where it is to hold all."""
+    out = {j.evidence.place for j in effects if not j.storable}
+    if not out:
+        return found
+    chosen = tuple(k for k in found.chosen if k not in out)
+    return replace(
+        found,
+        chosen=chosen,
+        problem=refit(found.problem.settings, found.problem.values, found.selector.columns(chosen)),
+    )
 
 
 def _model(found: SearchResult, begin: Calibration, rows: Observations) -> RobotModel:

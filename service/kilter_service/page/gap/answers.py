@@ -60,7 +60,7 @@ def _sure(result: GapResult) -> str:
             f"Nothing is claimed. {plural(detectable, 'effect')} of the library would have been seen if large enough."
         )
     lowest = min(levels, key=lambda level: ORDER.index(level) if level in ORDER else 0)
-    head = {"provisional": "Not yet", "class_confirmed": "Its kind is"}.get(lowest, "Yes")
+    head = {"contradicted": "No", "provisional": "Not yet", "class_confirmed": "Its kind is"}.get(lowest, "Yes")
     return f"{head}: {lowest.replace('_', ' ')}. {LEVELS.get(lowest, '')}"
 
 
