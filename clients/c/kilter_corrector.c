@@ -51,21 +51,22 @@ enum {
     TILT = 9, TILT_SOFT = 10, TILT_SHARE = 11, PLAY = 12, PLAY_SOFT = 13, REVERSAL = 14, COMPLIANCE = 15, RATE = 16,
     LARGEST = 17, SPEED = 18, RADIAL = 19, TWISTED = 20, HARDENING = 21, SIDED = 22, CHANGE = 23, SPURT = 24, FREE = 27,
     TILT_OWN = 25, PLAY_OWN = 26, CURVED = 0, SHAPE = 1, DRIVER = 2, AMPLITUDE_A = 3, AMPLITUDE_B = 4, FACTOR = 5,
-    EXTRA = 6, POWERS = 8, HIGHEST = 20, MOVED = 21, BENDING = 0, BENDING_JOINT = 36, BENDING_LINK = 37, POWER = 40,
-    ROOTED = 41, WAY = 42, OF_AXIS = 43, BASE_FRAME = 0, FIRST_MOVE = 12, MOUNT_X = 24, MOUNT_Y = 25,
-    FIXED_MOMENT_X = 26, FIXED_MOMENT_Y = 27, GRAVITY = 0, ROWS = 3, WEIGHT = 10, ITERATIONS = 16, STEP = 17,
-    SINGULAR = 18, FARTHEST = 19, RAMP = 20, FILTER = 21, HYSTERESIS = 22, LOADED = 23, REACHED = 24, N = 25, M = 26,
-    WEAK = 27, CURVES = 28, BENDINGS = 29, MOUNT = 30, LOAD_CHAIN = 31, FIRST = 32, LEVERAGE = 33, TURNED = 34,
-    SATURATES = 35, ROUNDS = 36, HANGING = 37, HANGING_SIDED = 38, DOUBT_AT = 39, DOUBTS = 40, LOWEST_OF_BOX = 0,
-    HIGHEST_OF_BOX = 24, LINE = 12, SINE = 18, COSINE = 19, LOAD = 20, ON_BASE = 26, BEHIND_TWIST = 28, WANTED = 0,
-    COMMAND = 1, SHIFT = 2, TILT_A = 3, TILT_B = 4, SIDE = 5, MOMENT = 6, SPEED_NOW = 9, ACCEL_NOW = 10, SIGN = 11,
-    COLUMN = 12, REVERSED_AT_NEW = 18, SMOOTH_NEW = 19, SMOOTH_SPEED_NEW = 20, GUESSED = 21, TWIST = 22, ROOT = 28,
-    END = 34, STEPPED = 40, RAMPED = 41, TOTAL = 42, NEXT = 43, WISH = 45, KEPT = 45, ERROR = 6, MULTIPLIER = 7,
-    RIGHT = 8, MATRIX = 9, ADDED = 15, LAST_A = 0, LAST_B = 1, LAST_SIDE = 2, LAST_Q = 3, REVERSED_AT = 4,
-    LAST_SIGN = 5, OFFSET = 6, LAST_DELTA = 7, SMOOTH = 8, SMOOTH_SPEED = 9, GUESS = 10, SLOPE = 11, VELOCITY = 12,
-    TARGET = 13, AIMED = 44, STARTED = 0, REBASE = 1, REMAINING = 2, LENGTH = 3, BEHIND = 4, OK = 0, NOT_FINITE = 5,
-    JOINT_LIMIT = 6, TOO_LARGE = 7, RATE_LIMIT = 8, DYNAMIC = 256, RAMPING = 512, REVERSING = 1024, DAMPED = 2048,
-    RESIDUAL = 4096, SATURATED = 8192, SLOWED = 16384, UNSURE = 32768, NEAR_REVERSAL = 65536
+    EXTRA = 6, POWERS = 8, HIGHEST = 20, MOVED = 21, FROM = 22, TO = 23, FADE = 24, MEAN = 25, BENDING = 0,
+    BENDING_JOINT = 36, BENDING_LINK = 37, POWER = 40, ROOTED = 41, WAY = 42, OF_AXIS = 43, BASE_FRAME = 0,
+    FIRST_MOVE = 12, MOUNT_X = 24, MOUNT_Y = 25, FIXED_MOMENT_X = 26, FIXED_MOMENT_Y = 27, GRAVITY = 0, ROWS = 3,
+    WEIGHT = 10, ITERATIONS = 16, STEP = 17, SINGULAR = 18, FARTHEST = 19, RAMP = 20, FILTER = 21, HYSTERESIS = 22,
+    LOADED = 23, REACHED = 24, N = 25, M = 26, WEAK = 27, CURVES = 28, BENDINGS = 29, MOUNT = 30, LOAD_CHAIN = 31,
+    FIRST = 32, LEVERAGE = 33, TURNED = 34, SATURATES = 35, ROUNDS = 36, HANGING = 37, HANGING_SIDED = 38,
+    DOUBT_AT = 39, DOUBTS = 40, LOWEST_OF_BOX = 0, HIGHEST_OF_BOX = 24, LINE = 12, SINE = 18, COSINE = 19, LOAD = 20,
+    ON_BASE = 26, BEHIND_TWIST = 28, WANTED = 0, COMMAND = 1, SHIFT = 2, TILT_A = 3, TILT_B = 4, SIDE = 5, MOMENT = 6,
+    SPEED_NOW = 9, ACCEL_NOW = 10, SIGN = 11, COLUMN = 12, REVERSED_AT_NEW = 18, SMOOTH_NEW = 19, SMOOTH_SPEED_NEW = 20,
+    GUESSED = 21, TWIST = 22, ROOT = 28, END = 34, STEPPED = 40, RAMPED = 41, TOTAL = 42, NEXT = 43, WISH = 45,
+    KEPT = 45, ERROR = 6, MULTIPLIER = 7, RIGHT = 8, MATRIX = 9, ADDED = 15, LAST_A = 0, LAST_B = 1, LAST_SIDE = 2,
+    LAST_Q = 3, REVERSED_AT = 4, LAST_SIGN = 5, OFFSET = 6, LAST_DELTA = 7, SMOOTH = 8, SMOOTH_SPEED = 9, GUESS = 10,
+    SLOPE = 11, VELOCITY = 12, TARGET = 13, AIMED = 44, STARTED = 0, REBASE = 1, REMAINING = 2, LENGTH = 3, BEHIND = 4,
+    OK = 0, NOT_FINITE = 5, JOINT_LIMIT = 6, TOO_LARGE = 7, RATE_LIMIT = 8, DYNAMIC = 256, RAMPING = 512,
+    REVERSING = 1024, DAMPED = 2048, RESIDUAL = 4096, SATURATED = 8192, SLOWED = 16384, UNSURE = 32768,
+    NEAR_REVERSAL = 65536
 };
 #define WAVE 0.0
 #define LINEAR 1.0
@@ -904,6 +905,9 @@ static double curve(rows P, matrix W, int row, int oj)
     double shape = P.at[row][SHAPE];
     int d = oj + (int)P.at[row][DRIVER];
     double q = W[d][COMMAND];
+    if (P.at[row][FADE] > 0.0) {
+        q = smaller(larger(q, P.at[row][FROM]), P.at[row][TO]);
+    }
     double s = 0.0;
     double c = 0.0;
     if (shape == WAVE) {
@@ -946,7 +950,13 @@ static void joint_curves(rows P, matrix W, int n, int m, int oj)
         int j = oj + (int)P.at[row][CURVED];
         int moved = (int)P.at[row][MOVED];
         int at = moved == 0 ? SHIFT : TWIST + moved - 1;
-        W[j][at] += curve(P, W, row, oj);
+        double value = curve(P, W, row, oj);
+        if (P.at[row][FADE] > 0.0) {
+            double q = W[oj + (int)P.at[row][DRIVER]][COMMAND];
+            double beyond = smaller(larger(larger(P.at[row][FROM] - q, q - P.at[row][TO]), 0.0) / P.at[row][FADE], 1.0);
+            value -= beyond * beyond * (3.0 - 2.0 * beyond) * (value - P.at[row][MEAN]);
+        }
+        W[j][at] += value;
     }
 }
 

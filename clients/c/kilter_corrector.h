@@ -20,7 +20,7 @@ extern "C" {
 #endif
 
 #define KC_FORMAT 1u          /* of the program's header */
-#define KC_LAYOUT 0x5a47b3b1u  /* of its numbers: a program for another layout is refused */
+#define KC_LAYOUT 0x92af4b57u  /* of its numbers: a program for another layout is refused */
 #define KC_COLUMNS 48
 #define KC_HEADER_BYTES 128
 #define KC_MOST_JOINTS 16

@@ -59,6 +59,8 @@ def _curve(curve: Curve) -> Floats:
     row[layout.MOVED] = 0 if curve.twist is None else 1 + curve.twist
     row[layout.EXTRA : layout.EXTRA + len(curve.constants)] = curve.constants
     row[layout.POWERS : layout.POWERS + len(curve.powers)] = curve.powers
+    if curve.within is not None:
+        row[[layout.FROM, layout.TO, layout.FADE, layout.MEAN]] = curve.within
     return row
 
 

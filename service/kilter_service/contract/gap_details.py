@@ -32,7 +32,7 @@ class Amplitude(Stored):
     """A parameter of an effect that was named."""
 
     name: str = Field(description="Name of the parameter.")
-    value: float | None = Field(None, description="Its value, as the version stores it.")
+    value: float | None = Field(None, description="Its value, as the search fitted it.")
     unit: str | None = Field(None, description=UNIT)
     sigma: float | None = Field(None, description="Standard deviation of the value, in the fit of the version.")
     interval_low: float | None = Field(None, description="Lower end of the 95 % interval.")

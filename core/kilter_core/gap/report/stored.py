@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from kilter_core.effects import Effect
+from kilter_core.effects.joint_curve import JointCurve
+from kilter_core.effects.physical import JOINT_CURVE
 from kilter_core.gap.evidence.fits.left_over import left_over
 from kilter_core.gap.evidence.fits.posterior import Posterior, posterior
 from kilter_core.gap.evidence.verdict import Judged
@@ -180,7 +182,12 @@ def _model(found: SearchResult, begin: Calibration, rows: Observations) -> Robot
     """The robot with the effects of the start and those named, in the frames of the fit."""
     source = found.problem.settings.source
     candidates = [found.selector.scorer.candidates[k] for k in found.chosen]
-    effects = with_masses((*begin.model.effects, *_merged(candidates, begin, rows)), source)
+    q = source.observations.q
+    named = (
+        e.with_measured_range(q) if isinstance(e, JointCurve) and e.class_on(begin.robot).id == JOINT_CURVE.id else e
+        for e in _merged(candidates, begin, rows)
+    )
+    effects = with_masses((*begin.model.effects, *named), source)
     frames = source.frames(begin)
     return replace(frames, effects=effects, load_chain=frames.load_chain if effects else None)
 

@@ -82,7 +82,7 @@ def _effects(effects: Sequence[Mapping[str, Any]], unit: str) -> None:
     show_rows(
         (*head_row, "parameter", "amplitude", "interval"),
         rows,
-        title="What is missing, with amplitudes as the version stores them",
+        title="What is missing, with amplitudes as the search fitted them",
     )
     for effect in effects:
         _class(effect)
