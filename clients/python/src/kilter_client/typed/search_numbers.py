@@ -340,4 +340,4 @@ class Amplitude(Record):
     unit: str | None
     """Unit of the numbers: mm, deg, s, 1/K, ...; 1 for none."""
     value: float | None
-    """Its value, as the version stores it."""
+    """Its value, as the search fitted it."""
