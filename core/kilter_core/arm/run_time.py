@@ -68,7 +68,7 @@ class Curve:
     """A curve that is added to ``joint``; ``driver`` is the joint that it follows, ``powers`` those of a polynomial.
 
     Where ``twist`` is a component of the twist behind the joint (0-5), the curve is added to that. ``within`` are the lowest
-    and the highest of the driver at which it holds, the way beyond in which it gives way, and to what.
+    and the highest of the driver at which it holds, the way beyond in which it fades, and to what.
     """
 
     joint: int
@@ -151,7 +151,7 @@ class RunTimeForm:
             self.twisted.add(joint)
 
     def bound_curves(self, first: int, joint: int, ends: tuple[float, float], fade: float, mean: float) -> None:
-        """Let the curves of a joint from the ``first`` on hold between these ends; beyond, they give way to their ``mean``."""
+        """Let the curves of a joint from the ``first`` on hold between these ends; beyond, they fade to their ``mean``."""
         for k, curve in enumerate(self.curves[first:], first):
             if curve.joint == joint:
                 self.curves[k] = replace(curve, within=(*ends, fade, mean))

@@ -15,7 +15,7 @@ from kilter_core.effects.batch import Batch
 from kilter_core.errors import OptionError
 from kilter_core.types import Floats
 
-FADE = float(np.radians(10.0))  # beyond its range in which a curve gives way, rad
+FADE = float(np.radians(10.0))  # beyond its range in which a curve fades, rad
 MEAN_OF = 200  # angles of the range over which its mean is taken
 TURN = 2.0 * np.pi
 
@@ -24,12 +24,12 @@ TURN = 2.0 * np.pi
 class JointCurve(Effect):
     """An error of a joint that follows its own angle alone.
 
-    With ``measured`` it holds in that range. Beyond it nobody knows its shape: within ``FADE`` it gives way to its mean over
+    With ``measured`` it holds in that range. Beyond it nobody knows its shape: within ``FADE`` it fades to its mean over
     the range, which the zero of the joint takes up where it is fitted without the curve.
     """
 
     measured: tuple[tuple[float, float], ...] | None = option(
-        None, "Range of each joint, rad, beyond which the curve gives way to its mean; null: it holds at every angle."
+        None, "Range of each joint, rad, beyond which the curve fades to its mean; null: it holds at every angle."
     )
 
     @abstractmethod

@@ -11,6 +11,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS
+from kilter_core.effects.physical import JOINT_CURVE
 from kilter_core.gap.budget import MEASURING, PLANNING, RESAMPLING, SEARCHING, SHUFFLING, Budget
 from kilter_core.gap.evidence.control import control_document, controls
 from kilter_core.gap.evidence.fits.intervals import Amplitude, amplitudes, seen_joints
@@ -50,7 +51,7 @@ from kilter_core.gap.report.ends import at_ends
 from kilter_core.gap.report.figures import figures
 from kilter_core.gap.report.localization import Place, localize, remains
 from kilter_core.gap.report.next_poses import rows_of, separate
-from kilter_core.gap.report.remarks import large, left_out_warnings, unplanned, unsearched
+from kilter_core.gap.report.remarks import left_out_warnings, unplanned, unsearched
 from kilter_core.gap.report.report import GapReport, Remains
 from kilter_core.gap.report.stored import Stored, settled_search, stored
 from kilter_core.gap.report.told_apart import Proposed, never_told, told_apart
@@ -59,6 +60,7 @@ from kilter_core.gap.search.events import numbered
 from kilter_core.gap.search.finalize import chance, or_geometry_alone
 from kilter_core.gap.search.forward_selection import SearchResult, search
 from kilter_core.gap.search.linear.complete_form import incomplete_sentence, incomplete_warnings, missing_directions
+from kilter_core.gap.search.linear.in_space import fit_rms
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.gap.search.re_evaluated_search import rejudged
@@ -76,6 +78,7 @@ from kilter_core.identify.comparison.other_setups import CONFIRM, elsewhere
 from kilter_core.identify.identifiable.load_model import far_from_stated
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
+from kilter_core.identify.report import large_residual
 from kilter_core.identify.rows.read_tilt import as_inputs
 from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.identify.views.planned_views import PlannedViews
@@ -83,10 +86,12 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import clock_warnings
-from kilter_core.parameters import metres, reported
+from kilter_core.parameters import degrees, metres, reported
 from kilter_core.types import Progress, unheard
 
 SEARCHES = 2  # the second where the noise of the first showed that more could be tested
+LARGE_DEG = 2.0  # left between two encoders of a joint: worth a warning
+TURN_DEG = 360.0  # over which a curve of a joint is known at every angle
 AGAIN = "a second search under the noise of the first"
 
 
@@ -232,7 +237,7 @@ class _Run:
             warnings=(
                 *incomplete_warnings(lacking),
                 *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(),
-                *unsearched(source, prepared.library.effects), *large(found), *self._worse(of_version, seen, kept),
+                *unsearched(source, prepared.library.effects), *self._large(found), *self._worse(of_version, seen, kept),
                 *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
                 *left_out_warnings(effects), *kept.alike(), *(() if told is None else told.warnings()),
                 *(unplanned(source) if effects and self.options.next_poses else ()),
@@ -265,7 +270,8 @@ class _Run:
         drafts = self._drafts(found, fit, left, kept, held, whole, aliases)
 
         def judged(evidence: Evidence) -> Judged:
-            return judge(found, evidence, fit, self.prepared.library, whole(evidence.moves_mm), lacking)
+            level = judge(found, evidence, fit, self.prepared.library, whole(evidence.moves_mm), lacking)
+            return replace(level, measured=_measured_range(found, level))
 
         rising = [k for k, evidence in drafts.items() if judged(evidence).verdict in SURE]
         shares = inclusion(
@@ -333,12 +339,20 @@ class _Run:
             held.poses, joints, any_, separated=separated(found, place),
         )  # fmt: skip
 
+    def _large(self, found: SearchResult) -> Iterator[dict[str, Any]]:
+        """Say when much is left after everything that was named: a fact about the model, no verdict about the rows."""
+        source, size = found.problem.settings.source, fit_rms(found.problem)
+        if source.observes_tool:
+            points = source.model.predict(source.batch, source.model_values(found.problem.values)).position
+            yield from large_residual(size, points)
+        elif degrees(size) > LARGE_DEG:
+            yield {"code": "large_residual", "message": f"{degrees(size):.2f} deg are left between the encoders."}
+
     def _worse(self, found: SearchResult, held: HoldoutEvaluator, kept: Stored) -> Iterator[dict[str, Any]]:
         """Warn when held-out poses are predicted worse than by geometry, or by base and tool, alone."""
         unit = "deg" if found.problem.settings.source.unit == "rad" else "mm"
         before_after = held.by_pose()
-        told = grown(*before_after) if found.chosen else None
-        if told is not None:
+        if found.chosen and (told := grown(*before_after)) is not None:
             certain = Difference.of(*reversed(before_after)).worse
             yield worse_warning(WORSE_THAN_GEOMETRY, "the geometry alone", told, certain, unit)
         if self.confirmation is not None:
@@ -368,6 +382,17 @@ class _Run:
         proposals = separate(found.problem, rows, target, [rival] if rival else [], others, values, *asked_for)
         names = target.label, rival.label if rival else "geometry"
         return rows_of(proposals, names, self.robot), told_apart(proposals, target, rival, rows, self.robot)
+
+
+def _measured_range(found: SearchResult, judged: Judged) -> str:
+    """The range that a curve of a joint is claimed for: " over 51 deg, from -30 to 21 deg"; empty of a whole rotation."""
+    claim, source = judged.claim, found.problem.settings.source
+    joints = [j for j in claim.joints or () if source.model.robot.joints[j].kind == "revolute"]
+    if claim.physical.id != JOINT_CURVE.id or not joints:
+        return ""
+    low, high = (degrees(end(source.observations.q[:, joints], axis=0)) for end in (np.min, np.max))
+    span, ends = float(min(high - low)), f", from {low[0]:.0f} to {high[0]:.0f} deg"
+    return "" if span >= TURN_DEG else f" over {span:.0f} deg{ends if len(joints) == 1 else ' or more each'}"
 
 
 __all__ = ["GapReport", "Library", "Testability", "find_gap"]

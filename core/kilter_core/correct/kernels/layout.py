@@ -33,7 +33,7 @@ TILT_OWN, PLAY_OWN = 25, 26  # half-widths of the signs as the version has them,
 # that component of the twist behind it, from 1
 CURVED, SHAPE, DRIVER, AMPLITUDE_A, AMPLITUDE_B, FACTOR, EXTRA, POWERS, HIGHEST = 0, 1, 2, 3, 4, 5, 6, 8, 20
 MOVED = 21
-# where FADE is above 0 it holds from here to there, and gives way to MEAN within FADE beyond
+# where FADE is above 0 it holds from here to there, and fades to MEAN within FADE beyond
 FROM, TO, FADE, MEAN = 22, 23, 24, 25
 WAVE, LINEAR, SPRING, SINES, LAG, POLYNOMIAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
 # bending rows: twist per wrench on the joint (6, 6), then the same per wrench on the end of the link; link vector; the

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.effects.physical import JOINT_CURVE, Separator
+from kilter_core.effects.physical import Separator
 from kilter_core.gap.evidence.claim import CLASS, MEMBER, ONE_OF, Claim
 from kilter_core.gap.evidence.control import Control
 from kilter_core.gap.evidence.fits.intervals import Amplitude
@@ -20,10 +20,8 @@ from kilter_core.gap.evidence.similarity.aliases import SAME, Alias, correlation
 from kilter_core.gap.evidence.stability import INCLUDED
 from kilter_core.gap.search.candidates import Candidate, Library
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.parameters import degrees
 
 SURE_GAIN = 3.0  # standard deviations by which held-out poses must err as predicted
-TURN_DEG = 360.0  # over which a curve of a joint is known at every angle
 SHADOWED = 0.3  # correlation with an unknown curve above which a named effect may be part of it
 CONTRADICTED = "contradicted"  # verdict of an effect against which rows speak that no choice saw
 CONTRADICTS = 2.0  # standard deviations on the wrong side of zero, or beyond the plausible range
@@ -134,22 +132,7 @@ def judge(
     if _sensed(evidence) is not None:
         gates["sensor"] = not claim.refuted
     level = CONTRADICTED if evidence.contradicted else _level(gates, claim, replication)
-    return Judged(evidence, level, gates, numbers, rivals, claim, _measured_range(search, claim))
-
-
-def _measured_range(search: SearchResult, claim: Claim) -> str:
-    """The range of its joint that a curve is claimed for: " over 51 deg, from -30 to 21 deg"; empty of a whole turn."""
-    source = search.problem.settings.source
-    joints = [j for j in claim.joints or () if source.model.robot.joints[j].kind == "revolute"]
-    if claim.physical.id != JOINT_CURVE.id or not joints:
-        return ""
-    low, high = (degrees(end(source.observations.q[:, joints], axis=0)) for end in (np.min, np.max))
-    spans = [
-        f"{b - a:.0f} deg, from {a:.0f} to {b:.0f} deg" for a, b in zip(low, high, strict=True) if b - a < TURN_DEG
-    ]
-    if len(joints) > 1:
-        return f" over {min(high - low):.0f} deg or more each" if spans else ""
-    return f" over {spans[0]}" if spans else ""
+    return Judged(evidence, level, gates, numbers, rivals, claim)
 
 
 def _beside_any_shape(search: SearchResult, evidence: Evidence) -> bool:

@@ -1,4 +1,4 @@
-"""What a report says beside its verdict: what was not looked for, what is large, what the version leaves out."""
+"""What a report says beside its verdict: what was not looked for, what the version leaves out."""
 
 from __future__ import annotations
 
@@ -9,13 +9,7 @@ import numpy as np
 
 from kilter_core.effects import Effect
 from kilter_core.gap.evidence.verdict import CONTRADICTED, Judged
-from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.in_space import fit_rms
 from kilter_core.gap.search.sources.source import Source
-from kilter_core.identify.report import large_residual
-from kilter_core.parameters import degrees
-
-LARGE_DEG = 2.0  # left between two encoders of a joint: worth a warning
 
 
 def left_out_warnings(effects: Sequence[Judged]) -> Iterator[dict[str, Any]]:
@@ -27,17 +21,6 @@ def left_out_warnings(effects: Sequence[Judged]) -> Iterator[dict[str, Any]]:
             "message": f"The version leaves out what is not settled: {', '.join(dict.fromkeys(j.called for j in out))}. To "
             "settle it, revisit poses at other times, or measure all in random order.",
         }  # fmt: skip
-
-
-def large(found: SearchResult) -> Iterator[dict[str, Any]]:
-    """Say when much is left after everything that was named: a fact about the model, no verdict about the rows."""
-    problem, size = found.problem, fit_rms(found.problem)
-    source = problem.settings.source
-    if source.observes_tool:
-        points = source.model.predict(source.batch, source.model_values(problem.values)).position
-        yield from large_residual(size, points)
-    elif degrees(size) > LARGE_DEG:
-        yield {"code": "large_residual", "message": f"{degrees(size):.2f} deg are left between the encoders."}
 
 
 def unsearched(source: Source, effects: Sequence[Effect]) -> Iterator[dict[str, Any]]:

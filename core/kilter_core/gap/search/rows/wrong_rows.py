@@ -88,7 +88,7 @@ def _along_joint_or_load(problem: LinearizedProblem, far: Bools, left: Floats) -
     def by_load(number: int) -> Floats:
         if number < len(loads):
             return problem.W_raw[:, loads[number]].reshape(left.shape)
-        # A weight at the tool through gears that are all as soft: each joint gives way as far as its motion is along gravity.
+        # A weight at the tool through gears that are all as soft: each joint deflects as far as its motion is along gravity.
         down = source.model.T_base[:3, :3] @ source.model.robot.gravity
         moved = [columns(joint) for joint in range(n)]
         return settings.whitening.residual(np.sum([one * (one[:, :3] @ down)[:, None] for one in moved], axis=0))
