@@ -51,12 +51,13 @@ enum {
     TILT = 9, TILT_SOFT = 10, TILT_SHARE = 11, PLAY = 12, PLAY_SOFT = 13, REVERSAL = 14, COMPLIANCE = 15, RATE = 16,
     LARGEST = 17, SPEED = 18, RADIAL = 19, TWISTED = 20, HARDENING = 21, SIDED = 22, CHANGE = 23, SPURT = 24, FREE = 27,
     TILT_OWN = 25, PLAY_OWN = 26, CURVED = 0, SHAPE = 1, DRIVER = 2, AMPLITUDE_A = 3, AMPLITUDE_B = 4, FACTOR = 5,
-    EXTRA = 6, POWERS = 8, HIGHEST = 20, MOVED = 21, BENDING = 0, BENDING_JOINT = 36, BENDING_LINK = 37, POWER = 40,
-    ROOTED = 41, WAY = 42, OF_AXIS = 43, BASE_FRAME = 0, FIRST_MOVE = 12, MOUNT_X = 24, MOUNT_Y = 25,
-    FIXED_MOMENT_X = 26, FIXED_MOMENT_Y = 27, GRAVITY = 0, ROWS = 3, WEIGHT = 10, ITERATIONS = 16, STEP = 17,
-    SINGULAR = 18, FARTHEST = 19, RAMP = 20, FILTER = 21, HYSTERESIS = 22, LOADED = 23, REACHED = 24, N = 25, M = 26,
-    WEAK = 27, CURVES = 28, BENDINGS = 29, MOUNT = 30, LOAD_CHAIN = 31, FIRST = 32, LEVERAGE = 33, TURNED = 34,
-    SATURATES = 35, ROUNDS = 36, HANGING = 37, HANGING_SIDED = 38, LINE = 12, SINE = 18, COSINE = 19, LOAD = 20,
+    EXTRA = 6, POWERS = 8, HIGHEST = 20, MOVED = 21, FROM = 22, TO = 23, FADE = 24, MEAN = 25, BENDING = 0,
+    BENDING_JOINT = 36, BENDING_LINK = 37, POWER = 40, ROOTED = 41, WAY = 42, OF_AXIS = 43, BASE_FRAME = 0,
+    FIRST_MOVE = 12, MOUNT_X = 24, MOUNT_Y = 25, FIXED_MOMENT_X = 26, FIXED_MOMENT_Y = 27, GRAVITY = 0, ROWS = 3,
+    WEIGHT = 10, ITERATIONS = 16, STEP = 17, SINGULAR = 18, FARTHEST = 19, RAMP = 20, FILTER = 21, HYSTERESIS = 22,
+    LOADED = 23, REACHED = 24, N = 25, M = 26, WEAK = 27, CURVES = 28, BENDINGS = 29, MOUNT = 30, LOAD_CHAIN = 31,
+    FIRST = 32, LEVERAGE = 33, TURNED = 34, SATURATES = 35, ROUNDS = 36, HANGING = 37, HANGING_SIDED = 38,
+    DOUBT_AT = 39, DOUBTS = 40, LOWEST_OF_BOX = 0, HIGHEST_OF_BOX = 24, LINE = 12, SINE = 18, COSINE = 19, LOAD = 20,
     ON_BASE = 26, BEHIND_TWIST = 28, WANTED = 0, COMMAND = 1, SHIFT = 2, TILT_A = 3, TILT_B = 4, SIDE = 5, MOMENT = 6,
     SPEED_NOW = 9, ACCEL_NOW = 10, SIGN = 11, COLUMN = 12, REVERSED_AT_NEW = 18, SMOOTH_NEW = 19, SMOOTH_SPEED_NEW = 20,
     GUESSED = 21, TWIST = 22, ROOT = 28, END = 34, STEPPED = 40, RAMPED = 41, TOTAL = 42, NEXT = 43, WISH = 45,
@@ -64,7 +65,8 @@ enum {
     LAST_Q = 3, REVERSED_AT = 4, LAST_SIGN = 5, OFFSET = 6, LAST_DELTA = 7, SMOOTH = 8, SMOOTH_SPEED = 9, GUESS = 10,
     SLOPE = 11, VELOCITY = 12, TARGET = 13, AIMED = 44, STARTED = 0, REBASE = 1, REMAINING = 2, LENGTH = 3, BEHIND = 4,
     OK = 0, NOT_FINITE = 5, JOINT_LIMIT = 6, TOO_LARGE = 7, RATE_LIMIT = 8, DYNAMIC = 256, RAMPING = 512,
-    REVERSING = 1024, DAMPED = 2048, RESIDUAL = 4096, SATURATED = 8192, SLOWED = 16384, NEAR_REVERSAL = 65536
+    REVERSING = 1024, DAMPED = 2048, RESIDUAL = 4096, SATURATED = 8192, SLOWED = 16384, UNSURE = 32768,
+    NEAR_REVERSAL = 65536
 };
 #define WAVE 0.0
 #define LINEAR 1.0
@@ -759,7 +761,7 @@ static double soft_sign(double x, double width)
 }
 
 /* a / sqrt(1 + a²); the series is exact up to a degree. */
-static double bounded(double a)
+static double bounded_of(double a)
 {
     double z = a * a;
     if (z < 0.0004) {
@@ -795,7 +797,7 @@ static tuple2 clearance_tilt(rows P, int j, double x, double y, double soft)
         s = ax * h;
         c = ay * h;
     }
-    return (tuple2){{bounded(t * s * soft_sign(x, soft)), bounded(t * c * soft_sign(y, soft))}};
+    return (tuple2){{bounded_of(t * s * soft_sign(x, soft)), bounded_of(t * c * soft_sign(y, soft))}};
 }
 
 /* target, or as far towards it from last as reach allows. */
@@ -903,6 +905,9 @@ static double curve(rows P, matrix W, int row, int oj)
     double shape = P.at[row][SHAPE];
     int d = oj + (int)P.at[row][DRIVER];
     double q = W[d][COMMAND];
+    if (P.at[row][FADE] > 0.0) {
+        q = smaller(larger(q, P.at[row][FROM]), P.at[row][TO]);
+    }
     double s = 0.0;
     double c = 0.0;
     if (shape == WAVE) {
@@ -945,7 +950,13 @@ static void joint_curves(rows P, matrix W, int n, int m, int oj)
         int j = oj + (int)P.at[row][CURVED];
         int moved = (int)P.at[row][MOVED];
         int at = moved == 0 ? SHIFT : TWIST + moved - 1;
-        W[j][at] += curve(P, W, row, oj);
+        double value = curve(P, W, row, oj);
+        if (P.at[row][FADE] > 0.0) {
+            double q = W[oj + (int)P.at[row][DRIVER]][COMMAND];
+            double beyond = smaller(larger(larger(P.at[row][FROM] - q, q - P.at[row][TO]), 0.0) / P.at[row][FADE], 1.0);
+            value -= beyond * beyond * (3.0 - 2.0 * beyond) * (value - P.at[row][MEAN]);
+        }
+        W[j][at] += value;
     }
 }
 
@@ -2007,6 +2018,28 @@ static double bound_change(rows P, matrix W, int S, matrix state, double *info, 
     return most;
 }
 
+/* ---- correct/doubts -------------------------------------------------------------------------------------- */
+
+/* Return the flag UNSURE where the wanted joints are in a box of doubt, else 0. */
+static int flag_doubts(rows P, matrix W, int S, int n, int m)
+{
+    int first = (int)P.at[S][DOUBT_AT];
+    double bounded = smaller(n, HIGHEST_OF_BOX - LOWEST_OF_BOX);
+    for (int row = first; row < first + (int)P.at[S][DOUBTS]; row++) {
+        int inside = 1;
+        for (int i = 0; i < bounded; i++) {
+            double wanted = W[m + 1 + i][WANTED];
+            if (!(P.at[row][LOWEST_OF_BOX + i] <= wanted && wanted <= P.at[row][HIGHEST_OF_BOX + i])) {
+                inside = 0;
+            }
+        }
+        if (inside != 0) {
+            return UNSURE;
+        }
+    }
+    return 0;
+}
+
 /* ---- correct/stream -------------------------------------------------------------------------------------- */
 
 #define NONSENSE 1000.0
@@ -2143,6 +2176,7 @@ static int verdict(rows P, matrix W, double *info, double *out, int flags, int n
     int outside = 0;
     double share = 1.0;
     double size = 0.0;
+    flags |= flag_doubts(P, W, S, n, m);
     for (int k = 0; k < 3; k++) {
         size += fabs(info[REMOVED + k]) + fabs(info[LEFT + k]);
     }
@@ -2477,7 +2511,8 @@ static bool possible(const unsigned char *bytes, int count, int n)
     }
     if (!whole(bytes, s, N, n, n) || !whole(bytes, s, M, 1, KC_MOST_MOVES) ||
         !whole(bytes, s, CURVES, 0, KC_MOST_ROWS) || !whole(bytes, s, BENDINGS, 0, KC_MOST_ROWS) ||
-        !whole(bytes, s, LOAD_CHAIN, 0, KC_MOST_ROWS) || !whole(bytes, s, ITERATIONS, 1, KC_MOST_ROUNDS) ||
+        !whole(bytes, s, LOAD_CHAIN, 0, KC_MOST_ROWS) || !whole(bytes, s, DOUBT_AT, 0, KC_MOST_ROWS) ||
+        !whole(bytes, s, DOUBTS, 0, KC_MOST_ROWS) || !whole(bytes, s, ITERATIONS, 1, KC_MOST_ROUNDS) ||
         !whole(bytes, s, ROUNDS, 1, KC_MOST_ROUNDS) || !whole(bytes, s, HANGING, 0, KC_MOST_HANGING) ||
         !whole(bytes, s, HANGING_SIDED, 0, KC_MOST_HANGING) ||
         !whole(bytes, s, ROWS, 5, 6) || !whole(bytes, s, FIRST, 3, 6) || number_at(bytes, s, FIRST) > number_at(bytes, s, ROWS)) {
@@ -2486,7 +2521,8 @@ static bool possible(const unsigned char *bytes, int count, int n)
     const int m = (int)number_at(bytes, s, M), curves = (int)number_at(bytes, s, CURVES);
     const int bendings = (int)number_at(bytes, s, BENDINGS), loads = (int)number_at(bytes, s, LOAD_CHAIN);
     const int mount = number_at(bytes, s, MOUNT) != 0.0 ? 1 : 0;
-    if (m + 1 + n + curves + 2 * bendings + mount > s || (loads != 0 && loads + m + 1 + mount > s)) {
+    const int doubts = (int)number_at(bytes, s, DOUBT_AT) + (int)number_at(bytes, s, DOUBTS);
+    if (m + 1 + n + curves + 2 * bendings + mount > s || (loads != 0 && loads + m + 1 + mount > s) || doubts > s) {
         return false;
     }
     for (int k = 0; k < m; k++) {

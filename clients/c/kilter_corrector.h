@@ -20,7 +20,7 @@ extern "C" {
 #endif
 
 #define KC_FORMAT 1u          /* of the program's header */
-#define KC_LAYOUT 0x7f5f99eeu  /* of its numbers: a program for another layout is refused */
+#define KC_LAYOUT 0x92af4b57u  /* of its numbers: a program for another layout is refused */
 #define KC_COLUMNS 48
 #define KC_HEADER_BYTES 128
 #define KC_MOST_JOINTS 16
@@ -47,7 +47,8 @@ enum {
     KC_DAMPED = 2048,     /* near a singular posture the correction is damped */
     KC_RESIDUAL = 4096,   /* the tool is left off by more than the program's bound: see left_m */
     KC_SATURATED = 8192,  /* the correction is held at its limit, and part of the error is left */
-    KC_SLOWED = 16384     /* the correction is held back by the bound on its rate or acceleration */
+    KC_SLOWED = 16384,    /* the correction is held back by the bound on its rate or acceleration */
+    KC_UNSURE = 32768     /* the version is less sure here than it says: see its report */
 };
 
 /* Why a program was not loaded. */

@@ -47,7 +47,8 @@ enum {
     KC_DAMPED = @DAMPED@,     /* near a singular posture the correction is damped */
     KC_RESIDUAL = @RESIDUAL@,   /* the tool is left off by more than the program's bound: see left_m */
     KC_SATURATED = @SATURATED@,  /* the correction is held at its limit, and part of the error is left */
-    KC_SLOWED = @SLOWED@     /* the correction is held back by the bound on its rate or acceleration */
+    KC_SLOWED = @SLOWED@,    /* the correction is held back by the bound on its rate or acceleration */
+    KC_UNSURE = @UNSURE@     /* the version is less sure here than it says: see its report */
 };
 
 /* Why a program was not loaded. */

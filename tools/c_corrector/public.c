@@ -96,7 +96,8 @@ static bool possible(const unsigned char *bytes, int count, int n)
     }
     if (!whole(bytes, s, N, n, n) || !whole(bytes, s, M, 1, KC_MOST_MOVES) ||
         !whole(bytes, s, CURVES, 0, KC_MOST_ROWS) || !whole(bytes, s, BENDINGS, 0, KC_MOST_ROWS) ||
-        !whole(bytes, s, LOAD_CHAIN, 0, KC_MOST_ROWS) || !whole(bytes, s, ITERATIONS, 1, KC_MOST_ROUNDS) ||
+        !whole(bytes, s, LOAD_CHAIN, 0, KC_MOST_ROWS) || !whole(bytes, s, DOUBT_AT, 0, KC_MOST_ROWS) ||
+        !whole(bytes, s, DOUBTS, 0, KC_MOST_ROWS) || !whole(bytes, s, ITERATIONS, 1, KC_MOST_ROUNDS) ||
         !whole(bytes, s, ROUNDS, 1, KC_MOST_ROUNDS) || !whole(bytes, s, HANGING, 0, KC_MOST_HANGING) ||
         !whole(bytes, s, HANGING_SIDED, 0, KC_MOST_HANGING) ||
         !whole(bytes, s, ROWS, 5, 6) || !whole(bytes, s, FIRST, 3, 6) || number_at(bytes, s, FIRST) > number_at(bytes, s, ROWS)) {
@@ -105,7 +106,8 @@ static bool possible(const unsigned char *bytes, int count, int n)
     const int m = (int)number_at(bytes, s, M), curves = (int)number_at(bytes, s, CURVES);
     const int bendings = (int)number_at(bytes, s, BENDINGS), loads = (int)number_at(bytes, s, LOAD_CHAIN);
     const int mount = number_at(bytes, s, MOUNT) != 0.0 ? 1 : 0;
-    if (m + 1 + n + curves + 2 * bendings + mount > s || (loads != 0 && loads + m + 1 + mount > s)) {
+    const int doubts = (int)number_at(bytes, s, DOUBT_AT) + (int)number_at(bytes, s, DOUBTS);
+    if (m + 1 + n + curves + 2 * bendings + mount > s || (loads != 0 && loads + m + 1 + mount > s) || doubts > s) {
         return false;
     }
     for (int k = 0; k < m; k++) {

@@ -5,7 +5,8 @@ function [q, info] = correct(robot, q_deg, varargin)
 %   [q, info] = kilter.correct('arm', q_deg, 'task', 'pose', 'strict', true)
 %   q = kilter.correct('arm', q_deg, 'hold', [1 2])   % joints 1 and 2 stay as they are, such as a rail
 %   Q has NaN where a row could not be corrected; INFO.status says why, INFO.error_mm (N, 3) is the tool error removed,
-%   INFO.left_mm (N, 1) what is left of it. The status is OK where that is within what is stated, else DAMPED or LIMITED.
+%   INFO.left_mm (N, 1) what is left of it. The status is OK where that is within what is stated, else DAMPED or LIMITED,
+%   or UNSURE where the version is less sure than it says.
 %   'strict' makes any other status than OK an error.
 [given, ~] = kilter.internal.options(varargin);
 path = ['/v1/robots/' kilter.internal.quote(robot) '/correct'];

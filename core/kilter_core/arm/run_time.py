@@ -7,7 +7,7 @@ effect's business. Angles rad, lengths m, loads N and N m, in the joint frames.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, auto
 
 import numpy as np
@@ -67,7 +67,8 @@ class Shape(Enum):
 class Curve:
     """A curve that is added to ``joint``; ``driver`` is the joint that it follows, ``powers`` those of a polynomial.
 
-    Where ``twist`` is a component of the twist behind the joint (0-5), the curve is added to that.
+    Where ``twist`` is a component of the twist behind the joint (0-5), the curve is added to that. ``within`` are the lowest
+    and the highest of the driver at which it holds, the way beyond in which it fades, and to what.
     """
 
     joint: int
@@ -79,6 +80,7 @@ class Curve:
     constants: tuple[float, ...] = ()
     powers: tuple[float, ...] = ()
     twist: int | None = None
+    within: tuple[float, float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -147,6 +149,13 @@ class RunTimeForm:
             self.curves.append(Curve(joint, shape, driver, a, b, factor, constants, powers, twist))
         if twist is not None:
             self.twisted.add(joint)
+
+    def bound_curves(self, first: int, joint: int, ends: tuple[float, float], fade: float, mean: float) -> None:
+        """Let the curves of a joint from the ``first`` on hold between these ends; beyond, they fade to their ``mean``."""
+        for k, curve in enumerate(self.curves[first:], first):
+            if curve.joint == joint:
+                self.curves[k] = replace(curve, within=(*ends, fade, mean))
+                mean = 0.0  # of all of them together
 
     def waves(self, joints: Sequence[int], values: Floats, factors: Sequence[Sequence[float]]) -> None:
         """Add waves of joints, ``factors`` joint by joint; amplitudes of sines then cosines per joint, factor by factor."""

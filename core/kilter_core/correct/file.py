@@ -136,7 +136,8 @@ def _possible(array: Floats, n: int) -> bool:
     last, scalars = len(array) - 1, array[-1]
     wanted = {
         layout.N: (n, n), layout.M: (1, MOST_MOVES), layout.CURVES: (0, MOST_ROWS), layout.BENDINGS: (0, MOST_ROWS),
-        layout.LOAD_CHAIN: (0, MOST_ROWS), layout.ITERATIONS: (1, MOST_ROUNDS), layout.ROUNDS: (1, MOST_ROUNDS),
+        layout.LOAD_CHAIN: (0, MOST_ROWS), layout.DOUBT_AT: (0, MOST_ROWS),
+        layout.DOUBTS: (0, MOST_ROWS), layout.ITERATIONS: (1, MOST_ROUNDS), layout.ROUNDS: (1, MOST_ROUNDS),
         layout.ROWS: (5, 6), layout.FIRST: (3, 6), layout.HANGING: (0, HANGING_ROUNDS), layout.HANGING_SIDED: (0, SIDED_ROUNDS),
     }  # fmt: skip
     if not all(_whole(scalars[column], *bounds) for column, bounds in wanted.items()):
@@ -148,7 +149,7 @@ def _possible(array: Floats, n: int) -> bool:
     bent = m + 1 + n + curves
     if scalars[layout.FIRST] > scalars[layout.ROWS] or bent + 2 * bendings + mount > last:
         return False
-    if loads and loads + m + 1 + mount > last:
+    if (loads and loads + m + 1 + mount > last) or scalars[layout.DOUBT_AT] + scalars[layout.DOUBTS] > last:
         return False
     joints, curve_rows, bending_rows = array[m + 1 : m + 1 + n], array[m + 1 + n : bent], array[bent::2][:bendings]
     return bool(

@@ -32,7 +32,7 @@ from kilter_core.correct.collapse import (
     write_moves,
 )
 from kilter_core.correct.kernels import layout, stream
-from kilter_core.correct.rows import bending_rows, curve_rows, joint_rows
+from kilter_core.correct.rows import bending_rows, curve_rows, doubt_rows, joint_rows
 from kilter_core.correct.softening import softening
 from kilter_core.errors import OptionError
 from kilter_core.model import Calibration
@@ -338,6 +338,8 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     if loads is not chains.nominal:
         scalars[layout.LOAD_CHAIN] = sum(len(part) for part in parts)
         parts.append(load_rows(loads))
+    scalars[layout.DOUBT_AT], scalars[layout.DOUBTS] = sum(len(part) for part in parts), len(calibration.doubts)
+    parts.append(doubt_rows(calibration.doubts, n))
     array = np.vstack([*parts, *mount, scalars])
     return CorrectionProgram(array, n, m, first, made.supported, made.unsupported, made.where_stated)
 

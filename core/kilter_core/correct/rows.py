@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from kilter_core.arm.run_time import BendingRow, Curve, RunTimeForm, Shape
 from kilter_core.correct.kernels import layout
+from kilter_core.model.doubts import Doubt
 from kilter_core.types import Floats
 
 _SHAPES: Mapping[Shape, float] = {
@@ -58,6 +59,8 @@ def _curve(curve: Curve) -> Floats:
     row[layout.MOVED] = 0 if curve.twist is None else 1 + curve.twist
     row[layout.EXTRA : layout.EXTRA + len(curve.constants)] = curve.constants
     row[layout.POWERS : layout.POWERS + len(curve.powers)] = curve.powers
+    if curve.within is not None:
+        row[[layout.FROM, layout.TO, layout.FADE, layout.MEAN]] = curve.within
     return row
 
 
@@ -76,4 +79,14 @@ def _bending(bending: BendingRow, revolute: bool) -> Floats:
     if bending.of_axis:
         rows[0, layout.OF_AXIS] = 6 if revolute else 3
     rows[0, layout.POWER], rows[0, layout.ROOTED], rows[0, layout.WAY] = bending.reach
+    return rows
+
+
+def doubt_rows(doubts: Sequence[Doubt], n: int) -> Floats:
+    """Rows (doubts, COLUMNS), one for each box of joint values in which the version is less sure than it says."""
+    rows = np.zeros((len(doubts), layout.COLUMNS))
+    bounded = min(n, layout.HIGHEST_OF_BOX - layout.LOWEST_OF_BOX)
+    for row, doubt in zip(rows, doubts, strict=True):
+        row[layout.LOWEST_OF_BOX : layout.LOWEST_OF_BOX + bounded] = doubt.low[:bounded]
+        row[layout.HIGHEST_OF_BOX : layout.HIGHEST_OF_BOX + bounded] = doubt.high[:bounded]
     return rows

@@ -108,6 +108,11 @@ class CorrectedTrajectory:
     reversal_band: float
     where_stated: Mapping[str, tuple[str, ...]]
 
+    @property
+    def follow_one_another(self) -> bool:
+        """Whether the rows are one motion: they have times, and name no directions."""
+        return _follow_one_another(self.wanted)
+
     @cached_property
     def direction(self) -> Floats:
         """Last motion (N, n) of each joint that the correction reckoned with; 0 in rows of a stream that were refused."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -10,8 +11,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import Effect, Local
-from kilter_core.effects.batch import Batch
+from kilter_core.effects.joint_curve import JointCurve
 from kilter_core.effects.physical import JOINT_CURVE, Separator
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -19,7 +19,7 @@ from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
-class Eccentricity(Effect):
+class Eccentricity(JointCurve):
     """dq = a sin q + b cos q, once per revolution of the joint.
 
     The cosine is b at q = 0 and so partly an encoder offset: separating them is the geometric fit's business.
@@ -46,12 +46,11 @@ class Eccentricity(Effect):
             for p in self.per_joint(robot, f"eccentricity_{wave}", "rad", sigma, -wide, wide, f"amplitude of {wave} q")
         )
 
-    def local(self, batch: Batch, values: Floats) -> Local:
-        """Joint correction and its derivatives by a and b."""
-        return self.joint_angle(batch, values, np.sin(batch.q), np.cos(batch.q))
+    def signals(self, q: Floats) -> Sequence[Floats]:
+        """Sine and cosine."""
+        return np.sin(q), np.cos(q)
 
-    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+    def add_curves(self, form: RunTimeForm, values: Floats) -> None:
         """Add a wave for each joint."""
         joints = self.acting(len(form.joints))
         form.waves(joints, values, [(1.0,)] * len(joints))
-        return True

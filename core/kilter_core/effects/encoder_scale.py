@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
-from kilter_core.effects.base import Effect, Local
-from kilter_core.effects.batch import Batch
+from kilter_core.effects.joint_curve import JointCurve
 from kilter_core.effects.physical import JOINT_SCALE, SMOOTH_CURVE, PhysicalClass, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
-class EncoderScale(Effect):
+class EncoderScale(JointCurve):
     """dq = k q: the joint moves (1 + k) times what it reads."""
 
     id = "encoder_scale"
@@ -40,12 +40,11 @@ class EncoderScale(Effect):
         """Relative scale error k per joint."""
         return self.per_joint(robot, "encoder_scale", "1", 1e-3, -0.02, 0.02, "relative scale error k")
 
-    def local(self, batch: Batch, values: Floats) -> Local:
-        """Joint correction and its derivative by k."""
-        return self.joint_angle(batch, values, batch.q)
+    def signals(self, q: Floats) -> Sequence[Floats]:
+        """The angle itself."""
+        return (q,)
 
-    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+    def add_curves(self, form: RunTimeForm, values: Floats) -> None:
         """Add a straight line for each joint."""
         for j, value in zip(self.acting(len(form.joints)), values.tolist(), strict=True):
             form.curve(j, Shape.LINEAR, value)
-        return True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -10,8 +11,8 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
-from kilter_core.effects.base import Effect, Local, option
-from kilter_core.effects.batch import Batch
+from kilter_core.effects.base import option
+from kilter_core.effects.joint_curve import JointCurve
 from kilter_core.effects.physical import JOINT_CURVE, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
@@ -20,7 +21,7 @@ from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
-class GravitySpring(Effect):
+class GravitySpring(JointCurve):
     """Joint compliance times the torque of a spring between two pins about the joint's axis; joint 2 unless named.
 
     With the pins at distances a and b (``arms_m``) and the angle q + φ between them (``angle_rad`` φ), the spring is
@@ -68,22 +69,21 @@ class GravitySpring(Effect):
             )
         )
 
-    def local(self, batch: Batch, values: Floats) -> Local:
-        """Joint correction and its derivatives by the amplitudes."""
+    def signals(self, q: Floats) -> Sequence[Floats]:
+        """The pull of the spring; sine and cosine where its pins are unknown."""
         if self.arms_m is None:
-            return self.joint_angle(batch, values, np.sin(batch.q), np.cos(batch.q))
+            return np.sin(q), np.cos(q)
         a, b = self.arms_m
-        angle = batch.q + self.angle_rad
+        angle = q + self.angle_rad
         length = np.sqrt(a * a + b * b - 2.0 * a * b * np.cos(angle))
-        return self.joint_angle(batch, values, -np.sin(angle) * (1.0 - self.free_length_m / length))
+        return (-np.sin(angle) * (1.0 - self.free_length_m / length),)
 
-    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+    def add_curves(self, form: RunTimeForm, values: Floats) -> None:
         """Add the pull of the spring, a wave where its pins are unknown."""
         joints = self.acting(len(form.joints))
         if self.arms_m is None:
             form.waves(joints, values, [(1.0,)] * len(joints))
-            return True
+            return
         for j, value in zip(joints, values.tolist(), strict=True):
             constants = (*self.arms_m, self.angle_rad, self.free_length_m)
             form.curve(j, Shape.SPRING, value, constants=constants)
-        return True

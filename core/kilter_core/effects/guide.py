@@ -48,7 +48,7 @@ class GuideCurves(OverRange):
         """Twist of the carriage and its derivatives by the amplitudes."""
         made: list[Derivative] = []
         joints = self.acting(batch.q.shape[1])
-        for shape in self.shapes(batch):
+        for shape in self.shapes(batch.q):
             for component in self.components:
                 for place, j in enumerate(joints):
                     xi = np.zeros((len(batch), 6))

@@ -11,7 +11,6 @@ from numpy.polynomial import legendre
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import Effect, option
-from kilter_core.effects.batch import Batch
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
@@ -79,12 +78,12 @@ class OverRange(Effect):
             )
         return self
 
-    def shapes(self, batch: Batch) -> Floats:
+    def shapes(self, q: Floats) -> Floats:
         """Polynomials (orders, N, joints) of the acting joints, order by order."""
         if self.centres is None or self.halves is None:
             raise OptionError(f"{self.id} needs centres and halves: give the range of each joint.", effect=self.id)
-        joints = list(self.acting(batch.q.shape[1]))
-        u = np.clip((batch.q[:, joints] - np.array(self.centres)) / np.array(self.halves), -1.0, 1.0)
+        joints = list(self.acting(q.shape[1]))
+        u = np.clip((q[:, joints] - np.array(self.centres)) / np.array(self.halves), -1.0, 1.0)
         return np.stack([legendre.legval(u, np.eye(m + 1)[m]) for m in self.orders])
 
     def powers(self, amplitudes: Floats) -> tuple[float, ...]:

@@ -11,8 +11,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
-from kilter_core.effects.base import Local
-from kilter_core.effects.batch import Batch
+from kilter_core.effects.joint_curve import JointCurve
 from kilter_core.effects.over_range import OverRange
 from kilter_core.effects.physical import JOINT_CURVE
 from kilter_core.observations import Observations
@@ -21,7 +20,7 @@ from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
-class UnknownSmoothCurve(OverRange):
+class UnknownSmoothCurve(JointCurve, OverRange):
     """dq = Σ a_m P_m(u) over the ``orders`` m: Legendre polynomials of u = (q − centre)/half, −1 to 1 over the range.
 
     Over less than one turn q, sin q and cos q span every smooth curve, so
@@ -54,17 +53,15 @@ class UnknownSmoothCurve(OverRange):
         made = (self.per_joint(robot, stem, "rad", sigma, -wide, wide, "empirical amplitude") for stem in stems)
         return tuple(p for stem in made for p in stem)
 
-    def local(self, batch: Batch, values: Floats) -> Local:
-        """Joint correction and its derivatives by the amplitudes."""
-        joints = list(self.acting(batch.q.shape[1]))
-        curves = np.zeros((len(self.orders), *batch.q.shape))
-        curves[:, :, joints] = self.shapes(batch)
-        return self.joint_angle(batch, values, *curves)
+    def signals(self, q: Floats) -> Sequence[Floats]:
+        """Polynomials, order by order."""
+        curves = np.zeros((len(self.orders), *q.shape))
+        curves[:, :, list(self.acting(q.shape[1]))] = self.shapes(q)
+        return list(curves)
 
-    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+    def add_curves(self, form: RunTimeForm, values: Floats) -> None:
         """Add a polynomial for each joint."""
         joints = self.acting(len(form.joints))
         for place, (j, *range_of) in enumerate(zip(joints, self.centres or (), self.halves or (), strict=True)):
             powers = self.powers(values[place :: len(joints)])
             form.curve(j, Shape.POLYNOMIAL, 1.0, constants=tuple(range_of), powers=powers)
-        return True

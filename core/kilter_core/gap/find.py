@@ -41,16 +41,23 @@ from kilter_core.gap.evidence.similarity.testability import (
     untestable,
 )
 from kilter_core.gap.evidence.stability import inclusion
-from kilter_core.gap.evidence.verdict import Evidence, Judged, is_settled, judge, run_verdict, sentence
+from kilter_core.gap.evidence.verdict import SURE, Evidence, Judged, is_settled, judge, run_verdict, sentence
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.aside import agreement_sentence, poses_again, rows_aside
-from kilter_core.gap.report.effect_curves import effect_curves
+from kilter_core.gap.report.doubtful_poses import doubts_of
+from kilter_core.gap.report.effect_curves import effect_curves, measured_range
 from kilter_core.gap.report.figures import figures
 from kilter_core.gap.report.localization import Place, localize, remains
 from kilter_core.gap.report.next_poses import rows_of, separate
 from kilter_core.gap.report.report import GapReport, Remains
-from kilter_core.gap.report.search_warnings import at_ends, size_warnings, unloaded_warnings, unplanned_warnings
-from kilter_core.gap.report.stored import Stored, stored
+from kilter_core.gap.report.search_warnings import (
+    at_ends,
+    left_out_warnings,
+    size_warnings,
+    unloaded_warnings,
+    unplanned_warnings,
+)
+from kilter_core.gap.report.stored import Stored, settled_search, stored
 from kilter_core.gap.report.told_apart import Proposed, never_told, told_apart
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
 from kilter_core.gap.search.events import numbered
@@ -202,6 +209,10 @@ class _Run:
         whole = partial(is_settled, fit, left, unseen is not None and unseen.refuted)
         lacking = missing_directions(problem, found.columns)
         effects, control = self._judged(found, fit, left, kept, held, whole, bool(lacking))
+        of_version, seen = settled_search(found, effects), held
+        if of_version is not found:
+            kept = stored(of_version, self.begin, prepared.rows, self.options, self.validation)
+            seen = HoldoutEvaluator(of_version, prepared, self.validation, kept.posterior)
         verdict = run_verdict(effects, fit, left)
         if unseen is not None:
             verdict = unseen.verdict(verdict)
@@ -212,7 +223,8 @@ class _Run:
         poses, told = self._next_poses(found, effects)
         poses = [*(poses_again(prepared, self.validation, held.set_aside) if self.options.next_poses else ()), *poses]
         return GapReport(
-            stored=kept, verdict=verdict, effects=effects, unseen=unseen, remains=rest,
+            stored=kept.with_doubts(doubts_of(held, verdict, unseen)),
+            verdict=verdict, effects=effects, unseen=unseen, remains=rest,
             sentence=sentence(verdict, effects, fit, left, rest.words) + ("" if unseen is None else unseen.sentence())
             + incomplete_sentence(lacking) + agreement_sentence(prepared, self.validation, held.set_aside),
             where=places,
@@ -225,10 +237,10 @@ class _Run:
             warnings=(
                 *incomplete_warnings(lacking),
                 *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(),
-                *unloaded_warnings(prepared), *size_warnings(found),
-                *self._worse(found, held, kept), *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
+                *unloaded_warnings(prepared), *size_warnings(found), *self._worse(of_version, seen, kept),
+                *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
+                *left_out_warnings(effects), *kept.alike(), *(() if told is None else told.warnings()),
                 *(unplanned_warnings(problem) if effects and self.options.next_poses else ()),
-                *kept.alike(), *(() if told is None else told.warnings()),
                 *event_warnings(
                     found, events(found, self.every, moves_mm(found)),
                     {j.evidence.place for j in effects if not j.certain},
@@ -258,9 +270,10 @@ class _Run:
         drafts = self._drafts(found, fit, left, kept, held, whole, aliases)
 
         def judged(evidence: Evidence) -> Judged:
-            return judge(found, evidence, fit, self.prepared.library, whole(evidence.moves_mm), lacking)
+            level = judge(found, evidence, fit, self.prepared.library, whole(evidence.moves_mm), lacking)
+            return replace(level, measured=measured_range(found, level))
 
-        rising = [k for k, evidence in drafts.items() if judged(evidence).verdict != "provisional"]
+        rising = [k for k, evidence in drafts.items() if judged(evidence).verdict in SURE]
         shares = inclusion(
             found, classes, rising, self.options.resamples, self.options.seed,
             _stage(self.progress, 0.65, 0.85, "selecting again on resamples"),
@@ -339,8 +352,7 @@ class _Run:
         """Warn when held-out poses are predicted worse than by geometry, or by base and tool, alone."""
         unit = "deg" if found.problem.settings.source.unit == "rad" else "mm"
         before_after = held.by_pose()
-        told = grown(*before_after) if found.chosen else None
-        if told is not None:
+        if found.chosen and (told := grown(*before_after)) is not None:
             certain = Difference.of(*reversed(before_after)).worse
             yield worse_warning(WORSE_THAN_GEOMETRY, "the geometry alone", told, certain, unit)
         if self.confirmation is not None:
@@ -359,7 +371,7 @@ class _Run:
         open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member
                       and not never_told(j.evidence.candidate, a.candidate, self.robot)]) for j in effects]  # fmt: skip
         asked = next(((j, a) for j, a in open_ if a), None)
-        weak = [(j, list[Alias]()) for j in effects if j.verdict == "provisional"]
+        weak = [(j, list[Alias]()) for j in effects if j.verdict not in SURE]
         if not (asked or weak):
             return [], None
         j, rivals = asked or weak[0]

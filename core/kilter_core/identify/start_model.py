@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError
 from kilter_core.identify.carried_masses import with_masses
@@ -15,7 +17,8 @@ def begin_with(robot: Robot, train: Observations, options: IdentifyOptions, star
     effects = tuple(effect.on(robot, train) for effect in options.make_effects())
     if start is None:
         return Calibration.nominal(robot, with_masses(effects, robot, train, options))
-    return start.with_effects(with_masses(effects or start.model.effects, robot, train, options))
+    begin = replace(start, doubts=())  # of the fit before
+    return begin.with_effects(with_masses(effects or start.model.effects, robot, train, options))
 
 
 def refuse_missing_columns(begin: Calibration, train: Observations) -> None:

@@ -12,6 +12,7 @@ from kilter_core.arm.loads.chain import LoadChain
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect, effect_from_document
 from kilter_core.effects.other_campaigns import carried_effects
+from kilter_core.model.doubts import Doubt
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.model.prediction import Prediction
 from kilter_core.model.robot_model import RobotModel
@@ -29,7 +30,7 @@ class Calibration:
     ``wanted_base`` and ``wanted_tool`` (4, 4) are the frames in which the nominal chain says where the tool should be:
     the robot's own where the measurements were taken in them, else those of the registration. The difference to the
     identified frames is part of the arm's error, because base and first joint, tool and last joint share what they share.
-    ``rig`` has the cameras and boards where they were found to stand.
+    ``rig`` has the cameras and boards where they were found to stand. ``doubts`` say where it is less sure than it says.
     """
 
     model: RobotModel
@@ -38,6 +39,7 @@ class Calibration:
     wanted_base: Floats | None = None
     wanted_tool: Floats | None = None
     rig: PlacedRig | None = None
+    doubts: tuple[Doubt, ...] = ()
 
     @staticmethod
     def nominal(robot: Robot, effects: tuple[Effect, ...] = ()) -> Calibration:
@@ -97,6 +99,7 @@ class Calibration:
             **{k: None if (array := getattr(self, k)) is None else array.tolist() for k in ARRAYS},
             "load_chain": None if model.load_chain is None else model.load_chain.to_document(model.robot),
             "rig": None if self.rig is None else self.rig.to_document(),
+            **({"doubts": [doubt.to_document() for doubt in self.doubts]} if self.doubts else {}),
         }
 
     @staticmethod
@@ -109,4 +112,5 @@ class Calibration:
         stored = document["values"]
         values[indices(model.names, stored)] = list(stored.values())
         arrays: dict[str, Any] = {k: np.array(document[k]) for k in ARRAYS if document.get(k) is not None}
-        return Calibration(model, values, **arrays, rig=PlacedRig.from_document(document.get("rig")))
+        doubts = tuple(map(Doubt.from_document, document.get("doubts") or ()))
+        return Calibration(model, values, **arrays, rig=PlacedRig.from_document(document.get("rig")), doubts=doubts)

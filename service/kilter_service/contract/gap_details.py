@@ -32,7 +32,7 @@ class Amplitude(Stored):
     """A parameter of an effect that was named."""
 
     name: str = Field(description="Name of the parameter.")
-    value: float | None = Field(None, description="Its value, as the version stores it.")
+    value: float | None = Field(None, description="Its value, as the search fitted it.")
     unit: str | None = Field(None, description=UNIT)
     sigma: float | None = Field(None, description="Standard deviation of the value, in the fit of the version.")
     interval_low: float | None = Field(None, description="Lower end of the 95 % interval.")
@@ -163,7 +163,8 @@ class NamedEffect(AtJoints):
     model_config = ConfigDict(serialize_by_alias=True, validate_by_name=True)
 
     verdict: str | None = Field(
-        None, description="`replicated`, `confirmed`, `class_confirmed` or `provisional`, the surest first."
+        None,
+        description="`replicated`, `confirmed`, `class_confirmed`, `provisional` or `contradicted`, the surest first.",
     )
     empirical: bool | None = Field(None, description="Whether it is a shape without a cause.")
     claim: Claim | None = Field(None, description="What is claimed: the narrowest set that the data single out.")
@@ -206,6 +207,8 @@ class Predictive(Stored):
 
     inside: int | None = Field(None, description="Coordinates inside.")
     of: int | None = Field(None, description="Coordinates in all.")
+    inside_all: int | None = Field(None, description="Inside, of rows set aside too; null: none was set aside.")
+    of_all: int | None = Field(None, description="Coordinates of rows set aside too; null: none was set aside.")
     poses: list[list[int]] | None = Field(None, description="Both numbers for each held-out pose.")
 
 
@@ -242,13 +245,9 @@ class GapSize(Stored):
         None, description="After, on every held-out row, those set aside too, degrees of a joint; null: none was."
     )
     validation_noise_rms_deg: Deg | None = Field(None, description="What noise alone would leave there, degrees.")
-    closure: float | None = Field(
-        None, description="Share of the gap that is closed; 1 is all; null: the noise is not known."
-    )
+    closure: float | None = Field(None, description="Share of the gap that is closed, 1 is all; null: noise not known.")
     held_out: str | None = Field(None, description="How rows were held out.")
-    held_out_set_aside: int | None = Field(
-        None, description="Held-out visits that no model of the search predicts, set aside."
-    )
+    held_out_set_aside: int | None = Field(None, description="Held-out visits that no model predicts, set aside.")
     predictive: Predictive | None = Field(None, description="How the held-out rows lie in their 95 % intervals.")
     steps: list[GapStep] | None = Field(None, description="Steps of the search.")
 
@@ -264,6 +263,8 @@ class UnseenFit(Stored):
     left_mm: Mm | None = Field(None, description="What is left of them, rms error in space, mm.")
     noise_mm: Mm | None = Field(None, description="What noise and what was fitted leave of them, rms in space, mm.")
     refuted: bool | None = Field(None, description="Whether more is left, and more of it than is too small to matter.")
+    chi2_all: float | None = Field(None, description="`chi2` with rows set aside; null: none was set aside.")
+    freedom_all: int | None = Field(None, description="`freedom` with rows set aside; null: none was set aside.")
 
 
 class Adequacy(Stored):

@@ -30,6 +30,7 @@ class Flag(IntEnum):  # not IntFlag: its operators are Python, and nine of them 
     RESIDUAL = 0x1000  # the wanted pose is out of reach of the correction; the nearest was taken
     SATURATED = 0x2000  # the correction is held at its limit, and part of the error is left
     SLOWED = 0x4000  # the correction is held back by the bound on its rate or acceleration
+    UNSURE = 0x8000  # the version is less sure here than its parameters say
 
 
 class Status(IntEnum):

@@ -29,6 +29,7 @@ NOT_CORRECTED = "Kilter-Not-Corrected"
 YAML = "application/yaml"
 PIECE_BYTES = 1 << 20
 NOTES = "Kilter-Notes"
+U95 = "Kilter-U95"
 Payload = Annotated[
     float | None,
     Query(
@@ -98,10 +99,12 @@ async def correct(
 
     The numbers are those of the stream. The answer has the format that was sent; ``format=ros2-yaml`` asks for a ROS 2
     JointTrajectory instead. `status` is `OK` where what the correction leaves (`left_mm`) is within what is stated, else
-    `DAMPED` or `LIMITED`; refused rows have no numbers. ``strict`` refuses the whole trajectory unless every row is `OK`.
+    `DAMPED` or `LIMITED`, or `UNSURE` where the version is less sure than it says; refused rows have no numbers.
+    ``strict`` refuses the whole trajectory unless every row is `OK`.
     Effects of the version that a correction leaves out are named in ``Kilter-Not-Corrected``.
     Where neither the path nor ``payload_kg`` states a load, the robot's default load is taken; ``Kilter-Notes`` says so, or
-    that effects which follow the load were corrected without one, or that the controller corrects by itself too.
+    that effects which follow the load were corrected without one, that the controller corrects by itself too, or why the
+    version is unsure. ``Kilter-U95`` says what ``u95`` is of: poses or a path, relative to the instrument.
     """
     media = reading.media_type(request.headers.get("content-type"))
     with scratch_of(request).folder_for("correct") as folder:
@@ -109,11 +112,11 @@ async def correct(
         await spool_upload(request, path, settings.max_upload_mb)
         carried = Carried(payload_kg, _point(payload_com_mm))
         wanted = service.Wanted(version, format, task, strict, at_limit, None if hold is None else tuple(hold))
-        file, left_out, notes = await compute(
+        file, left_out, notes, u95 = await compute(
             request, _corrected, database, robot, path, media, wanted, settings.temperature_c, carried
         )
     headers = {"Content-Length": str(file.seek(0, 2))} | ({NOT_CORRECTED: ", ".join(left_out)} if left_out else {})
-    headers |= {NOTES: " | ".join(notes)} if notes else {}
+    headers |= {U95: u95} | ({NOTES: " | ".join(notes)} if notes else {})
     return StreamingResponse(_pieces(file), media_type=media if format is None else YAML, headers=headers)
 
 
@@ -137,12 +140,12 @@ def _point(text: str | None) -> tuple[float, float, float] | None:
 
 def _corrected(
     database: Database, robot: str, path: Path, *rest: Any
-) -> tuple[IO[bytes], tuple[str, ...], tuple[str, ...]]:
+) -> tuple[IO[bytes], tuple[str, ...], tuple[str, ...], str]:
     """Correct into a file without a name: a client that reads slowly holds no memory, and leaves nothing when it goes."""
     answer = service.correct(database, robot, path, *rest)
     file = tempfile.TemporaryFile(prefix="kilter-corrected-")  # noqa: SIM115 (the answer is sent after this)
     file.write(answer.content)
-    return file, answer.not_corrected, answer.notes
+    return file, answer.not_corrected, answer.notes, answer.u95
 
 
 def _pieces(file: IO[bytes]) -> Iterator[bytes]:

@@ -61,11 +61,15 @@ AS_ALWAYS = Wanted()
 
 
 class Answer(NamedTuple):
-    """The corrected file, the effects of the version that a correction leaves out, and what else to know, in words."""
+    """The corrected file, the effects of the version that a correction leaves out, and what else to know, in words.
+
+    ``u95`` says what the intervals of the file are of.
+    """
 
     content: bytes
     not_corrected: tuple[str, ...]
     notes: tuple[str, ...]
+    u95: str
 
 
 def correct(
@@ -104,8 +108,9 @@ def correct(
     notes = (*told, *where, *outcome.summary(found), *([compensated] if compensated else ()))
     if wanted.form == ROS2:
         names = [joint.name for joint in calibration.robot.joints]
-        return Answer(joint_trajectory(names, rows.t, found, notes), left_out, notes)
-    return Answer(write_table(with_verdict(_with_joints(table, columns, found), found), media), left_out, notes)
+        return Answer(joint_trajectory(names, rows.t, found, notes), left_out, notes, found.u95_kind)
+    content = write_table(with_verdict(_with_joints(table, columns, found), found), media)
+    return Answer(content, left_out, notes, found.u95_kind)
 
 
 def _with_joints(table: pa.Table, columns: Sequence[Column], found: outcome.Outcome) -> pa.Table:

@@ -51,6 +51,7 @@ with later(__name__):
     from kilter_core.identify.uncertainty import predictive, workspace
     from kilter_core.measurement import contacts, metrics
     from kilter_core.model import closed_inverse, closest_table, general_inverse
+    from kilter_core.model import doubts as core_doubts
     from kilter_core.model import geometry as core_geometry
     from kilter_core.model import missing_directions as core_missing_directions
     from kilter_core.model import region as core_region

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from kilter_core.types import Bools, Floats, Ints
 from kilter_service.contract.stream_messages import Flag, Status
-from kilter_service.ground.core import walker
+from kilter_service.ground.core import core_doubts, walker
 from kilter_service.ground.correction_uncertainty import about, from_parameters, from_unknown_sides
 from kilter_service.ground.wire import to_mm
 
@@ -20,10 +20,12 @@ if TYPE_CHECKING:
     from kilter_core.correct.walker import CorrectedTrajectory
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
+    from kilter_core.model.doubts import Doubt
     from kilter_core.observations import Observations
 
 
-OK, DAMPED, LIMITED = "OK", "DAMPED", "LIMITED"  # of rows with numbers; a refused row has the name of its refusal
+# Of rows with numbers; a refused row has the name of its refusal.
+OK, DAMPED, LIMITED, UNSURE = "OK", "DAMPED", "LIMITED", "UNSURE"
 # What is stated of a version without a covariance, and of an orientation, whose accuracy no version states.
 STATED_M, STATED_RAD = 1e-5, math.radians(0.01)
 MOST_OK_M = 5e-5  # however little is stated of a version: a row of which more is left is not OK
@@ -39,7 +41,8 @@ class Outcome:
 
     ``stated (N, 3)`` m are half widths of the 95 % intervals from the parameters alone, ``u95 (N, 3)`` m of where the tool
     is after this correction: parameters and what is left together. NaN where refused, or nothing is known of the version.
-    ``sides (N, 3)`` m are what joints add whose last motion nobody knows; they count as left.
+    ``sides (N, 3)`` m are what joints add whose last motion nobody knows; they count as left. ``doubts`` are those of
+    the version: what it may be off there adds to ``u95``.
     ``oriented``: the orientation was asked for as well.
     """
 
@@ -47,6 +50,7 @@ class Outcome:
     stated: Floats
     u95: Floats
     sides: Floats
+    doubts: Sequence[Doubt]
     oriented: bool
 
     @property
@@ -63,18 +67,24 @@ class Outcome:
 
     @property
     def words(self) -> Sequence[str]:
-        """The verdict on each row: OK, DAMPED, LIMITED, or why it was refused."""
+        """The verdict on each row: OK, DAMPED, LIMITED, UNSURE, or why it was refused."""
         within = self._within()
         held = ((self.done.flags & HELD) != 0) | self.sides.any(axis=1)
+        word = np.where(within, np.where(self.done.flags & Flag.UNSURE, UNSURE, OK), np.where(held, LIMITED, DAMPED))
         return [
-            Status(code).name if code != Status.OK else OK if good else LIMITED if limit else DAMPED
-            for code, good, limit in zip(self.done.status.tolist(), within.tolist(), held.tolist(), strict=True)
+            one if code == Status.OK else Status(code).name
+            for code, one in zip(self.done.status.tolist(), word.tolist(), strict=True)
         ]
 
     @property
     def turns(self) -> bool:
         """Whether the orientation was a task at all: an arm with fewer than six joints holds none."""
         return self.oriented or self.done.q.shape[1] >= WHOLE_POSE
+
+    @property
+    def u95_kind(self) -> str:
+        """What ``u95`` is of: neighbouring rows of a path share their error, and none is known beyond the instrument."""
+        return f"{'along a path' if self.done.follow_one_another else 'for poses'}, relative to the instrument"
 
     def _within(self) -> Bools:
         """Rows whose remaining error is within what is stated, along each axis, and small; refused ones are not."""
@@ -97,27 +107,44 @@ def correct(
     done = walker.correct_trajectory(calibration, rows, options)
     stated = from_parameters(calibration, done, known, options.temperature_c)
     sides = from_unknown_sides(calibration, done, options.temperature_c)
-    return Outcome(done, stated, about(done.left, stated) + sides, sides, options.task == "pose")
+    unexplained = core_doubts.unexplained_error(calibration.doubts, done.wanted.q)
+    u95 = about(done.left, stated) + sides + unexplained[:, None]
+    return Outcome(done, stated, u95, sides, calibration.doubts, options.task == "pose")
 
 
 def summary(found: Outcome) -> tuple[str, ...]:
-    """Say how many rows keep more of their error than is stated, how much at worst and in which row; nothing if none does."""
+    """Say where the version is unsure, how many rows keep more of their error than is stated, and how much at worst."""
     words = np.array(found.words)
-    kept = tuple(
+    kept = (
         _kept(word.lower(), np.flatnonzero(words == word), found.left)
         for word in (DAMPED, LIMITED)
         if (words == word).any()
     )
+    return (*_unsure(found), *kept, *_unknown_sides(found))
+
+
+def _unsure(found: Outcome) -> Iterator[str]:
+    """Say what the version doubts of itself, each reason once with its rows; of a whole version without them."""
+    q, count = found.done.wanted.q, len(found.left)
+    for reason in dict.fromkeys(doubt.reason for doubt in found.doubts):
+        own = [doubt for doubt in found.doubts if doubt.reason == reason]
+        rows = int(np.sum([doubt.holds(q) for doubt in own], axis=0).astype(bool).sum())
+        if any(doubt.whole for doubt in own):
+            yield f"This version is unsure everywhere: {reason}"
+        elif rows:
+            yield f"{rows} of {count} rows {'are' if rows > 1 else 'is'} unsure: {reason}"
+
+
+def _unknown_sides(found: Outcome) -> Iterator[str]:
+    """Say in how many rows the side of a backlash is not known, and what that may cost."""
     unknown = np.flatnonzero(found.sides.any(axis=1))
-    if not len(unknown):
-        return kept
-    worst = float(np.linalg.norm(found.sides, axis=1).max())
-    return (
-        *kept,
-        f"From which side joints with backlash come is not known in {len(unknown)} of {len(words)} rows, the first of them "
-        f"row {int(unknown[0]) + 1}: up to {to_mm(worst):.2g} mm. Begin with a short move of these joints, or state dir1 ... "
-        "in every row.",
-    )
+    if len(unknown):
+        worst = float(np.linalg.norm(found.sides, axis=1).max())
+        yield (
+            f"From which side joints with backlash come is not known in {len(unknown)} of {len(found.left)} rows, the first "
+            f"of them row {int(unknown[0]) + 1}: up to {to_mm(worst):.2g} mm. Begin with a short move of these joints, or "
+            "state dir1 ... in every row."
+        )
 
 
 def _kept(word: str, rows: Ints, left: Floats) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from kilter_core.types import Floats
 
-ANSWERED = frozenset({"OK", "DAMPED", "LIMITED"})  # verdicts on rows that have numbers
+ANSWERED = frozenset({"OK", "DAMPED", "LIMITED", "UNSURE"})  # verdicts on rows that have numbers
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ def suggested(
         "reach_mm": to_mm(believable.reach(calibration.robot)),
         "needed_deg": turn_deg,
         "needed_mm": shift_mm,
-        "ok": there.counts.get("OK", 0),
+        "ok": there.counts.get("OK", 0) + there.counts.get("UNSURE", 0),
         "damped": there.counts.get("DAMPED", 0),
         "limited": there.counts.get("LIMITED", 0),
         "refused": there.refused,

@@ -8,6 +8,7 @@ import platform
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -179,6 +180,18 @@ def test_limits_refusals_and_ramps_are_those_of_the_kernels(library: ctypes.CDLL
         rows = program.correct_rows(path_of(program, 150, 3))
         assert np.bitwise_or.reduce(rows.flags) & layout.SATURATED
         assert bool((rows.status == layout.TOO_LARGE).any()) is (at_limit == "refuse")
+
+
+def test_a_version_is_unsure_where_the_kernels_say(library: ctypes.CDLL) -> None:
+    program = program_of("ur10")
+    scalars, box = program.array[-1].copy(), np.zeros((1, layout.COLUMNS))
+    box[0, : program.n_joints], box[0, layout.HIGHEST_OF_BOX : layout.HIGHEST_OF_BOX + program.n_joints] = -9.0, 9.0
+    box[0, 0] = np.median(path_of(program, 150, 3)[:, 0])
+    scalars[layout.DOUBT_AT], scalars[layout.DOUBTS] = len(program.array) - 1, 1
+    program = replace(program, array=np.vstack([program.array[:-1], box, scalars]))
+    flags = program.correct_rows(path_of(program, 150, 3)).flags
+    assert 0 < np.count_nonzero(flags & layout.UNSURE) < 150
+    assert compare(library, program) < 1e-9
 
 
 def test_joints_are_held_as_the_kernels_do(library: ctypes.CDLL) -> None:

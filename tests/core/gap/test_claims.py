@@ -139,11 +139,12 @@ def test_a_confirmation_without_the_effect_contradicts_it(robot, small):
     assert effect.evidence.replication.outcome == "contradicted"
     told = report.to_document()["effects"][0]["replication"]
     assert told["with_mm"] > told["without_mm"]
-    (said,) = [w for w in report.warnings if w["code"] == "confirmation_worse"]
-    assert "do not activate" in said["message"]
-    assert said["identified_mm"] > said["simpler_mm"]
-    assert effect.verdict == "provisional"
+    assert effect.verdict == "contradicted"
     assert not effect.gates["confirmation"]
+    assert "contradicted, and left out of the version." in report.sentence
+    # Without it the version is what predicts the confirmation better.
+    assert not report.calibration.model.effects
+    assert "confirmation_worse" not in {w["code"] for w in report.warnings}
 
 
 def test_a_law_of_time_stays_behind_where_the_confirmation_has_another_clock(robot):

@@ -22,6 +22,8 @@ from kilter_core.correct.kernels.layout import (
     END,
     EXTRA,
     FACTOR,
+    FADE,
+    FROM,
     HARDENING,
     HIGHEST,
     KEPT,
@@ -30,6 +32,7 @@ from kilter_core.correct.kernels.layout import (
     LAST_B,
     LAST_SIDE,
     LINEAR,
+    MEAN,
     MOMENT,
     MOVED,
     NEAR_REVERSAL,
@@ -59,6 +62,7 @@ from kilter_core.correct.kernels.layout import (
     TILT_OWN,
     TILT_SHARE,
     TILT_SOFT,
+    TO,
     TWIST,
     WAVE,
     WAY,
@@ -185,6 +189,8 @@ def _curve(P, W, row, oj):
     shape = P[row, SHAPE]
     d = oj + int(P[row, DRIVER])
     q = W[d, COMMAND]
+    if P[row, FADE] > 0.0:
+        q = min(max(q, P[row, FROM]), P[row, TO])
     if shape == WAVE:
         s, c = sine_cosine(P[row, FACTOR] * q)
         return P[row, AMPLITUDE_A] * s + P[row, AMPLITUDE_B] * c
@@ -213,7 +219,12 @@ def _joint_curves(P, W, n, m, oj):
         j = oj + int(P[row, CURVED])
         moved = int(P[row, MOVED])
         at = SHIFT if moved == 0 else TWIST + moved - 1
-        W[j, at] += _curve(P, W, row, oj)
+        value = _curve(P, W, row, oj)
+        if P[row, FADE] > 0.0:
+            q = W[oj + int(P[row, DRIVER]), COMMAND]
+            beyond = min(max(max(P[row, FROM] - q, q - P[row, TO]), 0.0) / P[row, FADE], 1.0)
+            value -= beyond * beyond * (3.0 - 2.0 * beyond) * (value - P[row, MEAN])
+        W[j, at] += value
 
 
 @compiled(**EXACT)

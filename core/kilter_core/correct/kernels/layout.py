@@ -33,6 +33,8 @@ TILT_OWN, PLAY_OWN = 25, 26  # half-widths of the signs as the version has them,
 # that component of the twist behind it, from 1
 CURVED, SHAPE, DRIVER, AMPLITUDE_A, AMPLITUDE_B, FACTOR, EXTRA, POWERS, HIGHEST = 0, 1, 2, 3, 4, 5, 6, 8, 20
 MOVED = 21
+# where FADE is above 0 it holds from here to there, and fades to MEAN within FADE beyond
+FROM, TO, FADE, MEAN = 22, 23, 24, 25
 WAVE, LINEAR, SPRING, SINES, LAG, POLYNOMIAL = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0
 # bending rows: twist per wrench on the joint (6, 6), then the same per wrench on the end of the link; link vector; the
 # twist is times a ``POWER`` of the length that stands out, ``WAY`` times (command less ``ROOTED``)
@@ -47,6 +49,10 @@ FIRST, LEVERAGE, TURNED, SATURATES, ROUNDS = 32, 33, 34, 35, 36
 # Rounds of loads where the arm hangs, after those at the command: with backlash and clearance in their middle, and then on
 # their sides. 0: at the command alone.
 HANGING, HANGING_SIDED = 37, 38
+# Rows of doubts, the first and how many: boxes of joint values, their lowest and highest from these columns on, in which the
+# version is less sure than it says. Joints beyond the columns bound no box.
+DOUBT_AT, DOUBTS = 39, 40
+LOWEST_OF_BOX, HIGHEST_OF_BOX = 0, 24
 # scratch of a move: frame of the load chain, identified joint line, sine, cosine wanted, load of its body (M: payload)
 LINE, SINE, COSINE, LOAD, ON_BASE = 12, 18, 19, 20, 26
 BEHIND_TWIST = 28  # of a move: the frame that its body rides on where the arm hangs, behind the twist of its joint
@@ -68,6 +74,7 @@ STARTED, REBASE, REMAINING, LENGTH, BEHIND = 0, 1, 2, 3, 4
 
 OK, NOT_FINITE, JOINT_LIMIT, TOO_LARGE, RATE_LIMIT = 0, 5, 6, 7, 8
 # REVERSING: clearance or backlash changes sides, softly or at its rate; SATURATED: the correction is held at its limit;
-# SLOWED: it is held back by the bound on its own rate or acceleration. NEAR_REVERSAL: a sign is softened; it is not answered.
+# SLOWED: it is held back by the bound on its own rate or acceleration. UNSURE: the version is less sure there than it says.
+# NEAR_REVERSAL: a sign is softened; it is not answered.
 DYNAMIC, RAMPING, REVERSING, DAMPED, RESIDUAL = 0x0100, 0x0200, 0x0400, 0x0800, 0x1000
-SATURATED, SLOWED, NEAR_REVERSAL = 0x2000, 0x4000, 0x10000
+SATURATED, SLOWED, UNSURE, NEAR_REVERSAL = 0x2000, 0x4000, 0x8000, 0x10000

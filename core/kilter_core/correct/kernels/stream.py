@@ -6,6 +6,7 @@ import math
 
 from kilter_core.arm.kernels.compiled import EXACT, compiled
 from kilter_core.correct.kernels.chain import wanted_tool
+from kilter_core.correct.kernels.doubts import flag_doubts
 from kilter_core.correct.kernels.inverse import left_at, shorten, solve
 from kilter_core.correct.kernels.layout import (
     ACCEL_NOW,
@@ -183,8 +184,8 @@ def _verdict(P, W, info, out, flags, n, m):
     a correction that is not finite or that no arm has.
     """
     S = P.shape[0] - 1
-    large, outside, share = 0, 0, 1.0
-    size = 0.0
+    large, outside, share, size = 0, 0, 1.0, 0.0
+    flags |= flag_doubts(P, W, S, n, m)
     for k in range(3):
         size += abs(info[REMOVED + k]) + abs(info[LEFT + k])
     for i in range(n):

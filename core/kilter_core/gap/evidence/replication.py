@@ -62,14 +62,13 @@ class Replication:
 
     @property
     def worse(self) -> bool:
-        """Whether the confirmation is predicted worse with the effect than without it, beyond chance."""
-        return self.guarded is not None and self.guarded.worse
+        """Whether the confirmation is predicted worse with the effect than without it."""
+        return self.guarded is not None and self.guarded.with_it > self.guarded.without
 
     @property
     def replicated(self) -> bool:
         """Whether the effect was seen again with the same amplitude, and predicts what was measured there better."""
-        seen = self.p_value is not None and self.p_value < NONZERO and not self.contradicted
-        return seen and (self.guarded is None or self.guarded.with_it < self.guarded.without)
+        return self.p_value is not None and self.p_value < NONZERO and not self.contradicted
 
     @property
     def certain(self) -> bool:

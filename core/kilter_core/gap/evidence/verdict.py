@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.effects.physical import Separator
-from kilter_core.gap.evidence.claim import CLASS, MEMBER, Claim
+from kilter_core.gap.evidence.claim import CLASS, MEMBER, ONE_OF, Claim
 from kilter_core.gap.evidence.control import Control
 from kilter_core.gap.evidence.fits.intervals import Amplitude
 from kilter_core.gap.evidence.halves import Halves
@@ -23,6 +23,7 @@ from kilter_core.gap.search.forward_selection import SearchResult
 
 SURE_GAIN = 3.0  # standard deviations by which held-out poses must err as predicted
 SHADOWED = 0.3  # correlation with an unknown curve above which a named effect may be part of it
+CONTRADICTED = "contradicted"  # verdict of an effect against which rows speak that no choice saw
 CONTRADICTS = 2.0  # standard deviations on the wrong side of zero, or beyond the plausible range
 
 
@@ -51,6 +52,12 @@ class Evidence:
     borne: tuple[int, ...] | None = None  # joints at which they bear it out; None: not asked, or acts at none
 
     @property
+    def contradicted(self) -> bool:
+        """Whether rows that no choice saw speak against it: a confirmation, or held-out poses that err more with it."""
+        again = self.replication is not None and self.replication.contradicted
+        return again or (self.unseen_poses > 0 and self.held_out[0] < 0.0)
+
+    @property
     def lasts(self) -> bool:
         """Whether it rises on its own evidence where something else is left: between halves, or in a confirmation."""
         return self.seen_again or (self.halves is not None and self.halves.lasts)
@@ -71,22 +78,35 @@ class Judged:
     numbers: dict[str, float | None]
     alias_set: tuple[Alias, ...]
     claim: Claim
+    measured: str = ""  # of a curve of a joint, the range that it is claimed for, in words
 
     @property
     def called(self) -> str:
-        """Name for people: the narrowest set that the data single out."""
-        return self.claim.words
+        """Name for people: the narrowest set that the data single out, and the range that a curve is claimed for."""
+        return self.claim.words + self.measured
 
     @property
     def certain(self) -> bool:
         """Whether it happened, and not only something of its class."""
-        return self.verdict != "provisional" and not self.claim.followed and self.claim.said != CLASS
+        return self.verdict in SURE and not self.claim.followed and self.claim.said != CLASS
+
+    @property
+    def storable(self) -> bool:
+        """Whether a version is to hold it: nothing that is contradicted, and no step or drift that is not settled.
+
+        What another name does as well moves the arm otherwise on another day.
+        """
+        effect = self.evidence.candidate.effects[0]
+        of_base = effect.stage == "base" and "temperature_c" in effect.needs
+        passing = effect.event or "t" in effect.needs or of_base
+        settled = self.verdict in SURE and self.claim.said != ONE_OF
+        return self.verdict != CONTRADICTED and (settled or not passing)
 
 
 def judge(
     search: SearchResult, evidence: Evidence, fit: Adequacy, library: Library, settled: bool, lacking: bool = False
 ) -> Judged:
-    """Pass one candidate through the gates: replicated, confirmed, class_confirmed, or provisional.
+    """Pass one candidate through the gates: replicated, confirmed, class_confirmed, provisional, or contradicted.
 
     ``settled`` as :func:`is_settled`; ``lacking`` says that rotations which the robot's description lacks do as well as all
     that was named.
@@ -116,7 +136,8 @@ def judge(
     claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, alone, evidence.borne)
     if _sensed(evidence) is not None:
         gates["sensor"] = not claim.refuted
-    return Judged(evidence, _level(gates, claim, replication), gates, numbers, rivals, claim)
+    level = CONTRADICTED if evidence.contradicted else _level(gates, claim, replication)
+    return Judged(evidence, level, gates, numbers, rivals, claim)
 
 
 def _beside_any_shape(search: SearchResult, evidence: Evidence) -> bool:
@@ -197,7 +218,7 @@ def run_verdict(judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit) 
     if not judged:
         return "no_gap"
     open_ = adequacy.adequate is None and bool(weighty)
-    return "provisional" if open_ or any(j.verdict == "provisional" for j in weighty) else "closed"
+    return "provisional" if open_ or any(j.verdict not in SURE for j in weighty) else "closed"
 
 
 SURE = {
@@ -207,7 +228,8 @@ SURE = {
 
 def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit, left: str) -> str:
     """Say the verdict in words; ``left`` says how much remains, and where."""
-    names = ", ".join(_once(judged))
+    likely = tuple(j for j in judged if j.verdict != CONTRADICTED)
+    names = ", ".join(_once(likely))
     sure = ", ".join(_once([j for j in judged if j.verdict in SURE]))
     relative = ""
     if adequacy.adequate is None:
@@ -224,16 +246,19 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfi
         f"{noise}."
         if sure
         else f"Nothing that matters is missing: the model agrees with the measurements {noise}.",
-        "provisional": _risen(judged, adequacy, left) or _likely(_once(judged), judged),
-        "unexplained": _risen(judged, adequacy, left)
-        or _shaped(judged, adequacy)
+        "provisional": _risen(likely, adequacy, left)
+        or (_likely(_once(likely), likely) if likely else "Nothing is named that unseen rows bear out."),
+        "unexplained": _risen(likely, adequacy, left)
+        or _shaped(likely, adequacy)
         or f"Something is left that no known effect explains{left}."
         + (f" In part it looks like {names}." if names else ""),
     }
+    against = _once([j for j in judged if j.verdict == CONTRADICTED])
+    little = f" {', '.join(against)}: contradicted, and left out of the version." if against else ""
     small = _once([j for j in judged if not misfit.matters(j.evidence.moves_mm)])
-    little = f" Too small to matter: {', '.join(small)}." if small else ""
+    little += f" Too small to matter: {', '.join(small)}." if small else ""
     if misfit.too_small and verdict == "no_gap":
-        little = f" What is left beyond the noise, {misfit.said}, is too small to matter."
+        little += f" What is left beyond the noise, {misfit.said}, is too small to matter."
     return said[verdict] + little + relative
 
 

@@ -16,12 +16,13 @@ import numpy as np
 
 from kilter_core.effects import Batch
 from kilter_core.effects.batch import NOT_OF_ROWS
+from kilter_core.effects.physical import JOINT_CURVE
 from kilter_core.gap.evidence.fits.final_fit import Amounts, amounts_of, widening
 from kilter_core.gap.evidence.fits.intervals import interval_width
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.search.candidates import JOINT, Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.parameters import reported
+from kilter_core.parameters import degrees, reported
 from kilter_core.types import Bools, Floats
 
 MOST_VISITS = 400
@@ -31,6 +32,7 @@ A_WAVE = 16  # points of a curve for each of its waves
 SAME = 1e-6  # of an effect, what it may differ by where only what it follows is the same
 FAINT = 4.0  # times the median uncertainty of a visit, from which a visit says too little of the joint to be drawn
 SIDES = (1.0, -1.0)
+TURN_DEG = 360.0  # over which a curve of a joint is known at every angle
 
 
 @dataclass(frozen=True)
@@ -321,3 +323,14 @@ def _spread(signals: Floats, covariance: Floats) -> Floats:
 def _listed(values: Floats) -> list[float]:
     """Plain numbers of seven digits: more nobody sees in a picture."""
     return [float(f"{v:.7g}") for v in values]
+
+
+def measured_range(found: SearchResult, judged: Judged) -> str:
+    """The range that a curve of a joint is claimed for: " over 51 deg, from -30 to 21 deg"; empty of a whole rotation."""
+    claim, source = judged.claim, found.problem.settings.source
+    joints = [j for j in claim.joints or () if source.model.robot.joints[j].kind == "revolute"]
+    if claim.physical.id != JOINT_CURVE.id or not joints:
+        return ""
+    low, high = (degrees(end(source.observations.q[:, joints], axis=0)) for end in (np.min, np.max))
+    span, ends = float(min(high - low)), f", from {low[0]:.0f} to {high[0]:.0f} deg"
+    return "" if span >= TURN_DEG else f" over {span:.0f} deg{ends if len(joints) == 1 else ' or more each'}"

@@ -22,7 +22,7 @@ REMEDIES = {
     "the instrument, and at the sensor's place, sign and unit.",
     "complete_geometry": "The robot's description lacks rotations of axes that explain the rows as well: describe the robot "
     "with a complete chain (convention poe, cpc or mcpc), and search again.",
-    "confirmation": "The confirmation shows another amplitude: look what changed between the campaigns.",
+    "confirmation": "The confirmation shows another amplitude, or errs more with it: look what changed between the campaigns.",
 }
 
 

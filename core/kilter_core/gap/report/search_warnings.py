@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
+from kilter_core.gap.evidence.verdict import CONTRADICTED, Judged
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.in_space import fit_rms
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
@@ -66,4 +67,15 @@ def at_ends(calibration: Calibration) -> Iterator[dict[str, Any]]:
             "code": "at_end_of_range", "parameter": p.name, "value": end * scale, "unit": unit,
             "message": f"{p.name} would come out beyond what is physical and is held at {size}: something else is in it. "
             "Check units, masses and payloads, and search again with `effects` that leave it out.",
+        }  # fmt: skip
+
+
+def left_out_warnings(effects: Sequence[Judged]) -> Iterator[dict[str, Any]]:
+    """Say which steps and drifts the version does without, and what would settle them."""
+    out = [j for j in effects if not j.storable and j.verdict != CONTRADICTED]
+    if out:
+        yield {
+            "code": "not_settled", "effects": [j.evidence.candidate.label for j in out],
+            "message": f"The version leaves out what is not settled: {', '.join(dict.fromkeys(j.called for j in out))}. To "
+            "settle it, revisit poses at other times, or measure all in random order.",
         }  # fmt: skip

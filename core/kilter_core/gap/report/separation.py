@@ -180,5 +180,5 @@ def undecided(report: dict[str, Any]) -> tuple[Named, Named | None] | None:
         rivals = [a for a in effect.get("alias_set") or () if a["correlation"] < 1.0 - 1e-4 and a["id"] in EFFECTS]
         if rivals:
             return named(effect), named(rivals[0])
-    weak = [e for e in effects if e["verdict"] == "provisional"]
+    weak = [e for e in effects if e["verdict"] in ("provisional", "contradicted")]
     return (named(weak[0]), None) if weak else None

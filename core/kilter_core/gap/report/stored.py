@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from kilter_core.effects import Effect
+from kilter_core.effects.joint_curve import JointCurve
+from kilter_core.effects.physical import JOINT_CURVE
 from kilter_core.gap.evidence.fits.left_over import left_over
 from kilter_core.gap.evidence.fits.posterior import Posterior, posterior
+from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.masses import with_masses
 from kilter_core.gap.search.start_model import SHIFT
 from kilter_core.identify.comparison.model_comparison import geometry_alone
@@ -29,6 +33,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import held as held_rows
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration, RobotModel
+from kilter_core.model.doubts import Doubt
 from kilter_core.observations import Observations
 from kilter_core.parameters import indices
 from kilter_core.types import Ints
@@ -50,6 +55,10 @@ class Stored:
     held: Observations | None = None
     geometry: Calibration | None = None
     left: Predictive | None = None
+
+    def with_doubts(self, doubts: tuple[Doubt, ...]) -> Stored:
+        """The version that says where it is less sure than its parameters say."""
+        return replace(self, calibration=replace(self.calibration, doubts=doubts))
 
     def parameters(self) -> list[dict[str, Any]]:
         """Rows of the free parameters, as an identification has them."""
@@ -156,11 +165,29 @@ def stored(
     return Stored(calibration, wide, shown.observations, nominal, held, geometry, left_over(found, wide))
 
 
+def settled_search(found: SearchResult, effects: Sequence[Judged]) -> SearchResult:
+    """The search fitted again without the named effects that a version is not to hold; itself where it is to hold all."""
+    out = {j.evidence.place for j in effects if not j.storable}
+    if not out:
+        return found
+    chosen = tuple(k for k in found.chosen if k not in out)
+    return replace(
+        found,
+        chosen=chosen,
+        problem=refit(found.problem.settings, found.problem.values, found.selector.columns(chosen)),
+    )
+
+
 def _model(found: SearchResult, begin: Calibration, rows: Observations) -> RobotModel:
     """The robot with the effects of the start and those named, in the frames of the fit."""
     source = found.problem.settings.source
     candidates = [found.selector.scorer.candidates[k] for k in found.chosen]
-    effects = with_masses((*begin.model.effects, *_merged(candidates, begin, rows)), source)
+    q = source.observations.q
+    named = (
+        e.with_measured_range(q) if isinstance(e, JointCurve) and e.class_on(begin.robot).id == JOINT_CURVE.id else e
+        for e in _merged(candidates, begin, rows)
+    )
+    effects = with_masses((*begin.model.effects, *named), source)
     frames = source.frames(begin)
     return replace(frames, effects=effects, load_chain=frames.load_chain if effects else None)
 

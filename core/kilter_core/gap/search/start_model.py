@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS
 from kilter_core.errors import OptionError
@@ -28,7 +30,7 @@ def beginning(robot: Robot, start: Calibration | None, rows: Observations, optio
             f"{robot.name!r}, or leave start out.",
             option="start",
         )
-    return _remounted(start, rows, options)
+    return _remounted(replace(start, doubts=()), rows, options)
 
 
 def _remounted(begin: Calibration, rows: Observations, options: GapOptions) -> Calibration:

@@ -36,6 +36,7 @@ from kilter_service.jobs.registry import kind_of
 from kilter_service.jobs.work.can_correct import with_ability_warning
 from kilter_service.jobs.work.certificates import with_certificate_warnings
 from kilter_service.jobs.work.creeping import CreepingPosts
+from kilter_service.jobs.work.doubts import with_doubts
 from kilter_service.jobs.work.set_up_changes import with_set_up_warning
 from kilter_service.jobs.work.verdicts import verdict_message
 from kilter_service.versions.objections import objections_of
@@ -105,7 +106,7 @@ class Runner:
             output = with_load_warning(kind, kind_of(kind).run(replace(job, each=self._each), report), job)
             output = with_direction_warning(kind, with_certificate_warnings(output, job), job)
             output = with_set_up_warning(kind, with_clock_warnings(output, job), job)
-            output = with_ability_warning(with_limits(output, job), job)
+            output = with_doubts(with_ability_warning(with_limits(output, job), job), job)
             report(1.0, "storing", now=True)
             judged = self._patiently(lambda: compared(self._database, claim.job_id, output.version, used))
         except (CancelledError, DatabaseAwayError):

@@ -60,7 +60,7 @@ def _sure(result: GapResult) -> str:
             f"Nothing is claimed. {plural(detectable, 'effect')} of the library would have been seen if large enough."
         )
     lowest = min(levels, key=lambda level: ORDER.index(level) if level in ORDER else 0)
-    head = {"provisional": "Not yet", "class_confirmed": "Its kind is"}.get(lowest, "Yes")
+    head = {"contradicted": "No", "provisional": "Not yet", "class_confirmed": "Its kind is"}.get(lowest, "Yes")
     return f"{head}: {lowest.replace('_', ' ')}. {LEVELS.get(lowest, '')}"
 
 
@@ -92,6 +92,17 @@ def _aside(result: GapResult) -> Iterator[str]:
         every = result.gap.validation_after_all_mm if result.gap is not None else None
         with_them = "" if every is None else f"; with them the error after is {number(every, 4)} mm"
         yield f"{plural(held, 'held-out visit')} no model of this search predicts, left out of its errors{with_them}."
+    told, fit = result.predictive, None if result.adequacy is None else result.adequacy.held_out
+    if told is not None and told.of_all:
+        yield (
+            f"Of held-out coordinates {told.inside} of {told.of} are within their 95 % intervals; with what was set aside "
+            f"{told.inside_all} of {told.of_all}."
+        )
+    if fit is not None and fit.freedom_all:
+        yield (
+            f"Their chi-square is {number(fit.chi2)} for {fit.freedom} numbers; with what was set aside "
+            f"{number(fit.chi2_all)} for {fit.freedom_all}."
+        )
 
 
 def _limits(result: GapResult) -> str:

@@ -11,6 +11,7 @@ from kilter_service.page.shared.called import chance, claimed
 from kilter_service.page.words import joined_by_and, number, percent
 
 LEVELS: Mapping[str, str] = {
+    "contradicted": "Rows that took no part in the search err more with it: it is left out of the version.",
     "provisional": "Likely, but a test was not passed.",
     "class_confirmed": "Every test was passed, but these data cannot tell which member of its class it is.",
     "confirmed": "Every test was passed, on poses that took no part in the search.",

@@ -33,7 +33,7 @@ def _named(effects: Sequence[NamedEffect], unit: str) -> Iterator[Candidate]:
     for effect in effects:
         gain = _gain(effect.gain_mm, unit)
         level = (effect.verdict or "").replace("_", " ")
-        look = "warn" if effect.verdict == "provisional" else "good"
+        look = "warn" if effect.verdict in ("provisional", "contradicted") else "good"
         yield Candidate(
             called(effect), f"named, {level}", look, f"{gain}p {chance(effect.p_value)} that chance does as much"
         )

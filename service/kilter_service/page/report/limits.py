@@ -15,6 +15,7 @@ VERDICTS = {
     "confirmed": "confirmed within this measurement; another day or set-up has not shown it again",
     "class_confirmed": "confirmed as one of a class that these rows cannot tell apart",
     "provisional": "provisional: not all tests were passed",
+    "contradicted": "contradicted by rows that took no part in the search, and left out of the version",
 }
 EXTRAPOLATES = (
     "Outside the joint ranges, loads and temperatures that were measured the calibration extrapolates: the errors stated "

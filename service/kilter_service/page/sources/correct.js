@@ -4,7 +4,7 @@ const LISTED = 200;
 const DIGITS = 4; // of a degree or mm in the list; the file has all
 const BARS = 400;
 const SVG = "http://www.w3.org/2000/svg";
-const LOOKS = { OK: "good", DAMPED: "warn", LIMITED: "warn" }; // all others are refusals
+const LOOKS = { OK: "good", UNSURE: "warn", DAMPED: "warn", LIMITED: "warn" }; // all others are refusals
 const COLOURS = { good: "var(--corrected)", warn: "var(--set-aside)", bad: "var(--error)" };
 const lookOf = (row) => LOOKS[row.status] || "bad";
 

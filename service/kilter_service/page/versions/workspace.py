@@ -24,10 +24,11 @@ WHAT = {
     "OK": "corrected to within what is stated",
     "DAMPED": "damped: a singularity is near, or the place is out of reach",
     "LIMITED": "held at a limit of the correction",
+    "UNSURE": "corrected, but the version is unsure there",
 }
-LABELS = {"OK": "corrected", "DAMPED": "damped", "LIMITED": "held at a limit"}
+LABELS = {"OK": "corrected", "DAMPED": "damped", "LIMITED": "held at a limit", "UNSURE": "unsure"}
 # Drawn in this order, so that the rare ones lie above.
-LOOKS = {"OK": (0, GREY), "LIMITED": (1, ORANGE), "DAMPED": (0, BLUE)}
+LOOKS = {"OK": (0, GREY), "UNSURE": (0, GREY), "LIMITED": (1, ORANGE), "DAMPED": (0, BLUE)}
 REFUSED_LOOK = (2, RED)
 
 

@@ -31,6 +31,7 @@ class Active:
     ramp_s: float = 1.0
     joint_names: tuple[str, ...] = ()
     joint_kinds: tuple[str, ...] = ()
+    unsure: tuple[str, ...] = ()  # why the version is unsure everywhere
     workspace: dict[str, int] | None = None  # poses all over the joint limits, and how many the version corrects how
 
     @cached_property
@@ -74,6 +75,7 @@ class Active:
             "unsupported_effects": list(self.program.unsupported),
             "largest_deg": self.largest_deg,
             "largest_mm": self.largest_mm,
+            "unsure": list(self.unsure),
             **self.promised,
             "ramp_s": self.ramp_s,
             "levers_mm": self.levers_mm if self.joint_kinds else None,

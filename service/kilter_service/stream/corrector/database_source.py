@@ -87,5 +87,6 @@ def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Acti
         ramp_s=options.ramp_s,
         joint_names=tuple(joint.name for joint in version.calibration.robot.joints),
         joint_kinds=tuple(joint.kind for joint in version.calibration.robot.joints),
+        unsure=tuple(doubt.reason for doubt in version.calibration.doubts if doubt.whole),
         workspace=workspace_of(version.workspace),
     )

@@ -24,6 +24,7 @@ MADE = {
     0x1000: "the nearest pose that can be reached",
     0x2000: "held at its limit",
     0x4000: "held back by its rate",
+    0x8000: "the version is unsure here",
 }
 HELD_BACK = {  # counters of the corrector, in words
     "reversing": "corrected while backlash or clearance changed sides",

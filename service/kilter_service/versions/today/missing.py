@@ -39,7 +39,7 @@ def called(effect: NamedEffect) -> str:
 
 
 def _undecided(effect: NamedEffect) -> bool:
-    return effect.verdict in ("class_confirmed", "provisional") or effect.class_ is not None
+    return effect.verdict in ("class_confirmed", "provisional", "contradicted") or effect.class_ is not None
 
 
 def _plain(name: str, joints: Sequence[int]) -> str:

@@ -22,11 +22,13 @@ if TYPE_CHECKING:
 class Corrected(bytes):
     """A corrected trajectory, as bytes of a file.
 
-    ``left_out`` are effects of the version that it does not cover, ``notes`` what else the server says of it.
+    ``left_out`` are effects of the version that it does not cover, ``notes`` what else the server says of it,
+    ``u95`` what its intervals are of: poses, or a path whose neighbouring rows share their error.
     """
 
     left_out: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    u95: str = ""
     media_type: str = CSV_TYPE
 
     @property
@@ -62,7 +64,7 @@ class Corrected(bytes):
     @property
     def status(self) -> dict[str, int]:
         """How many rows have which status: ``OK`` where what is left is within what is stated, ``DAMPED`` and ``LIMITED``
-        where it is not; all others are refusals, whose cells are empty.
+        where it is not, ``UNSURE`` where the version is less sure than it says; all others are refusals, whose cells are empty.
         """
         return dict(Counter(self.rows.to_dict().get("status", ())))
 

@@ -12,7 +12,7 @@ VERDICT = struct.Struct("<QIHHIi")  # version, epoch, status, limit mask, proces
 BLOCK = struct.Struct("<II")  # points, step_ns
 POINT, CHUNK = 0, 1
 QD, QDD, VERSION, RESET, SETTLED = 0x0001, 0x0002, 0x0004, 0x0008, 0x0010
-DYNAMIC, RAMPING, REVERSING, DAMPED, RESIDUAL, SATURATED, SLOWED = (1 << k for k in range(8, 15))
+DYNAMIC, RAMPING, REVERSING, DAMPED, RESIDUAL, SATURATED, SLOWED, UNSURE = (1 << k for k in range(8, 16))
 STATUSES = (
     "OK", "STALE", "SEQ_GAP", "SEQ_BACK", "BAD_FRAME", "NOT_FINITE", "JOINT_LIMIT", "CORRECTION_TOO_LARGE",
     "RATE_LIMIT", "NO_VERSION", "VERSION_MISMATCH", "OVERLOAD", "NO_SESSION", "UNSIGNED", "SESSION_EXPIRED",
@@ -59,6 +59,11 @@ class Made:
     def slowed(self) -> bool:
         """The correction comes later than it should: held back by a bound on its rate or acceleration."""
         return bool(self.flags & SLOWED)
+
+    @property
+    def unsure(self) -> bool:
+        """The version is less sure here than its parameters say: near a pose it does not explain, or as a whole."""
+        return bool(self.flags & UNSURE)
 
 
 class _Answer(NamedTuple):

@@ -25,10 +25,14 @@ class UnseenFit(Record):
 
     chi2: float | None
     """Squared errors in multiples of noise and of what was fitted."""
+    chi2_all: float | None
+    """`chi2` with rows set aside; None: none was set aside."""
     chi2_per_freedom: float | None
     """The one over the other; 1 is noise alone."""
     freedom: int | None
     """Numbers that were held out."""
+    freedom_all: int | None
+    """`freedom` with rows set aside; None: none was set aside."""
     left_mm: float | None
     """What is left of them, rms error in space, mm."""
     noise_mm: float | None
@@ -165,8 +169,12 @@ class Predictive(Record):
 
     inside: int | None
     """Coordinates inside."""
+    inside_all: int | None
+    """Inside, of rows set aside too; None: none was set aside."""
     of: int | None
     """Coordinates in all."""
+    of_all: int | None
+    """Coordinates of rows set aside too; None: none was set aside."""
     poses: tuple[tuple[int, ...], ...]
     """Both numbers for each held-out pose."""
 
@@ -183,11 +191,11 @@ class GapSize(Record):
     before_mm: float | None
     """Before, on the rows fitted, mm."""
     closure: float | None
-    """Share of the gap that is closed; 1 is all; None: the noise is not known."""
+    """Share of the gap that is closed, 1 is all; None: noise not known."""
     held_out: str | None
     """How rows were held out."""
     held_out_set_aside: int | None
-    """Held-out visits that no model of the search predicts, set aside."""
+    """Held-out visits that no model predicts, set aside."""
     lengths: str | None
     """Where lengths are: `at_tool`, or `by_views`, beside its rotation, as sure as a typical view."""
     noise_deg: float | None
@@ -332,4 +340,4 @@ class Amplitude(Record):
     unit: str | None
     """Unit of the numbers: mm, deg, s, 1/K, ...; 1 for none."""
     value: float | None
-    """Its value, as the version stores it."""
+    """Its value, as the search fitted it."""

@@ -228,7 +228,7 @@ class NamedEffect(Record):
     too_small_to_matter: bool | None
     """Whether that is too small to matter."""
     verdict: str | None
-    """`replicated`, `confirmed`, `class_confirmed` or `provisional`, the surest first."""
+    """`replicated`, `confirmed`, `class_confirmed`, `provisional` or `contradicted`, the surest first."""
 
 
 class NextPose(Record):

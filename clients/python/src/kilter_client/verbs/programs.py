@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 Frames: TypeAlias = "Mapping[str, Sequence[float] | str] | Sequence[float] | str"
 
-ANSWERED = frozenset({"OK", "DAMPED", "LIMITED"})  # targets that have numbers
+ANSWERED = frozenset({"OK", "DAMPED", "LIMITED", "UNSURE"})  # targets that have numbers
 FANUC_J3 = ("same", "coupled")
 SHOWN = 20
 

@@ -168,4 +168,5 @@ def correct(
     corrected.media_type = answer.headers.get("content-type", "").partition(";")[0]
     corrected.left_out = tuple(filter(None, answer.headers.get("kilter-not-corrected", "").split(", ")))
     corrected.notes = calls.notes_of(answer)
+    corrected.u95 = answer.headers.get("kilter-u95", "")
     return corrected

@@ -21,7 +21,7 @@ from kilter_core.gap.search.linear.in_space import fit_rms, noise_rms, rms_at, r
 from kilter_core.gap.search.linear.linearized import solved
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.prepare import Prepared, windowed
-from kilter_core.gap.search.rows.wrong_rows import along_one_joint
+from kilter_core.gap.search.rows.wrong_rows import along_one_motion
 from kilter_core.gap.search.sources.rounding import rounding_document
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
@@ -207,7 +207,7 @@ class HoldoutEvaluator:
 
         left = np.vstack([problem.raw.reshape(-1, size)[aside], after[first]])
         which = np.concatenate([np.flatnonzero(aside), len(aside) + first])
-        found = along_one_joint(left, which, motion, rows.q.shape[1])[int(aside.sum()) :]
+        found = along_one_motion(left, which, motion, rows.q.shape[1])[int(aside.sum()) :]
         return np.asarray(spike & np.isin(visit, visit[first[found]]))
 
     @property
@@ -234,16 +234,20 @@ class HoldoutEvaluator:
         return on_rows(source, self.rows, self.search, self.search.problem.values)[0].left_share
 
     def _predictive(self, after: Floats, spread: Floats, kept: Bools) -> dict[str, Any]:
-        """How many held-out coordinates lie in their 95 % intervals: fit, noise, and what the noise does not explain."""
+        """How many held-out coordinates lie in their 95 % intervals: fit, noise, and what the noise does not explain.
+
+        Where rows were set aside, how many do with them too.
+        """
         lower, grown = self._lower(), max(1.0, inflation(self.search))
         noise = lower @ lower.T * grown**2
         sigma = np.sqrt(np.diagonal(spread + noise, axis1=1, axis2=2))
-        seen = np.isfinite(self._measured()) & kept[:, None]
+        seen, kept = np.isfinite(self._measured()), kept[:, None]
         inside = (np.abs(after @ lower.T) <= interval_width(self.search) * sigma) & seen
         group = np.unique(self._groups(), return_inverse=True)[1]
-        by_pose = [np.bincount(group, np.sum(m, axis=1)).astype(int).tolist() for m in (inside, seen)]
+        by_pose = [np.bincount(group, np.sum(m, axis=1)).astype(int).tolist() for m in (inside & kept, seen & kept)]
         poses = [list(pose) for pose in zip(*by_pose, strict=True) if pose[1]]
-        return {"inside": int(inside.sum()), "of": int(seen.sum()), "poses": poses}
+        told = {"inside": int((inside & kept).sum()), "of": int((seen & kept).sum()), "poses": poses}
+        return told if kept.all() else {**told, "inside_all": int(inside.sum()), "of_all": int(seen.sum())}
 
     @property
     def seen(self) -> Bools:

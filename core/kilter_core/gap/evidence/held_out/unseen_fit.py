@@ -21,7 +21,7 @@ from kilter_core.gap.search.sources.rounding import readings_of
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
 from kilter_core.parameters import metres, mm
-from kilter_core.types import Floats, Ints
+from kilter_core.types import Bools, Floats, Ints
 
 REFUTED = 0.01  # chance below which noise does not explain what held-out rows leave
 
@@ -30,7 +30,8 @@ REFUTED = 0.01  # chance below which noise does not explain what held-out rows l
 class UnseenFit:
     """Chi-square of held-out rows with its freedom, and its p; ``left``, ``noise`` and ``matters`` are rms lengths, m.
 
-    ``left`` is what they leave in space, ``noise`` what noise and the covariance of the fit leave of it.
+    ``left`` is what they leave in space, ``noise`` what noise and the covariance of the fit leave of it. ``all_rows`` are
+    chi-square and freedom with the rows that were set aside; None where none were.
     """
 
     chi2: float
@@ -40,12 +41,17 @@ class UnseenFit:
     left: float
     noise: float
     matters: float
+    all_rows: tuple[float, int] | None = None
 
     @property
     def refuted(self) -> bool:
         """Whether more is left than noise explains, and more of it than is too small to matter."""
-        beyond = float(np.sqrt(max(self.left**2 - self.noise**2, 0.0)))
-        return self.p_value <= REFUTED and beyond > self.matters
+        return self.p_value <= REFUTED and self.beyond > self.matters
+
+    @property
+    def beyond(self) -> float:
+        """What they leave in space beyond noise, rms, m."""
+        return float(np.sqrt(max(self.left**2 - self.noise**2, 0.0)))
 
     def verdict(self, of_run: str) -> str:
         """The verdict of a run, where rows that no choice saw agree with it: nothing is closed that is open there."""
@@ -66,6 +72,7 @@ class UnseenFit:
             "chi2": self.chi2, "freedom": self.freedom, "chi2_per_freedom": self.chi2 / self.freedom,
             "p_value": self.p_value, "poses": self.poses, "left_mm": mm(self.left), "noise_mm": mm(self.noise),
             "refuted": self.refuted,
+            **({} if self.all_rows is None else dict(zip(("chi2_all", "freedom_all"), self.all_rows, strict=True))),
         }  # fmt: skip
 
 
@@ -76,9 +83,24 @@ def unseen_fit(held: HoldoutEvaluator, matters_mm: float) -> UnseenFit | None:
     plain = source.observes_tool and source.observes_places and not held.moving and problem.settings.inflation <= 1.0
     if rows is None or known is None or not plain or not noise.absolute:
         return None
-    other, values = on_rows(source, rows, held.search, problem.values)
+    total, free = _chi2(held, known, rows, held.kept)
+    if not free:
+        return None
+    law = chi2(free, scale=1.0 / free) if np.isinf(noise.freedom) else f(free, max(noise.freedom, 1.0))
+    told = held.report()
+    size = len(problem.settings.of_row)
+    left = source.rms(told.after @ told.lower.T)
+    floor = source.rms(np.eye(size) * np.sqrt(size * told.floor) @ told.lower.T)
+    whole = None if held.kept.all() else _chi2(held, known, rows, np.ones_like(held.kept))
+    return UnseenFit(total, free, float(law.sf(total / free)), held.poses, left, floor, metres(matters_mm), whole)
+
+
+def _chi2(held: HoldoutEvaluator, known: Posterior, rows: Observations, kept: Bools) -> tuple[float, int]:
+    """Chi-square of the held-out rows that are ``kept (N,)``, by the noise and by what was fitted, and its freedom."""
+    problem = held.search.problem
+    other, values = on_rows(problem.settings.source, rows, held.search, problem.values)
     back = np.linalg.inv(root_of(problem.settings.of_row + np.nan_to_num(other.doubt(values))))
-    seen, kept = np.isfinite(other.residual(values)), held.kept
+    seen = np.isfinite(other.residual(values))
     r = np.einsum("nij,nj->ni", back, np.nan_to_num(other.residual(values)))
     B = back @ _spread(other, values, known)
     r, B = np.where(seen, r, 0.0)[kept], np.where(seen[..., None], B, 0.0)[kept]
@@ -87,15 +109,8 @@ def unseen_fit(held: HoldoutEvaluator, matters_mm: float) -> UnseenFit | None:
     size = np.sqrt(_variance(held, count))
     r, B = (r / size[:, None]).reshape(-1), (B / size[:, None, None]).reshape(-1, B.shape[2])
     free = int(np.sum(_by_visit(seen[kept] * 1.0, visit, count) > 0.0))
-    if not free:
-        return None
     along = B.T @ r
-    total = float(r @ r - along @ np.linalg.solve(np.eye(B.shape[1]) + B.T @ B, along))
-    law = chi2(free, scale=1.0 / free) if np.isinf(noise.freedom) else f(free, max(noise.freedom, 1.0))
-    told = held.report()
-    left = source.rms(told.after @ told.lower.T)
-    floor = source.rms(np.eye(back.shape[1]) * np.sqrt(back.shape[1] * told.floor) @ told.lower.T)
-    return UnseenFit(total, free, float(law.sf(total / free)), held.poses, left, floor, metres(matters_mm))
+    return float(r @ r - along @ np.linalg.solve(np.eye(B.shape[1]) + B.T @ B, along)), free
 
 
 def _spread(source: Source, values: Floats, known: Posterior) -> Floats:

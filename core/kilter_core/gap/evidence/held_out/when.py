@@ -180,8 +180,8 @@ def event_warnings(
             "moved_mm": when.moved_mm, "u95_mm": when.u95_mm,
             "rotated_deg": rotated and rotated.rotated_deg, "u95_deg": rotated and rotated.u95_deg,
             "message": f"{who} {verb} between rows {when.before} and {when.after}{sure}, by {when.moved_mm:.3g} mm "
-            f"(95 %: within {when.u95_mm:.1g} mm) at the tool on average{'' if rotated is None else rotated.words}, as the "
-            f"version stores it. {remedy}",
+            f"(95 %: within {when.u95_mm:.1g} mm) at the tool on average{'' if rotated is None else rotated.words}. "
+            f"{remedy}",
         }  # fmt: skip
 
 

@@ -25,12 +25,13 @@ def find_wrong(problem: LinearizedProblem, far: Bools, size: Floats, left: Float
     """Which of the ``far (V,)`` visits, of these sizes (V,), are wrong readings and not structure of the model's error.
 
     ``left (V, m)`` is the whitened error of each. An effect, however large, follows from pose, direction, load or
-    temperature: it affects neighbours, and the same pose again in the same way, and it moves the tool as a joint does.
+    temperature: it affects neighbours, and the same pose again in the same way, and it moves the tool as a joint or a
+    load does.
     Wrong readings do none of that. More than a few must also be separated from the others by a clear gap.
     """
     used, none = problem.settings.used, np.zeros_like(far)
     far = far & ~_comes_again(problem, far, left)
-    far &= ~_along_one_joint(problem, far, left)
+    far &= ~_along_joint_or_load(problem, far, left)
     count = int(far.sum())
     if not count or count > MOST * used.sum():
         return none
@@ -70,38 +71,51 @@ def _is_alike(left: Floats) -> Bools:
     return np.asarray(apart < ALIKE * np.minimum(size[:, None], size))
 
 
-def _along_one_joint(problem: LinearizedProblem, far: Bools, left: Floats) -> Bools:
-    """Which far visits (V,) are off in the direction in which one joint, the same for all of them, moves the tool."""
+def _along_joint_or_load(problem: LinearizedProblem, far: Bools, left: Floats) -> Bools:
+    """Which far visits (V,) are off as one joint, or one load through one compliance, moves the tool in all of them."""
     out, settings = np.zeros_like(far), problem.settings
-    if not settings.source.observes_tool:
+    source, which = settings.source, np.flatnonzero(far)
+    if not source.observes_tool:
         return out
-    columns = settings.source.joint_columns(problem.values)
+    columns, n = source.joint_columns(problem.values), source.batch.q.shape[1]
+    loads = [k for effect, at in source.model.placed if "moments" in effect.needs for k in range(at.start, at.stop)]
+    first = len(source.model.names) - source.n_library  # of the library among the model's parameters
+    loads = [k - first for k in loads if k >= first]
 
-    def motion(joint: int) -> Floats:
+    def by_joint(joint: int) -> Floats:
         return settings.whitening.residual(columns(joint)).reshape(left.shape)
 
-    which = np.flatnonzero(far)
-    out[which] = along_one_joint(left[which], which, motion, settings.source.batch.q.shape[1])
+    def by_load(number: int) -> Floats:
+        if number < len(loads):
+            return problem.W_raw[:, loads[number]].reshape(left.shape)
+        # A weight at the tool through gears that are all as soft: each joint deflects as far as its motion is along gravity.
+        down = source.model.T_base[:3, :3] @ source.model.robot.gravity
+        moved = [columns(joint) for joint in range(n)]
+        return settings.whitening.residual(np.sum([one * (one[:, :3] @ down)[:, None] for one in moved], axis=0))
+
+    out[which] = along_one_motion(left[which], which, by_joint, n)
+    out[which] |= along_one_motion(left[which], which, by_load, len(loads) + (left.shape[1] % 3 == 0))
     return out
 
 
-def along_one_joint(left: Floats, which: Ints, motion: Callable[[int], Floats], joints: int) -> Bools:
-    """Which of the errors (K, m) lie in the direction in which one joint, the same for all of these, moves the tool.
+def along_one_motion(left: Floats, which: Ints, motion: Callable[[int], Floats], motions: int) -> Bools:
+    """Which of the errors (K, m) lie in the direction in which one joint, or load, the same for all of these, moves the tool.
 
-    ``motion(joint)`` (V, m) is how it moves the tool in all visits, of which the errors are those of ``which (K,)``. By
-    chance an error lies so near to the motion of its own visit as often as to those of the others: errors that are all
-    alike, or arms that move in one plane, prove nothing. Joints, and how many errors are taken, are as many more chances.
+    ``motion(k)`` (V, m) is how that one of the ``motions`` moves the tool in all visits, of which the errors are those of
+    ``which (K,)``. By chance an error lies so near to the motion of its own visit as often as to those of the others: errors
+    that are all alike, or arms that move in one plane, prove nothing. Motions, and how many errors are taken, are as many
+    more chances.
     """
     out = np.zeros(len(left), dtype=bool)
     if len(left) < FEWEST_ALONG or left.shape[1] < 2:
         return out
-    for joint in range(joints):
-        cosine = _cosines(left, motion(joint))
+    for number in range(motions):
+        cosine = _cosines(left, motion(number))
         own = cosine[np.arange(len(left)), which]
         least = np.sort(own)[::-1][FEWEST_ALONG - 1 :]
         by_chance = np.array([np.mean(cosine >= one) for one in least])
         as_many = binom.sf(np.arange(FEWEST_ALONG - 1, len(left)), len(left), by_chance)
-        together = least[as_many * joints * len(least) < PREDICTED]
+        together = least[as_many * motions * len(least) < PREDICTED]
         out |= own >= together.min(initial=np.inf)
     return out
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from kilter_client.results.corrected import Corrected
 
 
-ANSWERED = frozenset({"OK", "DAMPED", "LIMITED"})  # rows that have numbers
+ANSWERED = frozenset({"OK", "DAMPED", "LIMITED", "UNSURE"})  # rows that have numbers
 
 
 class Task(StrEnum):
@@ -96,7 +96,8 @@ def correct(
 
     dx_mm, dy_mm, dz_mm are where the uncorrected tool would be minus where it should be, along the axes of the base frame
     that the version corrects in; the command says which one that is. left_mm is what the correction leaves of it: the
-    status is OK where that is within what is stated, else DAMPED or LIMITED. Exit code 1 when no row could be corrected.
+    status is OK where that is within what is stated, else DAMPED or LIMITED; UNSURE is near what the version does not
+    explain, or every row where its own report speaks against it. Exit code 1 when no row could be corrected.
     """
     if as_json and output is None:
         raise UsageError("--json reports what was written: name the file with -o.")
@@ -113,7 +114,8 @@ def correct(
     status = {} if form else verdicts(content, trajectory.content_type)
     _remark(content, status, as_json)
     if frames and not form:
-        note(f"dx_mm, dy_mm, dz_mm are along the axes of the {frames['axes']}.", as_json)
+        of_u95 = f" u95 is {content.u95}." if content.u95 else ""
+        note(f"dx_mm, dy_mm, dz_mm are along the axes of the {frames['axes']}.{of_u95}", as_json)
     if output is None:
         typer.get_binary_stream("stdout").write(content)
     else:
@@ -131,6 +133,7 @@ def _show_written(told: dict[str, Any], content: Corrected, as_json: bool) -> No
         "bytes": len(content),
         "not_corrected": list(content.left_out),
         "notes": list(content.notes),
+        "u95": content.u95,
     }
     emit(document, as_json, lambda _: say(f"{told['output']}: {rows or len(content)} {'rows' if rows else 'bytes'}"))
 

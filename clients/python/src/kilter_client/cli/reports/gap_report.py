@@ -82,7 +82,7 @@ def _effects(effects: Sequence[Mapping[str, Any]], unit: str) -> None:
     show_rows(
         (*head_row, "parameter", "amplitude", "interval"),
         rows,
-        title="What is missing, with amplitudes as the version stores them",
+        title="What is missing, with amplitudes as the search fitted them",
     )
     for effect in effects:
         _class(effect)
@@ -196,11 +196,22 @@ def _gap(result: Mapping[str, Any], unit: str) -> None:
             f", which no model of this search predicts; with them after is {number(every)} {unit}" if every else ""
         )
         say(f"held-out rows left out of these errors: {gap['held_out_set_aside'] or 'none'}{with_them}")
-    unseen = (result.get("adequacy") or {}).get("held_out")
+    _coverage(result.get("predictive") or {}, (result.get("adequacy") or {}).get("held_out") or {})
+
+
+def _coverage(told: Mapping[str, Any], unseen: Mapping[str, Any]) -> None:
+    """Coverage of the intervals and chi-square of held-out rows, without and with those that were set aside."""
+    if told.get("of"):
+        shares = [100.0 * told[f"inside{end}"] / told[f"of{end}"] for end in ("", "_all") if told.get(f"of{end}")]
+        with_them = f", {shares[1]:.0f} % with rows set aside" if len(shares) > 1 else ""
+        say(f"held-out coordinates within their 95 % intervals: {shares[0]:.0f} % of {told['of']}{with_them}")
     if unseen:
+        every = (
+            f", {number(unseen['chi2_all'] / unseen['freedom_all'], 3)} with them" if unseen.get("freedom_all") else ""
+        )
         say(
             f"chi-square of {unseen['poses']} held-out poses, which no choice saw: {number(unseen['chi2_per_freedom'], 3)} "
-            f"per number, p {number(unseen['p_value'], 2)}"
+            f"per number, p {number(unseen['p_value'], 2)}{every}"
         )
 
 
