@@ -26,6 +26,7 @@ from kilter_core.effects.hardening import Hardening
 from kilter_core.effects.joint_coupling import JointCoupling
 from kilter_core.effects.link_bending import LinkBending
 from kilter_core.effects.link_growth import LinkGrowth
+from kilter_core.effects.link_lengthening import LinkLengthening
 from kilter_core.effects.link_torsion import LinkTorsion
 from kilter_core.effects.load_error import LoadError
 from kilter_core.effects.measured_tilt import MeasuredTilt
@@ -34,6 +35,7 @@ from kilter_core.effects.payload_error import PayloadError
 from kilter_core.effects.radial_compliance import RadialCompliance
 from kilter_core.effects.random_walk import RandomWalk
 from kilter_core.effects.reading_tilt import ReadingTilt
+from kilter_core.effects.scale_thermal import ScaleThermal
 from kilter_core.effects.second_harmonic import SecondHarmonic
 from kilter_core.effects.session_shift import SessionShift
 from kilter_core.effects.settling import Settling
@@ -80,6 +82,7 @@ _ALL: tuple[type[Effect], ...] = (
     ZeroDrift,
     ZeroThermal,
     LinkGrowth,
+    LinkLengthening,
     Settling,
     RandomWalk,
     BaseStep,
@@ -87,6 +90,7 @@ _ALL: tuple[type[Effect], ...] = (
     ZeroStep,
     ColumnBending,
     ThermalDrift,
+    ScaleThermal,
     MeasuredTilt,
     ToolSag,
     Hardening,

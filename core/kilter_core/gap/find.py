@@ -205,6 +205,7 @@ class _Run:
         whole = partial(is_settled, fit, left, unseen is not None and unseen.refuted)
         lacking = missing_directions(problem, found.columns)
         effects, control = self._judged(found, fit, left, kept, held, whole, bool(lacking))
+        kept = kept.without_correction([j.evidence.candidate.id for j in effects if not j.of_arm])
         verdict = run_verdict(effects, fit, left)
         if unseen is not None:
             verdict = unseen.verdict(verdict)
@@ -259,7 +260,8 @@ class _Run:
         drafts = self._drafts(found, fit, left, kept, held, whole, aliases)
 
         def judged(evidence: Evidence) -> Judged:
-            return judge(found, evidence, fit, self.prepared.library, whole(evidence.moves_mm), lacking)
+            settled = whole(evidence.moves_mm)
+            return judge(found, evidence, fit, self.prepared.library, settled, lacking, drafts.values())
 
         rising = [k for k, evidence in drafts.items() if judged(evidence).verdict != "provisional"]
         shares = inclusion(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from kilter_core.effects.physical import Separator
 from kilter_core.gap.evidence.claim import CLASS, MEMBER, Claim
+from kilter_core.gap.evidence.clocks import Law, shared_clock
 from kilter_core.gap.evidence.control import Control
 from kilter_core.gap.evidence.fits.intervals import Amplitude
 from kilter_core.gap.evidence.halves import BESIDE, Halves
@@ -50,6 +51,11 @@ class Evidence:
     borne: tuple[int, ...] | None = None  # joints at which they bear it out; None: not asked, or acts at none
 
     @property
+    def law(self) -> Law:
+        """What tells whether it shares a clock with another."""
+        return self.candidate, self.separated, self.moves_mm
+
+    @property
     def lasts(self) -> bool:
         """Whether it rises on its own evidence where something else is left: between halves, or in a confirmation."""
         again = self.replication is not None and self.replication.certain
@@ -73,18 +79,30 @@ class Judged:
         return self.claim.words
 
     @property
+    def of_arm(self) -> bool:
+        """Whether the arm itself does it: of what went with a clock base, station and air may, or rivals that are these."""
+        elsewhere = (a.candidate.effects[0] for a in self.alias_set)
+        return self.claim.placed and not any(e.clock and e.stage in ("base", "measurement") for e in elsewhere)
+
+    @property
     def certain(self) -> bool:
         """Whether it happened, and not only something of its class."""
         return self.verdict != "provisional" and not self.claim.followed and self.claim.said != CLASS
 
 
 def judge(
-    search: SearchResult, evidence: Evidence, fit: Adequacy, library: Library, settled: bool, lacking: bool = False
+    search: SearchResult,
+    evidence: Evidence,
+    fit: Adequacy,
+    library: Library,
+    settled: bool,
+    lacking: bool = False,
+    beside: Iterable[Evidence] = (),
 ) -> Judged:
     """Pass one candidate through the gates: replicated, confirmed, class_confirmed, or provisional.
 
     ``settled`` as :func:`is_settled`; ``lacking`` says that rotations which the robot's description lacks do as well as all
-    that was named.
+    that was named; ``beside`` is the evidence for everything that was.
     """
     rivals = tuple(a for a in evidence.aliases if a.member or not a.candidate.empirical)
     numbers = _numbers(search, evidence, fit, library, bool(rivals))
@@ -108,7 +126,8 @@ def judge(
         gates["complete_geometry"] = False
     robot = search.problem.settings.source.model.robot
     alone = settled and not _beside_any_shape(search, evidence)
-    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, alone, evidence.borne)
+    shared = shared_clock(evidence.law, (one.law for one in beside if one.place != evidence.place))
+    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, alone, evidence.borne, shared)
     if _sensed(evidence) is not None:
         gates["sensor"] = not claim.refuted
     return Judged(evidence, _level(gates, claim, replication), gates, numbers, rivals, claim)
