@@ -17,6 +17,7 @@ from kilter_core.effects.column_bending import ColumnBending
 from kilter_core.effects.direction_compliance import DirectionCompliance
 from kilter_core.effects.drift import Drift
 from kilter_core.effects.eccentricity import Eccentricity
+from kilter_core.effects.encoder_curve import EncoderCurve
 from kilter_core.effects.encoder_scale import EncoderScale
 from kilter_core.effects.friction_windup import FrictionWindup
 from kilter_core.effects.gear_error import GearError
@@ -29,6 +30,7 @@ from kilter_core.effects.link_growth import LinkGrowth
 from kilter_core.effects.link_lengthening import LinkLengthening
 from kilter_core.effects.link_torsion import LinkTorsion
 from kilter_core.effects.load_error import LoadError
+from kilter_core.effects.local_bump import LocalBump
 from kilter_core.effects.measured_tilt import MeasuredTilt
 from kilter_core.effects.measurement_scale import MeasurementScale
 from kilter_core.effects.payload_error import PayloadError
@@ -65,6 +67,8 @@ _ALL: tuple[type[Effect], ...] = (
     Eccentricity,
     SecondHarmonic,
     GearError,
+    EncoderCurve,
+    LocalBump,
     EncoderScale,
     JointCoupling,
     GravitySpring,

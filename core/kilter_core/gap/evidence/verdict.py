@@ -81,7 +81,7 @@ class Judged:
     @property
     def of_arm(self) -> bool:
         """Whether the arm itself does it: of what went with a clock base, station and air may, or rivals that are these."""
-        elsewhere = (a.candidate.effects[0] for a in self.alias_set)
+        elsewhere = (effect for a in self.alias_set for effect in a.candidate.effects)
         return self.claim.placed and not any(e.clock and e.stage in ("base", "measurement") for e in elsewhere)
 
     @property
@@ -134,11 +134,13 @@ def judge(
 
 
 def _beside_any_shape(search: SearchResult, evidence: Evidence) -> bool:
-    """Whether another name of its class takes any shape: beside a walk, a step may be a part that its pieces do not follow."""
+    """Whether another name of its class and joint takes any shape: beside a walk, a step may be what its pieces leave."""
     robot, candidates = search.problem.settings.source.model.robot, search.selector.scorer.candidates
     own = evidence.candidate.effects[0].class_on(robot).id
-    others = (candidates[k].effects[0] for k in search.chosen if k != evidence.place)
-    return any(e.supple and e.class_on(robot).id == own for e in others)
+    at = set(evidence.candidate.joints or ())
+    others = (candidates[k] for k in search.chosen if k != evidence.place)
+    near = (c.effects[0] for c in others if not c.joints or not at or at & set(c.joints))
+    return any(e.supple and e.class_on(robot).id == own for e in near)
 
 
 def is_settled(fit: Adequacy, misfit: Misfit, refuted: bool, moves_mm: float) -> bool:
