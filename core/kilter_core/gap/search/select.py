@@ -170,7 +170,7 @@ class Selector(CandidateSets):
     def divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace a family, or another of many parameters, by two others that together explain more with no more directions:
         it imitates both. More for more is what entries look for; shapes imitate anything, and replace no cause; nor do
-        amounts that are not plausible one that is: a magnet is no disc that is off its centre by 7 degrees.
+        amounts that are not plausible one that is: no disc is 7 degrees off its centre, as a magnet may be.
         """
         all_ = self.scorer.candidates
         for family in (k for k in chosen if all_[k].level == FAMILY or len(all_[k].columns) >= BROAD):
