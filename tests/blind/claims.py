@@ -13,7 +13,7 @@ DECIDABLE = 11.0  # lambda (1 - |rho|) from which its name must be right
 TWINS = {"backlash": "friction_windup", "friction_windup": "backlash"}  # the same in any position data
 CLAIMS = ("confirmed", "class_confirmed", "replicated")
 STATION = ("drift", "settling", "random_walk", "base_step")  # motions of base or instrument with time: one class
-SLOW = (*STATION, "thermal_drift", "column_bending")  # and those with the temperature
+SLOW = (*STATION, "thermal_drift", "column_bending", "scale_thermal")  # and those with the temperature
 MOVED_AS = {
     "column_bending": {"column_bending", "thermal_drift"},
     None: {"thermal_drift"},
@@ -22,6 +22,9 @@ CURVES = (
     "hose_torque", "quadratic_curve", "spline_curve", "belt_error", "third_harmonic", "local_bump", "encoder_scale",
     "eccentricity", "second_harmonic", "gravity_spring",
 )  # fmt: skip
+WITH_TEMPERATURE = ("thermal_growth", "link_growth", "column_bending", "thermal_drift", "zero_thermal")
+TWINS_OF_CLOCK = ("zero_settling", "link_lag", "link_bow", "air_scale")
+OF_CLOCK = ("station", "thermal")  # classes that say base, station, air or arm, and so no joint
 # What acts at the same place in the same way, as the generator knows it: a claim of the class holds for each of them.
 KIN = {
     "joint_twist": {"axial_compliance", "hardening", "direction_compliance", "backlash_load", "reading_tilt"},
@@ -31,9 +34,9 @@ KIN = {
     "joint_tilt": {"clearance_tilt", "radial_compliance", "base_compliance"},
     "load_sag": {"link_bending", "tool_sag"},
     "loads": {"payload_error"},
-    "station": {"drift", "settling", "random_walk"},
-    "joint_zero": {"zero_drift", "zero_thermal"},
-    "thermal": {"thermal_growth", "link_growth", "column_bending", "thermal_drift"},
+    "station": {"drift", "settling", "random_walk", "zero_drift", *WITH_TEMPERATURE, *TWINS_OF_CLOCK},
+    "joint_zero": {"zero_drift", "zero_thermal", "zero_settling"},
+    "thermal": {*WITH_TEMPERATURE, "link_lag"},
 }
 
 
@@ -98,8 +101,11 @@ def _kin(effect: Named, hidden: Named) -> bool:
     """Whether the class that is claimed, and no more, holds the hidden effect, at its joint."""
     if (effect.get("claim") or {}).get("said") != "class":
         return False
-    if hidden["id"] not in KIN.get(effect["physical_class"]["id"], set()):
+    claimed = effect["physical_class"]["id"]
+    if hidden["id"] not in KIN.get(claimed, set()):
         return False
+    if claimed in OF_CLOCK:
+        return True
     joints, true = set(effect.get("joints") or ()), set(hidden["joints"])
     return not joints or not true or bool(joints & true)
 

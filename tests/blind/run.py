@@ -21,7 +21,7 @@ from kilter_core.errors import CoreError
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.types import Progress
 from kilter_service.jobs.fan_out import fan_out
-from tests.blind.generator import Campaign, Case, cases, generate
+from tests.blind.generator import Campaign, Case, cases, generate, twin_cases
 from tests.blind.page import PAGE, write_page
 from tests.blind.score import figures
 from tests.blind.to_core import observations_of, robot_of
@@ -31,6 +31,7 @@ KEPT = (
     "load_model", "warnings",
 )  # fmt: skip
 PROCESSES = 2
+TWIN_SHARE = 25  # cases to one that hides the twin of a member
 LIMIT_S = 300.0  # processor time after which a hunt counts as failed
 RECORDS = Path(__file__).resolve().parents[2] / "build"
 QUIET = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -129,7 +130,8 @@ def main() -> None:
     arguments = parser.parse_args()
     path = arguments.records or RECORDS / f"blind-{arguments.seed}.jsonl"
     one = partial(run_case, limit_s=arguments.limit)
-    records = run(list(cases(arguments.seed, arguments.n)), path, arguments.processes, one)
+    wanted = [*cases(arguments.seed, arguments.n), *twin_cases(arguments.seed, arguments.n // TWIN_SHARE)]
+    records = run(wanted, path, arguments.processes, one)
     write_page(records, arguments.seed, arguments.page)
     for figure in figures(records):
         print(figure.row())

@@ -15,7 +15,7 @@ from kilter_core.arm.loads.wrenches import joint_loads
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from tests.blind.generator import Case, Hidden, Options, cases, generate, tracker
+from tests.blind.generator import Case, Hidden, Options, cases, generate, tracker, twin_cases
 from tests.blind.generator.arm import Arm, Deflection, built
 from tests.blind.generator.arms import ARMS
 from tests.blind.generator.background import KINDS as BACKGROUNDS
@@ -23,6 +23,7 @@ from tests.blind.generator.campaign import physics_of
 from tests.blind.generator.library import LIBRARY
 from tests.blind.generator.outside import OUTSIDE
 from tests.blind.generator.sizing import Lens, Response, displacement
+from tests.blind.generator.twins import TWINS
 from tests.blind.generator.visits import plan
 from tests.blind.to_core import observations_of, robot_of
 
@@ -266,6 +267,7 @@ def test_sample_covers_what_it_should() -> None:
     hidden = {h.id for c in drawn for h in c.hidden}
     assert hidden >= set(LIBRARY) - {"measurement_scale"} | {"payload_error"}
     assert hidden >= set(OUTSIDE)
+    assert {h.id for c in twin_cases(0, 40) for h in c.hidden} == set(TWINS)
     assert {c.robot for c in drawn} == set(ARMS)
     assert {c.poses for c in drawn} == {30, 60, 118}
     assert {len(c.hidden) for c in drawn} == {0, 1, 2, 3}

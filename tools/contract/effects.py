@@ -44,7 +44,7 @@ def _option(kind: type[Effect], one: Field[Any]) -> dict[str, Any]:
     said["forms"] = [FORMS.get(form, "list" if form.startswith("tuple") else "number") for form in forms]
     if one.name in kind.counted:
         return said | {"number": "joint"}
-    said["number"] = "int" if "int" in str(one.type) else "float"
+    said["number"] = next((kind for kind in ("bool", "int") if kind in str(one.type)), "float")
     symbol = next((symbol for ending, symbol in UNITS.items() if one.name.endswith(ending)), None)
     limits = {LIMITS[name]: value for name, value in one.metadata.items() if name in LIMITS}
     return said | ({"unit": symbol} if symbol else {}) | ({"limits": limits} if limits else {})

@@ -109,7 +109,8 @@ class Effect(ABC):
     it leaves. ``glances`` are columns that it reads where they are there and can do without. An ``event`` is placed by the
     search itself, at the row where it explains most. ``reads`` names the loads of the batch that an effect reads and
     their components; what it does at a joint follows that joint's loads alone. A ``sided`` one has a side, by the sign of the
-    load or of the motion. ``rarer`` says how many times less common it is than other causes that move an arm alike: among
+    load or of the motion. ``clock`` is the column of the slow clock that it follows and nothing else: "t", "temperature_c",
+    or none. ``rarer`` says how many times less common it is than other causes that move an arm alike: among
     explanations as good as one another the common one is named, and this one beside it.
     """
 
@@ -134,6 +135,7 @@ class Effect(ABC):
     glances: ClassVar[frozenset[str]] = frozenset()
     event: ClassVar[bool] = False
     sided: ClassVar[bool] = False
+    clock: ClassVar[str] = ""
     rarer: ClassVar[float] = 1.0
     reads: ClassVar[tuple[tuple[str, tuple[int, ...]], ...]] = ()
     counted: ClassVar[tuple[str, ...]] = ("joints",)  # options that hold joints: from 0 here, from 1 in documents

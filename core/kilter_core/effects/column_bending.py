@@ -8,15 +8,16 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import BASE, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import BASE, Derivative, Local, linear
 from kilter_core.effects.batch import Batch
+from kilter_core.effects.law_of_temperature import LawOfTemperature
 from kilter_core.effects.physical import THERMAL, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
-class ColumnBending(Effect):
+class ColumnBending(LawOfTemperature):
     """The base frame rotates by (kx, ky, 0) (T − T0) about its origin; ``reference_c`` is T0, at which the geometry holds."""
 
     id = "column_bending"
@@ -24,13 +25,10 @@ class ColumnBending(Effect):
     physical = THERMAL
     separated_by = (Separator.TEMPERATURE,)
     source = "ISO 230-3, environmental temperature variation: a gradient across a column bends it"
-    needs = frozenset({"temperature_c"})
     stage = "base"
     aliases = ("thermal_drift", "zero_thermal", "thermal_growth", "drift", "settling")
     remedy = "measure a reflector on the base cold and warm, or revisit the same poses all around cold and warm"
     at_joints = False
-
-    reference_c: float = option(20.0, "Temperature T0 at which the geometry holds, degrees Celsius.", above=-273.15)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Rates kx, ky about x and y of the base frame, rad/K."""
@@ -41,14 +39,14 @@ class ColumnBending(Effect):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist of the base and its derivatives."""
-        warmer = np.asarray(self.column(batch, "temperature_c"), dtype=np.float64) - self.reference_c
+        warmer = self.warmer(batch)
         turns = np.zeros((2, len(batch), 6))
         turns[0, :, 3] = turns[1, :, 4] = warmer
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(turns)])
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Add the tilt of the base at the temperature of now."""
-        warmer = form.warmer_than(self.reference_c)
+        warmer = self.warmer_now(form)
         if warmer is None:
             return False
         form.base_tilt[:2] += values * warmer

@@ -15,6 +15,8 @@ from kilter_core.observations import Observations
 from kilter_core.observations.clock import on_shared_clock, reached
 from kilter_core.types import Floats
 
+SHARES = (0.07, 0.14, 0.27, 0.52)  # time constants, of the campaign: nearer ones look the same
+
 
 @dataclass(frozen=True)
 class LawOfTime(Effect):
@@ -25,6 +27,7 @@ class LawOfTime(Effect):
     """
 
     needs = frozenset({"t"})
+    clock = "t"
 
     t0_s: float | None = option(None, "When it began, s on the clock of the rows; null: the earliest row.")
     until_s: float | None = option(
@@ -58,6 +61,17 @@ class LawOfTime(Effect):
         if self.t0_s is None:
             raise OptionError(f"{self.id} needs t0_s: give the time in s at which it began.", effect=self.id)
         return np.where(reached(t, self.t0_s, self.until_s), t - self.t0_s, 0.0)
+
+
+def settled_share(elapsed: Floats, tau_s: float) -> Floats:
+    """Return 1 − exp(−t/τ) (N,) of rows ``elapsed`` t s after the beginning; 0 before it."""
+    return np.asarray(-np.expm1(-np.maximum(elapsed, 0.0) / tau_s))
+
+
+def time_constants(span_s: float, shares: tuple[float, ...] = SHARES) -> tuple[float, ...]:
+    """Return time constants s for rows over ``span_s``, in two digits, so that names of parameters stay short."""
+    found = (float(f"{share * span_s:.2g}") for share in shares)
+    return tuple(dict.fromkeys(tau if tau > 0.0 else 1.0 for tau in found))
 
 
 def span_of_clock(t: Floats) -> tuple[float, float]:

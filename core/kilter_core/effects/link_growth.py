@@ -9,8 +9,9 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import Derivative, Local, linear
 from kilter_core.effects.batch import Batch
+from kilter_core.effects.law_of_temperature import LawOfTemperature
 from kilter_core.effects.physical import THERMAL, Separator
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
@@ -20,7 +21,7 @@ SHORTEST_M = 1e-6
 
 
 @dataclass(frozen=True)
-class LinkGrowth(Effect):
+class LinkGrowth(LawOfTemperature):
     """The link after joint i grows by α (T − T0) of its length, the others do not; ``reference_c`` is T0.
 
     All links together are ``thermal_growth``, which also takes the column under the first joint with it.
@@ -31,12 +32,9 @@ class LinkGrowth(Effect):
     physical = THERMAL
     separated_by = (Separator.TEMPERATURE,)
     source = "linear expansion; Yin et al. 2014: links beside motors warm up alone"
-    needs = frozenset({"temperature_c"})
     signs = "positive"
     aliases = ("thermal_growth", "zero_thermal", "drift")
     remedy = "revisit the same poses cold and warm, with the link stretched out and folded back"
-
-    reference_c: float = option(20.0, "Temperature T0 at which the geometry holds, degrees Celsius.", above=-273.15)
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on the links that have a length."""
@@ -51,7 +49,7 @@ class LinkGrowth(Effect):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Shift of each joint's frame along its link, and the derivative."""
-        warmer = np.asarray(self.column(batch, "temperature_c"), dtype=np.float64) - self.reference_c
+        warmer = self.warmer(batch)
         derivatives = []
         for k, j in enumerate(self.acting(batch.q.shape[1])):
             xi = np.zeros((len(batch), 6))
@@ -61,7 +59,7 @@ class LinkGrowth(Effect):
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Add the growth of each link at the temperature of now."""
-        warmer = form.warmer_than(self.reference_c)
+        warmer = self.warmer_now(form)
         if warmer is None:
             return False
         for j, value in zip(self.acting(len(form.joints)), values.tolist(), strict=True):

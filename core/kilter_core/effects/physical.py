@@ -16,7 +16,7 @@ class PhysicalClass:
     """A class: its ``id``, its ``label`` with {joint} for the joints, and in words the ``outside`` members of no library.
 
     ``shaped`` says whether the shape that a member gives it tells anything more; ``went`` is added where what it follows
-    may have gone along with something else.
+    may have gone along with something else. ``clock`` is that of a class of whatever follows it, wherever it acts.
     """
 
     id: str
@@ -24,6 +24,7 @@ class PhysicalClass:
     outside: tuple[str, ...] = ()
     shaped: bool = True
     went: str = ""
+    clock: str = ""
 
     def at(self, joints: Sequence[int] | None) -> str:
         """Label at joints (from 0)."""
@@ -75,12 +76,15 @@ GUIDE = PhysicalClass(
     "guide", "error of the guide of {joint}", ("bent or sagging rail", "worn carriage", "hose that pulls the carriage")
 )
 LOADS = PhysicalClass("loads", "loads that are not as stated", ("weight of hoses", "forgotten adapter", "other masses"))
+# That something went with a clock, and not where: a scale about the station is a drift of the base beside a growth.
 STATION = PhysicalClass(
     "station",
-    "motion of base or instrument with time",
-    ("knocked tripod or base", "floor", "temperature"),
+    "motion with time of base, station, air or arm",
+    ("knocked tripod or base", "floor", "temperature", "link that bends"),
     went=WENT,
+    clock="t",
 )
+LINK_LENGTH = PhysicalClass(STATION.id, STATION.label, ("motor that warms the link", "sun"), went=WENT, clock="t")
 READ_STATION = PhysicalClass(
     STATION.id, "motion of the base that its inclinometer reads", ("soft column or floor", "loose anchor")
 )
@@ -91,8 +95,12 @@ JOINT_ZERO = PhysicalClass(
     went=WENT,
 )
 THERMAL = PhysicalClass(
-    "thermal", "something that went with temperature", ("sun on one side", "warm motor", "bending column or mount")
+    "thermal",
+    "motion with temperature of base, station, air or arm",
+    ("sun on one side", "warm motor", "bending column or mount"),
+    clock="temperature_c",
 )
+OF_CLOCK = {one.clock: one for one in (STATION, THERMAL)}
 TOOL_SHIFT = PhysicalClass(
     "tool", "shift of tool or marker between sessions", ("remounted marker", "bumped tool"), went=WENT
 )

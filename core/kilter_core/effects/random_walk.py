@@ -41,6 +41,7 @@ class RandomWalk(Effect):
     separated_by = (Separator.ORDER, Separator.SENSOR)
     source = "Wiener process as prior of a pose; Barfoot, State Estimation for Robotics, 3.4"
     needs = frozenset({"t"})
+    clock = "t"
     stage = "base"
     aliases = ("drift", "settling", "session_shift")
     remedy = "revisit a reference pose between the others, and visit those in random order"

@@ -17,6 +17,7 @@ from kilter_core.effects.column_bending import ColumnBending
 from kilter_core.effects.direction_compliance import DirectionCompliance
 from kilter_core.effects.drift import Drift
 from kilter_core.effects.eccentricity import Eccentricity
+from kilter_core.effects.encoder_curve import EncoderCurve
 from kilter_core.effects.encoder_scale import EncoderScale
 from kilter_core.effects.friction_windup import FrictionWindup
 from kilter_core.effects.gear_error import GearError
@@ -26,14 +27,17 @@ from kilter_core.effects.hardening import Hardening
 from kilter_core.effects.joint_coupling import JointCoupling
 from kilter_core.effects.link_bending import LinkBending
 from kilter_core.effects.link_growth import LinkGrowth
+from kilter_core.effects.link_lengthening import LinkLengthening
 from kilter_core.effects.link_torsion import LinkTorsion
 from kilter_core.effects.load_error import LoadError
+from kilter_core.effects.local_bump import LocalBump
 from kilter_core.effects.measured_tilt import MeasuredTilt
 from kilter_core.effects.measurement_scale import MeasurementScale
 from kilter_core.effects.payload_error import PayloadError
 from kilter_core.effects.radial_compliance import RadialCompliance
 from kilter_core.effects.random_walk import RandomWalk
 from kilter_core.effects.reading_tilt import ReadingTilt
+from kilter_core.effects.scale_thermal import ScaleThermal
 from kilter_core.effects.second_harmonic import SecondHarmonic
 from kilter_core.effects.session_shift import SessionShift
 from kilter_core.effects.settling import Settling
@@ -63,6 +67,8 @@ _ALL: tuple[type[Effect], ...] = (
     Eccentricity,
     SecondHarmonic,
     GearError,
+    EncoderCurve,
+    LocalBump,
     EncoderScale,
     JointCoupling,
     GravitySpring,
@@ -80,6 +86,7 @@ _ALL: tuple[type[Effect], ...] = (
     ZeroDrift,
     ZeroThermal,
     LinkGrowth,
+    LinkLengthening,
     Settling,
     RandomWalk,
     BaseStep,
@@ -87,6 +94,7 @@ _ALL: tuple[type[Effect], ...] = (
     ZeroStep,
     ColumnBending,
     ThermalDrift,
+    ScaleThermal,
     MeasuredTilt,
     ToolSag,
     Hardening,

@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.base import BASE, TWIST, Derivative, Local, linear, option
 from kilter_core.effects.batch import Batch
-from kilter_core.effects.law_of_time import LawOfTime, span_of_clock
+from kilter_core.effects.law_of_time import LawOfTime, settled_share, span_of_clock, time_constants
 from kilter_core.effects.physical import STATION, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
@@ -19,7 +19,6 @@ from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
 USUAL = 0.2  # of the campaign, when no time constant is given
-SHARES = (0.07, 0.14, 0.27, 0.52)  # of the campaign: nearer ones look the same
 
 
 @dataclass(frozen=True)
@@ -82,12 +81,6 @@ class Settling(LawOfTime):
         """Twist of the base and its derivatives by the amounts."""
         if self.tau_s is None:
             raise OptionError("settling needs tau_s: give its time constant in s.", effect=self.id)
-        settled = -np.expm1(-np.maximum(self.elapsed(batch), 0.0) / self.tau_s)
+        settled = settled_share(self.elapsed(batch), self.tau_s)
         moved = np.eye(6)[:, None, :] * settled[:, None]
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])
-
-
-def time_constants(span_s: float, shares: tuple[float, ...] = SHARES) -> tuple[float, ...]:
-    """Time constants for rows over ``span_s``, in two digits, so that names of parameters stay short."""
-    found = (float(f"{share * span_s:.2g}") for share in shares)
-    return tuple(dict.fromkeys(tau if tau > 0.0 else 1.0 for tau in found))

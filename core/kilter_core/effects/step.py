@@ -24,6 +24,7 @@ class Step(Effect):
     source = "Quandt 1958; Bai and Perron 1998: a linear model whose parameters change at an unknown row"
     glances = frozenset({"t", "row"})
     event = True
+    clock = "t"
     separated_by = (Separator.ORDER,)
 
     at_s: float | None = option(None, "When it happened, s on the clock of the rows.")

@@ -7,15 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.base import BASE, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import BASE, Derivative, Local, linear
 from kilter_core.effects.batch import Batch
+from kilter_core.effects.law_of_temperature import LawOfTemperature
 from kilter_core.effects.physical import THERMAL, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
-class ThermalDrift(Effect):
+class ThermalDrift(LawOfTemperature):
     """The base frame moves with temperature: a twist of six rates times T − T0, in its own axes.
 
     ``reference_c`` is T0, at which the geometry holds. Whatever rotates a vertical first joint with temperature does the
@@ -25,15 +26,12 @@ class ThermalDrift(Effect):
     id = "thermal_drift"
     summary = "motion of the base or of the instrument with temperature"
     physical = THERMAL
-    separated_by = (Separator.TEMPERATURE,)
+    separated_by = (Separator.TEMPERATURE, Separator.SENSOR)
     source = "ISO 230-3, environmental temperature variation"
-    needs = frozenset({"temperature_c"})
     stage = "base"
-    aliases = ("zero_thermal", "column_bending", "thermal_growth", "drift")
+    aliases = ("zero_thermal", "column_bending", "thermal_growth", "scale_thermal", "drift")
     remedy = "measure a reflector on the base cold and warm beside the poses"
     at_joints = False
-
-    reference_c: float = option(20.0, "Temperature T0 at which the geometry holds, degrees Celsius.", above=-273.15)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Rates along x, y, z, m/K, then about them, rad/K."""
@@ -45,6 +43,6 @@ class ThermalDrift(Effect):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist of the base and its derivatives by the rates."""
-        warmer = np.asarray(self.column(batch, "temperature_c"), dtype=np.float64) - self.reference_c
+        warmer = self.warmer(batch)
         moved = np.eye(6)[:, None, :] * warmer[:, None]
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])

@@ -8,15 +8,16 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import BASE, Derivative, Effect, Local, linear, option
+from kilter_core.effects.base import BASE, Derivative, Local, linear
 from kilter_core.effects.batch import Batch
+from kilter_core.effects.law_of_temperature import LawOfTemperature
 from kilter_core.effects.physical import THERMAL, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
-class ThermalGrowth(Effect):
+class ThermalGrowth(LawOfTemperature):
     """Every link, and the column up to the first joint, grows by α (T − T0) of its length; the tool does not.
 
     ``reference_c`` is T0, at which the geometry holds. Any T0 will do as long as all campaigns use the same one.
@@ -27,13 +28,10 @@ class ThermalGrowth(Effect):
     physical = THERMAL
     separated_by = (Separator.TEMPERATURE,)
     source = "Yin et al. 2014, warm-up of robot joints; linear expansion of steel and aluminium"
-    needs = frozenset({"temperature_c"})
     signs = "positive"
     aliases = ("drift", "measurement_scale")
     remedy = "revisit the same poses cold and warm, with a temperature in every row"
     at_joints = False
-
-    reference_c: float = option(20.0, "Temperature T0 at which the geometry holds, degrees Celsius.", above=-273.15)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Coefficient of expansion α, 1/K; steel has 12e-6, aluminium 23e-6.
@@ -44,7 +42,7 @@ class ThermalGrowth(Effect):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Shift of each joint's frame along its link, of the base frame along the column; and the derivative."""
-        warmer = np.asarray(self.column(batch, "temperature_c"), dtype=np.float64) - self.reference_c
+        warmer = self.warmer(batch)
         grown = np.zeros((len(batch.link_vectors), len(batch), 6))
         grown[:, :, :3] = batch.link_vectors[:, None, :] * warmer[:, None]
         places = [*range(len(grown) - 1), BASE]
@@ -52,7 +50,7 @@ class ThermalGrowth(Effect):
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Add the growth of every link at the temperature of now."""
-        warmer = form.warmer_than(self.reference_c)
+        warmer = self.warmer_now(form)
         if warmer is None:
             return False
         grown = float(values[0]) * warmer * form.robot.chain.link_vectors

@@ -8,15 +8,16 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import Effect, Local, option
+from kilter_core.effects.base import Local
 from kilter_core.effects.batch import Batch
+from kilter_core.effects.law_of_temperature import LawOfTemperature
 from kilter_core.effects.physical import JOINT_ZERO, Separator
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
-class ZeroThermal(Effect):
+class ZeroThermal(LawOfTemperature):
     """dq = k (T − T0) per joint; ``reference_c`` is T0, at which the geometry holds."""
 
     id = "zero_thermal"
@@ -24,11 +25,8 @@ class ZeroThermal(Effect):
     physical = JOINT_ZERO
     separated_by = (Separator.TEMPERATURE,)
     source = "Yin et al. 2014, warm-up of robot joints: the zeros move first"
-    needs = frozenset({"temperature_c"})
     aliases = ("thermal_drift", "zero_drift", "column_bending", "thermal_growth", "link_growth")
     remedy = "revisit the same poses cold and warm, with a temperature in every row"
-
-    reference_c: float = option(20.0, "Temperature T0 at which the geometry holds, degrees Celsius.", above=-273.15)
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Rate k per joint, rad/K."""
@@ -36,12 +34,12 @@ class ZeroThermal(Effect):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by k."""
-        warmer = np.asarray(self.column(batch, "temperature_c"), dtype=np.float64) - self.reference_c
+        warmer = self.warmer(batch)
         return self.joint_angle(batch, values, np.broadcast_to(warmer[:, None], batch.q.shape))
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Add the shift of each zero at the temperature of now."""
-        warmer = form.warmer_than(self.reference_c)
+        warmer = self.warmer_now(form)
         if warmer is None:
             return False
         form.add("offset", self.acting(len(form.joints)), values * warmer)

@@ -213,6 +213,7 @@ class _Run:
         if of_version is not found:
             kept = stored(of_version, self.begin, prepared.rows, self.options, self.validation)
             seen = HoldoutEvaluator(of_version, prepared, self.validation, kept.posterior)
+        kept = kept.without_correction([j.evidence.candidate.id for j in effects if not j.of_arm])
         verdict = run_verdict(effects, fit, left)
         if unseen is not None:
             verdict = unseen.verdict(verdict)
@@ -270,7 +271,8 @@ class _Run:
         drafts = self._drafts(found, fit, left, kept, held, whole, aliases)
 
         def judged(evidence: Evidence) -> Judged:
-            level = judge(found, evidence, fit, self.prepared.library, whole(evidence.moves_mm), lacking)
+            settled = whole(evidence.moves_mm)
+            level = judge(found, evidence, fit, self.prepared.library, settled, lacking, drafts.values())
             return replace(level, measured=measured_range(found, level))
 
         rising = [k for k, evidence in drafts.items() if judged(evidence).verdict in SURE]

@@ -16,7 +16,7 @@ from pydantic import Discriminator, Field, Tag, create_model
 
 from kilter_service.contract.units import Asked, JointNumber, unit
 
-NUMBERS = {"float": float, "int": int, "joint": JointNumber}
+NUMBERS = {"float": float, "int": int, "bool": bool, "joint": JointNumber}
 Said = Mapping[str, Any]
 SAID: list[Said] = json.loads(Path(__file__).with_name("effects.json").read_text(encoding="utf-8"))
 

@@ -22,6 +22,7 @@ from tests.blind.generator.physics import Physics
 from tests.blind.generator.rigid import motion
 from tests.blind.generator.sizing import Lens, displacement, sized
 from tests.blind.generator.truth import DECIDABLE, STRONG, Acting, Background, Truth, TruthEffect, size_mm, sized_up
+from tests.blind.generator.twins import TWINS
 from tests.blind.generator.visits import Visits, plan
 
 Floats = NDArray[np.float64]
@@ -119,8 +120,8 @@ def physics_of(
     hidden: Hidden, arm: Arm, visits: Visits, rng: np.random.Generator, beside: list[Acting] | None = None
 ) -> Physics:
     """The physics of an effect, of the library or outside it; a wrong payload shows by a compliance ``beside`` it."""
-    if hidden.id in OUTSIDE:
-        return OUTSIDE[hidden.id](arm, visits, hidden.joints, rng)
+    if hidden.id in OUTSIDE or hidden.id in TWINS:
+        return (OUTSIDE | TWINS)[hidden.id](arm, visits, hidden.joints, rng)
     if hidden.id == "settling":
         return settling(arm, visits, (), rng.uniform(0.1, 0.5))
     if hidden.id == "random_walk":

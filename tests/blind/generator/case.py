@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from tests.blind.generator.options import Options
 from tests.blind.generator.outside import SMOOTH
 
-WARM = {"thermal_growth", "zero_thermal", "link_growth", "column_bending"}
+WARM = {"thermal_growth", "zero_thermal", "link_growth", "column_bending", "link_lag"}
 LOADED = {"tool_sag", "payload_error"}
 
 

@@ -13,6 +13,7 @@ from tests.blind.generator.case import Case, Hidden
 from tests.blind.generator.conditions import conditions, drifting
 from tests.blind.generator.library import PER_JOINT
 from tests.blind.generator.outside import OUTSIDE, SMOOTH
+from tests.blind.generator.twins import TWINS
 
 Rng = np.random.Generator
 
@@ -42,12 +43,21 @@ OF_TIME = {"drift", "settling", "random_walk", "column_bending", "zero_drift"}
 def cases(seed: int, n: int, poses: tuple[int, ...] = (30, 60, 118)) -> Iterator[Case]:
     """Yield ``n`` cases; case k is the same for every ``n``. ``poses`` are the counts to choose from."""
     for k in range(n):
-        rng = np.random.default_rng([seed, k])
-        kind = PATTERN[k % len(PATTERN)]
-        robot, count = str(rng.choice(list(ARMS))), int(rng.choice(poses))
-        options = conditions(rng, ARMS[robot]().n)
-        made = KINDS[kind](Case("", robot, (), (), count, options, "no_gap", int(rng.integers(2**31))), rng)
-        yield replace(made, name=f"{k:04d}-{kind}-{made.robot}-{made.poses}")
+        yield _case(PATTERN[k % len(PATTERN)], k, np.random.default_rng([seed, k]), poses)
+
+
+def twin_cases(seed: int, n: int, poses: tuple[int, ...] = (30, 60, 118)) -> Iterator[Case]:
+    """Yield ``n`` cases that hide the twin of a member of the library; they stand beside those of ``cases``."""
+    for k in range(n):
+        yield _case("twin", k, np.random.default_rng([seed, k, *b"twin"]), poses)
+
+
+def _case(kind: str, k: int, rng: Rng, poses: tuple[int, ...]) -> Case:
+    """Case k of a kind, with its name."""
+    robot, count = str(rng.choice(list(ARMS))), int(rng.choice(poses))
+    options = conditions(rng, ARMS[robot]().n)
+    made = KINDS[kind](Case("", robot, (), (), count, options, "no_gap", int(rng.integers(2**31))), rng)
+    return replace(made, name=f"{k:04d}-{kind}-{made.robot}-{made.poses}")
 
 
 def _none(case: Case, rng: Rng) -> Case:
@@ -142,6 +152,15 @@ def _beyond(shapes: tuple[str, ...]) -> Callable[[Case, Rng], Case]:
     return make
 
 
+def _twin(case: Case, rng: Rng) -> Case:
+    """What follows a clock as a member of the library does, and is none: that it did so may be said, and not where."""
+    cause = str(rng.choice(list(TWINS)))
+    links = list(ARMS[case.robot]().links)
+    joints = {"air_scale": (), "zero_settling": (int(rng.integers(1, ARMS[case.robot]().n - 1)),)}
+    where = joints.get(cause, (int(rng.choice(links)),))
+    return replace(case, hidden=(Hidden(cause, where),), lam=_sizes(rng, 1, 100.0), expectation="outside")
+
+
 def _undecidable(case: Case, rng: Rng) -> Case:
     kind = str(rng.choice(["one_sided", "scale", "bending", "spring", "vertical"]))
     options = case.options
@@ -167,5 +186,5 @@ def _undecidable(case: Case, rng: Rng) -> Case:
 KINDS: dict[str, Callable[[Case, Rng], Case]] = {
     "none": _none, "decoy": _decoy, "drifting": _drifting, "one": _set(1), "two": _set(2), "three": _set(3),
     "free": _free, "outside": _beyond(tuple(e for e in OUTSIDE if e not in SMOOTH)), "smooth": _beyond(tuple(SMOOTH)),
-    "undecidable": _undecidable,
+    "twin": _twin, "undecidable": _undecidable,
 }  # fmt: skip

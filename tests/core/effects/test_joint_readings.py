@@ -147,3 +147,25 @@ def test_the_unknown_curve_of_two_joints() -> None:
     for wrong in ({"joints": [0], "partner": 2}, {"joints": [2]}, {"joints": [0], "partner": 0}, {"orders": ()}):
         with pytest.raises(OptionError):
             effect_on(arm, "unknown_joint_curve", **wrong)
+
+
+def test_a_magnet_off_its_axis_errs_by_a_curve_of_waves() -> None:
+    shift, arm = 0.1, one_joint("rz")
+    error = np.arctan2(shift * np.sin(TURN), 1.0 + shift * np.cos(TURN))  # of the field's direction at the chip
+    waves = [a for m in range(1, 5) for a in (-((-shift) ** m) / m, 0.0)]  # the series of the same
+    found = swept(arm, effect_on(arm, "encoder_curve", orders=(1, 2, 3, 4)), waves)
+    np.testing.assert_allclose(found, error, atol=shift**5 / 4.0)
+    for wrong in ((), (0, 1), (1, 1), (13,)):
+        with pytest.raises(OptionError, match="orders"):
+            make_effect("encoder_curve", orders=wrong)
+
+
+def test_a_local_bump_is_nothing_elsewhere() -> None:
+    arm = one_joint("rz")
+    found = swept(arm, effect_on(arm, "local_bump", centre_rad=0.5, half_width_rad=0.2), [1e-3])
+    assert not found[np.abs(TURN - 0.5) > 0.2].any()
+    assert found.max() == pytest.approx(1e-3, rel=1e-3)
+    half = np.interp(0.5 + 0.2 * math.sqrt(1.0 - math.sqrt(0.5)), TURN, found)  # where (1 - u^2)^2 is a half
+    assert half == pytest.approx(5e-4, rel=1e-2)
+    with pytest.raises(OptionError, match="above 0"):
+        make_effect("local_bump", half_width_rad=0.0)

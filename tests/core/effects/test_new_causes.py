@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from kilter_core.arm.run_time import Conditions, RunTimeForm
 from kilter_core.effects import make_effect
 from kilter_core.errors import OptionError
 from kilter_core.model import RobotModel
@@ -202,3 +203,36 @@ def test_a_smooth_curve_lives_on_the_range_that_was_moved() -> None:
     for wrong in ({"orders": ()}, {"orders": (2, 2)}, {"orders": (0,)}, {"orders": (40,)}):
         with pytest.raises(OptionError, match="orders"):
             make_effect("unknown_smooth_curve", **wrong)
+
+
+def test_a_link_lengthens_with_time() -> None:
+    arm = Arm((Step("rz", 0.0, 0), Step("tx", 0.3, name="a"), Step("ry", 0.0, 1), Step("tx", 0.25, name="b")), 2)
+    q = RNG.uniform(-1.0, 1.0, (3, 2))
+    rows = Observations(q, t=100.0 + 3600.0 * HOURS)
+    steady, settled = effect_on(arm, "link_lengthening", rows), effect_on(arm, "link_lengthening", rows, tau_s=1800.0)
+    for k, hours in enumerate(HOURS):
+        grown = arm.moved({"b": 0.25 * 1e-7 * 3600.0 * hours}).poses(q)[0][k]
+        np.testing.assert_allclose(tool_with(arm, steady, {"link_rate_2": 1e-7}, rows).position[k], grown, atol=1e-13)
+        grown = arm.moved({"a": 0.3 * 4e-4 * (1.0 - math.exp(-2.0 * hours))}).poses(q)[0][k]
+        tool = tool_with(arm, settled, {"link_strain_1800s_1": 4e-4}, rows)
+        np.testing.assert_allclose(tool.position[k], grown, atol=1e-13)
+    with pytest.raises(OptionError, match="no length"):
+        effect_on(Arm((Step("rz", 0.0, 0), Step("ry", 0.0, 1), Step("tx", 0.25)), 2), "link_lengthening", joints=[0])
+
+
+def test_the_scale_of_the_instrument_follows_the_temperature() -> None:
+    q = RNG.uniform(-1.0, 1.0, (2, 3))
+    rows = Observations(q, temperature_c=np.array([25.0, 17.0]))
+    tool = tool_with(turning(), effect_on(turning(), "scale_thermal"), {"scale_thermal": 1e-5}, rows)
+    stretched = turning().poses(q)[0] * np.array([[1.0 + 5e-5], [1.0 - 3e-5]])
+    np.testing.assert_allclose(tool.position, stretched, atol=1e-13)
+
+
+@pytest.mark.parametrize("effect", ["thermal_growth", "link_growth", "zero_thermal", "column_bending"])
+def test_a_law_of_temperature_whose_place_is_open_is_not_corrected(effect: str) -> None:
+    robot = robot_of(turning())
+    for corrected in (True, False):
+        law = make_effect(effect, corrected=corrected).on(robot)
+        form = RunTimeForm.empty(robot, Conditions(temperature_c=30.0))
+        assert law.at_run_time(form, np.full(len(law.parameters(robot)), 1e-5)) is corrected
+    assert make_effect(effect).to_document()["corrected"] is True

@@ -34,7 +34,7 @@ def test_where_the_poses_rose_with_the_clock_no_time_is_named(effect):
     judged, order = asked(twin("climbing", 3).rows, effect)
     assert not order.met
     assert judged.claim.said == "class"
-    assert judged.claim.label == "motion of base or instrument with time, or with whatever went with it"
+    assert judged.claim.label == "motion with time of base, station, air or arm, or with whatever went with it"
     assert "no pose was revisited at another time" in judged.claim.words
     assert "the height of the tool rose with the clock (correlation 0.9" in judged.claim.words
     assert "revisit poses at other times, or measure all in random order" in judged.claim.words
@@ -61,7 +61,7 @@ def test_revisits_vary_as_the_other_poses_predict(kind, effect):
 def test_without_revisits_a_random_order_tells_time():
     judged, order = asked(twin("drift", 4, poses=70, revisits=0).rows, "drift")
     assert (order.met, order.told) == (True, "the poses were measured in random order")
-    assert judged.claim.words.startswith("motion of base or instrument with time, in the shape of drift")
+    assert judged.claim.words.startswith("motion with time of base, station, air or arm, in the shape of drift")
 
 
 def test_revisits_that_stay_where_they_were_refute_the_law():

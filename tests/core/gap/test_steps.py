@@ -202,6 +202,6 @@ def test_a_step_beside_a_walk_is_claimed_as_motion_of_the_station():
     said = {e["id"]: e for e in report["effects"]}
     assert said.keys() == {"random_walk", "base_step"}
     assert said["base_step"]["verdict"] == "class_confirmed"
-    assert said["base_step"]["claim"]["words"].startswith("motion of base or instrument with time")
+    assert said["base_step"]["claim"]["words"].startswith("motion with time of base, station, air or arm")
     (warning,) = [w for w in report["warnings"] if w["code"] == "moved_once"]
     assert "may have moved" in warning["message"]

@@ -21,6 +21,7 @@ DH = np.array([
 ])  # fmt: skip
 NOISE_M = 3e-5
 BASE, TOOL = np.array([0.3, -0.2, 0.1]), np.array([0.05, 0.03, 0.12])
+AWAY = np.array([2.4, -1.6, 0.3])  # of the arm from the instrument, where that matters
 
 
 @dataclass(frozen=True)
@@ -66,13 +67,14 @@ def turned(w: Floats) -> Floats:
     return np.eye(3) + K + 0.5 * K @ K
 
 
-def tool_points(q: Floats, dh: Floats, tool: Floats) -> Floats:
-    """Tool points (N, 3) in the frame of the base; ``q (N, 6)``, ``tool (N, 3)``."""
+def tool_points(q: Floats, dh: Floats, tool: Floats, strain: Floats | None = None) -> Floats:
+    """Tool points (N, 3) in the frame of the base; ``q (N, 6)``, ``tool (N, 3)``, ``strain (N, 6)`` of the links."""
     R, p = np.tile(np.eye(3), (len(q), 1, 1)), np.zeros((len(q), 3))
     for joint, (offset, d, a, alpha) in enumerate(dh):
         c, s = np.cos(q[:, joint] + offset), np.sin(q[:, joint] + offset)
         ca, sa = np.cos(alpha), np.sin(alpha)
         o = np.zeros_like(c)
+        a = a * (1.0 if strain is None else 1.0 + strain[:, joint])
         step = np.stack([
             np.stack([c, -s * ca, s * sa], 1), np.stack([s, c * ca, -c * sa], 1), np.stack([o, o + sa, o + ca], 1),
         ], 1)  # fmt: skip
@@ -85,7 +87,9 @@ def twin(kind: str, seed: int, size: float = 1.0, poses: int = 60, revisits: int
     """A campaign in which ``kind`` happened.
 
     base, tool, zero (steps), drift, walk, settling, zero_drift, column (with temperature), climbing (a smooth error of the
-    pose, with poses measured from low to high), none. ``size`` scales what happened.
+    pose, with poses measured from low to high), link (the upper arm warms where no thermometer is), bent (the same link
+    bends instead, which no effect of the library does), air (the scale of the instrument follows the temperature), none.
+    ``size`` scales what happened.
     """
     rng = np.random.default_rng([seed, 77])
     low = np.array([-2.8, -2.2, -2.0, -2.8, -2.5, -2.8])
@@ -125,8 +129,19 @@ def twin(kind: str, seed: int, size: float = 1.0, poses: int = 60, revisits: int
     elif kind == "climbing":
         height = tool_points(q, DH, tool)[:, 2]
         angle = size * 3e-4 * np.outer(np.tanh(2.0 * height) + 0.5 * height**2, spin)
-    points = tool_points(q + dq, dh, tool)
+    warmed = np.zeros((n, len(DH)))  # strain of each link
+    scale = np.ones(n)
+    if kind == "link":
+        warmed[:, 1] = size * 4e-4 * (1.0 - np.exp(-u / 0.15))
+    elif kind == "bent":
+        dq[:, 2] = size * 5e-4 * (1.0 - np.exp(-u / 0.15))  # the axis of joint 3 is the one that it bends about
+        warmed[:, 1] = size * 3e-4 * (1.0 - np.exp(-u / 0.5))
+    elif kind == "air":
+        scale += size * 3e-5 * (warm - 21.0)
+    points = tool_points(q + dq, dh, tool, warmed)
     points = np.einsum("nij,nj->ni", turned(angle), points) + shift + BASE
+    if kind == "air":
+        points = (points + AWAY) * scale[:, None]
     seen = points + NOISE_M * rng.normal(size=points.shape)
     columns: dict[str, Any] = {"t": t, "temperature_c": warm + 0.02 * rng.normal(size=n)} if clock else {}
     return Twin(Observations(q=q, position=seen, pose_id=pose, **columns), after, joint, moved, angle, dq, dh)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects import EFFECTS
+from kilter_core.effects import EFFECTS, Effect
 from kilter_core.effects.physical import STATION, PhysicalClass, Separator, joint_numbers
 from kilter_core.gap.evidence.separators import Separated
 from kilter_core.gap.evidence.similarity.similarity import Alias
@@ -46,6 +46,11 @@ class Claim:
         return _followed(self.evidence)
 
     @property
+    def placed(self) -> bool:
+        """Whether it is known where it acts, and not only that something went with a clock."""
+        return not self.physical.clock or self.said != CLASS
+
+    @property
     def refuted(self) -> bool:
         """Whether a sensor at the place speaks against it; where revisits bear out a motion, the instrument may have moved."""
         moved = self.physical.id == STATION.id and not self.followed
@@ -54,25 +59,26 @@ class Claim:
     @staticmethod
     def of(
         candidate: Candidate, robot: Robot, rivals: Sequence[Alias], evidence: tuple[Separated, ...], settled: bool,
-        borne: tuple[int, ...] | None = None,
+        borne: tuple[int, ...] | None = None, shared: PhysicalClass | None = None,
     ) -> Claim:  # fmt: skip
         """Find the narrowest set.
 
         ``borne`` are the joints at which its own evidence bears it out, where that is asked for; None: all of it.
+        ``shared`` is the class of a clock that another law follows too: no more than that is claimed of either.
 
         Members are named only where every piece of evidence is there, where nothing else is left that may be part of it
         (``settled``), and where no other member of its class does as well.
         """
         joints = candidate.joints if borne is None else borne
-        physical = _class_at(candidate, robot, joints)
+        physical = shared or _class_at(candidate, robot, joints)
         evidence, label = _needed(evidence), physical.at(joints)
         rest = [j for j in candidate.joints or () if j not in (joints or ())]
         if rest:
             label += f", likely of {joint_numbers(rest)} too"
-        if _followed(evidence):
+        if shared is None and _followed(evidence):
             label += physical.went
         doubts = [_doubt(e) for e in evidence if e.against or (e.separator is Separator.ORDER and not e.met)]
-        kin = (e.id for e in EFFECTS.values() if e.physical.id == physical.id and not e.empirical)
+        kin = (e.id for e in EFFECTS.values() if not e.empirical and _is_kin(e, physical))
         about = (physical, label, tuple(dict.fromkeys((candidate.id, *kin))), evidence, settled, joints)
         names = list(dict.fromkeys((candidate.label, *(a.candidate.label for a in rivals))))
         member = next((a.member for a in rivals if a.member), "")
@@ -87,6 +93,8 @@ class Claim:
             return Claim(CLASS, f"{member or label} ({'; '.join(doubts)})", *about)
         if member:
             return Claim(CLASS, member, *about)
+        if shared is not None:
+            return Claim(CLASS, label, *about)
         if (
             not settled
             or not all(e.met for e in evidence)
@@ -121,6 +129,11 @@ def _class_at(candidate: Candidate, robot: Robot, joints: Sequence[int] | None) 
     own = [e for e in candidate.effects if joints is None or not e.joints or set(e.joints) & set(joints)]
     classes = list(dict.fromkeys(e.class_on(robot) for e in own or candidate.effects))
     return next((c for c in classes if not c.shaped), classes[0])
+
+
+def _is_kin(effect: type[Effect], physical: PhysicalClass) -> bool:
+    """Whether an effect of the library is of a class: of that of a clock every law that follows it."""
+    return effect.physical.id == physical.id or bool(physical.clock and effect.clock == physical.clock)
 
 
 def _kin_alone(candidate: Candidate, robot: Robot, rivals: Sequence[Alias]) -> bool:

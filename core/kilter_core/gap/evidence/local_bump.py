@@ -1,4 +1,4 @@
-"""Bumps that no effect of the library has: a dent, a worn tooth, a loose cable at one angle of one joint.
+"""Bumps at places that no candidate has: a dent, a worn tooth, a loose cable at one angle of one joint.
 
 With an effect outside the library the nearest physical name fits it in part. Before a curve of a joint angle is called
 by a physical name, local bumps of the same joint are tried in its place; one that does as well takes the name away.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from kilter_core.effects.local_bump import LocalBump
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.scan import residual_given
@@ -23,7 +24,7 @@ def local_bump_test(search: SearchResult, place: int, rows_q: Floats) -> bool:
     """Whether a local bump of the candidate's joint, at its best centre and width, does as well in its place."""
     candidate = search.selector.scorer.candidates[place]
     source = search.problem.settings.source
-    if not _is_curve(candidate) or not source.observes_tool:
+    if not _is_curve(candidate) or candidate.id == LocalBump.id or not source.observes_tool:
         return False
     problem, selector = search.problem, search.selector
     rest = selector.columns([k for k in search.chosen if k != place])

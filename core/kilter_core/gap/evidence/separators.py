@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kilter_core.effects.law_of_time import SHARES, settled_share
 from kilter_core.effects.physical import Separator
 from kilter_core.gap.evidence.order import order_of
 from kilter_core.gap.evidence.revisits import revisits
@@ -27,7 +28,7 @@ from kilter_core.types import Floats
 
 ALONE = 3.0  # standard deviations in which the part that follows the condition must show by itself
 ALIKE = 3.0  # standard deviations within which its amplitude must be that of the rest
-COURSE = 3  # degree of the polynomial of time that a temperature must leave
+COURSE = 3  # degree of the polynomial of time that a temperature must leave, beside settlings of every pace
 EACH_SIDE = 4  # visits from each side
 
 
@@ -94,8 +95,8 @@ def _temperature(search: SearchResult, place: int) -> Separated:
         return Separated(Separator.TEMPERATURE, False)
     clock = np.arange(len(rows), dtype=np.float64) if rows.t is None else rows.t
     x = (clock - clock.min()) / (float(np.ptp(clock)) or 1.0)
-    powers = np.vander(x, COURSE + 1)
-    course = powers @ np.linalg.lstsq(powers, rows.temperature_c, rcond=None)[0]
+    laws = np.column_stack([np.vander(x, COURSE + 1), *(settled_share(x, tau) for tau in SHARES)])
+    course = laws @ np.linalg.lstsq(laws, rows.temperature_c, rcond=None)[0]
     return _beside(search, place, Separator.TEMPERATURE, replace(rows, temperature_c=course))
 
 

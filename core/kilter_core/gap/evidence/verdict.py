@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from kilter_core.effects.physical import Separator
 from kilter_core.gap.evidence.claim import CLASS, MEMBER, ONE_OF, Claim
+from kilter_core.gap.evidence.clocks import Law, shared_clock
 from kilter_core.gap.evidence.control import Control
 from kilter_core.gap.evidence.fits.intervals import Amplitude
 from kilter_core.gap.evidence.halves import Halves
@@ -58,6 +59,11 @@ class Evidence:
         return again or (self.unseen_poses > 0 and self.held_out[0] < 0.0)
 
     @property
+    def law(self) -> Law:
+        """What tells whether it shares a clock with another."""
+        return self.candidate, self.separated, self.moves_mm
+
+    @property
     def lasts(self) -> bool:
         """Whether it rises on its own evidence where something else is left: between halves, or in a confirmation."""
         return self.seen_again or (self.halves is not None and self.halves.lasts)
@@ -86,6 +92,12 @@ class Judged:
         return self.claim.words + self.measured
 
     @property
+    def of_arm(self) -> bool:
+        """Whether the arm itself does it: of what went with a clock base, station and air may, or rivals that are these."""
+        elsewhere = (effect for a in self.alias_set for effect in a.candidate.effects)
+        return self.claim.placed and not any(e.clock and e.stage in ("base", "measurement") for e in elsewhere)
+
+    @property
     def certain(self) -> bool:
         """Whether it happened, and not only something of its class."""
         return self.verdict in SURE and not self.claim.followed and self.claim.said != CLASS
@@ -104,12 +116,18 @@ class Judged:
 
 
 def judge(
-    search: SearchResult, evidence: Evidence, fit: Adequacy, library: Library, settled: bool, lacking: bool = False
+    search: SearchResult,
+    evidence: Evidence,
+    fit: Adequacy,
+    library: Library,
+    settled: bool,
+    lacking: bool = False,
+    beside: Iterable[Evidence] = (),
 ) -> Judged:
     """Pass one candidate through the gates: replicated, confirmed, class_confirmed, provisional, or contradicted.
 
     ``settled`` as :func:`is_settled`; ``lacking`` says that rotations which the robot's description lacks do as well as all
-    that was named.
+    that was named; ``beside`` is the evidence for everything that was.
     """
     rivals = tuple(a for a in evidence.aliases if a.member or not a.candidate.empirical)
     numbers = _numbers(search, evidence, fit, library, bool(rivals))
@@ -133,7 +151,8 @@ def judge(
         gates["complete_geometry"] = False
     robot = search.problem.settings.source.model.robot
     alone = settled and not _beside_any_shape(search, evidence)
-    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, alone, evidence.borne)
+    shared = shared_clock(evidence.law, (one.law for one in beside if one.place != evidence.place))
+    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, alone, evidence.borne, shared)
     if _sensed(evidence) is not None:
         gates["sensor"] = not claim.refuted
     level = CONTRADICTED if evidence.contradicted else _level(gates, claim, replication)
@@ -141,11 +160,13 @@ def judge(
 
 
 def _beside_any_shape(search: SearchResult, evidence: Evidence) -> bool:
-    """Whether another name of its class takes any shape: beside a walk, a step may be a part that its pieces do not follow."""
+    """Whether another name of its class and joint takes any shape: beside a walk, a step may be what its pieces leave."""
     robot, candidates = search.problem.settings.source.model.robot, search.selector.scorer.candidates
     own = evidence.candidate.effects[0].class_on(robot).id
-    others = (candidates[k].effects[0] for k in search.chosen if k != evidence.place)
-    return any(e.supple and e.class_on(robot).id == own for e in others)
+    at = set(evidence.candidate.joints or ())
+    others = (candidates[k] for k in search.chosen if k != evidence.place)
+    near = (c.effects[0] for c in others if not c.joints or not at or at & set(c.joints))
+    return any(e.supple and e.class_on(robot).id == own for e in near)
 
 
 def is_settled(fit: Adequacy, misfit: Misfit, refuted: bool, moves_mm: float) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from kilter_core.effects import Effect
 from kilter_core.effects.joint_curve import JointCurve
+from kilter_core.effects.law_of_temperature import LawOfTemperature
 from kilter_core.effects.physical import JOINT_CURVE
 from kilter_core.gap.evidence.fits.left_over import left_over
 from kilter_core.gap.evidence.fits.posterior import Posterior, posterior
@@ -70,6 +71,14 @@ class Stored:
             return rows
         rests = resting_on(model.of_type, found.names, found.sigma, found.prior_sigma)
         return [{**row, "from_prior": bool(one)} for row, one in zip(rows, rests, strict=True)]
+
+    def without_correction(self, of: Collection[str]) -> Stored:
+        """The same version whose laws of temperature ``of`` these ids predict the rows but are not made up for."""
+        model = self.calibration.model
+        effects = tuple(
+            replace(e, corrected=False) if isinstance(e, LawOfTemperature) and e.id in of else e for e in model.effects
+        )
+        return replace(self, calibration=replace(self.calibration, model=replace(model, effects=effects)))
 
     def load_model(self) -> list[dict[str, Any]]:
         """Masses and centres as stated and as found, where an effect that follows the load shows them."""

@@ -37,11 +37,14 @@ class CandidateSets:
     @cached_property
     def _named(self) -> Ints:
         """The name (K,) that each candidate is: an effect at several joints is one, a shape each of its places."""
-        shared = {c.id: frozenset(c.columns) for c in self.scorer.candidates if c.level == FAMILY}
+        shared: dict[str, set[int]] = {}
+        for c in self.scorer.candidates:
+            if c.level == FAMILY:  # one of each pace at which it was tried
+                shared.setdefault(c.id, set()).update(c.columns)
         known: dict[Hashable, int] = {}
         out = []
         for k, c in enumerate(self.scorer.candidates):
-            member = c.level in (JOINT, FAMILY) and shared.get(c.id, frozenset()).issuperset(c.columns)
+            member = c.level in (JOINT, FAMILY) and shared.get(c.id, set()).issuperset(c.columns)
             out.append(known.setdefault(c.id if member else k, len(known)))
         return np.array(out, dtype=np.int64)
 

@@ -1,6 +1,6 @@
 """Selection on the linearised problem: enter the best, swap, drop, and write a family as a family.
 
-Forward selection alone leaves wrong extra names: an effect that replaced two real ones stays. Hence after each entry
+Forward selection alone leaves wrong extra names: an effect that replaced two real ones stays. After each entry comes
 a swap pass (one for one, and two for one) and a backward pass; and an effect that most joints share is named once.
 """
 
@@ -169,9 +169,11 @@ class Selector(CandidateSets):
 
     def divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace a family, or another of many parameters, by two others that together explain more with no more directions:
-        it imitates both. More for more is what entries look for; shapes imitate anything, and replace no cause.
+        it imitates both. More for more is what entries look for; shapes imitate anything, and replace no cause; nor do
+        amounts that are not plausible one that is: no disc is 7 degrees off its centre, as a magnet may be.
         """
-        for family in (k for k in chosen if self._broad(k)):
+        all_ = self.scorer.candidates
+        for family in (k for k in chosen if all_[k].level == FAMILY or len(all_[k].columns) >= BROAD):
             rest, problem = self.beside(gram, chosen, (family,))
             variance = self.variance(problem, chosen)
             directions, now = problem.rank(self.columns(chosen)), self.criterion(problem, chosen, variance)
@@ -186,14 +188,11 @@ class Selector(CandidateSets):
                     continue
                 after = (*rest, first, second)
                 wider = problem.rank(self.columns(after)) > directions
-                if not wider and max(self.tails(gram, after)[len(rest) :]) < critical:
+                odd = self.within(gram, chosen, family) and not all(self.within(gram, after, k) for k in after[-2:])
+                if not (wider or odd) and max(self.tails(gram, after)[len(rest) :]) < critical:
                     chosen = after
                     break
         return chosen
-
-    def _broad(self, k: int) -> bool:
-        candidate = self.scorer.candidates[k]
-        return candidate.level == FAMILY or len(candidate.columns) >= BROAD
 
     def merged(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Name an effect of most joints as a family, one of few joints by its joints, each significant alone."""

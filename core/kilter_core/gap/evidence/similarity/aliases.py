@@ -83,8 +83,10 @@ def _listed(alias: Alias, singles: set[tuple[str, int]]) -> bool:
 
 
 def _another_pace(one: Candidate, other: Candidate) -> bool:
-    """Whether both are the same effect of the whole arm, tried at another pace or in other pieces: the same name."""
-    return one.id == other.id and one.joints is None and other.joints is None
+    """Whether both are the same law, tried at another pace or in other pieces at the same place: the same name."""
+    if one.id != other.id or not one.effects[0].clock:
+        return False
+    return _within(one, other) or _within(other, one)
 
 
 def _nested(one: Candidate, other: Candidate) -> bool:

@@ -131,8 +131,11 @@ class _View:
     @property
     def _columns_at(self) -> dict[int, list[int]]:
         count = len(self.candidate.columns) // len(self.candidate.effects)
-        joints = self.candidate.joints or ()
-        return {j: list(self.candidate.columns[count * n : count * (n + 1)]) for n, j in enumerate(joints)}
+        at: dict[int, list[int]] = {}
+        for n, effect in enumerate(self.candidate.effects):
+            for j in effect.joints or ():  # a curve of several waves is several effects of one joint
+                at.setdefault(j, []).extend(self.candidate.columns[count * n : count * (n + 1)])
+        return at
 
     def _given(self, columns: Floats) -> Floats:
         left = columns - self.basis @ (self.basis.T @ columns)
