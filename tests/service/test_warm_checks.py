@@ -35,4 +35,7 @@ def test_an_arm_whose_temperature_nobody_stated_may_be_warm(client: httpx.Client
     crashed = robot.checked_here(database, arm.after("zero_3", 4e-3), 302, 5)
     assert crashed["verdict"] == "moved"
     assert WITHIN in crashed["sentence"]
-    assert crashed["remedy"].startswith("State temperature_c of these rows")
+    assert crashed["remedy"].startswith("Repair it and check again")
+    both = robot.checked_here(database, arm.after("zero_3", 4e-3).after("zero_5", 4e-3), 303, 6)
+    assert both["verdict"] == "cannot_tell"
+    assert both["remedy"].startswith("State temperature_c of these rows")

@@ -116,6 +116,7 @@ class _Linear:
     columns: tuple[Column, ...]
     hidden: tuple[Column, ...]
     freedom: float
+    scatter_freedom: float = np.inf  # of the noise where the day's own rows tell it
 
     @staticmethod
     def of(innovation: Innovation, calibration: Calibration, anew: tuple[Frame, ...]) -> _Linear:
@@ -135,7 +136,7 @@ class _Linear:
             return self
         by = 1.0 / float(np.sqrt(day.ratio))
         columns = tuple(replace(one, white=one.white * by) for one in self.columns)
-        return replace(self, r=self.r * by, columns=columns, freedom=min(self.freedom, day.freedom))
+        return replace(self, r=self.r * by, columns=columns, scatter_freedom=day.freedom)
 
     def day_noise(self, innovation: Innovation) -> DayNoise:
         """The noise of the day by these rows."""
@@ -145,11 +146,15 @@ class _Linear:
         best = self.columns[int(np.argmin(_bic(self)))]
         return DayNoise.of(innovation, total, self.numbers, _gain(self.r, best.span), best.span.shape[1])
 
-    def chance(self, chi_square: float, numbers: int) -> float:
-        """Chance of as much from so many numbers of an arm that has not moved; of F, as far as the scale was estimated."""
-        if self.freedom > EXACT:
+    def chance(self, chi_square: float, numbers: int, beside_scatter: bool = False) -> float:
+        """Chance of as much from so many numbers of an arm that has not moved; of F, as far as the scale was estimated.
+
+        ``beside_scatter``: these numbers took no part in what tells the noise of the day.
+        """
+        freedom = min(self.freedom, self.scatter_freedom) if beside_scatter else self.freedom
+        if freedom > EXACT:
             return float(chdtrc(numbers, chi_square))
-        return float(fdtrc(numbers, self.freedom, chi_square / numbers))
+        return float(fdtrc(numbers, freedom, chi_square / numbers))
 
 
 def check(
@@ -168,8 +173,8 @@ def check(
 
     Nothing of the arm is refitted. Only what ``new_setup`` says was set up anew, [], ["base"] or ["base", "tool"], may take
     any value: then a cause that looks like it, as the zero of the first joint does, is not seen. ``fitted_c`` are the lowest
-    and highest temperature of the rows that the version was fitted to: what the arm expands beyond them has not moved it.
-    ``conditions`` say what is open of temperature, set-up and noise where nobody stated them.
+    and highest temperature of the fit's rows: what the arm expands beyond them has not moved it. ``conditions`` say what is
+    open of temperature, set-up and noise.
     Rows with ``socket`` alone, a joint log of a ball that was seated, are compared with each other within each socket.
 
     Raises:
@@ -180,16 +185,13 @@ def check(
     """
     anew = new_frames(new_setup, "new_setup")
     calibration = absorbed(calibration)
-    given, counts = rows, Measured()
-    rows = as_seen_places(calibration, given, noise)
+    given, rows, counts = rows, as_seen_places(calibration, rows, noise), Measured()
     if rows is not given:
         calibration = replace(calibration, marker_points=None)  # views tell the tool point itself
     if held_by_sockets(rows):
         rows, counts = placed(calibration, rows)
         noise = noise_of_seating(known) if noise is None else noise
-    conditions = conditions.of_rows(calibration, rows, fitted_c)
-    if counts.alone or anew:  # the set-up is not compared, or takes any value
-        conditions = replace(conditions, setup=0.0)
+    conditions = conditions.of_rows(calibration, rows, fitted_c, placed=not counts.alone and not anew)
     innovation = Innovation.of(calibration, rows, known, noise, fitted_c, counts, conditions)
     # In a socket it makes no difference where base and instrument stand; a new tool is projected off.
     if anew and not counts.alone:
@@ -197,7 +199,7 @@ def check(
         innovation = Innovation.of(calibration, rows, known, noise, fitted_c, conditions=conditions)
     linear = _Linear.of(innovation, calibration, anew)
     p_value, smallest = _p_value(linear), _smallest(linear, conditions)
-    if not conditions.noise_known and p_value <= FALSE_ALARM:
+    if p_value <= FALSE_ALARM and not conditions.noise_known:
         p_value = _p_value_of_day(linear, innovation, p_value)
     misfit = innovation.misfit
     if p_value <= FALSE_ALARM:
@@ -322,7 +324,7 @@ def _refuted(linear: _Linear, column: Column, best: Column, chance: float) -> bo
     left = best.span - column.span @ (column.span.T @ best.span)
     U, s, _ = np.linalg.svd(left, full_matrices=False)
     more = U[:, s > 1e-5]
-    return bool(more.shape[1] and linear.chance(_gain(linear.r, more), more.shape[1]) < chance)
+    return bool(more.shape[1] and linear.chance(_gain(linear.r, more), more.shape[1], True) < chance)
 
 
 def _unrefuted(linear: _Linear, judged: Sequence[Judged]) -> tuple[Judged, ...]:

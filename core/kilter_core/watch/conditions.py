@@ -33,12 +33,15 @@ class Conditions:
     setup: float = 0.0
     noise_known: bool = True
 
-    def of_rows(self, calibration: Calibration, rows: Observations, fitted_c: tuple[float, float] | None) -> Conditions:
-        """The same where rows and fit state their temperatures, or the version models it: then nothing is open of it."""
+    def of_rows(
+        self, calibration: Calibration, rows: Observations, fitted_c: tuple[float, float] | None, placed: bool = True
+    ) -> Conditions:
+        """What is open of these rows: nothing of the temperature where rows and fit state theirs, or the version models it,
+        and nothing of the set-up unless they are ``placed`` where the instrument stands.
+        """
         stated = fitted_c is not None and rows.temperature_c is not None
-        if stated or "temperature_c" in calibration.model.needs:
-            return replace(self, within_k=0.0)
-        return self
+        within = 0.0 if stated or "temperature_c" in calibration.model.needs else self.within_k
+        return replace(self, within_k=within, setup=self.setup if placed else 0.0)
 
 
 STATED = Conditions()

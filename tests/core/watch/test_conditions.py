@@ -83,6 +83,17 @@ def test_what_moved_is_named_whatever_was_stated(conditions: Conditions, change:
     assert sum(one.verdict == "moved" for one in found) >= 11
 
 
+def test_two_moves_are_not_one_and_noise() -> None:
+    """What the best single cause leaves counts as noise up to three times the version's, and no further."""
+    rng = np.random.default_rng(6)
+    for _ in range(10):
+        arm = replace(some_arm(rng), zeros=np.zeros(6), compliance=np.zeros(6))
+        calibration = Calibration.nominal(robot_from_document(arm.document()))
+        today = arm.after("zero_3", 4e-3).after("zero_5", 4e-3)
+        found = check(calibration, today.measured(some_poses(6, rng), rng, NOISE), KNOWN, conditions=UNSTATED)
+        assert (found.verdict, found.causes) == ("cannot_tell", ())
+
+
 def test_stated_temperatures_leave_nothing_open() -> None:
     rng = np.random.default_rng(4)
     arm = replace(some_arm(rng), zeros=np.zeros(6), compliance=np.zeros(6))

@@ -197,7 +197,8 @@ def joined_by_or(words: Sequence[str]) -> str:
 def remedy(found: Check, names: Sequence[str] = ()) -> str | None:
     """Return what to do about a verdict, or what would settle it; ``names`` are the parameters of the version."""
     said = _remedy(found, names)
-    return STATE_WARMTH + said if found.conditions.within_k > 0.0 and said else said
+    warm = found.verdict == "cannot_tell" and found.conditions.within_k > 0.0  # a single cause is none of warmth
+    return STATE_WARMTH + said if warm and said else said
 
 
 def _remedy(found: Check, names: Sequence[str]) -> str | None:
