@@ -1,7 +1,7 @@
 """The noise of the day: how much more the rows of a check scatter than the version's own, as far as they show it.
 
-Repeated shots show it by themselves. Without them it is what the best single cause leaves, so that rows which merely scatter
-more are no move, and one that stands out of them is.
+Repeated shots show it by themselves. Without them it is what the best single cause leaves, so that an alarm
+is what stands out of the scatter, and not the scatter itself.
 """
 
 from __future__ import annotations
