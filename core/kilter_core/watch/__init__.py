@@ -1,8 +1,23 @@
 """Whether an arm is still as its version says: a few poses measured again, and the one cause that explains them."""
 
 from kilter_core.watch.check import Check, check
+from kilter_core.watch.conditions import UNSTATED_K, Conditions
 from kilter_core.watch.history import Chart, chart, limit_of
 from kilter_core.watch.poses import CheckPlan, check_poses
 from kilter_core.watch.rezero import Rezeroed, rezero
+from kilter_core.watch.setup_scatter import learned_setup
 
-__all__ = ["Chart", "Check", "CheckPlan", "Rezeroed", "chart", "check", "check_poses", "limit_of", "rezero"]
+__all__ = [
+    "UNSTATED_K",
+    "Chart",
+    "Check",
+    "CheckPlan",
+    "Conditions",
+    "Rezeroed",
+    "chart",
+    "check",
+    "check_poses",
+    "learned_setup",
+    "limit_of",
+    "rezero",
+]

@@ -23,6 +23,8 @@ from kilter_core.observations import Observations
 from kilter_core.parameters import mm
 from kilter_core.types import QUANTILE, Floats
 from kilter_core.watch.causes import Cause, Column, after, columns_of
+from kilter_core.watch.conditions import STATED, Conditions
+from kilter_core.watch.day_noise import CHANCE, DayNoise
 from kilter_core.watch.innovation import Innovation
 from kilter_core.watch.sockets import Measured, held_by_sockets, noise_of_seating, placed
 
@@ -83,7 +85,8 @@ class Check:
     changes seen with 95 %, by name of the cause: of a frame a shift (m) in the direction that shows least. ``unseen``: no
     change of these moves what was measured. ``misfit`` m is how far measured and predicted are apart (rms), and ``noise`` m of
     a coordinate counted as such; ``by_views`` both are lengths beside the tool's rotation. ``joint_log``: nobody measured a
-    place, and rows were compared with each other in their sockets.
+    place, and rows were compared with each other in their sockets. ``conditions`` are those under which it holds.
+    ``scatter`` is how much more than expected the rows scatter, in standard deviations, where their noise was not known.
     """
 
     verdict: Verdict
@@ -100,6 +103,8 @@ class Check:
     new_setup: tuple[Frame, ...]
     joint_log: bool = False
     by_views: bool = False
+    conditions: Conditions = STATED
+    scatter: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -111,6 +116,7 @@ class _Linear:
     columns: tuple[Column, ...]
     hidden: tuple[Column, ...]
     freedom: float
+    scatter_freedom: float = np.inf  # of the noise where the day's own rows tell it
 
     @staticmethod
     def of(innovation: Innovation, calibration: Calibration, anew: tuple[Frame, ...]) -> _Linear:
@@ -124,11 +130,31 @@ class _Linear:
         column = next(one for one in self.columns if one.cause == cause)
         return replace(self, r=self.r + column.white @ change)
 
-    def chance(self, chi_square: float, numbers: int) -> float:
-        """Chance of as much from so many numbers of an arm that has not moved; of F, as far as the scale was estimated."""
-        if self.freedom > EXACT:
+    def scattering(self, day: DayNoise) -> _Linear:
+        """The same by rows that scatter as those of the day do."""
+        if day.ratio <= 1.0:
+            return self
+        by = 1.0 / float(np.sqrt(day.ratio))
+        columns = tuple(replace(one, white=one.white * by) for one in self.columns)
+        return replace(self, r=self.r * by, columns=columns, scatter_freedom=day.freedom)
+
+    def day_noise(self, innovation: Innovation) -> DayNoise:
+        """The noise of the day by these rows."""
+        total = float(self.r @ self.r)
+        if not self.columns:
+            return DayNoise.of(innovation, total, self.numbers, 0.0, 0)
+        best = self.columns[int(np.argmin(_bic(self)))]
+        return DayNoise.of(innovation, total, self.numbers, _gain(self.r, best.span), best.span.shape[1])
+
+    def chance(self, chi_square: float, numbers: int, beside_scatter: bool = False) -> float:
+        """Chance of as much from so many numbers of an arm that has not moved; of F, as far as the scale was estimated.
+
+        ``beside_scatter``: these numbers took no part in what tells the noise of the day.
+        """
+        freedom = min(self.freedom, self.scatter_freedom) if beside_scatter else self.freedom
+        if freedom > EXACT:
             return float(chdtrc(numbers, chi_square))
-        return float(fdtrc(numbers, self.freedom, chi_square / numbers))
+        return float(fdtrc(numbers, freedom, chi_square / numbers))
 
 
 def check(
@@ -139,6 +165,7 @@ def check(
     noise: float | None = None,
     new_setup: Sequence[str] = (),
     fitted_c: tuple[float, float] | None = None,
+    conditions: Conditions = STATED,
 ) -> Check:
     """Check an arm by rows that its version was not fitted to; ``noise`` m of a coordinate, the version's own when None.
 
@@ -146,7 +173,8 @@ def check(
 
     Nothing of the arm is refitted. Only what ``new_setup`` says was set up anew, [], ["base"] or ["base", "tool"], may take
     any value: then a cause that looks like it, as the zero of the first joint does, is not seen. ``fitted_c`` are the lowest
-    and highest temperature of the rows that the version was fitted to: what the arm expands beyond them has not moved it.
+    and highest temperature of the fit's rows: what the arm expands beyond them has not moved it. ``conditions`` say what is
+    open of temperature, set-up and noise.
     Rows with ``socket`` alone, a joint log of a ball that was seated, are compared with each other within each socket.
 
     Raises:
@@ -157,33 +185,37 @@ def check(
     """
     anew = new_frames(new_setup, "new_setup")
     calibration = absorbed(calibration)
-    given, counts = rows, Measured()
-    rows = as_seen_places(calibration, given, noise)
+    given, rows, counts = rows, as_seen_places(calibration, rows, noise), Measured()
     if rows is not given:
         calibration = replace(calibration, marker_points=None)  # views tell the tool point itself
     if held_by_sockets(rows):
         rows, counts = placed(calibration, rows)
         noise = noise_of_seating(known) if noise is None else noise
-    innovation = Innovation.of(calibration, rows, known, noise, fitted_c, counts)
+    conditions = conditions.of_rows(calibration, rows, fitted_c, placed=not counts.alone and not anew)
+    innovation = Innovation.of(calibration, rows, known, noise, fitted_c, counts, conditions)
     # In a socket it makes no difference where base and instrument stand; a new tool is projected off.
     if anew and not counts.alone:
         calibration = absorbed(refitted(calibration, innovation.measurement, anew))
-        innovation = Innovation.of(calibration, rows, known, noise, fitted_c)
+        innovation = Innovation.of(calibration, rows, known, noise, fitted_c, conditions=conditions)
     linear = _Linear.of(innovation, calibration, anew)
-    p_value, smallest = _p_value(linear), _smallest(linear)
+    p_value, smallest = _p_value(linear), _smallest(linear, conditions)
+    if p_value <= FALSE_ALARM and not conditions.noise_known:
+        p_value = _p_value_of_day(linear, innovation, p_value)
     misfit = innovation.misfit
     if p_value <= FALSE_ALARM:
         linear, left = _about_the_best(linear, innovation, calibration, anew)
         _refuse_foreign(calibration, misfit, left)
+    day = DayNoise(1.0, np.inf) if conditions.noise_known else linear.day_noise(innovation)
+    chi_square, linear = float(linear.r @ linear.r), linear.scattering(day)
     judged = _judged(linear)
     if innovation.allows and p_value > FALSE_ALARM:
         plain = _Linear.of(Innovation.of(calibration, rows, known, noise, counts=counts), calibration, anew)
         judged = _summed(judged, plain)
     causes = _unrefuted(linear, judged) if p_value <= FALSE_ALARM else ()
     return Check(
-        _verdict(p_value, causes), causes, judged, p_value, float(linear.r @ linear.r), linear.numbers,
+        _verdict(p_value, causes), causes, judged, p_value, chi_square, linear.numbers,
         innovation.poses, misfit, innovation.noise, smallest, tuple(one.cause for one in linear.hidden), anew, counts.alone,
-        rows.pose_weight is not None,
+        rows.pose_weight is not None, conditions, float(np.sqrt(day.ratio)),
     )  # fmt: skip
 
 
@@ -241,6 +273,14 @@ def _p_value(linear: _Linear) -> float:
     return min(1.0, 2.0 * whole, 2.0 * len(singles) * min(singles, default=1.0))
 
 
+def _p_value_of_day(linear: _Linear, innovation: Innovation, p_value: float) -> float:
+    """The chance where rows may scatter more than the version's: that by their own noise unless this shows a change too."""
+    gains = np.array([_gain(linear.r, one.span) for one in linear.columns])
+    ranks = np.array([float(one.span.shape[1]) for one in linear.columns])
+    own = linear.day_noise(innovation).p_value(float(linear.r @ linear.r), linear.numbers, gains, ranks)
+    return p_value if own <= CHANCE else own
+
+
 def _gain(r: Floats, span: Floats) -> float:
     return float(np.sum((span.T @ r) ** 2))
 
@@ -284,7 +324,7 @@ def _refuted(linear: _Linear, column: Column, best: Column, chance: float) -> bo
     left = best.span - column.span @ (column.span.T @ best.span)
     U, s, _ = np.linalg.svd(left, full_matrices=False)
     more = U[:, s > 1e-5]
-    return bool(more.shape[1] and linear.chance(_gain(linear.r, more), more.shape[1]) < chance)
+    return bool(more.shape[1] and linear.chance(_gain(linear.r, more), more.shape[1], True) < chance)
 
 
 def _unrefuted(linear: _Linear, judged: Sequence[Judged]) -> tuple[Judged, ...]:
@@ -298,20 +338,23 @@ def _unrefuted(linear: _Linear, judged: Sequence[Judged]) -> tuple[Judged, ...]:
     return tuple(kept)
 
 
-def _smallest(linear: _Linear) -> dict[str, float]:
+def _smallest(linear: _Linear, conditions: Conditions) -> dict[str, float]:
     """Smallest change of each cause that raises the alarm with 95 %, by its own likelihood ratio."""
     out = {}
     for one in linear.columns:
         shown = one.white[:, :3] if one.cause.frame else one.white
         least = float(np.linalg.svd(shown, compute_uv=False)[-1])
         if least > SEEN_LEAST * float(np.linalg.norm(shown)):
-            power = needed(one.span.shape[1], len(linear.columns), linear.freedom)
+            rank, count = one.span.shape[1], len(linear.columns)
+            power = needed(rank, count, linear.freedom)
+            if not conditions.noise_known:  # against what is left, too
+                power = max(power, needed(rank, count, max(linear.numbers - rank, 1.0), CHANCE))
             out[one.cause.name] = float(np.sqrt(power)) / least
     return out
 
 
-def needed(rank: int, causes: int, freedom: float = np.inf) -> float:
+def needed(rank: int, causes: int, freedom: float = np.inf, false_alarm: float = FALSE_ALARM) -> float:
     """Noncentrality with which the likelihood ratio of a cause of some rank is seen, one of so many."""
-    chance = FALSE_ALARM / (2.0 * causes)
+    chance = false_alarm / (2.0 * causes)
     threshold = chdtri(rank, chance) if freedom > EXACT else rank * fdtri(rank, freedom, 1.0 - chance)
     return float(chndtrinc(threshold, rank, 1.0 - POWER))

@@ -13,9 +13,10 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.pose_weights import beside_rotation
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
+from kilter_core.observations.groups import centred
 from kilter_core.observations.spread import evenly
 from kilter_core.types import Bools, Floats, Ints
-from kilter_core.watch.conditions import expansion, refuse_another_tool
+from kilter_core.watch.conditions import STATED, Conditions, allowance, refuse_another_tool
 from kilter_core.watch.sockets import Measured
 
 FEWEST_POSES = 3  # the six numbers of two positions cannot tell the place of the instrument from the arm
@@ -31,8 +32,8 @@ class Innovation:
     (N, m, 3) were measured; of views these are six numbers of the tool's position and rotation.
     ``poses`` are those that count; of a large campaign some, evenly chosen. ``freedom`` is that of
     the scale of the covariance: a fit of few rows does not know well what it left. ``counts`` says what of the coordinates
-    does: of rows that sockets held, their differences. ``allows``: the covariance has what the arm expands beyond the
-    temperatures of the fit.
+    does: of rows that sockets held, their differences. ``allows``: the covariance has what the temperature or the set-up
+    explains.
     """
 
     measurement: Measurement
@@ -54,11 +55,13 @@ class Innovation:
         noise: float | None = None,
         fitted_c: tuple[float, float] | None = None,
         counts: Measured | None = None,
+        conditions: Conditions = STATED,
     ) -> Innovation:
         """Innovation of rows against a version; ``noise`` m of a coordinate, when None that of the version's fit, or of the
         rows themselves where the fit was to what a camera or a contact measured.
 
-        ``fitted_c`` are the lowest and highest temperature of the rows it was fitted to, None where nobody knows. What
+        ``fitted_c`` are the lowest and highest temperature of the rows it was fitted to, None where nobody knows; what is
+        open of these and of the set-up, ``conditions`` say. What
         ``counts`` is every coordinate when None.
 
         Raises:
@@ -86,16 +89,16 @@ class Innovation:
         else:
             own = _noise(known, measurement) if noise is None else noise
             covariance += _own(measurement, seen, known.inadequacy, own)
-        grown = expansion(calibration, measurement.observations, fitted_c)
-        if grown is not None:
-            more = _numbers(measurement, prediction, grown)[1][seen]
+        allowed = allowance(calibration, measurement.observations, fitted_c, conditions)
+        if allowed is not None:
+            more = _numbers(measurement, prediction, allowed)[1][seen]
             covariance += more @ more.T
         counts = counts or Measured()
         lower = np.asarray(np.linalg.cholesky(counts.covariance(covariance)), dtype=np.float64)
         r = solve_triangular(lower, counts.of(left[seen]), lower=True)
         freedom = _freedom(lower, known.freedom, noise)
         return Innovation(
-            measurement, prediction, r, lower, seen, measurement.poses, freedom, own, counts, grown is not None
+            measurement, prediction, r, lower, seen, measurement.poses, freedom, own, counts, allowed is not None
         )
 
     def after(self, calibration: Calibration, rows: Observations, factor: float) -> Innovation:
@@ -116,6 +119,24 @@ class Innovation:
             return float(np.sqrt(np.mean(np.sum(beside**2, axis=(1, 2)))))
         left = self.counts.of(self.measurement.residual(self.prediction).points[self.seen])
         return float(np.sqrt(3.0 * np.mean(left**2)))
+
+    @property
+    def numbers_of_noise(self) -> float:
+        """How many of the whitened numbers are noise: all, but for the share of what version and conditions leave open."""
+        unit = self.noise if self.measurement.observations.pose_weight is None else 1.0
+        inverse = solve_triangular(self.lower, np.eye(len(self.lower)), lower=True)
+        return min(float(len(self.r)), unit**2 * float(np.sum(inverse**2)))
+
+    def within(self) -> tuple[float, float]:
+        """Sum of squares of the shots of each pose about their mean, in units of the noise, and how many numbers it has."""
+        alone = self.counts.alone or self.noise <= 0.0
+        if alone or self.seen.sum() != len(self.r):
+            return 0.0, 0.0
+        left = self.lower @ self.r
+        _, group = np.unique(_alike(self.measurement, self.seen), return_inverse=True)
+        unit = self.noise if self.measurement.observations.pose_weight is None else 1.0
+        away = centred(left[:, None], group)
+        return float(np.sum(away**2)) / unit**2, float(len(left) - group.max() - 1)
 
     def white(self, J: Floats) -> Floats:
         """Whitened columns (R, K) of a derivative ``J (N, 6, K)`` of the tool's position and rotation vector."""
@@ -200,11 +221,16 @@ def _own(measurement: Measurement, seen: Bools, inadequacy: float, noise: float)
         raise OptionError(
             "The noise of the instrument is not known: state it, larger than zero, per coordinate.", option="noise"
         )
-    count = np.arange(seen.shape[1] * 3).reshape(1, seen.shape[1], 3)
-    place = (measurement.observations.pose_groups()[:, None, None] * count.size + count)[seen]
+    place = _alike(measurement, seen)
     alike = place[:, None] == place[None, :]
     least = (LEAST * inadequacy) ** 2  # of a version that says no noise apart: repeats would be one number
     return np.asarray(inadequacy**2 * alike + max(noise**2, least) * np.eye(len(place)))
+
+
+def _alike(measurement: Measurement, seen: Bools) -> Ints:
+    """Number the measured coordinates (R,): the same one of the same pose has the same number."""
+    count = np.arange(seen.shape[1] * 3).reshape(1, seen.shape[1], 3)
+    return np.asarray((measurement.observations.pose_groups()[:, None, None] * count.size + count)[seen])
 
 
 def _freedom(lower: Floats, fitted: float, stated: float | None) -> float:

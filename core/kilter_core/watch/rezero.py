@@ -22,6 +22,7 @@ from kilter_core.parameters import mm
 from kilter_core.types import QUANTILE, Floats, Ints
 from kilter_core.watch.causes import Cause
 from kilter_core.watch.check import Check, Judged, absorbed, check
+from kilter_core.watch.conditions import STATED, Conditions
 from kilter_core.watch.innovation import Innovation
 from kilter_core.watch.sockets import held_by_sockets
 
@@ -75,11 +76,12 @@ def rezero(
     noise: float | None = None,
     new_setup: Sequence[str] = (),
     fitted_c: tuple[float, float] | None = None,
+    conditions: Conditions = STATED,
 ) -> Rezeroed:
     """Change what a check of the rows names, or the ``causes`` named here, as ``zero_3``, and nothing else.
 
     Views are places of the tool by the cameras of the version, as in a check. Frames of ``new_setup``, [], ["base"] or
-    ["base", "tool"], are estimated beside the causes and then dropped: the version keeps its own.
+    ["base", "tool"], are estimated beside the causes and then dropped: the version keeps its own. ``conditions`` as there.
 
     Raises:
         CoreError: the data do not carry it: nothing has moved, several causes may be it, a cause named is refuted or has not
@@ -96,7 +98,7 @@ def rezero(
             code=CODE,
         )
     rows = as_seen_places(calibration, rows, noise)
-    before = check(calibration, rows, known, noise=noise, new_setup=anew, fitted_c=fitted_c)
+    before = check(calibration, rows, known, noise=noise, new_setup=anew, fitted_c=fitted_c, conditions=conditions)
     chosen = _chosen(before, causes)
     names = [name for cause in chosen for name in _parameters(calibration, cause)]
     known = _with(known, names)
@@ -106,7 +108,7 @@ def rezero(
         _refuse_unchanged(cause, *(part[[names.index(n) for n in _parameters(calibration, cause)]]
                                    for part in (change, sigma)))  # fmt: skip
     now = replace(known, covariance=covariance)
-    after = check(at, rows, now, noise=noise, new_setup=anew, fitted_c=fitted_c)
+    after = check(at, rows, now, noise=noise, new_setup=anew, fitted_c=fitted_c, conditions=conditions)
     if after.verdict != "ok":
         raise CoreError(
             f"After the change the rows still miss the arm by {mm(after.misfit):.3g} mm, more than chance explains (p = "

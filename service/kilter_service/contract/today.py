@@ -63,7 +63,9 @@ class SearchToday(Strict):
     at: datetime = Field(description="When it ended.")
     campaigns: list[str] = Field(description="Ids of the campaigns it looked at.")
     start: str | None = Field(description="The version it continued from; null: the nominal robot.")
-    verdict: str | None = Field(description="`no_gap`, `closed`, `provisional` or `unexplained`.")
+    verdict: str | None = Field(
+        description="`no_gap`, `closed`, `provisional`, `unexplained`, or `not_known`: no noise is known apart from the fit."
+    )
     named: list[NamedMissing] = Field(description="What it named.")
     open: str = Field(description="What is not settled after it, in words.")
     next_poses: int = Field(description="Poses that it proposes to measure.")

@@ -21,7 +21,7 @@ from kilter_core.gap.evidence.held_out.practical_size import Misfit
 from kilter_core.gap.evidence.held_out.unseen_fit import UnseenFit
 from kilter_core.gap.evidence.replication import Confirmation, replication
 from kilter_core.gap.evidence.similarity.testability import testability as judged
-from kilter_core.gap.evidence.verdict import sentence
+from kilter_core.gap.evidence.verdict import run_verdict, sentence
 from kilter_core.gap.report.report import Remains
 from kilter_core.gap.report.stored import stored
 from kilter_core.gap.search.candidates import with_testable
@@ -356,10 +356,22 @@ def test_one_error_of_a_joint_is_said_once_and_on_one_level():
     assert sentence("closed", both, *agreed, "").startswith("smooth error of joint 6: confirmed")
 
 
+def test_nothing_is_known_to_be_missing_or_not_where_the_noise_is_that_of_the_fit():
+    """Such a run was `no_gap`, or `closed` with effects too small to matter."""
+    alone, drifting = Adequacy(300.0, 300.0, 1.0, None), Adequacy(300.0, 300.0, 1.0, 0.5, most=True)
+    shots = Adequacy(600.0, 300.0, 2.0, 1e-6, least=True)
+    nothing, little = Misfit(None, None, 0.005, None), told("backlash j1", "confirmed", 0.001)
+    assert {run_verdict(named, fit, nothing) for named in ((), (little,)) for fit in (alone, shots)} == {"not_known"}
+    assert run_verdict((told("backlash j1", "confirmed", 0.1),), alone, nothing) == "provisional"
+    assert run_verdict((), drifting, nothing) == "no_gap"  # no more is left than a bound that owes nothing to the model
+    said = sentence("not_known", (), alone, nothing, "")
+    assert said.startswith("Whether something is missing is not known")
+
+
 def test_noise_of_repeats_that_may_hold_drift_is_not_called_that_of_the_fit():
     nothing = Misfit(0.0, 0.001, 0.005, None)
     drifting, alone = Adequacy(300.0, 300.0, 1.0, 0.5, most=True), Adequacy(300.0, 300.0, 1.0, None)
-    assert "noise is that of the fit itself" in sentence("no_gap", (), alone, nothing, "")
+    assert "noise is that of the fit itself" in sentence("provisional", (), alone, nothing, "")
     assert "repeats do not tell how large the noise is" in sentence("no_gap", (), drifting, nothing, "")
     assert "repeats do not tell" in drifting.sentence("")
     assert "apart from the fit" in alone.sentence("")

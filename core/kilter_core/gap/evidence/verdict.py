@@ -230,16 +230,20 @@ def nearest_shape(search: SearchResult, place: int) -> float | None:
 
 
 def run_verdict(judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit) -> str:
-    """Verdict of the run: no_gap, closed, unexplained, provisional. What is too small to matter leaves nothing open."""
+    """Verdict of the run: no_gap, closed, unexplained, provisional. What is too small to matter leaves nothing open.
+
+    Without a noise that is known apart from the fit nobody can say that nothing is left: not_known.
+    """
     if any(j.evidence.candidate.empirical and misfit.matters(j.evidence.moves_mm) for j in judged):
         return "unexplained"
     if adequacy.adequate is False and not misfit.too_small:
         return "unexplained"
     weighty = [j for j in judged if misfit.matters(j.evidence.moves_mm)]
-    if not judged:
-        return "no_gap"
-    open_ = adequacy.adequate is None and bool(weighty)
-    return "provisional" if open_ or any(j.verdict not in SURE for j in weighty) else "closed"
+    if weighty and (adequacy.adequate is None or any(j.verdict not in SURE for j in weighty)):
+        return "provisional"
+    if adequacy.relative:
+        return "not_known"
+    return "closed" if judged else "no_gap"
 
 
 SURE = {
@@ -260,9 +264,13 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfi
             else "The noise is that of the fit itself"
         )
         relative = f" {whose}, so this is relative to it."
+    if verdict == "not_known":
+        relative = " Approach ten poses three times each, with other poses between."
     noise = "within their noise" if not misfit.too_small else "but for a difference too small to matter"
     said = {
         "no_gap": "Nothing in the library is significant above the noise.",
+        "not_known": "Whether something is missing is not known, because no noise is known apart from the fit. "
+        "Nothing in the library is significant above what the fit leaves.",
         "closed": f"{sure}: confirmed among the causes of the library. With this the model agrees with the measurements "
         f"{noise}."
         if sure

@@ -66,6 +66,14 @@ def blocks_of(size: int, lengths: int | None) -> tuple[slice, ...]:
     return (slice(0, size),) if lengths is None else (slice(0, lengths), slice(lengths, size))
 
 
+def clocks_of(visits: Visits) -> tuple[Clocks, bool]:
+    """Time and temperature of the visits, and whether the time is that of a clock and not the order of the rows."""
+    rows = visits.observations
+    clock = clock_of(rows)
+    timed = rows.t is not None and clock.trusted
+    return Clocks(rows.t if timed and rows.t is not None else _ranks(clock.order), rows.temperature_c), timed
+
+
 def repeats_of(
     residual: Floats, visits: Visits, points: Floats | None, lengths: int | None, taken: float = 0.0
 ) -> Repeats | None:
@@ -73,16 +81,14 @@ def repeats_of(
 
     ``taken`` scalars of what they differ by were fitted away before.
     """
-    kelvin = visits.observations.temperature_c
-    clock = clock_of(visits.observations)
-    t = visits.observations.t if clock.trusted else None
-    t = _ranks(clock.order) if t is None else t
+    clocks, timed = clocks_of(visits)
+    t, kelvin = clocks.t, clocks.kelvin
     pairs = pairs_of(visits.condition, t, kelvin)
     if not len(pairs):
         return None
     blocks = blocks_of(residual.shape[1], lengths)
     scaled = residual / _typical(residual, pairs, blocks)
-    shared = Shared.of(scaled, visits.condition, Clocks(t, kelvin), points)
+    shared = Shared.of(scaled, visits.condition, clocks, points)
     left = shared.left
     chance = chance_of_drift(left, visits.condition, pairs)
     soon = residual.shape[1] * float(np.sum(pairs.dt <= SOON * np.ptp(t)))
@@ -102,7 +108,7 @@ def repeats_of(
     drift = Drift(
         float(np.hypot(shared.moved, grown[0])) * float(unit[0]),
         float(np.hypot(shared.per_kelvin, grown[1])) * float(unit[0]),
-        min(chance, shared.p_value), visits.observations.t is not None and clock.trusted,
+        min(chance, shared.p_value), timed,
     )  # fmt: skip
     return Repeats(deviation, index, variance, vectors * left_over, drift, most)
 

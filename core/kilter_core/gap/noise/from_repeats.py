@@ -12,6 +12,7 @@ import numpy as np
 
 from kilter_core.gap.noise.covariances import SMALLEST, approach, even, second, shrunk, spread
 from kilter_core.gap.noise.drift import Drift, Repeats, blocks_of, repeats_of
+from kilter_core.gap.noise.pair_model import PairModel
 from kilter_core.gap.noise.unseen_approach import of_approach
 from kilter_core.gap.noise.visits import Visits, apart
 from kilter_core.identify.rows.noise import pooled_columns
@@ -25,6 +26,7 @@ UNMOVED = 0.01  # of the noise: repeats that a model moves no more leave it as i
 LENGTHS = 3  # leading scalars of a full pose that are lengths; the others are angles
 FIT = "residuals of the fit"
 WITHIN = "repeats within visits"
+REVISITS = "revisits from other sides or under other loads"
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class RepeatRows:
     """What the noise of repeats is read from: residuals ``mean (V, m)`` of the visits, and rows ``away (N, m)`` from them.
 
     Rows of one visit share its conditions, so only the residuals of visits change from one model to the next. ``used (V,)``
-    marks the visits that count.
+    marks the visits that count. Revisits from other sides or under other loads differ by ``pairs`` beside the noise.
     """
 
     mean: Floats
@@ -40,6 +42,7 @@ class RepeatRows:
     visits: Visits
     points: Floats | None
     used: Bools
+    pairs: PairModel | None = None
 
     def moved(self, mean: Floats) -> float:
         """Rms of a coordinate by which residuals (V, m) of another model move repeats against each other."""
@@ -84,6 +87,12 @@ class Noise:
         blocks = blocks_of(len(tool.row), tool.lengths)
         whole, read = ([np.einsum("vii->", v[:, own, own]) for own in blocks] for v in (tool.visit, self.readings))
         return float(np.mean(np.divide(whole, np.maximum(read, SMALLEST**2))))
+
+    @property
+    def bounded(self) -> bool:
+        """Whether revisits are too few to take out what sides and loads do to them."""
+        told = self.repeats
+        return told is not None and told.pairs is not None and not told.pairs.separable(told.used)
 
     @property
     def coordinate(self) -> float:
@@ -172,7 +181,11 @@ def noise_again(noise: Noise, mean: Floats, taken: float, used: Bools) -> Noise 
     told = noise.repeats
     if told is None or (np.array_equal(used, told.used) and told.moved(mean) < UNMOVED * noise.coordinate):
         return noise
-    again = repeat_noise(told.away + mean[told.visits.visit], mean, told.visits, told.points, taken, used)
+    rows = told.away + mean[told.visits.visit]
+    if told.pairs is None:
+        again = repeat_noise(rows, mean, told.visits, told.points, taken, used)
+    else:
+        again = revisit_noise(rows, mean, told.visits, told.points, told.pairs, taken, used)
     if again is None or again.repeats is None:
         return None
     drift = noise.drift if taken > 0.0 else again.drift
@@ -234,6 +247,25 @@ def repeat_noise(
     visit = extra + rows_cov * share[:, None, None]
     made = _noise(visit, extra + rows_cov.mean(axis=0), k_between, lengths, rows_cov, extra)
     return replace(made, drift=repeats.drift, most=repeats.most, repeats=told)
+
+
+def revisit_noise(
+    residual: Floats, visit_residual: Floats, visits: Visits, points: Floats | None, pairs: PairModel,
+    taken: float = 0.0, used: Bools | None = None,
+) -> Noise | None:  # fmt: skip
+    """Noise from revisits of poses, as :func:`repeat_noise`: what sides and loads do to them is taken out first.
+
+    Where the revisits are too few to fit all candidates of these, it is a bound from above.
+    """
+    used = np.ones(len(visits), dtype=bool) if used is None else used
+    visits = replace(visits, condition=pairs.pose)
+    explained, fitted = pairs.explained(np.nan_to_num(visit_residual), used)
+    rows, mean = residual - explained[visits.visit], visit_residual - explained
+    made = repeat_noise(rows, mean, visits, points, taken + fitted, used)
+    if made is None or made.repeats is None:
+        return None
+    told = replace(made.repeats, mean=visit_residual, pairs=pairs)
+    return replace(made, source=REVISITS, most=made.most or not pairs.separable(used), repeats=told)
 
 
 def _too_few(deviations: float) -> bool:

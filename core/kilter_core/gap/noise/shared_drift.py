@@ -91,6 +91,15 @@ class Shared:
         return Shared(left, first, free, taken / size, moved, float(np.sqrt(np.mean(warmth**2))))
 
 
+def moments_and_motions(condition: Ints, clocks: Clocks, points: Floats | None, size: int) -> Floats:
+    """Columns (V, m, K) of a steady drift with time, and of one with the temperature, that all visits share."""
+    places = None if points is None else points - centred(points, condition)
+    motion = _motions(len(condition), size, places)
+    each, timed = clocks.values(np.bincount(condition)[condition] > 1)
+    steady = each[[k for k in range(len(each)) if k == 0 or k >= timed]]
+    return _courses(motion, steady, np.ones(len(steady), dtype=bool)) if len(steady) else motion[:, :, :0]
+
+
 def _tried(
     r: Floats, condition: Ints, many: Bools, motion: Floats, clock: Floats, scalars: float
 ) -> tuple[float, Floats]:

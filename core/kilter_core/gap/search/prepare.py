@@ -11,7 +11,7 @@ import scipy.linalg
 
 from kilter_core.errors import NotConvergedError, ObservationError, TooFewPosesError
 from kilter_core.gap.budget import Budget
-from kilter_core.gap.noise.from_repeats import Noise, approached, fit_noise, repeat_noise, sensors, spikes, stated_noise
+from kilter_core.gap.noise.from_repeats import approached, fit_noise, spikes
 from kilter_core.gap.noise.motion import (
     averaged,
     blocks,
@@ -27,11 +27,10 @@ from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.masses import blurred, tool_source
 from kilter_core.gap.search.re_evaluation import under, without_wrong
+from kilter_core.gap.search.rows.noise_reader import NoiseReader
 from kilter_core.gap.search.rows.row_warnings import (
     JUDGED_AGAIN,
     REPEATS_SET_ASIDE,
-    instrument_warnings,
-    no_repeats_warning,
     noise_warnings,
     outlier_warnings,
     rounding_warnings,
@@ -49,13 +48,11 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.copies import identical_repeats
 from kilter_core.observations.motions import FEWEST_ROWS, is_trajectory
-from kilter_core.parameters import metres
 from kilter_core.types import Bools, Floats, Ints, Progress, unheard
 
 NOT_FITTED = "geometry_not_fitted"
 DOMINATES = 10.0  # times the noise that geometry leaves, from which its shape is not that of the noise
 LIKE_NEIGHBOURS = 1.5  # correlation length, in poses, from which poses in a row are not independent
-POSE = 6  # numbers of a pose; visits with more show markers
 NESTS = " Of a pose that was visited with a reflector in several nests the first row has them all."
 SPARE = 6  # scalars beyond the geometry below which nothing can be tested
 
@@ -142,7 +139,7 @@ class _Preparation:
                 visits = visits_of(rows)
         source = blurred(source.on_rows(visits.observations), values)
         self.progress(0.3, "noise from repeats")
-        noise = self._noise(source, values, rows, visits)
+        noise = NoiseReader(source, values, rows, visits, library, self.options, self.warnings).read()
         one, held = (None, False) if moving else rounding(source, values, rows.q, visits, noise)
         self.warnings += rounding_warnings(one, source, held)
         left, every = source.residual(values), np.ones(len(visits), dtype=bool)
@@ -256,54 +253,6 @@ class _Preparation:
         now = partial(self.progress, 0.15, f"averaging {len(rows)} samples of a motion")
         now()
         return windowed(rows, source, values, tick=now)
-
-    def _noise(self, source: Source, values: Floats, rows: Observations, visits: Visits) -> Noise:
-        size = source.tool_numbers
-        kinds, visit_residual = tuple(source.beside_numbers), source.residual(values)
-        again = len(rows) > len(np.unique(visits.condition))
-        residual = source.residual_of_rows(values, rows, go_on) if again else visit_residual
-        noise = self._of_tool(source, (residual[:, :size], visit_residual[:, :size]), rows, visits)
-        if not kinds:
-            return noise
-        condition = visits.condition[visits.visit] if again else None
-        beside = sensors(residual[:, size:], condition, kinds, visits.count)
-        return noise.joined(*beside, kinds)
-
-    def _of_tool(self, source: Source, residuals: tuple[Floats, Floats], rows: Observations, visits: Visits) -> Noise:
-        row_residual, visit_residual = residuals
-        size = visit_residual.shape[1]
-        points = visits.observations.position if size == 3 else None
-        linear = source.unit == "rad" or visits.observations.rotation is not None
-        found = None
-        if len(rows) > len(np.unique(visits.condition)):
-            found = repeat_noise(row_residual, visit_residual, visits, points)
-        if found is not None and source.unit != "rad":
-            self.warnings += instrument_warnings(found, self._stated(visits))
-        if self.options.noise_mm is not None and not linear:
-            return stated_noise(metres(self.options.noise_mm), visits, size)
-        if found is not None:
-            if not found.absolute:
-                self._warn(
-                    "no_re_approach",
-                    "Repeats were taken without leaving the pose, so how well the arm comes back is not known: unless "
-                    "what is left is as small as these repeats, every verdict is relative to the scatter of the fit. "
-                    "Approach ten poses anew three times each, with another pose in between.",
-                )
-                # Markers of one tool are all off by what the model lacks; how they shake against each other says nothing of it.
-                return source.even(found) if size > POSE else found
-            return found
-        if visits.observations.sigma is not None and not linear:
-            return stated_noise(visits.observations.sigma, visits, size)
-        self.warnings.append(no_repeats_warning(visits))
-        every = np.ones(len(visits), dtype=bool)
-        return source.even(fit_noise(visit_residual, visits, every, source.lost(visit_residual.size)))
-
-    def _stated(self, visits: Visits) -> float | None:
-        """Standard deviation m of a coordinate of a row, as the instrument states it: the columns of rows, else the option."""
-        sigma = visits.observations.sigma
-        if sigma is None:
-            return None if self.options.noise_mm is None else metres(self.options.noise_mm)
-        return float(np.sqrt(np.nanmean(sigma**2 * visits.count[:, None])))
 
     def _enough(self, problem: LinearizedProblem) -> LinearizedProblem:
         if problem.nu < SPARE:

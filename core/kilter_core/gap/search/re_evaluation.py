@@ -157,7 +157,9 @@ def _of_repeats(
     """The noise of the repeats at this fit, with equal weights where it had them; None where too few are left."""
     noise = settings.noise
     assert noise.repeats is not None
-    taken = fitted_away(problem, columns, noise.repeats.visits.condition)
+    pairs = noise.repeats.pairs
+    beside = columns if pairs is None else [k for k in columns if k not in pairs.columns]  # it fits those by itself
+    taken = fitted_away(problem, beside, noise.repeats.visits.condition)
     left = unheld(problem, columns, settings.source.residual(problem.values))
     again = noise_again(noise, left, taken, used)
     if again is None or again is noise or not np.allclose(noise.visit, noise.even().visit, rtol=1e-9, atol=0.0):

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from kilter_service.contract.fits import StageErrors
-from kilter_service.contract.jobs.shared import NewFrames, NoiseMm, Version
+from kilter_service.contract.jobs.shared import NewFrames, NoiseMm, SetupMm, Version
 from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Asked, Celsius, JointNumber, Mm, Stored
 
@@ -26,6 +26,10 @@ class DriftOptions(Asked):
     new_setup: NewFrames = Field(
         [],
         description='Frames that were set up anew: [], ["base"] or ["base", "tool"]. What looks like them is then not seen.',
+    )
+    setup_mm: SetupMm | None = Field(
+        None,
+        description="Standard deviation with which the set-up repeats, mm; 0: it stays in place; null: as earlier checks show.",
     )
 
 
@@ -105,6 +109,18 @@ class DriftResult(Stored):
         None, description="Whether nobody measured a place, and rows were compared with each other, in their sockets."
     )
     new_setup: list[str] | None = Field(None, description="Frames that were set up anew.")
+    setup_mm: Mm | None = Field(
+        None, description="Standard deviation with which the set-up was taken to repeat, mm; null: stored without."
+    )
+    within_k: float | None = Field(
+        None,
+        description="By how many K the arm may differ from its temperature at the fit, as far as the check goes; 0: both are "
+        "stated, or it makes no difference; null: stored without.",
+    )
+    scatter: float | None = Field(
+        None,
+        description="How many times the expected scatter the rows have, at least 1; 1 of a stated noise; null: stored without.",
+    )
     refit: list[str] | None = Field(None, description="The same, as an evaluation calls them: fitted to these rows.")
     metrics: dict[str, StageErrors] | None = Field(
         None, description="Errors of the version on the rows, `identified`, by campaign, as an evaluation gives them."

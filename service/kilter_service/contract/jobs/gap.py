@@ -95,7 +95,10 @@ class GapOptions(Asked):
 class GapResult(MadeVersion):
     """What a gap search found. The version holds the named effects and the geometry fitted with them."""
 
-    verdict: str | None = Field(None, description="`no_gap`, `closed`, `provisional` or `unexplained`.")
+    verdict: str | None = Field(
+        None,
+        description="`no_gap`, `closed`, `provisional`, `unexplained`, or `not_known`: no noise is known apart from the fit.",
+    )
     sentence: str | None = Field(None, description="The verdict in words.")
     effects: list[NamedEffect] | None = Field(None, description="Effects that were named.")
     where: list[Place] | None = Field(None, description="Where the model was wrong before.")

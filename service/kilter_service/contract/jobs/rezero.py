@@ -8,7 +8,7 @@ from pydantic import Field
 
 from kilter_service.contract.fits import Metrics, Parameter
 from kilter_service.contract.jobs.drift import DriftCause
-from kilter_service.contract.jobs.shared import LIMITS, Limits, MadeVersion, NewFrames, NoiseMm, Version
+from kilter_service.contract.jobs.shared import LIMITS, Limits, MadeVersion, NewFrames, NoiseMm, SetupMm, Version
 from kilter_service.contract.units import Asked
 
 CauseName = Annotated[str, Field(pattern=r"^((zero|sag)_[1-9][0-9]?|base|tool|scale)$")]
@@ -28,6 +28,10 @@ class RezeroOptions(Asked):
     new_setup: NewFrames = Field(
         [],
         description='Frames that were set up anew: [], ["base"] or ["base", "tool"]. The version keeps its own.',
+    )
+    setup_mm: SetupMm | None = Field(
+        None,
+        description="Standard deviation with which the set-up repeats, mm; 0: it stays in place; null: as earlier checks show.",
     )
     limits: Limits = Field(None, description=LIMITS)
 

@@ -18,6 +18,7 @@ Free = Literal["free", "fixed"]
 ReferenceFrames = Literal["auto", "robot", "registration"]
 Seed = Annotated[int, Field(ge=0, le=2**31)]
 NoiseMm = Annotated[Mm, Field(gt=0)]
+SetupMm = Annotated[Mm, Field(ge=0)]
 Version = Id | None
 PriorName = Literal["fleet"] | None
 AskedLimits = Annotated[CorrectionLimits, PlainSerializer(lambda limits: limits.model_dump(exclude_unset=True))]

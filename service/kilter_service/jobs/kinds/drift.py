@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from kilter_service.contract.jobs.drift import DriftOptions
 from kilter_service.ground.core import core_measurement, core_watch_check, estimate, metrics, predictive
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.budgets import budget_of
+from kilter_service.jobs.inputs.conditions import conditions_of
 from kilter_service.jobs.inputs.other_instrument import counted_noise, remark
 from kilter_service.jobs.inputs.plain import plain
 from kilter_service.jobs.job_preview import JobPreview
@@ -69,21 +69,9 @@ def checked(job: JobInput, rows: Observations, known: Predictive) -> Check:
     calibration = calibration_of(job)
     noise = counted_noise(job, known)
     return core_watch_check.check(
-        calibration, rows, known, noise=noise, new_setup=options.new_setup, fitted_c=job.fit.temperatures_c
-    )
-
-
-def _warmer(job: JobInput, rows: Observations, known: Predictive, found: Check) -> bool:
-    """Whether an arm that is ``WARMER_K`` warmer than at its fit shows as much, where nobody can tell that it is not."""
-    calibration, fitted = calibration_of(job), job.fit.temperatures_c
-    stated = fitted is not None and rows.temperature_c is not None
-    if found.verdict == "ok" or found.joint_log or stated or "temperature_c" in calibration.model.needs:
-        return False
-    warm = replace(rows, temperature_c=np.full(len(rows), wire.WARMER_K))
-    again = core_watch_check.check(
-        calibration, warm, known, noise=counted_noise(job, known), new_setup=found.new_setup, fitted_c=(0.0, 0.0)
-    )
-    return bool(again.verdict == "ok")
+        calibration, rows, known, noise=noise, new_setup=options.new_setup, fitted_c=job.fit.temperatures_c,
+        conditions=conditions_of(job, noise),
+    )  # fmt: skip
 
 
 def rows_of(job: JobInput) -> Observations:
@@ -147,19 +135,19 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
     measured = () if found.joint_log else job.campaigns
     documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
     causes = [documents[one.cause.name] for one in found.causes]
-    warmer = _warmer(job, rows, known, found)
     since = last_otherwise(causes, to_mm(found.noise), found.poses, job.fit.agreeing)
     return {
-        "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, since, warmer=warmer),
+        "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, since),
         "agreed_at": None if since is None else since.isoformat(),
-        "remedy": wire.remedy(found, calibration_of(job).names, warmer=warmer), "causes": causes,
+        "remedy": wire.remedy(found, calibration_of(job).names), "causes": causes,
         "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": core_watch_check.FALSE_ALARM,
         "chi_square": found.chi_square, "numbers": found.numbers, "poses": found.poses,
         "lengths": "by_views" if found.by_views else "at_tool", "misfit_mm": to_mm(found.misfit),
         "noise_mm": to_mm(found.noise),
         "expected_mm": to_mm(known.inadequacy), "smallest": wire.smallest_documents(found),
         "unseen": [wire.cause_words(one) for one in found.unseen], "joint_log": found.joint_log,
-        "new_setup": list(found.new_setup),
+        "new_setup": list(found.new_setup), "setup_mm": to_mm(found.conditions.setup),
+        "within_k": found.conditions.within_k, "scatter": found.scatter,
         "temperature_c": None if rows.temperature_c is None else float(rows.temperature_c.mean()),
         "fitted_c": job.fit.temperatures_c, "warnings": list(_warnings(job, known)), "refit": list(found.new_setup),
         "metrics": {campaign: _errors(job, rows, known, found) for campaign in measured},

@@ -10,6 +10,7 @@ from kilter_service.contract.jobs.rezero import RezeroOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_evaluate, core_report, core_watch
 from kilter_service.jobs.budgets import budget_of
+from kilter_service.jobs.inputs.conditions import conditions_of
 from kilter_service.jobs.inputs.other_instrument import counted_noise
 from kilter_service.jobs.inputs.plain import plain
 from kilter_service.jobs.job_preview import JobPreview
@@ -72,6 +73,7 @@ def _found(job: JobInput) -> Rezeroed:
         noise=noise,
         new_setup=options.new_setup,
         fitted_c=job.fit.temperatures_c,
+        conditions=conditions_of(job, noise),
     )
 
 

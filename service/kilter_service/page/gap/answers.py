@@ -12,6 +12,10 @@ from kilter_service.page.shared.called import claimed
 from kilter_service.page.words import joined_by_and, number
 
 ORDER = tuple(LEVELS)
+NO_EFFECT = {
+    "unexplained": "Something is left, and no effect of the library explains it.",
+    "not_known": "Not known: without repeats no noise is known apart from the fit.",
+}
 
 
 @dataclass(frozen=True)
@@ -37,12 +41,7 @@ def answers(result: GapResult) -> list[Answer]:
 def _which(result: GapResult) -> str:
     effects = result.effects or []
     if not effects:
-        left = result.verdict == "unexplained"
-        return (
-            "Something is left, and no effect of the library explains it."
-            if left
-            else "None: nothing exceeds the noise."
-        )
+        return NO_EFFECT.get(result.verdict or "", "None: nothing exceeds the noise.")
     said = []
     for effect in effects:
         amounts = ", ".join(

@@ -21,6 +21,7 @@ from kilter_service.page.shared.called import claimed
 VERDICTS = {
     "closed": ("The gap is closed", "good"),
     "no_gap": ("Nothing is missing", "good"),
+    "not_known": ("Not known without repeats", "warn"),
     "provisional": ("Likely explained, not yet confirmed", "warn"),
     "unexplained": ("The gap is not explained", "bad"),
 }

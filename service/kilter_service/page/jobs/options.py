@@ -31,7 +31,7 @@ USUAL: Mapping[str, tuple[str, ...]] = {
     "evaluate": ("version", "refit", "metrics"),
     "plan": ("purpose", "count", "effects", "version", "payloads_kg"),
     "joint_parameters": ("propose", "resolution_deg", "count"),
-    "drift": ("version", "new_setup", "noise_mm"),
+    "drift": ("version", "new_setup", "setup_mm", "noise_mm"),
     "rezero": ("version", "causes", "new_setup", "noise_mm"),
 }
 NUMBERS = {"number", "integer"}

@@ -36,10 +36,7 @@ MOVED = (
     "Repair it and check again; or make a version of what moved (kilter rezero), or identify one anew. Until then the version "
     "corrects an arm that is no longer there."
 )
-WARMER_K = 10.0  # between an arm in the morning and one that has worked in summer
-WARM = (
-    f" An arm {WARMER_K:g} K warmer or colder than at its fit may show as much, too: nobody stated both temperatures."
-)
+SCATTER = 1.5  # times as much as expected, from which it is said that the rows scatter more
 STATE_WARMTH = "State temperature_c of these rows and of those of the fit, and check again. Else: "
 INSTRUMENT = (
     "No parameter of the arm is such a change, and nothing can be re-zeroed. Check the instrument with a known length (its "
@@ -115,9 +112,20 @@ def smallest_documents(found: Check) -> list[dict[str, Any]]:
     return out
 
 
-def sentence(found: Check, agreed_at: datetime | None = None, *, warmer: bool = False) -> str:
-    """Return the verdict in one sentence, and others on what could not be seen; ``warmer``: warmth would explain it, too."""
-    return _verdict(found, agreed_at) + (WARM if warmer else "") + _limited(found)
+def sentence(found: Check, agreed_at: datetime | None = None) -> str:
+    """Return the verdict in one sentence, and others on its conditions and on what could not be seen."""
+    return _verdict(found, agreed_at) + condition_words(found) + _limited(found)
+
+
+def condition_words(found: Check) -> str:
+    """Say what the verdict takes for granted of temperature and set-up, and how the rows scatter; empty of nothing."""
+    within, setup = found.conditions.within_k, found.conditions.setup
+    taken = [f"the arm was within {within:g} K of its temperature at the fit"] if within > 0.0 else []
+    taken += [f"the set-up repeats to {to_mm(setup):.2g} mm"] if setup > 0.0 else []
+    said = f" This holds if {' and '.join(taken)}." if taken else ""
+    if found.scatter < SCATTER:
+        return said
+    return f"{said} The rows scatter {found.scatter:.2g} times as much as the version's, which counts as their noise."
 
 
 def _limited(found: Check) -> str:
@@ -186,10 +194,11 @@ def joined_by_or(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
 
 
-def remedy(found: Check, names: Sequence[str] = (), *, warmer: bool = False) -> str | None:
+def remedy(found: Check, names: Sequence[str] = ()) -> str | None:
     """Return what to do about a verdict, or what would settle it; ``names`` are the parameters of the version."""
     said = _remedy(found, names)
-    return STATE_WARMTH + said if warmer and said else said
+    warm = found.verdict == "cannot_tell" and found.conditions.within_k > 0.0  # a single cause is none of warmth
+    return STATE_WARMTH + said if warm and said else said
 
 
 def _remedy(found: Check, names: Sequence[str]) -> str | None:

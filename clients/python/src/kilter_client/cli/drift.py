@@ -51,6 +51,7 @@ def check(
     version: Annotated[str | None, typer.Option(help=DRIFT["version"])] = None,
     new_setup: Annotated[str | None, typer.Option(metavar="base,tool", help=DRIFT["new_setup"])] = None,
     noise_mm: Annotated[float | None, typer.Option(help=DRIFT["noise_mm"])] = None,
+    setup_mm: Annotated[float | None, typer.Option(help=DRIFT["setup_mm"])] = None,
     device: Device = None,
     column_map: ColumnMap = None,
     payload_kg: Annotated[float | None, typer.Option(help="Mass at the tool point, kg.")] = None,
@@ -69,7 +70,7 @@ def check(
     """
     if (file is None) == (campaign is None):
         raise UsageError("Give the FILE that was measured, or --campaign ID of one that is stored.")
-    chosen = arguments.options(option, version=version, noise_mm=noise_mm)
+    chosen = arguments.options(option, version=version, noise_mm=noise_mm, setup_mm=setup_mm)
     if new_setup is not None:
         chosen["new_setup"] = arguments.split_names([new_setup])
     conditions = conditions_of(payload_kg, payload_com_mm, temperature_c)
@@ -154,13 +155,15 @@ def rezero(
     version: Annotated[str | None, typer.Option(help=REZERO["version"])] = None,
     new_setup: Annotated[str | None, typer.Option(metavar="base,tool", help=REZERO["new_setup"])] = None,
     noise_mm: Annotated[float | None, typer.Option(help=REZERO["noise_mm"])] = None,
+    setup_mm: Annotated[float | None, typer.Option(help=REZERO["setup_mm"])] = None,
     option: MoreOptions = None,
     name: JobName = "",
     no_wait: NoWait = False,
     as_json: Json = False,
 ) -> None:
     """Make a version of the one or few parameters that moved; everything else stays as it was identified."""
-    chosen = arguments.options(option, causes=arguments.split_names(cause), version=version, noise_mm=noise_mm)
+    causes = arguments.split_names(cause)
+    chosen = arguments.options(option, causes=causes, version=version, noise_mm=noise_mm, setup_mm=setup_mm)
     if new_setup is not None:
         chosen["new_setup"] = arguments.split_names([new_setup])
     run_job("rezero", robot, [campaign], None, chosen, no_wait, as_json, name=name)

@@ -87,8 +87,12 @@ class DriftResult(ShownDrift, Record):
     """The same, as an evaluation calls them: fitted to these rows."""
     remedy: str | None
     """What to do, or what would settle it; None: nothing."""
+    scatter: float | None
+    """How many times the expected scatter the rows have, at least 1; 1 of a stated noise; None: stored without."""
     sentence: str | None
     """The same in words."""
+    setup_mm: float | None
+    """Standard deviation with which the set-up was taken to repeat, mm; None: stored without."""
     smallest: Records[SmallestChange]
     """The smallest changes that these rows show."""
     temperature_c: float | None
@@ -101,6 +105,8 @@ class DriftResult(ShownDrift, Record):
     """The version that was checked."""
     warnings: Records[Remark]
     """What to know before trusting the result."""
+    within_k: float | None
+    """By how many K the arm may differ from its temperature at the fit, as far as the check goes; 0: both are stated, or it makes no difference; None: stored without."""
 
 
 class RezeroResult(ShownDrift, Record):

@@ -13,6 +13,8 @@ class DriftOptions(TypedDict, total=False):
     """Frames that were set up anew: [], ["base"] or ["base", "tool"]. What looks like them is then not seen."""
     noise_mm: float | None
     """Standard deviation of a coordinate, mm, above 0; None: what the version's fit found."""
+    setup_mm: float | None
+    """Standard deviation with which the set-up repeats, mm; 0: it stays in place; None: as earlier checks show."""
     version: str | None
     """Id of the version to check against; None: the active one."""
 
@@ -195,5 +197,7 @@ class RezeroOptions(TypedDict, total=False):
     """Frames that were set up anew: [], ["base"] or ["base", "tool"]. The version keeps its own."""
     noise_mm: float | None
     """Standard deviation of a coordinate, mm, above 0; None: what the version's fit found."""
+    setup_mm: float | None
+    """Standard deviation with which the set-up repeats, mm; 0: it stays in place; None: as earlier checks show."""
     version: str | None
     """Id of the version to change; None: the active one."""

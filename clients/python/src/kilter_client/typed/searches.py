@@ -351,7 +351,7 @@ class GapResult(ShownSearch, Record):
     told_apart: ToldApart | None
     """Whether they tell two effects apart; None: they make one surer, or there are none."""
     verdict: str | None
-    """`no_gap`, `closed`, `provisional` or `unexplained`."""
+    """`no_gap`, `closed`, `provisional`, `unexplained`, or `not_known`: no noise is known apart from the fit."""
     version_id: str | None
     """Id of the version it made; None: none."""
     warnings: Records[Remark]

@@ -159,7 +159,7 @@ class SearchToday(Record):
     start: str | None
     """The version it continued from; None: the nominal robot."""
     verdict: str | None
-    """`no_gap`, `closed`, `provisional` or `unexplained`."""
+    """`no_gap`, `closed`, `provisional`, `unexplained`, or `not_known`: no noise is known apart from the fit."""
 
 
 class Today(Record):

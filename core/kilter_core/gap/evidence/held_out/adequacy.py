@@ -55,6 +55,11 @@ class Adequacy:
         return self.p_value > ADEQUATE
 
     @property
+    def relative(self) -> bool:
+        """Whether no noise is known apart from the fit: no repeats, no revisits, and nothing that the instrument states."""
+        return self.adequate is None and not self.doubted
+
+    @property
     def doubted(self) -> bool:
         """Whether the noise is that of repeats, and how large it is is in doubt: it may hold drift, or the rows refute it."""
         return self.adequate is None and self.p_value is not None and not self.least

@@ -17,7 +17,8 @@ from kilter_core.parameters import DEG, degrees, mm
 
 Warning_ = dict[str, Any]
 
-JUDGED_AGAIN = ("outliers", "repeats_drift", "drift_not_separated")  # by the model with what it knows at the end
+# By the model with what it knows at the end.
+JUDGED_AGAIN = ("outliers", "repeats_drift", "drift_not_separated", "revisits_bound_noise")
 BEYOND = 3.0  # times the instrument, from which repeats show that something moves
 FEWEST_AGAIN = 3  # poses visited again from which a person meant to repeat
 
@@ -30,26 +31,20 @@ REPEATS_SET_ASIDE: Warning_ = {
 
 
 def no_repeats_warning(visits: Visits) -> Warning_:
-    """Say that no visits should agree, and why: no pose was visited again, or every time in another way."""
-    rows = visits.observations
+    """Say that no visits should agree, and why: no pose was visited again, or every time in another session."""
     again = np.flatnonzero(np.bincount(visits.pose) > 1)
-    ways = (
-        ("from another side (dir1 ...)", rows.stated_direction), ("under another load", rows.payload_kg),
-        ("in another session", rows.session),
-    )  # fmt: skip
-    own = [np.flatnonzero(visits.pose == k) for k in again]
-    told = [words for words, values in ways if values is not None and any(np.ptp(values[k], axis=0).any() for k in own)]
+    session = visits.observations.session
+    apart = session is not None and any(np.ptp(session[visits.pose == k]) for k in again)
     relative = (
         "so the noise is that of the fit: every verdict is relative to it, and above provisional is only what both "
     )
     relative += "halves, or a confirmation, show alike."
-    if len(again) < FEWEST_AGAIN or not told:
+    if len(again) < FEWEST_AGAIN or not apart:
         said = f"No pose was repeated often enough, {relative} Repeat ten poses thrice, others between."
     else:
         said = (
-            f"{len(again)} poses were visited again, but {' or '.join(told)}, and too few visits are alike to show the noise; "
-            f"{relative} Come back to ten poses thrice in the same way: with the same load, and from the same pose before, so "
-            "that every joint arrives from the same side."
+            f"{len(again)} poses were visited again, but in another session, and too few visits are alike to show the noise; "
+            f"{relative} Come back to ten poses thrice within a session."
         )
     return {"code": "no_repeats", "message": said}
 
@@ -86,7 +81,14 @@ def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
             "message": f"The repeats drifted by {said}{clock}, rms of a coordinate. The noise is what is left of them at no "
             "distance in time and temperature. Let arm and instrument warm up, and repeat poses soon after one another.",
         }
-    if noise.most:
+    if noise.bounded:
+        yield {
+            "code": "revisits_bound_noise",
+            "message": "The noise is that of poses visited again from other sides or under other loads, and what these do "
+            "could not all be fitted: noise is this at most, and no claim is confirmed by it. Come back to ten poses thrice "
+            "in the same way.",
+        }  # fmt: skip
+    elif noise.most:
         yield {
             "code": "drift_not_separated",
             "message": "The repeats are too few, or all far apart in time, so noise and drift cannot be separated: noise is "

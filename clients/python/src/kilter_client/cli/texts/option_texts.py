@@ -86,11 +86,13 @@ DRIFT = {
     "version": "Id of the version to check against; left out: the active one.",
     "noise_mm": "Standard deviation of a coordinate, mm, above 0; left out: what the version's fit found.",
     "new_setup": 'Frames that were set up anew: [], ["base"] or ["base", "tool"]. What looks like them is then not seen.',
+    "setup_mm": "Standard deviation with which the set-up repeats, mm; 0: it stays in place; left out: as earlier checks show.",
 }
 REZERO = {
     "version": "Id of the version to change; left out: the active one.",
     "causes": "What moved: zero_3, sag_2, base, tool; left out: what a check of the rows names, if it is one cause.",
     "noise_mm": "Standard deviation of a coordinate, mm, above 0; left out: what the version's fit found.",
     "new_setup": 'Frames that were set up anew: [], ["base"] or ["base", "tool"]. The version keeps its own.',
+    "setup_mm": "Standard deviation with which the set-up repeats, mm; 0: it stays in place; left out: as earlier checks show.",
     "limits": "The largest correction the version may make; left out: what it needs at 99 % of its poses, from 1 degree and 5 mm to 5 degrees and 10 mm.",
 }

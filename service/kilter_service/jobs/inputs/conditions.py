@@ -1,0 +1,45 @@
+"""Under which conditions rows are checked: what was stated, and what is taken for granted where nobody stated it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kilter_service.ground.core import core_watch
+from kilter_service.ground.wire import to_metres, to_metres_if_known
+
+if TYPE_CHECKING:
+    from kilter_core.watch import Conditions
+    from kilter_service.jobs.kind import JobInput
+    from kilter_service.versions.drift.records import StoredCheck
+
+QUANTILE = 1.959963984540054  # of a 95 % interval (kilter_core.types, which loads numpy)
+SHIFT = ("x", "y", "z")
+
+
+def conditions_of(job: JobInput, noise: float | None) -> Conditions:
+    """Conditions of a check or a re-zeroing whose noise of a coordinate is ``noise`` m, None where nobody stated it."""
+    stated = to_metres_if_known(job.options.setup_mm)
+    setup = learned_setup(job.fit.agreeing) if stated is None else stated
+    return core_watch.Conditions(core_watch.UNSTATED_K, setup, noise is not None)
+
+
+def learned_setup(agreeing: Sequence[StoredCheck]) -> float:
+    """Standard deviation (m) with which the set-up repeats, by the checks that agreed."""
+    shown = [one for one in map(_shift, agreeing) if one is not None]
+    shifts, sigmas = (np.array([one[k] for one in shown]).reshape(-1, 3) for k in (0, 1))
+    return float(core_watch.learned_setup(shifts, sigmas))
+
+
+def _shift(one: StoredCheck) -> tuple[list[float], list[float]] | None:
+    """Shift (3,) m of the base that a check shows, and its standard deviations; None of one that shows it in part."""
+    base = next((cause for cause in one.result.get("looked_at") or [] if cause["name"] == "base"), None)
+    numbers = {number["name"]: number for number in (base or {}).get("numbers") or []}
+    own = [numbers.get(name) or {} for name in SHIFT]
+    if any(number.get("summed") is None or number.get("summed_u95") is None for number in own):
+        return None
+    return [to_metres(number["summed"]) for number in own], [
+        to_metres(number["summed_u95"]) / QUANTILE for number in own
+    ]
