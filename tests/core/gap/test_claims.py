@@ -140,6 +140,7 @@ def test_a_confirmation_without_the_effect_contradicts_it(robot, small):
     told = report.to_document()["effects"][0]["replication"]
     assert told["with_mm"] > told["without_mm"]
     assert effect.verdict == "contradicted"
+    assert not report.calibration.model.effects
     assert not effect.gates["confirmation"]
     assert "contradicted, and left out of the version." in report.sentence
     # Without it the version is what predicts the confirmation better.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -71,7 +72,7 @@ def test_the_component_that_rows_tell_says_how_large_the_other_may_be(name: str)
     assert all(intervals([run_case(case)]))
 
 
-@pytest.mark.parametrize("effect", ["thermal_growth", "zero_thermal"])
+@pytest.mark.parametrize("effect", ["base_step", "thermal_growth", "zero_thermal"])
 def test_a_large_one_is_told_everywhere_as_it_is_stored(effect: str, capsys: pytest.CaptureFixture[str]) -> None:
     made = sized(effect, 1, LARGE[effect])
     report, named = searched(made, effect)
@@ -102,10 +103,22 @@ def test_how_far_a_station_moved_is_told_in_its_warning() -> None:
     before = 1e3 * float(np.sqrt(np.mean(made.moved[made.moved > 0.0] ** 2)))
     told = float(warning["message"].split(", by ")[1].split(" mm")[0])
     assert told == pytest.approx(before, rel=0.05)
-    # Nothing was held out that could settle it: the version is fitted without it, and says so.
-    assert not report.calibration.model.effects
-    (left_out,) = [w for w in report.warnings if w["code"] == "not_settled"]
-    assert "station" in left_out["message"] or "base_step" in left_out["message"]
+    # Nothing was held out, and every other test was passed: without the step the geometry would take it up.
+    assert [e.id for e in report.calibration.model.effects] == ["base_step"]
+    assert "not_settled" not in {w["code"] for w in report.warnings}
+
+
+def test_a_step_that_failed_a_test_is_not_for_the_version() -> None:
+    """A shape of the joint that failed one stays: it has no other day."""
+    _, step = searched(sized("base_step", 1, LARGE["base_step"]), "base_step")
+    _, curve = searched(sized("thermal_growth", 1, LARGE["thermal_growth"]), "thermal_growth")
+    assert step.verdict == curve.verdict == "provisional"  # nothing was held out
+    assert step.storable
+    failed = replace(step, gates={**step.gates, "inclusion": False})
+    untested = replace(step, gates={**step.gates, "inclusion": None})
+    assert not failed.storable
+    assert not untested.storable
+    assert replace(curve, gates={**curve.gates, "inclusion": False}).storable
 
 
 def test_an_amplitude_held_by_its_range_is_told_at_its_end_with_what_the_rows_ask_for() -> None:
