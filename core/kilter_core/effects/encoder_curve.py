@@ -11,8 +11,8 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import Effect, Local, option
-from kilter_core.effects.batch import Batch
+from kilter_core.effects.base import option
+from kilter_core.effects.joint_curve import JointCurve
 from kilter_core.effects.physical import JOINT_CURVE, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
@@ -25,7 +25,7 @@ POSES = 4  # of the rows, for each parameter
 
 
 @dataclass(frozen=True)
-class EncoderCurve(Effect):
+class EncoderCurve(JointCurve):
     """dq = Σ a_m sin mq + b_m cos mq over the ``orders`` m, which together are one curve that repeats with the joint.
 
     A search tries the first 4, 6 and 8 orders together, as many as the poses can carry.
@@ -79,12 +79,11 @@ class EncoderCurve(Effect):
             for p in self.per_joint(robot, f"encoder_{wave}{m}", "rad", sigma, -wide, wide, f"amplitude of {wave} {m}q")
         )
 
-    def local(self, batch: Batch, values: Floats) -> Local:
-        """Joint correction and its derivatives by the amplitudes."""
-        return self.joint_angle(batch, values, *(wave(m * batch.q) for m in self.orders for wave in (np.sin, np.cos)))
+    def signals(self, q: Floats) -> Sequence[Floats]:
+        """Sines and cosines, order by order."""
+        return [wave(m * q) for m in self.orders for wave in (np.sin, np.cos)]
 
-    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+    def add_curves(self, form: RunTimeForm, values: Floats) -> None:
         """Add the waves of each joint."""
         joints = self.acting(len(form.joints))
         form.waves(joints, values, [[float(m) for m in self.orders]] * len(joints))
-        return True

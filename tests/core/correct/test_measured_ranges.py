@@ -25,6 +25,7 @@ CURVES: dict[str, dict[str, Any]] = {
     "eccentricity": {},
     "encoder_scale": {},
     "second_harmonic": {},
+    "encoder_curve": {"orders": (1, 2, 3, 4)},
     "gravity_spring": {"arms_m": (0.4, 0.1), "angle_rad": 0.6},
     "unknown_smooth_curve": {"centres": (0.0,), "halves": (0.45,)},
 }
@@ -33,7 +34,7 @@ CURVES: dict[str, dict[str, Any]] = {
 def version_of(name: str, measured: tuple[tuple[float, float], ...] | None) -> Calibration:
     model = RobotModel(ROBOT, (make_effect(name, joints=(3,), measured=measured, **CURVES[name]),))
     values = model.values0()
-    values[model.n_geometric :] = 1e-4 * np.arange(1, 1 + len(values) - model.n_geometric)
+    values[model.n_geometric :] = 5e-5 * np.arange(1, 1 + len(values) - model.n_geometric)
     return Calibration(model, values)
 
 
@@ -56,8 +57,9 @@ def test_a_curve_gives_way_to_its_mean_beyond_its_range(name: str) -> None:
     step = np.abs(np.diff(found.q[:, 3] - q[:, 3]))
     assert step.max() < 0.25 * np.ptp(found.q[inside, 3] - q[inside, 3])
     far = (q[:, 3] < LOW - FADE) | (q[:, 3] > HIGH + FADE)
-    plain = compile_program(endless).correct_rows(q[inside])
-    mean = np.mean(plain.q[:, 3] - q[inside, 3])
+    within = swept()
+    within[:, 3] = np.linspace(LOW, HIGH, len(within))
+    mean = np.mean(compile_program(endless).correct_rows(within).q[:, 3] - within[:, 3])
     np.testing.assert_allclose((found.q - q)[far, 3], mean, atol=2e-6)
     ideal = correct(bounded, q, options=CorrectOptions())
     np.testing.assert_allclose(found.q, ideal.q, atol=1e-7)
