@@ -86,6 +86,16 @@ def test_few_revisits_in_other_ways_bound_the_noise():
     assert "revisits_bound_noise" in {w["code"] for w in made.warnings}
 
 
+def test_few_revisits_tell_less_than_shots_and_the_fit():
+    """Of 12 numbers the tails are so wide that three effects of a non-centrality of 100 stayed unnamed."""
+    arm = heavy("ur")
+    rows = revisited(arm, 3, 60, 5, SIDES)
+    twice = rows.select(np.repeat(np.arange(len(rows)), 2))
+    twice.position[:] += NOISE_M * np.random.default_rng(1).standard_normal(twice.position.shape)
+    noise = prepared(arm, twice).problem.settings.noise
+    assert (noise.absolute, noise.source) == (False, "repeats within visits")
+
+
 def test_a_wrong_reading_among_revisits_does_not_widen_the_noise():
     arm = heavy("ur")
     rows = revisited(arm, 4, 70, 20, SIDES)

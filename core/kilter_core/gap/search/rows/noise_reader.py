@@ -27,6 +27,9 @@ from kilter_core.parameters import metres
 from kilter_core.types import Floats, Ints
 
 POSE = 6  # numbers of a pose; visits with more show markers
+FEWEST_OF_REVISITS = (
+    30  # numbers, from which they tell a noise within a factor of 1.3, and more than shots and the fit do
+)
 OF_WAYS = frozenset({"direction", "moments", "payload_kg"})  # what effects of sides and loads need
 
 
@@ -89,7 +92,9 @@ class NoiseReader:
         pose = pose_beside_ways(visits)
         if len(visits) == len(np.unique(pose)):
             return found
-        return revisit_noise(residual, visit_residual, visits, points, self._pairs(pose, points)) or found
+        noise = revisit_noise(residual, visit_residual, visits, points, self._pairs(pose, points))
+        few = noise is None or (found is not None and noise.freedom < FEWEST_OF_REVISITS)
+        return found if few else noise
 
     def _pairs(self, pose: Ints, points: Floats | None) -> PairModel:
         """The library's effects of sides and loads as what revisits may differ by."""
