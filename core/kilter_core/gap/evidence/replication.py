@@ -56,6 +56,11 @@ class Replication:
     guarded: Guarded | None = None  # errors there with and without the effect
 
     @property
+    def testable(self) -> bool:
+        """Whether the confirmation can show it at all."""
+        return self.p_value is not None
+
+    @property
     def contradicted(self) -> bool:
         """Whether the two amplitudes cannot be one, or the effect makes the prediction there worse."""
         return (self.apart is not None and self.apart > AGREES) or self.worse
@@ -78,7 +83,7 @@ class Replication:
     @property
     def outcome(self) -> str:
         """One word for it."""
-        if self.p_value is None:
+        if not self.testable:
             return "not_testable"
         return "contradicted" if self.contradicted else "replicated" if self.replicated else "not_seen"
 
