@@ -333,8 +333,7 @@ class _Run:
         candidates = found.selector.scorer.candidates
         guard = Guard.of(found, self.begin, kept.calibration, rows)
         told = {k: replication(seen, robot, rows, candidates[k], seen_joints(found, k)[0]) for k in found.chosen}
-        # What a confirmation cannot show, it cannot refute: laws of time and steps are not carried to it.
-        return {k: replace(one, guarded=guard.effect(k)) if one.testable else one for k, one in told.items()}
+        return {k: replace(one, guarded=guard.effect(k)) for k, one in told.items()}
 
     def _evidence(
         self, found: SearchResult, place: int, rivals: tuple[Alias, ...], sizes: dict[int, Amplitude], held: HoldoutEvaluator,

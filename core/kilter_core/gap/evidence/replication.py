@@ -62,8 +62,8 @@ class Replication:
 
     @property
     def contradicted(self) -> bool:
-        """Whether the two amplitudes cannot be one, or the effect makes the prediction there worse."""
-        return (self.apart is not None and self.apart > AGREES) or self.worse
+        """Whether the two amplitudes cannot be one, or the effect makes the prediction there worse, where it can be seen."""
+        return self.testable and ((self.apart is not None and self.apart > AGREES) or self.worse)
 
     @property
     def worse(self) -> bool:
