@@ -74,7 +74,7 @@ class LocalBump(Effect):
         """Add a polynomial for each joint, which is held at its ends."""
         where = (self.centre_rad, self.half_width_rad)
         for j, value in zip(self.acting(len(form.joints)), values.tolist(), strict=True):
-            form.curve(j, Shape.POLYNOMIAL, value, constants=where, powers=POWERS)
+            form.curve(j, Shape.POLYNOMIAL, 1.0, constants=where, powers=tuple(value * power for power in POWERS))
         return True
 
 

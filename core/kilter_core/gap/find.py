@@ -64,6 +64,7 @@ from kilter_core.gap.search.events import numbered
 from kilter_core.gap.search.finalize import chance, or_geometry_alone
 from kilter_core.gap.search.forward_selection import SearchResult, search
 from kilter_core.gap.search.linear.complete_form import incomplete_sentence, incomplete_warnings, missing_directions
+from kilter_core.gap.search.linear.in_space import fit_rms
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.gap.search.re_evaluated_search import rejudged
@@ -347,7 +348,7 @@ class _Run:
             chance(found, place, self.options.alpha),
             held.taken_off(place) * unit,
             local_bump_test(found, place, self.prepared.visits.observations.q),
-            held.poses, joints, any_, separated=separated(found, place),
+            held.poses, joints, any_, separated=separated(found, place), left_mm=fit_rms(found.problem) * unit,
         )  # fmt: skip
 
     def _worse(self, found: SearchResult, held: HoldoutEvaluator, kept: Stored) -> Iterator[dict[str, Any]]:

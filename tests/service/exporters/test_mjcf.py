@@ -237,7 +237,16 @@ def test_what_pushes_instead_of_giving_way_is_added_by_the_step() -> None:
 def test_every_effect_is_told() -> None:
     """In the model, by the step, or left out: with its size where it acts on an arm that carries nothing."""
     robot = robot_from_document(preset_document("ur10"))
-    known = {*IN_THE_MODEL, *BY_THE_STEP, "hardening", "base_step", "tool_step", "zero_step"}
+    known = {
+        *IN_THE_MODEL,
+        *BY_THE_STEP,
+        "hardening",
+        "base_step",
+        "tool_step",
+        "zero_step",
+        "encoder_curve",
+        "local_bump",
+    }
     asked = {
         "settling": {"tau_s": 10.0}, "random_walk": {"knots_s": (0.0, 1.0)},
         "unknown_residual": {"centres": ((0.0,) * 6,), "length": 1.0}, "base_step": {"at_row": 2},

@@ -50,6 +50,7 @@ class Evidence:
     separated: tuple[Separated, ...] = ()  # evidence for the name within its physical class
     halves: Halves | None = None  # where something else is left
     untimed: bool = False  # no time to ask them
+    left_mm: float = 0.0  # of the rows that were searched, with all that was named
     borne: tuple[int, ...] | None = None  # joints at which they bear it out; None: not asked, or acts at none
 
     @property
@@ -107,13 +108,15 @@ class Judged:
         """Whether a version is to hold it: nothing that is contradicted, and no step or drift that is not settled.
 
         What another name does as well moves the arm otherwise on another day. Where nothing was held out all other gates
-        settle it: fitted without a station's step of 5 mm, the geometry takes it up.
+        settle it: fitted without a station's step of 5 mm, the geometry takes it up. What happened once is in one half of
+        a campaign only: there it must outweigh what is left.
         """
         effect = self.evidence.candidate.effects[0]
         of_base = effect.stage == "base" and "temperature_c" in effect.needs
         passing = effect.event or "t" in effect.needs or of_base
         failed = {name for name, passed in self.gates.items() if not passed}
-        settled = failed <= {"unseen_poses"} and self.claim.said != ONE_OF
+        once = effect.event and self.evidence.gain_mm > self.evidence.left_mm
+        settled = failed <= {"unseen_poses", *(("lasts",) if once else ())} and self.claim.said != ONE_OF
         return self.verdict != CONTRADICTED and (settled or not passing)
 
 

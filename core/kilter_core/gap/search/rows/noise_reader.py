@@ -105,7 +105,9 @@ class NoiseReader:
                 candidates.append(one.columns)
         columns = np.unique(np.array([k for own in candidates for k in own], dtype=np.int64))
         size = self.source.tool_numbers
-        W = self.source.without_geometry().linear(self.values, only=columns.tolist()).W[:, :size]
+        W = np.zeros((len(self.visits), size, 0))  # nothing in the search has a side or a load
+        if len(columns):
+            W = self.source.without_geometry().linear(self.values, only=columns.tolist()).W[:, :size]
         own = tuple(tuple(np.searchsorted(columns, c).tolist()) for c in candidates)
         lengths = 3 if size == POSE else None
         return PairModel(pose, W, columns, own, self.visits, points, lengths, not self.options.effects)
