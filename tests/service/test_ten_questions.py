@@ -205,7 +205,7 @@ def did_it_help(asked: Asked, kilter: Kilter, read: Callable[[], Any]) -> None:
     errors = [asked.get(f"/v1{asked.version(job)}")["metrics"]["validation"] for job in jobs]
     worst = max(held["identified"]["mean_mm"] for held in errors)  # the list is written in the unit of its largest
     for job, held in zip(jobs, errors, strict=True):
-        after = mm(held["identified"]["mean_mm"])
+        after = beside(held["identified"]["mean_mm"], held["identified"]["max_mm"])  # a card has one unit
         assert large(asked.text(asked.version(job))) == [after]
         number, unit = beside(held["identified"]["mean_mm"], worst).split()
         assert f" {number} " in history

@@ -92,22 +92,23 @@ class NoiseReader:
         pose = pose_beside_ways(visits)
         if len(visits) == len(np.unique(pose)):
             return found
-        noise = revisit_noise(residual, visit_residual, visits, points, self._pairs(pose, points))
+        pairs = self._pairs(pose, points)
+        noise = None if pairs is None else revisit_noise(residual, visit_residual, visits, points, pairs)
         few = noise is None or (found is not None and noise.freedom < FEWEST_OF_REVISITS)
         return found if few else noise
 
-    def _pairs(self, pose: Ints, points: Floats | None) -> PairModel:
-        """The library's effects of sides and loads as what revisits may differ by."""
+    def _pairs(self, pose: Ints, points: Floats | None) -> PairModel | None:
+        """The library's effects of sides and loads as what revisits may differ by; None where it has none."""
         candidates: list[tuple[int, ...]] = []
         for one in self.library.candidates:
             needs = frozenset().union(*(effect.needs for effect in one.effects))
             if needs & OF_WAYS and needs <= OF_WAYS:
                 candidates.append(one.columns)
+        if not candidates:
+            return None
         columns = np.unique(np.array([k for own in candidates for k in own], dtype=np.int64))
         size = self.source.tool_numbers
-        W = np.zeros((len(self.visits), size, 0))  # nothing in the search has a side or a load
-        if len(columns):
-            W = self.source.without_geometry().linear(self.values, only=columns.tolist()).W[:, :size]
+        W = self.source.without_geometry().linear(self.values, only=columns.tolist()).W[:, :size]
         own = tuple(tuple(np.searchsorted(columns, c).tolist()) for c in candidates)
         lengths = 3 if size == POSE else None
         return PairModel(pose, W, columns, own, self.visits, points, lengths, not self.options.effects)
