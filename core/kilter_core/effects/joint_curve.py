@@ -18,6 +18,7 @@ from kilter_core.types import Floats
 FADE = float(np.radians(10.0))  # beyond its range in which a curve fades, rad
 MEAN_OF = 200  # angles of the range over which its mean is taken
 TURN = 2.0 * np.pi
+KNOWN = np.pi  # range of a joint from which on its waves are known at every angle: half a revolution
 
 
 @dataclass(frozen=True)
@@ -41,10 +42,10 @@ class JointCurve(Effect):
         """Add the curves as they are where they were measured."""
 
     def with_measured_range(self, q: Floats) -> Self:
-        """The effect where rows ``q (N, n)`` measured it; over more than a turn it is known at every angle."""
+        """The effect where rows ``q (N, n)`` measured it; over half a revolution or more it is known at every angle."""
         joints = self.acting(q.shape[1])
         low, high = q.min(axis=0), q.max(axis=0)
-        turning = high - low >= TURN
+        turning = high - low >= KNOWN
         ends = np.where(turning, low - 10.0 * TURN, low), np.where(turning, high + 10.0 * TURN, high)
         return replace(self, measured=tuple((float(ends[0][j]), float(ends[1][j])) for j in joints))
 
