@@ -36,7 +36,7 @@ pytestmark = [
     pytest.mark.skipif(not PICO.is_file(), reason="the source of zenoh-pico is not beside the repository"),
 ]
 JOINTS, CYCLE_US, CYCLES = 5, 10_000, 700
-BLOCK, LONGEST = 200, 4000  # cycles that are judged together, and at most waited for
+BLOCK, LONGEST = 200, 12000  # cycles that are judged together, and at most waited for
 SOME = 20  # answers in time that a busy machine gives as well: how many are late is measured by `make bench`
 HOLD, FADE = 20, 200  # cycles, as the controller has them
 RATE_RAD_S = 0.0873
