@@ -147,7 +147,7 @@ def judge(
         and not _shadowed(search, evidence),
         "plausible": _plausible(evidence, library),
         "seen": evidence.seen,
-        "inclusion": None if evidence.inclusion is None else evidence.inclusion[1 if rivals else 0] >= INCLUDED,
+        "inclusion": None if numbers["inclusion"] is None else numbers["inclusion"] >= INCLUDED,
         "negative_control": evidence.control is None or evidence.control.passed,
     }
     if replication is not None:

@@ -163,7 +163,7 @@ def effect_row(judged: Judged, library: Library, misfit: Misfit) -> dict[str, An
         "moves_mm": evidence.moves_mm if np.isfinite(evidence.moves_mm) else None,
         "too_small_to_matter": not misfit.matters(evidence.moves_mm),
         "p_value": evidence.p_value,
-        "inclusion": None if evidence.inclusion is None else evidence.inclusion[1 if judged.alias_set else 0],
+        "inclusion": judged.numbers["inclusion"],
         "held_out_gain": {"gain": gain, "standard_error": error, "deviations": deviations},
         "gates": judged.gates,
         "evidence": judged.numbers,
