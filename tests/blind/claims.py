@@ -27,7 +27,14 @@ TWINS_OF_CLOCK = ("zero_settling", "link_lag", "link_bow", "air_scale")
 OF_CLOCK = ("station", "thermal")  # classes that say base, station, air or arm, and so no joint
 # What acts at the same place in the same way, as the generator knows it: a claim of the class holds for each of them.
 KIN = {
-    "joint_twist": {"axial_compliance", "hardening", "direction_compliance", "backlash_load", "reading_tilt"},
+    "joint_twist": {
+        "axial_compliance",
+        "hardening",
+        "strain_wave",
+        "direction_compliance",
+        "backlash_load",
+        "reading_tilt",
+    },
     "joint_curve": {*CURVES, "gear_error"},
     "joint_coupling": {"joint_coupling", "sine_product"},
     "reversal": {"backlash", "friction_windup"},

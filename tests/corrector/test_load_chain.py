@@ -16,7 +16,7 @@ from kilter_core.observations import Observations
 from tests.corrector.test_runtime_effects import BASE_TILT, OF_ARMS, TEMPERATURE_C, calibration_with, landing
 
 LOADS = (
-    "axial_compliance", "radial_compliance", "clearance_tilt", "backlash_load", "hardening", "reading_tilt",
+    "axial_compliance", "radial_compliance", "clearance_tilt", "backlash_load", "hardening", "strain_wave", "reading_tilt",
     "link_bending", "base_compliance", "link_torsion", "tool_sag",
 )  # fmt: skip
 SIGNED = ("clearance_tilt", "backlash_load")

@@ -46,7 +46,8 @@ PAST = ("base_step", "zero_step")  # over for an arm that moves now
 AT_RUN_TIME = tuple(name for name in ACTING if name not in (*APART, *PAST))
 NAMED = ("drift", "thermal_drift", "unknown_field", "unknown_residual", "zero_drift", "settling", "random_walk")
 OF_SLIDES = ("straightness", "guide_rotation", "telescope_bending")
-OF_ARMS = tuple(name for name in AT_RUN_TIME if name not in OF_SLIDES)
+RIVALS = ("strain_wave",)  # a joint has one side by its load: this or that of backlash_load
+OF_ARMS = tuple(name for name in AT_RUN_TIME if name not in (*OF_SLIDES, *RIVALS))
 OF_THE_INSTRUMENT = ("time_offset", "measurement_scale", "session_shift", "tool_step")
 
 

@@ -42,6 +42,7 @@ from kilter_core.effects.second_harmonic import SecondHarmonic
 from kilter_core.effects.session_shift import SessionShift
 from kilter_core.effects.settling import Settling
 from kilter_core.effects.straightness import Straightness
+from kilter_core.effects.strain_wave import StrainWave
 from kilter_core.effects.telescope_bending import TelescopeBending
 from kilter_core.effects.thermal_drift import ThermalDrift
 from kilter_core.effects.thermal_growth import ThermalGrowth
@@ -98,6 +99,7 @@ _ALL: tuple[type[Effect], ...] = (
     MeasuredTilt,
     ToolSag,
     Hardening,
+    StrainWave,
     DirectionCompliance,
     ReadingTilt,
     Straightness,

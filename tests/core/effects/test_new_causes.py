@@ -158,6 +158,7 @@ def test_a_turned_tool_sags_across_its_own_axis() -> None:
     ("effect", "values", "joint", "turn"),
     [
         ("hardening", {"hardening_1": 1e-6}, "ry", lambda m, s: -1e-6 * m * abs(m)),
+        ("strain_wave", {"strain_wave_10000_1": 2e-4}, "ry", lambda m, s: 2e-4 * math.tanh(m / 10.0)),
         ("direction_compliance", {"direction_compliance_1": 2e-6}, "ry", lambda m, s: 2e-6 * s * m),
     ],
 )

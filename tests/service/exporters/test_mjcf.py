@@ -241,6 +241,7 @@ def test_every_effect_is_told() -> None:
         *IN_THE_MODEL,
         *BY_THE_STEP,
         "hardening",
+        "strain_wave",
         "base_step",
         "tool_step",
         "zero_step",

@@ -6,7 +6,7 @@ import re
 
 # Parameters of effects that physics keeps above 0; those by the load say what to check.
 BY_LOAD = re.compile(
-    r"(backlash_load|compliance|bending|gravity_spring|hardening|radial_compliance|telescope|torsion)_\d+"
+    r"(backlash_load|compliance|bending|gravity_spring|hardening|strain_wave_\d+|radial_compliance|telescope|torsion)_\d+"
     r"|(base_compliance|clearance)_\w+|sag_per_kg"
 )
 NEVER_NEGATIVE = re.compile(rf"{BY_LOAD.pattern}|(lag|link_expansion)_\d+|expansion")
