@@ -32,7 +32,7 @@ from kilter_service.web.health import store as health
 
 log = logging.getLogger("kilter.worker")
 
-BEAT_S = 1.0
+BEAT_S = 2.0
 SILENT_S = 15.0  # a worker whose heartbeat has not changed for this long is gone; beats come late on a busy machine
 CHECK_S = 10.0  # how often the revision of the database is looked at
 MIGRATION_WAIT_S = 30.0

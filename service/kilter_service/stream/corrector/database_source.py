@@ -13,7 +13,7 @@ from kilter_service.stream.corrector.active import Active, version_number, works
 
 with later(__name__):
     from kilter_service.ground import correction_limits, db
-    from kilter_service.ground.db import revision
+    from kilter_service.ground.db import lookout, revision
     from kilter_service.robots import compensation
     from kilter_service.robots import store as robots
     from kilter_service.versions import store
@@ -34,13 +34,15 @@ class DatabaseSource:
     def _database(self) -> db.Database:
         return db.Database(self._url)
 
+    @cached_property
+    def _lookout(self) -> lookout.Lookout:
+        compensated = robots.query_for_compensated(compensation.CORRECTS)
+        return lookout.Lookout(self._database, store.query_for_active_stamp(), compensated)
+
     def stamp(self) -> Hashable:
         """What changes with every activation and with what controllers correct; None while the database has no tables."""
         self._migrated = self._migrated or revision.current(self._database) == revision.HEAD
-        if not self._migrated:
-            return None
-        with self._database.reading() as session:
-            return store.active_stamp(session), robots.compensated(session, compensation.CORRECTS)
+        return tuple(self._lookout.rows()) if self._migrated else None
 
     def load(self) -> Mapping[str, Active]:
         """Every robot's active version, but of those whose controllers correct: they would be corrected twice.
@@ -70,6 +72,8 @@ class DatabaseSource:
 
     def close(self) -> None:
         """Close the database, if it was opened."""
+        if "_lookout" in self.__dict__:
+            self._lookout.close()
         if "_database" in self.__dict__:
             self._database.close()
 
