@@ -17,6 +17,7 @@ from kilter_core.errors import CoreError
 from kilter_service.ground.db import Database, DatabaseAwayError, revision
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.files.migration_lock import wait_for_migration
 from kilter_service.ground.processes.memory import end_before_others
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.webhook import Webhook
@@ -53,6 +54,7 @@ def run(settings: Settings) -> None:
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
+    wait_for_migration(settings.data)
     database = Database(settings.database)
     with alone(settings):
         revision.wait(database, MIGRATION_WAIT_S)

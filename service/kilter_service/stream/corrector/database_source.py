@@ -5,10 +5,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Hashable, Mapping
 from functools import cached_property
+from pathlib import Path
 
 from kilter_core.errors import CoreError
 from kilter_files.ground.later import later
 from kilter_service.ground.core import program
+from kilter_service.ground.files.migration_lock import is_migrating
 from kilter_service.stream.corrector.active import Active, version_number, workspace_of
 
 with later(__name__):
@@ -24,8 +26,8 @@ log = logging.getLogger("kilter.corrector")
 class DatabaseSource:
     """Reads what is active; a version is compiled once. Its libraries are imported at the first look, not before."""
 
-    def __init__(self, url: str, temperature_c: float | None = None) -> None:
-        self._temperature_c = temperature_c
+    def __init__(self, url: str, temperature_c: float | None = None, data: Path | None = None) -> None:
+        self._temperature_c, self._data = temperature_c, data
         self._url = url
         self._migrated = False
         self._compiled: dict[tuple[str, int], Active] = {}
@@ -41,6 +43,8 @@ class DatabaseSource:
 
     def stamp(self) -> Hashable:
         """What changes with every activation and with what controllers correct; None while the database has no tables."""
+        if not self._migrated and self._data is not None and is_migrating(self._data):
+            return None
         self._migrated = self._migrated or revision.current(self._database) == revision.HEAD
         return tuple(self._lookout.rows()) if self._migrated else None
 
