@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import secrets
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -14,7 +15,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.contract.systemd_unit import SYSTEMD, Unit
+from kilter_service.ground.processes.sandbox import STRANGERS
+from kilter_service.jobs.work.worker import ENDS_BEFORE
+from kilter_service.stream.corrector.loop import REAL_TIME_PRIORITY
+from tests.contract.systemd_unit import SYSTEMD, Unit, settings_of
 from tests.service.conftest import Katana, wait_for
 from tests.service.postgresql import programs, running_postgresql
 
@@ -100,6 +104,44 @@ def test_the_units_of_several_machines_work_together(system: Path) -> None:
     assert {f"{name}.service" for name in (*units, "kilter-backup", "kilter")} == {
         file.name for file in SYSTEMD.glob("*.service")
     }
+
+
+SERVICES = sorted(path.stem for path in SYSTEMD.glob("*.service"))
+SOCKETS = {"AF_UNIX", "AF_INET", "AF_INET6"}
+
+
+@pytest.mark.parametrize("name", SERVICES)
+def test_a_unit_has_no_devices_few_kinds_of_sockets_and_a_limit_of_memory(name: str) -> None:
+    said = settings_of(SYSTEMD / f"{name}.service")
+    assert (said["PrivateDevices"], len(said["MemoryMax"])) == (["yes"], 1)
+    zenoh = set() if name == "kilter-backup" else {"AF_NETLINK"}
+    assert {family for line in said["RestrictAddressFamilies"] for family in line.split()} == SOCKETS | zenoh
+    shared = name in ("kilter", "kilter-api", "kilter-worker@")  # by processes of which one may end alone
+    assert said.get("OOMPolicy", []) == (["continue"] if shared else [])
+    streams = name in ("kilter", "kilter-corrector")
+    assert said.get("LimitRTPRIO", []) == ([str(REAL_TIME_PRIORITY)] if streams else [])
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
+@pytest.mark.parametrize("name", SERVICES)
+def test_systemd_knows_every_line_of_a_unit(name: str, tmp_path: Path) -> None:
+    unit = tmp_path / f"{name}.service"
+    printed = (SYSTEMD / unit.name).read_text(encoding="utf-8")
+    unit.write_text(printed.replace("/opt/kilter/bin/kilterd", "/bin/true").replace("=/etc/kilter", "=-/etc/kilter"))
+    done = subprocess.run(["systemd-analyze", "verify", str(unit)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_what_reads_files_of_strangers_ends_first_where_memory_is_used_up() -> None:
+    program = (
+        "from kilter_service.ground.processes.memory import end_before_others; end_before_others({}); "
+        "print(open('/proc/self/oom_score_adj').read())"
+    )
+    scores = [
+        int(subprocess.run([sys.executable, "-c", program.format(score)], capture_output=True, check=True).stdout)
+        for score in (STRANGERS, ENDS_BEFORE)
+    ]
+    assert scores == sorted({STRANGERS, ENDS_BEFORE, 0}, reverse=True)[:2]
 
 
 def parts(client: httpx.Client) -> dict[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from typing import Any
 
 import httpx
@@ -14,7 +15,7 @@ from kilter_service.ground.settings import Settings
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.policy import RULES
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.concurrency import ConcurrencyLimit, Slots
+from kilter_service.web.concurrency import Room
 from tests.service.conftest import Katana, Serve, wait_for
 
 LIMIT_S = 0.3
@@ -31,13 +32,13 @@ class Limited:
     def limit(self, seconds: float) -> None:
         self.app.state.settings = self.settings.model_copy(update={"compute_limit_s": seconds})
 
-    def free(self, limit: ConcurrencyLimit) -> bool:
-        return not limit.turn.locked()
+    def free(self, room: Room) -> bool:
+        return not room.is_full
 
     @property
-    def slots(self) -> Slots:
-        slots: Slots = self.app.state.slots
-        return slots
+    def rooms(self) -> Mapping[str, Room]:
+        rooms: Mapping[str, Room] = self.app.state.rooms
+        return rooms
 
 
 @pytest.fixture
@@ -60,7 +61,7 @@ def test_a_check_that_takes_too_long_is_refused_and_keeps_its_slot_until_it_ends
     assert (refused.status_code, refused.json()["code"]) == (422, "compute_limit")
     for word in ("0.3 s", "KILTER_COMPUTE_LIMIT_S", "submit it as a job"):
         assert word in refused.json()["detail"]
-    assert not limited.free(limited.slots.checks)
+    assert not limited.free(limited.rooms["checks"])
 
     # The only slot is taken: who comes next waits, and computes nothing beside it.
     threads = threading.active_count()
@@ -72,11 +73,11 @@ def test_a_check_that_takes_too_long_is_refused_and_keeps_its_slot_until_it_ends
     assert job.status_code == 202
     assert limited.client.get(f"/v1/jobs/{job.json()['id']}").status_code == 200
 
-    wait_for(lambda: limited.free(limited.slots.checks))
+    wait_for(lambda: limited.free(limited.rooms["checks"]))
     limited.limit(120.0)
     for _ in range(2):  # no slot was lost, none was won
         assert limited.client.post("/v1/jobs/check", json=check_of(small)).status_code == 200
-        assert limited.free(limited.slots.checks)
+        assert limited.free(limited.rooms["checks"])
 
 
 def test_a_path_that_takes_too_long_is_refused_and_leaves_no_file(limited: Limited, katana: Katana) -> None:
@@ -87,7 +88,7 @@ def test_a_path_that_takes_too_long_is_refused_and_leaves_no_file(limited: Limit
     refused = limited.client.post(path, json=columns)
     assert (refused.status_code, refused.json()["code"]) == (422, "compute_limit")
     assert "in parts" in refused.json()["detail"]
-    wait_for(lambda: limited.free(limited.slots.files))
+    wait_for(lambda: limited.free(limited.rooms["corrections"]))
     assert not [file for file in (limited.settings.data / "tmp").rglob("*") if file.is_file() and file.name != ".lock"]
 
 
@@ -99,7 +100,7 @@ def test_a_read_that_takes_too_long_is_refused(limited: Limited, database: Datab
     limited.limit(1e-6)
     refused = limited.client.get(f"/v1/versions/{version}/preview")
     assert (refused.status_code, refused.json()["code"]) == (422, "compute_limit")
-    wait_for(lambda: limited.free(limited.slots.reads))
+    wait_for(lambda: limited.free(limited.rooms["reads"]))
     limited.limit(120.0)
     assert limited.client.get(f"/v1/versions/{version}/preview").status_code == 200
 

@@ -72,7 +72,7 @@ def test_questions_about_jobs_read_an_index(full: Database) -> None:
         assert "Seq Scan" not in found, found
         assert "TEMP B-TREE FOR ORDER BY" not in found, found  # not all of them are sorted
     for waiting in (WAITING, 0):
-        found = plan(full, lambda session: lease.waiting(session, ["identify", "gap"], "w"))
+        found = plan(full, lambda session: session.execute(lease.query_for_free_jobs(["identify", "gap"], "w")))
         assert "ix_jobs_not_over" in found or "ix_jobs_state" in found, found
         with full.transaction() as session:
             assert (lease.claim(session, "w", ["identify"]) is not None) == bool(waiting)

@@ -241,7 +241,7 @@ def test_too_many_requests_wait_their_turn_or_are_sent_away(
     client.headers["Authorization"] = f"Bearer {admin_token(small)}"
     with ThreadPoolExecutor(2) as pool:
         waiting = [pool.submit(client.post, "/v1/frames", json={"points": POINTS}) for _ in range(2)]
-        until(lambda: app.state.slots.checks.inside == 2 and held.inside == 1, seconds=30)
+        until(lambda: app.state.rooms["checks"].open.total() == 2 and held.inside == 1, seconds=30)
         refused = client.post("/v1/frames", json={"points": POINTS})
         assert (refused.status_code, refused.json()["code"]) == (503, "busy")
         assert int(refused.headers["retry-after"]) > 0

@@ -81,7 +81,7 @@ def test_activation_rollback_and_their_log(client: httpx.Client, versions: Versi
 
     def stamp() -> int:
         with versions.database.transaction() as session:
-            return store.active_stamp(session)
+            return session.execute(store.query_for_active_stamp()).scalar_one()
 
     stamps = [stamp()]
     assert active() is None

@@ -228,8 +228,9 @@ def test_a_claim_whose_answer_was_lost_is_found_again(client: httpx.Client, data
     """The connection may break after the database has stored the claim: the worker runs nothing, the row says it does."""
     claim = _claimed(client, database, katana, "here")
     with database.transaction() as session:
-        assert not lease.waiting(session, ["identify"], "there")
-        assert lease.waiting(session, ["identify"], "here")
+        free = {name: lease.query_for_free_jobs(["identify"], name) for name in ("there", "here")}
+        assert session.execute(free["there"]).first() is None
+        assert session.execute(free["here"]).first() is not None
         assert lease.claim(session, "here", ["identify"]) == Claim(claim.job_id, "here", 2)
         assert not lease.holds(session, claim)
         lease.give_back(session, "here")

@@ -32,6 +32,11 @@ class Caller:
     route: str = ""
     ids: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def sender(self) -> str:
+        """Who is counted as one person: a token, whatever logins it has, or an address where there is none."""
+        return self.address if self.actor == ANYBODY else self.token_id or self.actor
+
 
 CALLER: ContextVar[Caller | None] = ContextVar("kilter_caller", default=None)
 

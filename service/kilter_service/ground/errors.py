@@ -109,6 +109,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "request_too_slow": (408, "The request was sent too slowly"),
     "rate_limited": (429, "Too many requests"),
     "too_many_followers": (429, "Too many streams of events are open"),
+    "too_many_open": (429, "Too many of your requests are open"),
     "upload_too_large": (413, "The body is larger than its limit"),
     "media_type_unsupported": (415, "This media type is not read, or the body is packed"),
     "compute_limit": (422, "The answer takes too long to compute"),

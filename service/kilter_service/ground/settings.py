@@ -77,8 +77,8 @@ class Settings(BaseSettings):
     ros2_dialect: Literal["rmw_zenoh", "ros2dds"] = Field(default="rmw_zenoh", description="how ROS speaks zenoh")
     max_upload_mb: Annotated[int, Field(ge=1, description="largest file of observations or trajectory")] = 256
     max_document_mb: Annotated[int, Field(ge=1, le=64, description="largest robot, job or other JSON document")] = 4
-    max_requests: Annotated[int, Field(ge=1, description="requests with a document that are inside at once")] = 64
-    max_computing: Annotated[int, Field(ge=1, le=16, description="documents, and files, worked on at once")] = 2
+    max_requests: Annotated[int, Field(ge=1, description="requests of a kind of work that are open at once")] = 64
+    max_computing: Annotated[int, Field(ge=1, le=16, description="requests of a kind of work that compute at once")] = 2
     compute_limit_s: Annotated[float, Field(gt=0, description="seconds an answer that stores nothing may compute")] = (
         120.0
     )

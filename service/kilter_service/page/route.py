@@ -18,6 +18,7 @@ from kilter_service.page.figures import room
 from kilter_service.page.packing import packed
 from kilter_service.page.shell import HEADERS, is_part, redirect, render, root_of
 from kilter_service.web.audit import refusals
+from kilter_service.web.problems import headers_of
 from kilter_service.web.routing import GuardedRoute
 
 log = logging.getLogger("kilter.page")
@@ -65,16 +66,18 @@ def _failed(request: Request) -> CoreError:
 def refused(request: Request, error: CoreError | RequestValidationError) -> Response:
     """Say what is wrong: instead of the part that was asked for, or as a page. Who is not logged in is sent there."""
     if isinstance(error, RequestValidationError):
-        code, message = "payload_invalid", "; ".join(_place(item) for item in error.errors()[:20])
+        code, message, context = "payload_invalid", "; ".join(_place(item) for item in error.errors()[:20]), {}
     else:
-        code, message = error.code, error.message
+        code, message, context = error.code, error.message, error.context
     if code != "token_missing":  # whoever is not logged in yet is asked to, and has done nothing wrong
         refusals.note(request, code)
     if code in LOG_IN_FIRST:
         return _to_login(request)
     status, title = PROBLEMS.get(code, UNKNOWN)
     template = "refusal_part.html" if is_part(request) else "refusal.html"
-    return render(request, template, status=status, title=title, message=message, code=code)
+    response = render(request, template, status=status, title=title, message=message, code=code)
+    response.headers.update(headers_of(code, status, context) or {})
+    return response
 
 
 def _place(item: dict[str, Any]) -> str:

@@ -184,8 +184,12 @@ def compensation_of(session: Session, robot_id: int) -> str:
 
 def compensated(session: Session, values: Collection[str]) -> frozenset[str]:
     """Return the names of the robots whose controllers correct in one of these ways."""
-    query = select(RobotRow.name).where(RobotRow.controller_compensation.in_(values))
-    return frozenset(session.execute(query).scalars())
+    return frozenset(session.execute(query_for_compensated(values)).scalars())
+
+
+def query_for_compensated(values: Collection[str]) -> Select[str]:
+    """Return the query for `compensated`, in a fixed order."""
+    return select(RobotRow.name).where(RobotRow.controller_compensation.in_(values)).order_by(RobotRow.name)
 
 
 def _row(session: Session, name: str) -> RobotRow:

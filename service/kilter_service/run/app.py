@@ -43,7 +43,7 @@ from kilter_service.web.auth.openapi_security import described
 from kilter_service.web.auth.rates import Rates
 from kilter_service.web.auth.slow_bodies import Unhurried
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.concurrency import Slots
+from kilter_service.web.concurrency import rooms_with
 from kilter_service.web.docs_page import router as docs_page
 from kilter_service.web.gate import Gate
 from kilter_service.web.health.routes import router as health
@@ -69,7 +69,7 @@ def create_app(settings: Settings) -> FastAPI:
         docs_url=None,
         redoc_url=None,
     )
-    app.state.slots = Slots(settings)
+    app.state.rooms = rooms_with(settings)
     app.state.rates = Rates(settings.rate)
     app.state.look_up = look_up
     app.state.end_sessions = end_sessions

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 
 from kilter_files.ground.later import later
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.files.migration_lock import wait_for_migration
 from kilter_service.ground.processes.memory import ShortPauses, keep_small
 from kilter_service.ground.settings import Settings
 
@@ -89,12 +90,16 @@ def lasting() -> Iterator[None]:
 
 
 def check_database(settings: Settings, wait_s: float = 0.0) -> None:
-    """Wait for the database to have the revision of this Kilter. uvicorn would show a traceback instead of the sentence.
+    """Wait for the database to have the revision of this Kilter: for a migration here as long as it takes, else ``wait_s``.
+
+    uvicorn would show a traceback instead of the sentence.
 
     Raises:
         ServiceError: it has another one after ``wait_s``.
 
     """
+    if wait_s:
+        wait_for_migration(settings.data)
     database = db.Database(settings.database)
     try:
         revision.wait(database, wait_s)

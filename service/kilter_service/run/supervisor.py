@@ -21,6 +21,7 @@ from typing import IO, Any
 
 from kilter_files.ground.later import later
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.files.migration_lock import migration_lock
 from kilter_service.ground.files.private_files import private_folder
 from kilter_service.ground.files.server_file import ServerFile
 from kilter_service.ground.processes.child import Child
@@ -193,11 +194,12 @@ def _document(settings: Settings, url: str, missing: Missing) -> dict[str, Any]:
 def _start(settings: Settings, children: list[Program], stop: threading.Event) -> None:
     # They import for a second or two, so they start first, the corrector with its two processes before the others; all
     # wait for the migration themselves.
-    for child in reversed(children):
-        if stop.is_set():
-            return
-        child.start()
-    _migrate(settings)
+    with migration_lock(settings.data):
+        for child in reversed(children):
+            if stop.is_set():
+                return
+            child.start()
+        _migrate(settings)
 
 
 def _migrate(settings: Settings) -> None:

@@ -237,13 +237,13 @@ def known(session: Session, version_id: str) -> predictive.Predictive | None:
     return predictive.Predictive.from_document(row.covariance, row.report)
 
 
-def active_stamp(session: Session) -> int:
-    """Return a number that changes whenever any robot's active version does; cheap enough to poll every 100 ms.
+def query_for_active_stamp() -> Select[int]:
+    """Return the query for a number that changes whenever any robot's active version does.
 
     The corrector follows activations by it: it polls this number, and calls `active_version` for every robot when the
     number has changed.
     """
-    return session.execute(select(func.coalesce(func.max(ActivationRow.id), 0))).scalar_one()
+    return select(func.coalesce(func.max(ActivationRow.id), 0))
 
 
 def active_version(session: Session, robot: str) -> ActiveVersion | None:

@@ -63,9 +63,9 @@ def problem(
     REFUSALS.labels(code).inc()
     refusals.note(request, code)
     if request.headers.get("hx-request") == "true":
-        return _part(code, title, detail, status, _headers(code, status, context))
+        return _part(code, title, detail, status, headers_of(code, status, context))
     if _reads(request):
-        return _page(request, code, title, detail, status, _headers(code, status, context))
+        return _page(request, code, title, detail, status, headers_of(code, status, context))
     document = {
         "type": f"urn:kilter:problem:{code}",
         "title": title,
@@ -75,7 +75,7 @@ def problem(
         "context": _bounded(context),
         "request_id": getattr(request.state, "request_id", new_request_id()),
     }
-    return Response(json.dumps(document, default=plain), status, _headers(code, status, context), MEDIA_TYPE)
+    return Response(json.dumps(document, default=plain), status, headers_of(code, status, context), MEDIA_TYPE)
 
 
 def _part(code: str, title: str, detail: str, status: int, headers: dict[str, str] | None) -> Response:
@@ -111,7 +111,8 @@ def _bounded(context: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in context.items() if len(json.dumps(value, default=plain)) <= MOST_CONTEXT}
 
 
-def _headers(code: str, status: int, context: Mapping[str, Any]) -> dict[str, str] | None:
+def headers_of(code: str, status: int, context: Mapping[str, Any]) -> dict[str, str] | None:
+    """Return the headers that a refusal has: how to log in, or when to come again."""
     if status == 401:
         return {"WWW-Authenticate": "Bearer"}
     if code in ("busy", "database_away", "stopping") or "retry_after_s" in context:

@@ -14,8 +14,9 @@ from fastapi.routing import APIRoute
 
 from kilter_service.contract.problems import REFUSALS
 from kilter_service.web.auth.access import admit
+from kilter_service.web.auth.policy import Kind, Rule
 from kilter_service.web.bodies import is_json, parsed, read_document
-from kilter_service.web.concurrency import in_turn, slots_of
+from kilter_service.web.concurrency import in_turn, room_of
 from kilter_service.web.request_values import check_address, check_names
 
 Handler = Callable[[Request], Awaitable[Response]]
@@ -48,29 +49,34 @@ class GuardedRoute(APIRoute):
             request.state.rule = await admit(request, self.path)
             if strict:
                 check_names(request, known)
-            if takes_file:
-                with slots_of(request).files.entered():
+            kind = self._kind_of_work(request.state.rule, takes_file)
+            if kind is None:
+                return await answer(request)
+            with room_of(request, kind).entered(request.state.caller.sender):
+                if takes_file:  # it takes its slot once the file is on disk
                     return await answer(request)
-            if self.body_field is not None:
-                return await self._answer_document(request, answer)
-            if request.state.rule.instead:
-                room = slots_of(request).reads
-                with room.entered():
-                    return await in_turn(request, room, lambda: answer(request))
-            return await answer(request)
+                if self.body_field is not None:
+                    return await self._answer_document(request, answer)
+                return await in_turn(request, lambda: answer(request))
 
         return handle
 
+    def _kind_of_work(self, rule: Rule, takes_file: bool) -> Kind | None:
+        if rule.room is not None:
+            return rule.room
+        if takes_file:
+            return "files"
+        if self.body_field is not None:
+            return "checks" if rule.instead else "documents"
+        return "reads" if rule.instead else None
+
     async def _answer_document(self, request: Request, answer: Handler) -> Response:
-        slots = slots_of(request)
-        room = slots.checks if request.state.rule.instead else slots.documents
-        with room.entered():
-            body = await read_document(request, request.app.state.settings.max_document_mb)
+        body = await read_document(request, request.app.state.settings.max_document_mb)
 
-            async def answered() -> Response:
-                return await answer(await self._checked(request, body))
+        async def answered() -> Response:
+            return await answer(await self._checked(request, body))
 
-            return await in_turn(request, room, answered)
+        return await in_turn(request, answered)
 
     async def _checked(self, request: Request, body: bytes) -> Request:
         """Return the request with its document parsed; FastAPI finds both where it would have put them."""

@@ -5,11 +5,17 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import sys
 import time
+from contextlib import suppress
+from importlib.abc import MetaPathFinder
+from pathlib import Path
 
 # Of <malloc.h>. Every thread that works on a body would get an arena of its own, up to eight for each core, and what is
 # freed in one is of no use to the others: forty threads kept as much as all bodies that they ever held at once.
 M_ARENA_MAX, ARENAS = -8, 2
+# malloc would raise both by itself, up to 64 MB, after the first large body; what is freed then stays in the process.
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, LARGE_BYTES = -1, -3, 128 << 10
 ARROW_POOL = "ARROW_DEFAULT_MEMORY_POOL"
 LONG_PAUSE_S = 0.01
 
@@ -18,10 +24,35 @@ def keep_small() -> None:
     """Let threads share their memory; to be called before they start. Does nothing where the system has no such setting."""
     # Arrow's own allocator keeps what it had for itself, beside malloc's.
     os.environ.setdefault(ARROW_POOL, "system")
+    sys.meta_path.insert(0, WithoutPandas())
     try:
-        ctypes.CDLL(None).mallopt(M_ARENA_MAX, ARENAS)
+        mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError):
         return
+    for setting, value in (
+        (M_ARENA_MAX, ARENAS), (M_TRIM_THRESHOLD, LARGE_BYTES), (M_MMAP_THRESHOLD, LARGE_BYTES)
+    ):  # fmt: skip
+        mallopt(setting, value)
+
+
+def end_before_others(score: int) -> None:
+    """Have the kernel end this process before those with a lower score (0 to 1000) where memory is used up."""
+    with suppress(OSError):  # another system than Linux
+        Path("/proc/self/oom_score_adj").write_text(str(score), encoding="ascii")
+
+
+class WithoutPandas(MetaPathFinder):
+    """Hides pandas: where it is installed, Arrow imports it, 50 MB, to ask whether an array is one of its; here none is."""
+
+    def find_spec(self, fullname: str, path: object = None, target: object = None) -> None:
+        """Refuse to find pandas, and leave the rest to others.
+
+        Raises:
+            ModuleNotFoundError: it is asked for.
+
+        """
+        if fullname == "pandas":
+            raise ModuleNotFoundError("pandas is not used here", name=fullname)
 
 
 class ShortPauses:

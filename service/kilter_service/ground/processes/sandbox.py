@@ -15,9 +15,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.processes.memory import end_before_others
 
 LIMITS = "KILTER_CHILD_LIMITS"
 LAST_WORDS = 4000
+STRANGERS = 1000  # of the kernel's scores: before a worker, and long before what corrects an arm
 # Several threads would count their stacks against the memory, and there is one slot.
 PLAIN = {
     "PATH": "/usr/bin:/bin", "LC_ALL": "C.UTF-8", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1",
@@ -101,4 +103,5 @@ def confine() -> Limits:
     ):  # fmt: skip
         resource.setrlimit(what, (most, most))
     os.nice(5)
+    end_before_others(STRANGERS)
     return limits

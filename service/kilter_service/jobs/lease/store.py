@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 
-from sqlalchemy import ColumnElement, and_, delete, or_, select, update
+from sqlalchemy import ColumnElement, Select, and_, delete, or_, select, update
 
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import now
@@ -17,9 +17,9 @@ WORKER = "worker"  # the process of the heartbeats that count here
 MAX_ATTEMPTS = 10  # a job that has ended its worker this often would go on doing so
 
 
-def waiting(session: Session, kinds: Sequence[str], worker: str) -> bool:
-    """Whether there is anything to claim."""
-    return session.execute(select(JobRow.id).where(_free(kinds, worker)).limit(1)).first() is not None
+def query_for_free_jobs(kinds: Sequence[str], worker: str) -> Select[str]:
+    """Return the query for a job to claim."""
+    return select(JobRow.id).where(_free(kinds, worker)).limit(1)
 
 
 def claim(session: Session, worker: str, kinds: Sequence[str]) -> Claim | None:

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Sequence
 
 from kilter_service.ground.db import Database, DatabaseAwayError
+from kilter_service.ground.db.lookout import Lookout
 from kilter_service.ground.failure_log import log_failure
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
@@ -26,6 +27,8 @@ class QueueConsumer:
     ) -> None:
         self._database, self._runner, self._worker, self._stop = database, runner, worker, stop
         self._kinds = kinds
+        # Many workers may ask; only one at a time may change.
+        self._lookout = Lookout(database, lease.query_for_free_jobs(kinds, worker))
 
     def start(self, name: str) -> None:
         """Begin, in a thread that ends with the process."""
@@ -47,8 +50,7 @@ class QueueConsumer:
             self._stop.wait(pause)
 
     def _next(self) -> Claim | None:
-        with self._database.reading() as session:  # many workers may ask; only one at a time may change
-            if not lease.waiting(session, self._kinds, self._worker):
-                return None
+        if not self._lookout.rows():
+            return None
         with self._database.transaction() as session:
             return None if self._stop.is_set() else lease.claim(session, self._worker, self._kinds)

@@ -17,6 +17,8 @@ from kilter_core.errors import CoreError
 from kilter_service.ground.db import Database, DatabaseAwayError, revision
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.files.migration_lock import wait_for_migration
+from kilter_service.ground.processes.memory import end_before_others
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.webhook import Webhook
 from kilter_service.jobs.fan_out import fan_out
@@ -32,11 +34,12 @@ from kilter_service.web.health import store as health
 
 log = logging.getLogger("kilter.worker")
 
-BEAT_S = 1.0
+BEAT_S = 2.0
 SILENT_S = 15.0  # a worker whose heartbeat has not changed for this long is gone; beats come late on a busy machine
 CHECK_S = 10.0  # how often the revision of the database is looked at
 MIGRATION_WAIT_S = 30.0
 SETTLE_S = 2.0  # for verdicts that are being posted when a worker ends
+ENDS_BEFORE = 500  # of the kernel's scores: its jobs are queued again, a corrector's arm is not corrected meanwhile
 LOCK_WAIT_S = 10.0  # the worker of a server that was killed needs a moment to notice
 
 
@@ -47,9 +50,11 @@ def run(settings: Settings) -> None:
         ServiceError: another process runs the jobs of this SQLite database, or the database is of another revision.
 
     """
+    end_before_others(ENDS_BEFORE)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
+    wait_for_migration(settings.data)
     database = Database(settings.database)
     with alone(settings):
         revision.wait(database, MIGRATION_WAIT_S)

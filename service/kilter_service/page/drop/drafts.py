@@ -7,6 +7,8 @@ import secrets
 import shutil
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +23,10 @@ KEPT_S = 3600.0  # after it was last looked at
 MOST_OF_ONE = 4  # drafts of one login; the oldest goes
 MOST = 24
 LONGEST_NAME = 100
+GONE = (
+    "This file is no longer here: it is kept for an hour, for the login that dropped it. Drop it again; nothing of it was "
+    "stored."
+)
 _ODD = re.compile(r"[^\w.+() -]", re.ASCII)
 
 
@@ -48,6 +54,7 @@ class Draft:
     rig: dict[str, Any] = field(default_factory=dict)
     rig_name: str = ""
     used: float = field(default_factory=time.monotonic)
+    users: int = 0  # requests that read or write it now
     turn: threading.Lock = field(default_factory=threading.Lock)
 
     @property
@@ -75,9 +82,16 @@ class Drafts:
         self._lock = threading.Lock()
 
     def new(self, robot: str, owner: str, name: str, job: str = "") -> Draft:
-        """Make room for a file."""
+        """Make room for a file.
+
+        Raises:
+            ServiceError: there is none, for all others are being read.
+
+        """
         with self._lock:
             self._forget(owner)
+            if len(self._kept) >= MOST:
+                raise ServiceError(f"{MOST} dropped files are being read: drop yours again in a while.", code="busy")
             identity = secrets.token_hex(12)
             folder = private_folder(private_folder(self._folder) / identity)
             draft = Draft(identity, robot, owner, plain_name(name), folder, job=job)
@@ -95,13 +109,29 @@ class Drafts:
             self._forget()
             draft = self._kept.get(identity)
             if draft is None or draft.robot != robot or not secrets.compare_digest(draft.owner, owner):
-                raise ServiceError(
-                    "This file is no longer here: it is kept for an hour, for the login that dropped it. Drop it again; "
-                    "nothing of it was stored.",
-                    code="not_found",
-                )
+                raise ServiceError(GONE, code="not_found")
             draft.used = time.monotonic()
         return draft
+
+    @contextmanager
+    def in_use(self, draft: Draft) -> Iterator[None]:
+        """Keep the folder of a draft while a request reads or writes in it, also where the draft is discarded meanwhile.
+
+        Raises:
+            ServiceError: it was discarded before.
+
+        """
+        with self._lock:
+            if draft.id not in self._kept:
+                raise ServiceError(GONE, code="not_found")
+            draft.users += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                draft.users -= 1
+                if draft.id not in self._kept:
+                    self._remove(draft)
 
     def discard(self, draft: Draft) -> None:
         """Delete a draft."""
@@ -112,7 +142,7 @@ class Drafts:
         now = time.monotonic()
         for draft in [one for one in self._kept.values() if now - one.used > KEPT_S]:
             self._remove(draft)
-        oldest = sorted(self._kept.values(), key=lambda one: one.used)
+        oldest = sorted((one for one in self._kept.values() if not one.users), key=lambda one: one.used)
         mine = [one for one in oldest if one.owner == owner]
         if owner is not None:
             for draft in mine[: max(0, len(mine) - MOST_OF_ONE + 1)]:
@@ -122,7 +152,8 @@ class Drafts:
 
     def _remove(self, draft: Draft) -> None:
         self._kept.pop(draft.id, None)
-        shutil.rmtree(draft.folder, ignore_errors=True)
+        if not draft.users:
+            shutil.rmtree(draft.folder, ignore_errors=True)
 
 
 RESERVED = frozenset({"rows", "map.toml", "asked.json", "understood.json", "words"})

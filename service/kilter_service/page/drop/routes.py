@@ -57,12 +57,13 @@ async def dropped(
     await run_in_threadpool(proposing.job_of, database, robot, job)
     drafts = _drafts(request)
     draft = drafts.new(robot, _owner(request), name[:500], job)
-    try:
-        draft.file_sha256 = await spool_upload(request, draft.file, settings.max_upload_mb)
-        await compute(request, reading.read, database, draft)
-    except BaseException:
-        drafts.discard(draft)
-        raise
+    with drafts.in_use(draft):
+        try:
+            draft.file_sha256 = await spool_upload(request, draft.file, settings.max_upload_mb)
+            await compute(request, reading.read, database, draft)
+        except BaseException:
+            drafts.discard(draft)
+            raise
     return JSONResponse({"address": _place(request, draft)}, 201)
 
 
@@ -106,8 +107,9 @@ async def cameras(
     """Take the description of the cameras and boards of a file's pixels, and look at its rows with it."""
     found = _draft(request, robot, draft)
     body = await parsed(await read_document(request, settings.max_document_mb))
-    await run_in_threadpool(rig.take, found, plain_name(name[:500]), body)
-    await compute(request, reading.look_again, database, found)
+    with _drafts(request).in_use(found):
+        await run_in_threadpool(rig.take, found, plain_name(name[:500]), body)
+        await compute(request, reading.look_again, database, found)
     return JSONResponse({"address": f"{_place(request, found)}{_after(found)}"})
 
 
@@ -141,7 +143,8 @@ async def store(
         "measured_at": service.measured_at(measured_at),
         "instrument": instrument or None,
     }
-    stored = await compute(request, service.store, database, found, campaign, sha256)
+    with _drafts(request).in_use(found):
+        stored = await compute(request, service.store, database, found, campaign, sha256)
     return redirect(request, f"{root_of(request)}/campaigns/{stored.id}{_after(found)}")
 
 
@@ -155,11 +158,12 @@ def discard(robot: str, draft: str, request: Request) -> Response:
 
 async def _anew(request: Request, database: DatabaseOfApp, draft: Draft, choose: Callable[[], None]) -> HTMLResponse:
     """Read the file in the way that was chosen, or say why it cannot be read so."""
-    try:
-        choose()
-    except ServiceError as error:
-        return await run_in_threadpool(_shown, request, database, draft, UNDERSTOOD, error.message)
-    await compute(request, reading.read, database, draft)
+    with _drafts(request).in_use(draft):
+        try:
+            choose()
+        except ServiceError as error:
+            return await run_in_threadpool(_shown, request, database, draft, UNDERSTOOD, error.message)
+        await compute(request, reading.read, database, draft)
     return await run_in_threadpool(_shown, request, database, draft, UNDERSTOOD)
 
 

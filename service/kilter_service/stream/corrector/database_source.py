@@ -5,15 +5,17 @@ from __future__ import annotations
 import logging
 from collections.abc import Hashable, Mapping
 from functools import cached_property
+from pathlib import Path
 
 from kilter_core.errors import CoreError
 from kilter_files.ground.later import later
 from kilter_service.ground.core import program
+from kilter_service.ground.files.migration_lock import is_migrating
 from kilter_service.stream.corrector.active import Active, version_number, workspace_of
 
 with later(__name__):
     from kilter_service.ground import correction_limits, db
-    from kilter_service.ground.db import revision
+    from kilter_service.ground.db import lookout, revision
     from kilter_service.robots import compensation
     from kilter_service.robots import store as robots
     from kilter_service.versions import store
@@ -24,8 +26,8 @@ log = logging.getLogger("kilter.corrector")
 class DatabaseSource:
     """Reads what is active; a version is compiled once. Its libraries are imported at the first look, not before."""
 
-    def __init__(self, url: str, temperature_c: float | None = None) -> None:
-        self._temperature_c = temperature_c
+    def __init__(self, url: str, temperature_c: float | None = None, data: Path | None = None) -> None:
+        self._temperature_c, self._data = temperature_c, data
         self._url = url
         self._migrated = False
         self._compiled: dict[tuple[str, int], Active] = {}
@@ -34,13 +36,17 @@ class DatabaseSource:
     def _database(self) -> db.Database:
         return db.Database(self._url)
 
+    @cached_property
+    def _lookout(self) -> lookout.Lookout:
+        compensated = robots.query_for_compensated(compensation.CORRECTS)
+        return lookout.Lookout(self._database, store.query_for_active_stamp(), compensated)
+
     def stamp(self) -> Hashable:
         """What changes with every activation and with what controllers correct; None while the database has no tables."""
-        self._migrated = self._migrated or revision.current(self._database) == revision.HEAD
-        if not self._migrated:
+        if not self._migrated and self._data is not None and is_migrating(self._data):
             return None
-        with self._database.reading() as session:
-            return store.active_stamp(session), robots.compensated(session, compensation.CORRECTS)
+        self._migrated = self._migrated or revision.current(self._database) == revision.HEAD
+        return tuple(self._lookout.rows()) if self._migrated else None
 
     def load(self) -> Mapping[str, Active]:
         """Every robot's active version, but of those whose controllers correct: they would be corrected twice.
@@ -70,6 +76,8 @@ class DatabaseSource:
 
     def close(self) -> None:
         """Close the database, if it was opened."""
+        if "_lookout" in self.__dict__:
+            self._lookout.close()
         if "_database" in self.__dict__:
             self._database.close()
 

@@ -270,7 +270,9 @@ def run(settings: Settings, deserted: Callable[[], bool] = lambda: False) -> Non
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
-    corrector = Corrector(settings, DatabaseSource(settings.database, settings.temperature_c), stopped=stopped.is_set)
+    corrector = Corrector(
+        settings, DatabaseSource(settings.database, settings.temperature_c, settings.data), stopped=stopped.is_set
+    )
     try:
         corrector.start()
         with Pulse(settings, "corrector", settings.site, lambda: corrector.well, lambda: corrector.details) as pulse:

@@ -236,7 +236,7 @@ def run(settings: Settings) -> None:
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
-    source = DatabaseSource(settings.database, settings.temperature_c)
+    source = DatabaseSource(settings.database, settings.temperature_c, settings.data)
     try:
         follow(settings, source, ended.wait)
     finally:

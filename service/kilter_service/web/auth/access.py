@@ -43,8 +43,7 @@ async def admit(request: Request, path: str) -> Rule:
         return rule
     _check_role(caller, rule, route)
     if rule.computes:
-        sender = caller.address if caller.actor == ANYBODY else caller.token_id or caller.actor
-        request.app.state.rates.take(sender)
+        request.app.state.rates.take(caller.sender)
     if caller.robots is not None:
         if rule.server:
             raise ServiceError(

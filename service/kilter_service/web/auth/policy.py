@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from kilter_service.contract.tokens import Role
+
+Kind = Literal[
+    "corrections", "stops", "drops", "files", "checks", "documents", "reads"
+]  # of work: each has its own room
 
 
 class Rule(NamedTuple):
@@ -13,17 +17,23 @@ class Rule(NamedTuple):
 
     ``computes``: it is more than reading what is stored, so its rate is limited. ``server``: it concerns the whole server,
     so a token that is limited to some robots may not use it. ``instead`` is what to do when the answer takes longer to
-    compute than the server allows; only of routes that store nothing, because what is stored is acknowledged.
+    compute than the server allows; only of routes that store nothing, because what is stored is acknowledged. ``room`` None:
+    the one for what the request carries.
     """
 
     role: Role | None
     computes: bool = False
     server: bool = False
     instead: str = ""
+    room: Kind | None = None
 
     def timed(self, instead: str) -> Rule:
         """Return the same with a limited time."""
         return self._replace(instead=instead)
+
+    def within(self, room: Kind) -> Rule:
+        """Return the same in a room of its own."""
+        return self._replace(room=room)
 
 
 OPEN = Rule(None)
@@ -31,6 +41,8 @@ READ = Rule("viewer")
 WATCH = Rule("viewer", server=True)
 READ_COMPUTED = Rule("viewer", computes=True)
 OPERATE = Rule("operator", computes=True)
+STOP = OPERATE.within("stops")
+DROP = OPERATE.within("drops")
 ADMINISTER = Rule("admin", computes=True)
 SERVER = Rule("admin", computes=True, server=True)
 
@@ -87,7 +99,7 @@ RULES: Mapping[str, Rule] = {
     "POST /v1/frames": OPERATE.timed(SMALLER),
     "POST /v1/robots/{robot}/forward": OPERATE.timed("Send fewer rows."),
     "POST /v1/robots/{robot}/inverse": OPERATE.timed("Send fewer poses."),
-    "POST /v1/robots/{robot}/correct": OPERATE.timed("Send the path in parts with fewer rows."),
+    "POST /v1/robots/{robot}/correct": OPERATE.timed("Send the path in parts with fewer rows.").within("corrections"),
     "POST /v1/robots/{robot}/observations/check": OPERATE.timed("Send fewer rows."),
     "POST /v1/robots/{robot}/campaigns": OPERATE,
     "PATCH /v1/campaigns/{campaign}": OPERATE,
@@ -106,8 +118,8 @@ RULES: Mapping[str, Rule] = {
     "PATCH /v1/versions/{version}": OPERATE,
     "POST /v1/versions/{version}/retire": OPERATE,
     "POST /v1/versions/{version}/restore": OPERATE,
-    "POST /v1/versions/{version}/activate": OPERATE,
-    "POST /v1/robots/{robot}/rollback": OPERATE,
+    "POST /v1/versions/{version}/activate": STOP,
+    "POST /v1/robots/{robot}/rollback": STOP,
     "POST /v1/robots/{robot}/repairs": OPERATE,
     "DELETE /v1/robots/{robot}/repairs/{repair}": OPERATE,
     "POST /v1/robots/{robot}/stream/sessions": OPERATE,
@@ -165,17 +177,17 @@ PAGE_RULES: Mapping[str, Rule] = {
     "GET /versions/{version}/activation": READ_COMPUTED.timed(LATER),
     "GET /versions/{a}/compare/{b}": READ_COMPUTED.timed(LATER),
     "GET /robots/{robot}/rollback": READ_COMPUTED.timed(LATER),
-    "POST /versions/{version}/activate": OPERATE,
-    "POST /robots/{robot}/rollback": OPERATE,
+    "POST /versions/{version}/activate": STOP,
+    "POST /robots/{robot}/rollback": STOP,
     "GET /robots/{robot}/campaigns": READ,
     "GET /robots/{robot}/campaigns/new": READ,
     "GET /robots/{robot}/campaigns/new/{draft}": READ,
-    "POST /robots/{robot}/campaigns/new/file": OPERATE,
-    "POST /robots/{robot}/campaigns/new/{draft}/columns": OPERATE,
-    "POST /robots/{robot}/campaigns/new/{draft}/map": OPERATE,
-    "POST /robots/{robot}/campaigns/new/{draft}/rig": OPERATE,
-    "POST /robots/{robot}/campaigns/new/{draft}/read": OPERATE,
-    "POST /robots/{robot}/campaigns/new/{draft}/store": OPERATE,
+    "POST /robots/{robot}/campaigns/new/file": DROP,
+    "POST /robots/{robot}/campaigns/new/{draft}/columns": DROP,
+    "POST /robots/{robot}/campaigns/new/{draft}/map": DROP,
+    "POST /robots/{robot}/campaigns/new/{draft}/rig": DROP,
+    "POST /robots/{robot}/campaigns/new/{draft}/read": DROP,
+    "POST /robots/{robot}/campaigns/new/{draft}/store": OPERATE.within("files"),
     "POST /robots/{robot}/campaigns/new/{draft}/discard": OPERATE,
     "GET /campaigns/{campaign}": READ_COMPUTED.timed(LATER),
     "GET /campaigns/{campaign}/series.json": READ_COMPUTED.timed(LATER),

@@ -12,6 +12,7 @@ from typing import Any
 
 from kilter_files.ground.later import later
 from kilter_service.ground.failure_log import Failing
+from kilter_service.ground.files.migration_lock import is_migrating
 from kilter_service.ground.settings import Settings
 
 with later(__name__):
@@ -71,6 +72,8 @@ class Pulse:
     def _tell(self, database: db.Database, *, stopped: bool) -> None:
         try:
             # Before the tables are there, as while a new server makes them, the check of the database says what is missing.
+            if not self._migrated and is_migrating(self._settings.data):
+                return
             self._migrated = self._migrated or revision.current(database) == revision.HEAD
             if not self._migrated:
                 return
