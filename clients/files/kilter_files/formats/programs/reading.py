@@ -98,10 +98,11 @@ def _found(path: Path, dialect: Dialect, stated: Stated, beside: Program | None 
     content = head_of(path, MOST_BYTES + 1)
     if len(content) > MOST_BYTES or b"\0" in content:
         raise fault(path, f"is larger than {MOST_BYTES >> 20} MB or not text of 8 bits", "Export it as plain text.")
-    long = next((k for k, line in enumerate(content.split(b"\n"), 1) if len(line) > MOST_IN_LINE), None)
-    if long is not None:
+    lengths = [*map(len, content.split(b"\n"))]
+    if max(lengths) > MOST_IN_LINE:
+        line = next(k for k, length in enumerate(lengths, 1) if length > MOST_IN_LINE)
         what = f"has more than {MOST_IN_LINE} characters in a line"
-        raise fault(path, what, "Break the line, or export it again.", line=long)
+        raise fault(path, what, "Break the line, or export it again.", line=line)
     program = Program(path, content.decode("latin-1"), dialect.name, beside=beside, stated=stated)
     dialect.refuse_cut(program)
     dialect.find(program)
