@@ -124,7 +124,7 @@ def controller_address(text: str | None) -> Address | None:
     """Return the address of ``ADDRESS`` or ``ADDRESS:PORT``, port 0 for any; None for none.
 
     Raises:
-        UsageError: it is none.
+        UsageError: it is not one.
 
     """
     if text is None:
@@ -135,7 +135,7 @@ def controller_address(text: str | None) -> Address | None:
     except ValueError:
         expected = "", -1
     if not 0 <= expected[1] < 1 << 16:
-        raise UsageError(f"--controller {text} is no address: give one as 192.168.1.20 or 192.168.1.20:50000.")
+        raise UsageError(f"--controller {text} is not an address: give one as 192.168.1.20 or 192.168.1.20:50000.")
     return expected
 
 
@@ -145,7 +145,7 @@ def answer_over_udp(
     """Answer a controller until a signal ends it; returns what happened.
 
     Raises:
-        UsageError: the port cannot be had, or ``controller`` is no address.
+        UsageError: the port cannot be had, or ``controller`` is not an address.
 
     """
     expected = controller_address(controller)
