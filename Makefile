@@ -190,8 +190,8 @@ bench-c: $(KERNELS) ## time the corrector in C for each setpoint in process, mem
 bench-stream: $(KERNELS) ## compare the corrected stream with a bare zenoh echo, in one run (TLS=1: signed, both with TLS)
 	$(BIN)/python -m benchmarks.stream $(if $(TLS),--tls)
 
-bench-rsi: $(KERNELS) ## ask a bridge for offsets as a KUKA controller does, and count late answers (CYCLES=150000 CYCLE_MS=4 PRIORITY=40)
-	$(if $(PRIORITY),PRIORITY=$(PRIORITY)) $(BIN)/python -m tests.clients.bridges.long_run --cycles $(or $(CYCLES),150000) --cycle-ms $(or $(CYCLE_MS),4)
+bench-rsi: $(KERNELS) ## ask a bridge for offsets as a KUKA controller does, and count late answers (CYCLES=150000 CYCLE_MS=4 PRIORITY=40 STRANGERS=2000)
+	$(if $(PRIORITY),PRIORITY=$(PRIORITY)) $(BIN)/python -m tests.clients.bridges.long_run --cycles $(or $(CYCLES),150000) --cycle-ms $(or $(CYCLE_MS),4) --strangers $(or $(STRANGERS),0)
 
 test-franka: $(KERNELS) .venv-franka/.ready ## move a simulated Franka robot through a bridge, its limits enforced (SECONDS=16 PRIORITY=40 LATE=drop)
 	KILTER_FRANKA=.venv-franka $(if $(LATE),LATE=$(LATE)) $(if $(SECONDS),SECONDS=$(SECONDS)) $(if $(PRIORITY),PRIORITY=$(PRIORITY)) $(BIN)/python -m pytest -q -s --timeout 1800 tests/clients/bridges/test_fci_bridge.py

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
+import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -115,6 +116,31 @@ def test_whoever_does_not_answer_holds_nobody_up() -> None:
     for number in range(150):  # more than wait at once: told at once, never in the way
         gone.tell(f"job_{number}", {"verdict": "moved"})
     wait_for(lambda: gone.counts["failed"] == 150, 60)
+
+
+@pytest.mark.parametrize("drip", [b"HTTP/1.1 200 OK\r\nX-A: ", b"HTTP/1.1 ", b"HTTP/1.1 100 Continue\r\n\r\n"])
+def test_whoever_drips_an_answer_is_given_up_at_the_time_out_as_a_whole(drip: bytes) -> None:
+    over, pieces = threading.Event(), 0
+
+    def send(listening: socket.socket) -> None:
+        nonlocal pieces
+        connection, _ = listening.accept()
+        with connection, suppress(OSError):
+            connection.sendall(drip)
+            while not over.wait(0.05):
+                connection.sendall(drip if b"100" in drip else b"x")
+                pieces += 1
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        thread = threading.Thread(target=send, args=(listening,), daemon=True)
+        thread.start()
+        webhook = Webhook(f"http://127.0.0.1:{listening.getsockname()[1]}/", SECRET, 1.0, ())
+        try:
+            assert told(webhook, "job_1") == {"sent": 0, "failed": 1}  # it would be sent for ever
+        finally:
+            over.set()
+            thread.join(10)
+    assert pieces > 0
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,12 @@ import http.client
 import json
 import logging
 import queue
+import socket
 import ssl
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import SplitResult, urlsplit
@@ -97,15 +99,19 @@ class Webhook:
             "Content-Type": "application/json", "User-Agent": f"Kilter/{code_version()}", DELIVERY: delivery,
             SIGNATURE: signature(self._secret, at, body),
         }  # fmt: skip
-        connection = _connection(self._url, self._timeout_s)
+        connection, over, began_s = _connection(self._url, self._timeout_s), threading.Event(), time.monotonic()
         try:
-            connection.request("POST", _target(self._url), body, headers)
-            answer = connection.getresponse()
-            answer.read(MOST_READ)
+            connection.connect()
+            with _ended_after(connection.sock, began_s + self._timeout_s - time.monotonic(), over):
+                connection.request("POST", _target(self._url), body, headers)
+                answer = connection.getresponse()
+                answer.read(MOST_READ)
         except (OSError, http.client.HTTPException) as error:
-            return type(error).__name__
+            return type(TimeoutError() if over.is_set() else error).__name__
         finally:
             connection.close()
+        if over.is_set():  # the end of what was sent is not that of the answer
+            return TimeoutError.__name__
         if 300 <= answer.status < 400:
             return f"status {answer.status}, and a redirection is not followed"
         return "" if 200 <= answer.status < 300 else f"status {answer.status}"
@@ -113,6 +119,23 @@ class Webhook:
     def _failed(self, delivery: str, why: str) -> None:
         self.counts["failed"] += 1
         log.warning("the verdict of job %s was not taken by KILTER_WEBHOOK_URL: %s", delivery, why)
+
+
+@contextmanager
+def _ended_after(sock: socket.socket, seconds: float, over: threading.Event) -> Iterator[None]:
+    """End what a socket receives after so many seconds as a whole, and say so: its own time-out is for each byte."""
+
+    def end() -> None:
+        over.set()
+        with suppress(OSError):
+            sock.shutdown(socket.SHUT_RDWR)
+
+    timer = threading.Timer(max(0.0, seconds), end)
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _connection(url: SplitResult, timeout_s: float) -> http.client.HTTPConnection:

@@ -7,7 +7,7 @@ import json
 import os
 import sys
 import tempfile
-from contextlib import redirect_stdout
+from contextlib import nullcontext, redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from kilter_client import Kilter
 from tests.clients.bridges.rsi_peer import RsiPeer
 from tests.clients.bridges.running_bridge import PRIORITY, add_arm, bridging, off_mm
+from tests.clients.bridges.strangers import strangers
 from tests.clients.bridges.udp_peer import Floats
 from tools.local_server import local_server
 
@@ -29,6 +30,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cycles", type=int, default=150_000)
     parser.add_argument("--cycle-ms", type=float, default=4.0)
+    parser.add_argument("--strangers", type=int, default=0, help="packets of others beside it, a second")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, local_server(Path(folder) / "data") as server:
         os.environ.update(server.environment())
@@ -39,7 +41,8 @@ def main() -> None:
             if PRIORITY:
                 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(int(PRIORITY)))
             peer = RsiPeer(bridge.port, path, cycle_s=given.cycle_ms / 1000.0).start()
-            peer.wait(given.cycles, seconds=1e9)
+            with strangers(bridge.port, given.strangers) if given.strangers else nullcontext():
+                peer.wait(given.cycles, seconds=1e9)
             peer.stop()
             print(bridge.ended())
     answered, offsets, wanted = peer.answered(), peer.offsets(), peer.wanted()

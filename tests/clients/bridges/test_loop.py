@@ -94,12 +94,14 @@ def controllers() -> Iterator[Make]:
 
 
 @contextmanager
-def looping(correction: Correction, wire: RsiWire | None = None) -> Iterator[tuple[Loop, tuple[str, int], Line]]:
+def looping(
+    correction: Correction, wire: RsiWire | None = None, expected: tuple[str, int] | None = None
+) -> Iterator[tuple[Loop, tuple[str, int], Line]]:
     """A loop in a thread, quiet long enough to take a controller; its address, and the companion's end."""
     ours, theirs = pair()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as port:
         port.bind(("127.0.0.1", 0))
-        loop = Loop(port, wire or RsiWire([1.0] * 6), correction, ours, CYCLE_S, GONE_S)
+        loop = Loop(port, wire or RsiWire([1.0] * 6), correction, ours, CYCLE_S, GONE_S, expected)
         thread = threading.Thread(target=loop.run)
         thread.start()
         try:

@@ -23,6 +23,7 @@ from kilter_core.correct.file import from_bytes
 from tests.clients.answered import document
 from tests.clients.bridges.rsi_peer import RsiPeer
 from tests.clients.bridges.running_bridge import LATER_DEG, add_arm, bridging, measure, off_mm, shared_arm, states
+from tests.clients.bridges.strangers import strangers
 from tests.clients.bridges.udp_peer import Floats
 from tests.clients.cutting_proxy import CuttingProxy
 
@@ -234,3 +235,25 @@ def test_what_cannot_be_bridged_is_refused_before_anything_listens(
         ):
             assert run(["bridge", "rsi", arm, *options]) == 2
             assert said in capsys.readouterr().err
+
+
+def test_a_bridge_that_any_machine_can_take_says_so_and_the_named_controller_is_followed(arm: str) -> None:
+    with bridging("rsi", arm, *PACE, "--listen", "0.0.0.0") as bridge:
+        assert "--controller ADDRESS" in bridge.heard("Warning: any machine")
+    with bridging("rsi", arm, *PACE, "--listen", "0.0.0.0", "--controller", "127.0.0.1") as bridge:
+        bridge.heard("waiting")
+        assert not re.search("Warning", "".join(bridge.said))
+        with strangers(bridge.port, 200, source="127.0.0.2"):
+            peer = RsiPeer(bridge.port, path).start()
+            try:
+                bridge.heard("correcting")
+                peer.wait_answered(2)
+            finally:
+                peer.stop()
+        assert re.search(r"other_controller: \d+", bridge.ended())
+
+
+@pytest.mark.parametrize("address", ["cell7", "192.168.1", "127.0.0.1:x", "127.0.0.1:70000", "", "::1"])
+def test_a_controller_that_is_not_an_address_is_refused(arm: str, address: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["bridge", "rsi", arm, *PACE, "--controller", address]) == 2
+    assert "192.168.1.20:50000" in capsys.readouterr().err

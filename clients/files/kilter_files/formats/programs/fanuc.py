@@ -13,15 +13,17 @@ AXIS = re.compile(r"\bJ(\d)\s?=\s{0,9}([^\s,]+)\s{0,9}(deg|mm)?")
 FURTHER = re.compile(rf"\b(?:E\d\s?=\s{{0,9}}({NUMBER})|J\d\s?=\s{{0,9}}({NUMBER})\s{{0,9}}mm)")
 OTHER_GROUP = re.compile(r"\bGP[2-9]\s?:")
 MOVE = re.compile(
-    r"^\s*(?:\d*\s*:\s*(?=[JLCAS]\s)|:\s*(?=P)(?![^\n]{0,99}\]\s*=))"
-    r"((?:[JLCAS]\s+)?(P|PR)\[\s*(\d+|[^\]]{1,80})[^\]\n]{0,80}\])([^\n]{0,200})",
+    r"^[ \t]*+(?:\d{0,9}+[ \t]*+:\s*+(?=[JLCAS]\s)|:\s*+(?=P)(?![^\n]{0,99}\]\s*+=))"
+    r"((?:[JLCAS]\s+)?(P|PR)\[\s*+(\d{1,9}+|[^\]]{1,80})[^\]\n]{0,80}+\])([^\n]{0,200})",
     re.M,
 )
-NOTHING = re.compile(r"^\s*\d*\s*:\s*(?:!|//|--)[^\n]*|\"[^\"\n]*\"", re.M)  # remarks, and names
-NAMES = re.compile(r"(?<![A-Z\w])P\[\s?(\d+)\s?(?:,\s?\w{1,9}\s?)?(?::[^\]\n]{0,80})?\]([ \t]*=(?!=))?")
-ELSEWHERE = re.compile(r"^\s*\d*\s*:\s*([JLCAS]\s+(?!PR?\[)\w[^;\n]{0,80})", re.M)  # as PAL_3[A_1] of a pallet
+NOTHING = re.compile(r"^[ \t]*+\d{0,9}+[ \t]*+:\s*+(?:!|//|--)[^\n]*|\"[^\"\n]*\"", re.M)  # remarks, and names
+NAMES = re.compile(r"(?<![A-Z\w])P\[\s?(\d+)\s?(?:,\s?\w{1,9}\s?)?(?::[^\]\n]{0,80})?\]([ \t]*+=(?!=))?")
+ELSEWHERE = re.compile(
+    r"^[ \t]*+\d{0,9}+[ \t]*+:\s*+([JLCAS]\s+(?!PR?\[)\w[^;\n]{0,80})", re.M
+)  # as PAL_3[A_1] of a pallet
 # between which what the robot touched or senses displaces every position
-DISPLACING = r"^\s*\d*\s*:\s*(?:Touch Offset|MP Offset|Track)"
+DISPLACING = r"^[ \t]*+\d{0,9}+[ \t]*+:\s*+(?:Touch Offset|MP Offset|Track)"
 TOUCH = re.compile(rf"{DISPLACING}(?! End)\b", re.I | re.M)
 TOUCH_END = re.compile(rf"{DISPLACING} End\b", re.I | re.M)
 LONGEST = 600
@@ -138,11 +140,11 @@ def _name_other_uses(
 DIALECT = Dialect(
     "FANUC LS",
     (".ls",),
-    sign(r"^\s*/(?:PROG|POS)\b"),
+    sign(r"^[ \t]*+/(?:PROG|POS)\b"),
     find,
     "Show the positions as joints on the pendant (REPRE)",
-    (r"^\s*/PROG\b", r"^\s*/END\b", "/END"),
+    (r"^[ \t]*+/PROG\b", r"^[ \t]*+/END\b", "/END"),
     complete=True,
     # A remark holds 32 characters.
-    mark=Mark("{number:>4}:  !{said} ;", re.compile(r"\s*/POS\b", re.I), most=15),
+    mark=Mark("{number:>4}:  !{said} ;", re.compile(r"\s*+/POS\b", re.I), most=15),
 )

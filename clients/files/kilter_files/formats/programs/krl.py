@@ -36,18 +36,20 @@ AXES = re.compile(
 )
 AXIS = re.compile(rf"\s{{0,9}}([AE])(\d)\s{{1,9}}({NUMBER})\s{{0,9}}", re.I)
 ARM_AXIS = re.compile(r"\bA\d\s", re.I)
-MOVE = re.compile(rf"^[ \t]*({MOTIONS})(?:[ \t]+|(?=\{{))([^\r\n]+)", re.I | re.M)
-GOAL = re.compile(rf"[ \t]*(\{{[^{{}}]{{0,500}}\}}|{NAME}(?![\w.\[]))[ \t]*+(?=,|\r|\n|$|[A-Za-z])")
-ANY_ELEMENT = re.compile(r"[ \t]*(\w{1,64})\[[^\]\r\n]{1,60}\][ \t]*(?=\r|\n|$|[A-Za-z])")  # the program computes which
+MOVE = re.compile(rf"^[ \t]*+({MOTIONS})(?:[ \t]+|(?=\{{))([^\r\n]+)", re.I | re.M)
+GOAL = re.compile(rf"[ \t]*+(\{{[^{{}}]{{0,500}}\}}|{NAME}(?![\w.\[]))[ \t]*+(?=,|\r|\n|$|[A-Za-z])")
+ANY_ELEMENT = re.compile(
+    r"[ \t]*+(\w{1,64})\[[^\]\r\n]{1,60}\][ \t]*+(?=\r|\n|$|[A-Za-z])"
+)  # the program computes which
 WHERE_IT_STANDS = re.compile(
-    r"[ \t]*\$(?:AXIS|POS)_ACT[ \t]*(?:C_\w{1,9}[ \t]*){0,2}", re.I
+    r"[ \t]*+\$(?:AXIS|POS)_ACT[ \t]*+(?:C_\w{1,9}[ \t]*+){0,2}", re.I
 )  # the start of most programs
-COMMA = re.compile(r"[ \t]*,")
+COMMA = re.compile(r"[ \t]*+,")
 LINE_END = re.compile(r"\n")
 ENDS_BY_ANGLE = "arcs with CA end beside their targets: there the path is the controller's own"
-OF_LOAD = re.compile(r"[{,][ \t]*(?:CM|J)[ \t]*\Z", re.I)  # centre of mass and inertia
-SYSTEM = re.compile(r"\$\w{1,64}[ \t]*(?:\[[^\]\r\n]{0,60}\])?[ \t]*=[ \t]*\Z")
-ANGLE = re.compile(r",[ \t]*CA[ \t]+([^\r\n;]{1,40}?)(?=[ \t]+(?:C_\w|WITH\b)|[ \t]*\Z)", re.I)
+OF_LOAD = re.compile(r"[{,][ \t]*+(?:CM|J)[ \t]*+\Z", re.I)  # centre of mass and inertia
+SYSTEM = re.compile(r"\$\w{1,64}[ \t]*+(?:\[[^\]\r\n]{0,60}\])?[ \t]*+=[ \t]*+\Z")
+ANGLE = re.compile(r",[ \t]*+CA[ \t]+([^\r\n;]{1,40}?)(?=[ \t]+(?:C_\w|WITH\b)|[ \t]*+\Z)", re.I)
 
 
 @dataclass
@@ -276,10 +278,10 @@ def _take(program: Program, match: re.Match[str], count: int) -> JointTarget | N
 DIALECT = Dialect(
     "KRL",
     (".src", ".dat"),
-    sign(r"\{[^{}]{0,40}\bA1\s+[-+\d.]|\bE6(?:AXIS|POS)\s+\w+\s*(?:\[|=)"),
+    sign(r"\{[^{}]{0,40}\bA1\s+[-+\d.]|\bE6(?:AXIS|POS)\s+\w+\s*+(?:\[|=)"),
     find,
     "Store E6AXIS: $AXIS_ACT holds the joints where the arm stands",
-    (r"^\s*DEFDAT\b", r"^\s*ENDDAT\b", "ENDDAT"),
+    (r"^[ \t]*+DEFDAT\b", r"^[ \t]*+ENDDAT\b", "ENDDAT"),
     pair=(".src", ".dat"),
-    mark=Mark(";{said}", re.compile(r"[ \t]*END(?:FCT|DAT)?\b(?![ \t]*=)", re.I)),
+    mark=Mark(";{said}", re.compile(r"[ \t]*+END(?:FCT|DAT)?\b(?![ \t]*+=)", re.I)),
 )

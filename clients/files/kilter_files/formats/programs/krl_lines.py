@@ -16,7 +16,7 @@ WORD = re.compile(r"\w{1,64}")
 LABEL = re.compile(r"\w{1,64}\s{0,9}:\s{0,9}")
 CALL = re.compile(r"\w{1,64}\s{0,9}\(.{0,1000}\)\s{0,9}")
 PLACE = re.compile(
-    r"(?:DECL\s{1,9}|GLOBAL\s{1,9}|(?:E6)?AXIS\s{1,9}){0,3}(\$?\w{1,64})(\s{0,9}[\w.\[\],+\- ]{0,100}?)\s{0,9}=(?!=)",
+    r"(?:DECL\s{1,9}|GLOBAL\s{1,9}|(?:E6)?AXIS\s{1,9}){0,3}(\$?\w{1,64}+)([\w.\[\],+\- \t]{0,100}+)=(?!=)",
     re.I,
 )
 MOTIONS = r"(?:S?(?:PTP|LIN|CIRC)(?:_REL)?|SPL)"
@@ -24,7 +24,7 @@ MOTION = re.compile(MOTIONS, re.I)
 INNER = re.compile(rf"(?<![\w#$.]){MOTIONS}\s{{1,9}}[\w{{]", re.I)
 CALLED = re.compile(r"(?<![\w.$])(\w{1,64})\s{0,9}\(([^()]{1,1000})\)")
 HANDED = re.compile(r"(?<![\w.#$])(\w{1,64})(?:\[[\d,]{1,9}\])?(?!\w|\s{0,9}[.(])")
-PART_HANDED = re.compile(r"(?<![\w.#$])(\w{1,64})(?:\[[\d,]{1,9}\])?[ \t]*\.[ \t]*(?:[XYZABCST]|A\d)(?![\w.])", re.I)
+PART_HANDED = re.compile(r"(?<![\w.#$])(\w{1,64})(?:\[[\d,]{1,9}\])?[ \t]*+\.[ \t]*+(?:[XYZABCST]|A\d)(?![\w.])", re.I)
 OF_MOTION = re.compile(
     r"S(?:TOOL2?|BASE|IPO_MODE|LOAD|(?:VEL|ACC|APO|GEAR|ORI|CIRC)_?\w{0,20}|JERK)|USE_CM_PRO_VALUES|E[BK]", re.I
 )
@@ -32,13 +32,15 @@ READING = frozenset(("CREAD", "SREAD"))  # give what they are handed another val
 AXIS_PART = re.compile(r"\.\s{0,9}A\d\s{0,9}\Z", re.I)
 LIST = re.compile(r"\s{0,9}\{")
 GIVEN = re.compile(
-    r"^[ \t]*(\w{1,64})([\w.\[\],+\- \t]{0,100}?)[ \t]*=(?!=)(?![ \t]*\{[^{}\r\n]{0,500}\}[ \t]*\r?$)", re.I | re.M
+    r"^[ \t]*+(\w{1,64}+)([\w.\[\],+\- \t]{0,100}+)=(?!=)(?![ \t]*+\{[^{}\r\n]{0,500}\}[ \t]*+\r?$)", re.I | re.M
 )
-SENSOR = re.compile(r"\b(?:RSI_(?:ON|MOVECORR)|ST_(?:MOVESENS|ON1?))[ \t]*\(", re.I)
-EXTERNAL_PART = re.compile(r"\s*\.\s*E\d", re.I)
-RELATIVE = re.compile(r"^[ \t]*S?(?:PTP|LIN|CIRC)_REL[ \t]+(\w{1,64})", re.I | re.M)
-PART_READ = re.compile(r"(?<![\w$.])(\w{1,64})(?:[ \t]*\[[^\]\r\n]{0,60}\])?[ \t]*\.[ \t]*A\d\b(?![ \t]*=(?!=))", re.I)
-SUBPROGRAM = re.compile(r"^[ \t]*(?:\w{1,64}[ \t]*=[ \t]*)?(\w{1,64})[ \t]*\(", re.M)
+SENSOR = re.compile(r"\b(?:RSI_(?:ON|MOVECORR)|ST_(?:MOVESENS|ON1?))[ \t]*+\(", re.I)
+EXTERNAL_PART = re.compile(r"\s*+\.\s*+E\d", re.I)
+RELATIVE = re.compile(r"^[ \t]*+S?(?:PTP|LIN|CIRC)_REL[ \t]+(\w{1,64})", re.I | re.M)
+PART_READ = re.compile(
+    r"(?<![\w$.])(\w{1,64})(?:[ \t]*+\[[^\]\r\n]{0,60}\])?[ \t]*+\.[ \t]*+A\d\b(?![ \t]*+=(?!=))", re.I
+)
+SUBPROGRAM = re.compile(r"^[ \t]*+(?:\w{1,64}[ \t]*+=[ \t]*+)?(\w{1,64})[ \t]*+\(", re.M)
 REST = frozenset(
     ("BAS", "ABS", "SQRT", "SIN", "COS", "TAN", "ACOS", "ATAN2", "INV_POS", "INVERSE", "FORWARD")
 )  # never move

@@ -14,7 +14,7 @@ from kilter_files.formats.programs.found import Program, lines_of
 from kilter_files.formats.programs.table import CELL
 from kilter_files.ground.faults import fault
 
-SAID = re.compile(r"^\s{0,9}(?:\d{0,6}\s{0,9}:\s{0,9})?[;!#]\s{0,9}Kilter corrected (\w{1,64})\s{0,9};?\s*$", re.I)
+SAID = re.compile(r"^\s{0,9}(?:\d{0,6}\s{0,9}:\s{0,9})?[;!#]\s{0,9}Kilter corrected (\w{1,64})\s{0,9};?\s*+$", re.I)
 NUMBERED = re.compile(r"\s{0,9}(\d{1,6})\s{0,9}:")
 COLUMN = "kilter_corrected"
 REMEDY = "Filter the program as it was taught. If its targets were taught anew since, say --again (again=True)."

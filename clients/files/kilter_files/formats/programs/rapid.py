@@ -11,12 +11,12 @@ from kilter_files.formats.programs.poses.rapid import DECLARED as POSE
 from kilter_files.formats.programs.rapid_moves import MOVE, PAIR, TO_POSES, Known, Poses, RapidMoves, take_joints
 from kilter_files.formats.programs.rapid_uses import changed, declared_again, elements, is_assigned, other_uses
 
-DECLARED = re.compile(r"\bjointtarget\s+(\w+)\s*(\{[\w,\s]*\})?\s*:=([^;]{0,200000})(;|\Z)", re.I)
+DECLARED = re.compile(r"\bjointtarget\s+(\w+)\s*+(\{[\w,\s]*\})?\s*+:=((?:[^;:]|:(?!=)){0,200000}+)(;|(?=:=)|\Z)", re.I)
 SEVERAL_TIMES = "it is declared several times"
-PART_READ = re.compile(r"(?<![\\.\w])(\w+)\s*(?:\{[^}\n]{0,40}\}\s*)?\.\s*robax\b", re.I)
-EXTERNAL = re.compile(r"\.\s*extax\b", re.I)
+PART_READ = re.compile(r"(?<![\\.\w])(\w+)\s*+(?:\{[^}\n]{0,40}\}\s*+)?\.\s*+robax\b", re.I)
+EXTERNAL = re.compile(r"\.\s*+extax\b", re.I)
 CONSTANT = re.compile(r"\bCONST\s+robtarget\s+(\w+)", re.I)
-HOLDS_TARGETS = re.compile(r"\b(?:rob|joint)target\s+\w+\s*(?:\{[\w,\s]*\})?\s*:=[^;]{0,200000}", re.I)
+HOLDS_TARGETS = re.compile(r"\b(?:rob|joint)target\s+\w+\s*+(?:\{[\w,\s]*\})?\s*+:=[^;]{0,200000}", re.I)
 COMPUTED = re.compile(r"[A-Za-z_]\w{2,}")
 BY_ITSELF = re.compile(
     r"(?<![\\.\w])(Ind[ACDR]Move|EGMRun(?:Joint|Pose)|EGMMove[LC]|StepBwdPath|LoadId)(?=[\s\\])", re.I
@@ -136,9 +136,9 @@ def _note_other_uses(
 DIALECT = Dialect(
     "RAPID",
     (".mod", ".modx", ".sys", ".sysx", ".prg"),
-    sign(r"\bjointtarget\b|\bMoveAbsJ\b|\brobtarget\b\s+\w+\s*(?:\{[\w,\s]*\})?\s*:="),
+    sign(r"\bjointtarget\b|\bMoveAbsJ\b|\brobtarget\b\s+\w+\s*+(?:\{[\w,\s]*\})?\s*+:="),
     find,
     "Store jointtargets: CJointT() reads the joints where the arm stands",
-    (r"^\s*MODULE\b", r"^\s*ENDMODULE\b", "ENDMODULE"),
-    mark=Mark("  ! {said}", re.compile(r"\s*ENDMODULE\b", re.I)),
+    (r"^[ \t]*+MODULE\b", r"^[ \t]*+ENDMODULE\b", "ENDMODULE"),
+    mark=Mark("  ! {said}", re.compile(r"\s*+ENDMODULE\b", re.I)),
 )

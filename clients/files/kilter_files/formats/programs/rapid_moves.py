@@ -10,20 +10,20 @@ from kilter_files.formats.programs.poses.rapid import TARGET, UNUSED_AXIS, Rapid
 from kilter_files.formats.programs.poses.rapid_computed import CALL, Computed
 from kilter_files.formats.programs.poses.rapid_flow import RapidFlow
 
-SIX = r"\[\s*" + r"\s*,\s*".join([f"({NUMBER})"] * 6) + r"\s*\]"
-PAIR = re.compile(rf"\[\s*{SIX}\s*,\s*{SIX}\s*\]")
+SIX = r"\[\s*+" + r"\s*+,\s*+".join([f"({NUMBER})"] * 6) + r"\s*+\]"
+PAIR = re.compile(rf"\[\s*+{SIX}\s*+,\s*+{SIX}\s*+\]")
 MOVE = re.compile(
-    r"\b(Move\w{1,20}|Arc[LC]\d?(?:Start|End)?|Trigg[LJC]|Search[LC])(?=[\s\\])\s*([^;]{0,2000})(;|\Z)", re.I
+    r"\b(Move\w{1,20}|Arc[LC]\d?(?:Start|End)?|Trigg[LJC]|Search[LC])(?=[\s\\])\s*+([^;]{0,2000}+)(;|\Z)", re.I
 )
 TO_POSES = re.compile(r"(?:Move|Trigg|Arc)([JLC])(?:DO|AO|GO|Sync|\d?(?:Start|End))?\d?", re.I)
 TO_TOOL = {"M": 2, "T": 3, "A": 4}  # arguments between goals and tool: speed and zone, a trigger, seam and weld
-SENSED = re.compile(r"\\\s*(?:Corr\b|Track\s*:=)", re.I)
-INDEX = r"\{\s*\d+\s*(?:,\s*\d+\s*){0,2}\}"
-WRITTEN = re.compile(rf"\w+(?:\s*{INDEX})?|\[.*\]", re.S)
-ANY_ELEMENT = re.compile(r"(\w+)\s*\{[^{}]{1,80}\}", re.S)  # the program computes which
-WITH = re.compile(r"(\w+)\s*((?:\\[^\\]{1,80})*)")
-WORK_OBJECT = re.compile(r"\\\s*WObj\b\s*(?::=\s*(\w+)\s*(?=\\|$))?", re.I)
-GOAL = re.compile(rf"(\w+)\s*({INDEX}|\{{[^}}]{{0,80}}\}})?\s*(?:\\.*)?", re.S)
+SENSED = re.compile(r"\\\s*+(?:Corr\b|Track\s*+:=)", re.I)
+INDEX = r"\{\s*+\d+\s*+(?:,\s*+\d+\s*+){0,2}\}"
+WRITTEN = re.compile(rf"\w+(?:\s*+{INDEX})?|\[.*\]", re.S)
+ANY_ELEMENT = re.compile(r"(\w+)\s*+\{[^{}]{1,80}\}", re.S)  # the program computes which
+WITH = re.compile(r"(\w+)\s*+((?:\\[^\\]{1,80})*)")
+WORK_OBJECT = re.compile(r"\\\s*+WObj\b\s*+(?::=\s*+(\w+)\s*+(?=\\|$))?", re.I)
+GOAL = re.compile(rf"(\w+)\s*+({INDEX}|\{{[^}}]{{0,80}}\}})?\s*+(?:\\.*)?", re.S)
 
 # by the name of the variable, and there by that of the element, both in small letters
 Known = dict[str, dict[str, JointTarget]]
@@ -108,7 +108,7 @@ class RapidMoves:
 
     def _goals(self, move: str, at: int, said: str) -> list[PoseTarget]:
         """The target that a move says, all elements of an array of which it computes the index, or none."""
-        said = re.sub(r"\\\s*ID\s*:=.*", "", said).strip()
+        said = re.sub(r"\\\s*+ID\s*+:=.*", "", said).strip()
         if CALL.fullmatch(said):
             computed = self._computed.take(at, said)
             return [] if computed is None else [computed]

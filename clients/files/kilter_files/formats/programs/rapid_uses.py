@@ -5,25 +5,28 @@ from __future__ import annotations
 import itertools
 import math
 import re
+from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 TYPES = r"(?:robtarget|jointtarget|tooldata|wobjdata)"
-DECLARES = re.compile(rf"\b{TYPES}\s+(\w+)(?:\s*\{{[\w,*\s]*\}})?\s*(:=)?", re.I)
-ASSIGNS = re.compile(r"(?<![\\.\w])(\w+)\s*(?:\.[\w.]+|\{[^}\n]{0,40}\}[\w.]*)?\s*:=")
+DECLARES = re.compile(rf"\b{TYPES}\s+(\w+)(?:\s*+\{{[\w,*\s]*\}})?\s*+(:=)?", re.I)
+ASSIGNS = re.compile(r"(?<![\\.\w])(\w+)\s*+(?:\.[\w.]+|\{[^}\n]{0,40}\}[\w.]*)?\s*+:=")
 PART_GIVEN = re.compile(
-    r"(?<![\\.\w])(\w+)\s*(?:\{[^}\n]{0,40}\}\s*)?\.\s*[A-Za-z_][\w.]{0,80}(?:\{[^}\n]{0,40}\})?(?=\s*[,;\\])"
+    r"(?<![\\.\w])(\w+)\s*+(?:\{[^}\n]{0,40}\}\s*+)?\.\s*+[A-Za-z_][\w.]{0,80}(?:\{[^}\n]{0,40}\})?(?=\s*+[,;\\])"
 )
 READS = re.compile(
     r"WHILE|FOR|TEST|CASE|RETURN|(?:Set|TP|UI|EGM|Write|Wait|Pulse|Err|Pack|Move|Arc|Trigg|Search)\w*", re.I
 )  # such leave what they are given as it is; a short IF may hold any instruction
-WORD = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)(?!\w|\s*\.\s*\w)")
-OPENS = re.compile(r"\b(?:THEN|ELSE|DO)\b", re.I)
+WORD = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)(?!\w|\s*+\.\s*+\w)")
+OPENS = re.compile(r";|\b(?:THEN|ELSE|DO)\b", re.I)
 FIRST = re.compile(r"[A-Za-z]\w*")
-ROUTINE = re.compile(r"\b(?:PROC|FUNC\s+\w+)\s+(\w+)\s*\(([^)]{0,2000})\)", re.I)
+ROUTINE = re.compile(r"\b(?:PROC|FUNC\s+\w+)\s+(\w+)\s*+\(([^()]{0,2000}+)\)", re.I)
 CONSTANT = re.compile(r"\bCONST\s+\w+\s+(\w+)", re.I)
-FUNCTION = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)\s*\(")
-ARGUMENT = re.compile(r"\s*([A-Za-z]\w*)\s*(?:\{[^}\n]{0,40}\}\s*)?(?:\.\s*\w+\s*)*")
+BRACKETS = re.compile(r"[()\[\]{},;]")
+FUNCTION = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)\s*+\(")
+ARGUMENT = re.compile(r"\s*+([A-Za-z]\w*)\s*+(?:\{[^}\n]{0,40}\}\s*+)?(?:\.\s*+\w+\s*+)*")
 FUNCTION_READS = re.compile(
     r"Offs|RelTool|C(?:alc)?(?:RobT|JointT|Pos|Tool|WObj)|Distance|Def\w+|Pose\w+|Orient\w+|EulerZYX|MirPos|ORobT"
     r"|A?(?:Sin|Cos|Tan2?)|Abs\w*|Sqrt|Round|Trunc|Max|Min|ValToStr|NumToStr|Dim|DotProd|VectMagn|Present|Is\w+"
@@ -56,40 +59,50 @@ def elements(name: str, size: str | None, count: int) -> list[str]:
     return [f"{name}{{{','.join(map(str, index))}}}" for index in indices]
 
 
-def changed(text: str) -> Iterator[re.Match[str]]:
-    """Yield what changes a variable, its name as group 1: assignments, and instructions that are given a part of it.
+@lru_cache(maxsize=2)
+def changed(text: str) -> list[re.Match[str]]:
+    """Return what changes a variable, its name as group 1: assignments, and instructions that are given a part of it.
 
     Declarations and named arguments are not among them.
     """
     declared = {match.start(1) for match in DECLARES.finditer(text)}
-    yield from (match for match in ASSIGNS.finditer(text) if match.start(1) not in declared)
     by_value = _by_value(text)
-    yield from (match for match in PART_GIVEN.finditer(text) if _gives_back(text, match.start(), by_value))
-    yield from _given_to_functions(text, by_value)
+    found = [match for match in ASSIGNS.finditer(text) if match.start(1) not in declared]
+    found += (match for match in PART_GIVEN.finditer(text) if _gives_back(text, match.start(), by_value))
+    return [*found, *_given_to_functions(text, by_value)]
 
 
 def _given_to_functions(text: str, by_value: Collection[str]) -> Iterator[re.Match[str]]:
     """Yield what a function is given that may change it, as ``StrToVal(part, p10.trans.x)`` does; constants are kept."""
     constant = {match[1].lower() for match in CONSTANT.finditer(text)}
+    calls: set[int] = set()
     for call in FUNCTION.finditer(text):
         if FUNCTION_READS.fullmatch(call[1]) or call[1].lower() in by_value:
             continue
-        depth, at = 0, call.end()
-        for place in range(call.end(), min(len(text), call.end() + LOOKED_BACK)):
-            depth += (text[place] in "([{") - (text[place] in ")]}")
-            if depth < 0 or (depth == 0 and text[place] == ","):
-                given = ARGUMENT.match(text, at)
-                if given is not None and given.end() == place and given[1].lower() not in constant:
-                    yield given
-                at = place + 1
-            if depth < 0:
-                break
+        calls.add(call.end())
+    begun: list[
+        int | None
+    ] = []  # of each open bracket: where its present argument begins, None where none is looked at
+    for mark in BRACKETS.finditer(text):
+        if mark[0] in "([{":
+            begun.append(mark.end() if mark.end() in calls else None)
+            continue
+        if mark[0] == ";":
+            begun.clear()
+        at = begun[-1] if begun else None
+        given = None if at is None else ARGUMENT.fullmatch(text, at, mark.start())
+        if given is not None and given[1].lower() not in constant:
+            yield given
+        if mark[0] == ",":
+            begun[-1:] = [None if at is None else mark.end()] if begun else []
+        else:
+            del begun[-1:]
 
 
 def _gives_back(text: str, at: int, by_value: Collection[str]) -> bool:
     """Say whether an instruction may change the part of a variable that it is given, as ``Add p10.trans.z, 5`` does."""
     before = text[_begin(text, at) : at]
-    if ":=" in before.rpartition(",")[2] or before.count("(") != before.count(")") or ASSIGNS.search(before):
+    if ":=" in before.rpartition(",")[2] or before.count("(") != before.count(")") or is_assigned(text, at):
         return False
     by = _instruction(before, by_value)
     second = by.lower() == "add" and "," in before  # what is added
@@ -113,8 +126,9 @@ def declared_again(text: str, names: Collection[str]) -> Iterator[re.Match[str]]
 
 def is_assigned(text: str, at: int) -> bool:
     """Say whether a place is inside an assignment: moves to what it sets are named where they are."""
-    start = _begin(text, at)
-    return ASSIGNS.search(text, start, at) is not None
+    begins, ends = _assignments(text)
+    last = bisect_right(ends, at) - 1
+    return last >= 0 and begins[last] >= _begin(text, at)
 
 
 def other_uses(text: str, names: Collection[str], understood: Collection[int]) -> Iterator[Use]:
@@ -137,8 +151,21 @@ def other_uses(text: str, names: Collection[str], understood: Collection[int]) -
 
 def _begin(text: str, at: int) -> int:
     """Where the statement of a place begins, with the words that open a block in front of it."""
-    first = max(0, at - LOOKED_BACK, text.rfind(";", 0, at) + 1)
-    return max((match.end() for match in OPENS.finditer(text, first, at)), default=first)
+    starts = _starts(text)
+    return max(at - LOOKED_BACK, starts[bisect_right(starts, at) - 1])
+
+
+@lru_cache(maxsize=2)
+def _starts(text: str) -> list[int]:
+    """Where statements begin, in order."""
+    return [0, *(match.end() for match in OPENS.finditer(text))]
+
+
+@lru_cache(maxsize=2)
+def _assignments(text: str) -> tuple[list[int], list[int]]:
+    """Where assignments begin, and where their signs end, in order."""
+    found = [match.span() for match in ASSIGNS.finditer(text)]
+    return [begin for begin, _ in found], [end for _, end in found]
 
 
 def _instruction(before: str, by_value: Collection[str]) -> str:

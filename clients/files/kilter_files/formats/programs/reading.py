@@ -13,6 +13,7 @@ from kilter_files.formats.programs.remedies import remedies
 from kilter_files.ground.faults import fault, head_of
 
 MOST_BYTES = 16 << 20
+MOST_IN_LINE = 1 << 16  # characters: no controller writes as many
 MOVING = re.compile(r"^[ \t]{0,99}(?:GLOBAL[ \t]{1,9})?DEF(?:FCT[ \t]{1,9}\w{1,64})?[ \t]{1,9}(\w{1,64})", re.I | re.M)
 DECLARING = re.compile(r"^[ \t]{0,99}DEFDAT[ \t]{1,9}(\w{1,64})", re.I | re.M)
 
@@ -97,6 +98,11 @@ def _found(path: Path, dialect: Dialect, stated: Stated, beside: Program | None 
     content = head_of(path, MOST_BYTES + 1)
     if len(content) > MOST_BYTES or b"\0" in content:
         raise fault(path, f"is larger than {MOST_BYTES >> 20} MB or not text of 8 bits", "Export it as plain text.")
+    lengths = [*map(len, content.split(b"\n"))]
+    if max(lengths) > MOST_IN_LINE:
+        line = next(k for k, length in enumerate(lengths, 1) if length > MOST_IN_LINE)
+        what = f"has more than {MOST_IN_LINE} characters in a line"
+        raise fault(path, what, "Break the line, or export it again.", line=line)
     program = Program(path, content.decode("latin-1"), dialect.name, beside=beside, stated=stated)
     dialect.refuse_cut(program)
     dialect.find(program)

@@ -7,7 +7,7 @@ import re
 from kilter_files.formats.programs.found import NUMBER, Dialect, Program, lines_of
 
 CELL = re.compile(
-    r'[ \t]*"(?:[^"]|"")*"[^,\r\n]*(?:,|$|(?=[\r\n]))|[^,\r\n]*(?:,|$|(?=[\r\n]))'
+    r'[ \t]*+"(?:[^"]|"")*+"[^,\r\n]*+(?:,|$|(?=[\r\n]))|[^,\r\n]*+(?:,|$|(?=[\r\n]))'
 )  # a quoted one has commas
 SHOWN = 8
 BOM = "\xef\xbb\xbf"  # of UTF-8, as it is read byte for byte

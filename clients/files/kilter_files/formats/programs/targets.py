@@ -15,7 +15,7 @@ from kilter_files.ground.text_layout import encoding_of
 MOST_BYTES = 16 << 20
 LOOKED_AT = 1 << 18
 SHOWN = 5
-LOOP = re.compile(r"^\s*(?:FOR|WHILE|GOTO)\b", re.I | re.M)
+LOOP = re.compile(r"^[ \t]*+(?:FOR|WHILE|GOTO)\b", re.I | re.M)
 UNKNOWN_ORDER = "in the order of their declarations: the program's own order cannot be read from it"
 
 

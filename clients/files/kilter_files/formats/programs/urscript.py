@@ -18,18 +18,18 @@ from kilter_files.formats.programs.poses.urscript import (
     inverse_arguments,
 )
 
-DECLARED = re.compile(r"^[ \t]*(?:global[ \t]+|local[ \t]+)?(\w{1,64})[ \t]*=[ \t]*([^\r\n]*)", re.M)
+DECLARED = re.compile(r"^[ \t]*+(?:global[ \t]+|local[ \t]+)?(\w{1,64})[ \t]*+=[ \t]*+([^\r\n]*)", re.M)
 MOVE = re.compile(
-    r"\b((?:optimove|move|servo|speed)[jlpc])[ \t]{0,9}\(\s*(?:\w{1,16}\s?=\s?)?(\[[^\]]{0,500}\]?|\w{1,64}\s?[(\[]?)?"
+    r"\b((?:optimove|move|servo|speed)[jlpc])[ \t]{0,9}\(\s*+(?:\w{1,16}\s?=\s?)?(\[[^\]]{0,500}\]?|\w{1,64}\s?[(\[]?)?"
 )
 TO_JOINTS = frozenset(("movej", "movel", "movep"))  # along a line too the arm comes to these joints
 POSE = re.compile(r"p\s?\[|get_inverse_kin\s?\(")
 WHERE_IT_IS = re.compile(r"get_(?:actual|target)_joint_positions\s?\(")
 CELL = re.compile(rf"(d2r\(\s?)?({NUMBER})(?(1)\s?\))")
-PARAMETERS = re.compile(r"^[ \t]*(?:def|thread)[ \t]+\w{1,64}[ \t]*\(([^)\n]{1,500})\)", re.M)
-TARGET = re.compile(rf"p?\s?\[\s*{NUMBER}(?:\s*,\s*{NUMBER}){{5}}\s*\]")
+PARAMETERS = re.compile(r"^[ \t]*+(?:def|thread)[ \t]+\w{1,64}[ \t]*+\(([^)\n]{1,500})\)", re.M)
+TARGET = re.compile(rf"p?\s?\[\s*+{NUMBER}(?:\s*+,\s*+{NUMBER}){{5}}\s*+\]")
 INNER = re.compile(r"\w{1,64}\s?\([^()]{0,500}\)")
-ENDED = re.compile(r"\s*(?:[,)]|\Z)")  # nothing is added to a list
+ENDED = re.compile(r"\s*+(?:[,)]|\Z)")  # nothing is added to a list
 MOST_RAD = 4.2 * math.pi
 
 Places = dict[str, list[tuple[int, str]]]
@@ -192,9 +192,9 @@ def _numbers(text: str, start: int, written: str) -> tuple[list[tuple[str, Span]
 DIALECT = Dialect(
     "URScript",
     (".script", ".urscript"),
-    sign(r"\bmovej\s*\("),
+    sign(r"\bmovej\s*+\("),
     find,
     "Give movej joints: get_actual_joint_positions() reads them",
     ordered=True,
-    mark=Mark("# {said}", re.compile(r"[ \t]*end\b")),
+    mark=Mark("# {said}", re.compile(r"[ \t]*+end\b")),
 )

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from socket import SHUT_WR
 from threading import Thread
 
 from kilter_files.ground.errors import UsageError
@@ -14,7 +15,12 @@ from kilter_files.rig.live.session import Session
 
 HOST = "127.0.0.1"
 PAGE = Path(__file__).with_name("page.html")
-POLICY = "default-src 'none'; img-src 'self'; connect-src 'self'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
+POLICY = (
+    "default-src 'none'; img-src 'self'; connect-src 'self'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "frame-ancestors 'none'"
+)
+SILENT_S = 10.0  # after which a connection that sends nothing is closed
+MOST_DROPPED = 16  # pieces of a body that nobody reads
 
 
 @contextmanager
@@ -45,8 +51,10 @@ def page_of(session: Session, port: int = 0) -> Iterator[str]:
 
 
 class _Handler(BaseHTTPRequestHandler):
+    """Answers one request of a connection (HTTP/1.0) and closes it: what follows, such as a body, is never a request."""
+
     shown: Session
-    protocol_version = "HTTP/1.1"
+    timeout = SILENT_S
 
     def do_GET(self) -> None:
         """Page, state and picture."""
@@ -73,19 +81,31 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(202, "text/plain", b"")
 
     def _of_this_page(self) -> bool:
-        """Whether the browser was given this address, and not a name that somebody points here."""
-        name = (self.headers.get("Host") or "").rpartition(":")[0]
-        return name in (HOST, "localhost")
+        """Whether the browser was given this address, not a name that somebody points here, and no other site asks."""
+        port = self.connection.getsockname()[1]
+        here = {f"{name}:{port}" for name in (HOST, "localhost")} | ({HOST, "localhost"} if port == 80 else set())
+        hosts, origins = self.headers.get_all("Host", []), self.headers.get_all("Origin", [])
+        return len(hosts) == 1 and hosts[0] in here and {f"http://{name}" for name in here}.issuperset(origins)
 
     def _answer(self, status: int, kind: str, body: bytes) -> None:
         self.send_response(status)
         for key, value in (
             ("Content-Type", kind), ("Content-Length", str(len(body))), ("Cache-Control", "no-store"),
             ("Content-Security-Policy", POLICY), ("X-Content-Type-Options", "nosniff"),
+            ("Cross-Origin-Resource-Policy", "same-origin"),
         ):  # fmt: skip
             self.send_header(key, value)
         self.end_headers()
         self.wfile.write(body)
+
+    def finish(self) -> None:
+        """Close the connection, once what the other side still sends was dropped: a reset would take the answer from it."""
+        with suppress(OSError):
+            super().finish()
+            self.connection.shutdown(SHUT_WR)
+            for _ in range(MOST_DROPPED):
+                if not self.connection.recv(1 << 16):
+                    break
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002 (the name that the library gives)
         """Say nothing: the command shows what matters."""

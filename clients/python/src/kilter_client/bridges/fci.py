@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from kilter_client.bridges.loop import without_collections
 from kilter_client.bridges.news import Line
 from kilter_client.bridges.plan import Setpoints, smooth
+from kilter_client.bridges.robot_sockets import opened_sockets_hear
 from kilter_client.errors import KilterError
 
 if TYPE_CHECKING:
@@ -204,7 +205,8 @@ class Fci:
         realtime = self._franka.RealtimeConfig.kEnforce if self._realtime else self._franka.RealtimeConfig.kIgnore
         try:
             with without_collections():
-                robot = self._franka.Robot(self._address, realtime)
+                with opened_sockets_hear(self._address):
+                    robot = self._franka.Robot(self._address, realtime)
                 control = robot.start_joint_position_control(self._franka.ControllerMode.JointImpedance)
                 while not self._cycle(control):
                     pass

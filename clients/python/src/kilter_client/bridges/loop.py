@@ -20,7 +20,7 @@ from kilter_client.bridges.news import TELL_S, Line
 if TYPE_CHECKING:
     from kilter_client.bridges.correction import Correction
 
-LARGEST_PACKET = 4096
+LARGEST_PACKET = 1500  # bytes, of which a frame of Ethernet has no more; larger ones are malformed
 MOST_AHEAD = 2  # cycles by which stamps may be ahead of the time that has passed
 MOST_WAITING = 64  # requests that are looked at to find the newest
 SO_TIMESTAMPNS = 35  # of Linux: each packet comes with the time at which it arrived
@@ -81,6 +81,15 @@ class Wire(Protocol):
 Address = tuple[str, int]
 
 
+class Packet(NamedTuple):
+    """What came, who sent it, how long it has waited for this process, s, and whether that is all of it."""
+
+    data: bytes
+    sender: Address
+    waited_s: float
+    whole: bool
+
+
 class Loop:
     """Answers one controller.
 
@@ -90,6 +99,7 @@ class Loop:
         correction: what offsets the joints.
         line: to the companion.
         cycle_s: so often the controller asks.
+        expected: the controller's address, and its port or 0 for any; None: whoever asks first is the controller.
         gone_after_s: of silence, after which the controller has stopped by itself and begins without offsets. A controller
             that asks already when the bridge starts may still hold the offsets of a bridge before this one: it gets no
             answer, so that it stops.
@@ -97,10 +107,12 @@ class Loop:
     """
 
     def __init__(
-        self, port: socket.socket, wire: Wire, correction: Correction, line: Line, cycle_s: float, gone_after_s: float
-    ) -> None:
+        self, port: socket.socket, wire: Wire, correction: Correction, line: Line, cycle_s: float, gone_after_s: float,
+        expected: Address | None = None,
+    ) -> None:  # fmt: skip
         self._port, self._wire, self._correction, self._line = port, wire, correction, line
         self._cycle_s, self._gone_after_s = cycle_s, gone_after_s
+        self._expected = expected
         self._asked = select.poll()
         self._asked.register(port, select.POLLIN)
         self._controller: Address | None = None
@@ -132,51 +144,65 @@ class Loop:
         return self._correction.out and (self._was_out or self._controller is None)
 
     def _cycle(self) -> None:
-        if not self._asked.poll(1000 * self._patience_s):
+        self._asked.poll(1000 * self._patience_s)
+        newest, more_wait = self._newest()
+        asked = newest is not None and self._take(newest)
+        if not asked and not more_wait:  # what came was of nobody who may ask, or of no controller
             self._quiet_s = time.monotonic()
-        else:
-            with contextlib.suppress(BlockingIOError, ConnectionError):  # the latter: the controller's port was closed
-                data, sender, waited_s = self._received()
-                self._take(*self._newest(data, sender, waited_s))
         while (packet := self._line.receive()) is not None:
             self._correction.hear(*packet)
         if self._leaving:
             self._correction.off = "the bridge is being ended"
         self._line.tell(self.document)
 
-    def _received(self) -> tuple[bytes, Address, float]:
-        """A packet, who sent it, and how long it has waited for this process, s."""
-        data, ancillary, _, sender = self._port.recvmsg(LARGEST_PACKET, 64)
-        if not ancillary or len(ancillary[0][2]) != _TIMESPEC.size:
-            return data, sender, 0.0
-        seconds, nanoseconds = _TIMESPEC.unpack(ancillary[0][2])
-        return data, sender, min(max(0.0, time.time() - seconds - 1e-9 * nanoseconds), self._gone_after_s)
+    def _received(self) -> Packet:
+        data, ancillary, flags, sender = self._port.recvmsg(LARGEST_PACKET, 64)
+        waited_s = 0.0
+        if ancillary and len(ancillary[0][2]) == _TIMESPEC.size:
+            seconds, nanoseconds = _TIMESPEC.unpack(ancillary[0][2])
+            waited_s = min(max(0.0, time.time() - seconds - 1e-9 * nanoseconds), self._gone_after_s)
+        return Packet(data, sender, waited_s, not flags & socket.MSG_TRUNC)
 
-    def _newest(self, data: bytes, sender: Address, waited_s: float) -> tuple[bytes, Address, float]:
-        """The last of the requests that wait, and since when: those before it are late, those of others do not count."""
+    def _newest(self) -> tuple[Packet | None, bool]:
+        """Return the newest packet of the controller among those that wait, and whether more may wait.
+
+        Those before it are late. Nothing of another sender is read: a stranger must not cost more than its reception.
+        """
+        newest: Packet | None = None
         for _ in range(MOST_WAITING):
             try:
-                later, whose, its_s = self._received()
-            except (BlockingIOError, ConnectionError):
-                break
-            if whose == sender:
+                packet = self._received()
+            except BlockingIOError:
+                return newest, False
+            except ConnectionError:  # the controller's port was closed
+                continue
+            if not self._may_ask(packet.sender) or (newest is not None and packet.sender != newest.sender):
+                self.counts["other_controller"] += 1
+                continue
+            if newest is not None:
                 self.counts["late"] += 1
                 self._passed_over += 1
-                data, waited_s = later, its_s
-            else:
-                self.counts["other_controller"] += 1
-                if whose == self._controller:  # another one was before it
-                    data, sender, waited_s = later, whose, its_s
-        return data, sender, waited_s
+            newest = packet
+        return newest, True
 
-    def _take(self, data: bytes, sender: Address, waited_s: float) -> None:
+    def _may_ask(self, sender: Address) -> bool:
+        """Whether a sender is the controller, or may become it: the address named, and one at a time."""
+        if self._expected is not None and (sender[0] != self._expected[0] or self._expected[1] not in (0, sender[1])):
+            return False
+        return self._controller is None or sender == self._controller or self._silent()
+
+    def _take(self, packet: Packet) -> bool:
+        """Answer a request; False: the packet is none."""
         began_s = time.monotonic()
-        request = self._wire.read(data)
+        request = self._wire.read(packet.data) if packet.whole else None
         if request is None:
             self.counts["malformed"] += 1
-            return
-        if not self._admits(sender, request.stamp, began_s):
-            return
+            return False
+        if self._admits(packet.sender, request.stamp, began_s):
+            self._answer(request, packet, began_s)
+        return True
+
+    def _answer(self, request: Request, packet: Packet, began_s: float) -> None:
         fresh = self._stamp < 0 or not request.moving
         cycles = 1 if fresh else self._passed(request.stamp, began_s)
         self.counts["lost"] += max(0, cycles - 1 - self._passed_over)  # no request of these cycles came
@@ -189,13 +215,23 @@ class Loop:
             self._correction.begin()
         offset = self._correction.step(wanted, cycles, taken) if request.moving else self._correction.offset
         answer = self._wire.answer(request, offset)
-        if answer:
-            self._port.sendto(answer, sender)
+        if answer and not self._sent(answer, packet.sender):
+            return
         took_s = time.monotonic() - began_s
         self.counts["answered"] += 1
-        self._was_late = waited_s + took_s > self._cycle_s
+        self._was_late = packet.waited_s + took_s > self._cycle_s
         self.counts["late"] += self._was_late
         self._times.note(took_s)
+
+    def _sent(self, answer: bytes, sender: Address) -> bool:
+        """Send an answer; False where the system refuses, as to port 0: the controller goes on without it."""
+        try:
+            self._port.sendto(answer, sender)
+        except OSError:
+            self.counts["unsent"] += 1
+            self._was_late = True
+            return False
+        return True
 
     def _was_taken(self, missed: int | None, cycles: int) -> bool:
         """Whether the controller had the last answer in time: by its count, which has cycles without one too, else by ours."""
@@ -210,7 +246,7 @@ class Loop:
         return elapsed if counted is None else min(counted, elapsed + MOST_AHEAD)
 
     def _admits(self, sender: Address, stamp: int, now_s: float) -> bool:
-        """Whether a request is to be answered: of the one controller, newer than the last, after a silence at its start."""
+        """Whether the controller's request is to be answered: newer than the last, after a silence at its start."""
         if self._silent():
             self._controller, self._stamp = sender, -1
             self._correction.begin()
@@ -219,9 +255,6 @@ class Loop:
             # It asked before the bridge listened, or while the bridge was held up: it must fall silent first.
             self._controller, self._heard_s = None, now_s
             self.counts["refused"] += 1
-            return False
-        if sender != self._controller:
-            self.counts["other_controller"] += 1
             return False
         if stamp <= self._stamp:
             self.counts["old_stamp"] += 1

@@ -8,17 +8,20 @@ from collections.abc import Iterator, Sequence
 VARINT, DOUBLE, TEXT, FLOAT = 0, 1, 2, 5
 _DOUBLE = struct.Struct("<d")
 _FIXED = {DOUBLE: 8, FLOAT: 4}
+MOST_FIELDS = 64  # of a message; a robot's has some twenty
 
 
 def fields(data: bytes) -> Iterator[tuple[int, int, int | bytes]]:
     """Yield number, wire type and value of each field.
 
     Raises:
-        ValueError: the bytes are not a message.
+        ValueError: the bytes are not a message, or one of more than ``MOST_FIELDS`` fields.
 
     """
     at = 0
-    while at < len(data):
+    for _ in range(MOST_FIELDS):
+        if at >= len(data):
+            return
         key, at = _varint(data, at)
         number, kind = key >> 3, key & 7
         if kind == VARINT:
@@ -35,6 +38,8 @@ def fields(data: bytes) -> Iterator[tuple[int, int, int | bytes]]:
             raise ValueError("cut off")
         yield number, kind, data[at : at + size]
         at += size
+    if at < len(data):
+        raise ValueError("more fields than a robot's message has")
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:

@@ -12,9 +12,11 @@ from kilter_client.bridges.loop import Request, radians
 
 PORT = 59152
 AXES = 6
-_IPOC = re.compile(rb"<IPOC>\s*(\d{1,18})\s*</IPOC>")
-_DELAY = re.compile(rb"<Delay\s[^>]*?\bD=[\"'](\d{1,9})[\"']")
-_AXIS = re.compile(rb"\bA([1-6])=[\"']([^\"']{1,32})[\"']")
+# Whoever sends the message chooses its bytes: no search may go on beyond the element in which it began.
+_IPOC = re.compile(rb"<IPOC>\s{0,9}+(\d{1,18}+)\s{0,9}+</IPOC>")
+_DELAY = re.compile(rb"<Delay\s([^<>]{1,99}+)>")
+_MISSED = re.compile(rb"\bD=[\"'](\d{1,9})[\"']")
+_AXIS = re.compile(rb"\bA([1-6])=[\"']([^\"'<>]{1,32})[\"']")
 
 
 class From(StrEnum):
@@ -33,7 +35,7 @@ class RsiWire:
 
     def __init__(self, signs: Sequence[float], source: From = From.SETPOINT, cycle_ms: float = 4.0) -> None:
         self._signs, self._source, self._cycle_ms = tuple(signs), source, cycle_ms
-        self._element = re.compile(rb"<" + source.value.encode() + rb"\s([^>]*)>")
+        self._element = re.compile(rb"<" + source.value.encode() + rb"\s([^<>]{1,400}+)>")
         self._answered = (0.0,) * len(self._signs)
         self.counts: Counter[str] = Counter()
 
@@ -43,7 +45,8 @@ class RsiWire:
         if ipoc is None or not data.lstrip().startswith(b"<Rob"):
             return None
         delay = _DELAY.search(data)
-        return Request(int(ipoc[1]), self._joints(data), None if delay is None else int(delay[1]))
+        missed = None if delay is None else _MISSED.search(delay[1])
+        return Request(int(ipoc[1]), self._joints(data), None if missed is None else int(missed[1]))
 
     def _joints(self, data: bytes) -> tuple[float, ...] | None:
         found = self._element.search(data)

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from ipaddress import IPv4Address
 from typing import Any
 
 from kilter_client.bridges import versions
@@ -18,7 +19,7 @@ from kilter_client.bridges.companion import Task
 from kilter_client.bridges.correction import Correction
 from kilter_client.bridges.fci import JOINTS, Fci
 from kilter_client.bridges.guard import Guard
-from kilter_client.bridges.loop import Loop, Wire
+from kilter_client.bridges.loop import Address, Loop, Wire
 from kilter_client.bridges.news import Kind, Line, pair
 from kilter_client.bridges.plan import Setpoints
 from kilter_client.errors import FileError, MissingPackageError, UsageError
@@ -28,6 +29,10 @@ from kilter_core.errors import OptionError
 
 COMPANION = "kilter_client.bridges.companion"
 ENDS_S = 5.0
+OPEN_TO_ALL = (
+    "Warning: any machine on this network can take this bridge by asking first. "
+    "Name the controller: --controller ADDRESS."
+)
 
 
 @dataclass(frozen=True)
@@ -115,22 +120,44 @@ def _for_port(error: Exception) -> str:
     return "Name an address of this machine in --listen: the one that the controller sends to."
 
 
-def answer_over_udp(start: Start, wire: Wire, bounds: Bounds, listen: str, port: int) -> dict[str, Any]:
+def controller_address(text: str | None) -> Address | None:
+    """Return the address of ``ADDRESS`` or ``ADDRESS:PORT``, port 0 for any; None for none.
+
+    Raises:
+        UsageError: it is not one.
+
+    """
+    if text is None:
+        return None
+    host, _, port = text.partition(":")
+    try:
+        expected = str(IPv4Address(host)), int(port or 0)
+    except ValueError:
+        expected = "", -1
+    if not 0 <= expected[1] < 1 << 16:
+        raise UsageError(f"--controller {text} is not an address: give one as 192.168.1.20 or 192.168.1.20:50000.")
+    return expected
+
+
+def answer_over_udp(
+    start: Start, wire: Wire, bounds: Bounds, listen: str, port: int, controller: str | None
+) -> dict[str, Any]:
     """Answer a controller until a signal ends it; returns what happened.
 
     Raises:
-        UsageError: the port cannot be had.
+        UsageError: the port cannot be had, or ``controller`` is not an address.
 
     """
+    expected = controller_address(controller)
     correction = correction_of(start, bounds)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp, beside(start) as line:
         try:
             udp.bind((listen, port))
         except (OSError, OverflowError) as error:
             raise UsageError(f"UDP port {port} of {listen} cannot be had: {error}. {_for_port(error)}") from error
-        loop = Loop(udp, wire, correction, line, bounds.cycle_s, bounds.gone_after_s)
+        loop = Loop(udp, wire, correction, line, bounds.cycle_s, bounds.gone_after_s, expected)
         with _ended_by_signals(loop):
-            _tell(start, udp)
+            _tell(start, udp, expected)
             loop.run()
         return loop.document() | {"state": "ended", "robot": start.robot, "bridge": start.bridge}
 
@@ -157,9 +184,11 @@ def move_by_fci(start: Start, setpoints: Setpoints, bounds: Bounds, address: str
         return fci.document() | {"state": "ended", "robot": start.robot, "bridge": start.bridge}
 
 
-def _tell(start: Start, udp: socket.socket) -> None:
+def _tell(start: Start, udp: socket.socket, expected: Address | None) -> None:
+    address, port = udp.getsockname()
+    if expected is None and not IPv4Address(address).is_loopback:
+        print(OPEN_TO_ALL, file=sys.stderr, flush=True)
     if not start.task.quiet:
-        address, port = udp.getsockname()
         print(
             f"The {start.bridge} bridge of {start.robot} listens on UDP {address}:{port}.", file=sys.stderr, flush=True
         )

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
+import re
+import socket
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from threading import Event
+from urllib.parse import urlsplit
 
 import cv2
 import httpx
@@ -204,3 +207,73 @@ def test_the_page_answers_itself_only(tmp_path: Path) -> None:
         assert client.post(address + "take", headers={"X-Kilter": "take"}).status_code == 202
         assert live.asked is True
         assert client.get(address + "../etc/passwd").status_code == 404
+
+
+HIDDEN = "POST /take HTTP/1.1\r\nHost: {host}\r\nX-Kilter: take\r\n\r\n"
+
+
+def statuses(host: str, request: str) -> list[str]:
+    """Send bytes over one connection; the statuses of all answers until the page closes it."""
+    name, _, port = host.partition(":")
+    with socket.create_connection((name, int(port)), 10.0) as connection:
+        connection.sendall(request.format(host=host, length=len(HIDDEN.format(host=host))).encode())
+        answers = b"".join(iter(lambda: connection.recv(1 << 16), b""))
+    return re.findall(r"HTTP/1\.\d (\d+)", answers.decode())
+
+
+@pytest.mark.parametrize(
+    ("head", "status"),
+    [
+        ("POST /take HTTP/1.1\r\nHost: {host}\r\nContent-Length: {length}\r\n\r\n", "403"),
+        ("POST /nothing HTTP/1.1\r\nHost: {host}\r\nX-Kilter: take\r\nContent-Length: {length}\r\n\r\n", "404"),
+        ("POST /take HTTP/1.1\r\nHost: evil.example\r\nX-Kilter: take\r\nContent-Length: {length}\r\n\r\n", "403"),
+        ("POST /take HTTP/1.1\r\nHost: {host}\r\nTransfer-Encoding: chunked\r\n\r\n", "403"),
+        ("GET /state HTTP/1.1\r\nHost: {host}\r\nContent-Length: {length}\r\n\r\n", "200"),
+        ("GET /state HTTP/1.1\r\nHost: {host}\r\nConnection: keep-alive\r\n\r\n", "200"),
+        ("GET /nothing HTTP/1.1\r\nHost: {host}\r\nContent-Length: {length}\r\n\r\n", "404"),
+        ("PUT /take HTTP/1.1\r\nHost: {host}\r\nContent-Length: {length}\r\n\r\n", "501"),
+        ("OPTIONS /take HTTP/1.1\r\nHost: {host}\r\nContent-Length: {length}\r\n\r\n", "501"),
+    ],
+)
+def test_no_request_in_the_body_of_another_is_run(tmp_path: Path, head: str, status: str) -> None:
+    live = session(tmp_path)
+    with page_of(live) as address:
+        assert statuses(urlsplit(address).netloc, head + HIDDEN) == [status]
+    assert live.asked is False
+
+
+def test_a_view_that_the_page_asks_for_is_taken_once(tmp_path: Path) -> None:
+    live = session(tmp_path)
+    with page_of(live) as address:
+        assert statuses(urlsplit(address).netloc, HIDDEN + HIDDEN) == ["202"]
+
+
+@pytest.mark.parametrize(
+    ("header", "status"),
+    [
+        ("Host: localhost:{port}", 200),
+        ("Host: 127.0.0.1:{port}\r\nOrigin: http://127.0.0.1:{port}", 200),
+        ("Host: 127.0.0.1:{port}\r\nOrigin: http://localhost:{port}", 200),
+        ("Host: 127.0.0.1", 403),
+        ("Host: 127.0.0.1:1{port}", 403),
+        ("Host: 127.0.0.1:{port}.evil.example", 403),
+        ("Host: evil.example:{port}", 403),
+        ("Host: evil.example@127.0.0.1:{port}", 403),
+        ("Host: 127.0.0.1:{port}\r\nHost: evil.example", 403),
+        ("X-Nothing: 1", 403),
+        ("Host: 127.0.0.1:{port}\r\nOrigin: http://evil.example", 403),
+        ("Host: 127.0.0.1:{port}\r\nOrigin: http://127.0.0.1:1", 403),
+        ("Host: 127.0.0.1:{port}\r\nOrigin: https://127.0.0.1:{port}", 403),
+        ("Host: 127.0.0.1:{port}\r\nOrigin: null", 403),
+        ("Host: 127.0.0.1:{port}\r\nOrigin: http://127.0.0.1:{port}\r\nOrigin: http://evil.example", 403),
+    ],
+)
+def test_only_a_browser_at_the_pages_own_address_is_answered(tmp_path: Path, header: str, status: int) -> None:
+    live = session(tmp_path)
+    with page_of(live) as address:
+        host = urlsplit(address).netloc
+        said = header.format(port=host.partition(":")[2])
+        assert statuses(host, f"GET /state HTTP/1.1\r\n{said}\r\n\r\n") == [str(status)]
+        taken = statuses(host, f"POST /take HTTP/1.1\r\n{said}\r\nX-Kilter: take\r\n\r\n")
+    assert taken == ["202" if status == 200 else "403"]
+    assert live.asked is (status == 200)

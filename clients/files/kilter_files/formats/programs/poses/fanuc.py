@@ -16,7 +16,7 @@ PART = re.compile(rf"\b([XYZWPR]|E\d)\s{{0,9}}=\s{{0,9}}({NUMBER})\s{{0,9}}(mm|d
 FRAME_NUMBER = re.compile(r"\b(UF|UT)\s?:\s{0,9}(\w{1,3})")
 TURN = r"\s{0,9}(-?\d)\s{0,9}"
 CONFIG = re.compile(rf"\bCONFIG\s?:\s?'\s{{0,9}}([NF])\s{{1,9}}([UD])\s{{1,9}}([TB])\s{{0,9}},{TURN},{TURN},{TURN}'")
-TRACKS = re.compile(r"^\s*LINE_TRACK_SCHEDULE(?:_NUMBER)?\s*:\s*0*[1-9]", re.I | re.M)
+TRACKS = re.compile(r"^[ \t]*+LINE_TRACK_SCHEDULE(?:_NUMBER)?\s*+:\s*+0*[1-9]", re.I | re.M)
 OFFSET = re.compile(r"\b(?:Offset|Tool_Offset|INC|VOFFSET)\b", re.I)
 NOT_TAUGHT = re.compile(r"=\s{0,9}\*{3,}")  # what a controller writes of a position that nobody taught
 OTHER_FRAME = re.compile(r"\b(?:RTCP|COORD)\b", re.I)

@@ -8,18 +8,18 @@ from functools import lru_cache
 
 from kilter_files.formats.programs.found import NUMBER
 
-LINE = re.compile(r"^\s*\d*\s*:\s*(?!!|//|--)([^;\n]*)", re.M)
+LINE = re.compile(r"^[ \t]*+\d{0,9}+[ \t]*+:\s*+(?!!|//|--)([^;\n]*)", re.M)
 ELEMENT = re.compile(
-    rf"PR\[\s?(\d+)\s?(?::[^\]\n]{{0,80}})?,\s?([1-6])\s?(?::[^\]\n]{{0,80}})?\]\s*=\s*\(?\s*({NUMBER})\s*\)?\s*"
+    rf"PR\[\s?(\d+)\s?(?::[^\]\n]{{0,80}})?,\s?([1-6])\s?(?::[^\]\n]{{0,80}})?\]\s*+=\s*+\(?\s*+({NUMBER})\s*+\)?\s*+"
 )
 REGISTER = re.compile(r"PR\[\s?(\d{1,3})?")  # another statement that may change one
 SET = re.compile(
     r"(?:\b|\$MN|\.\$)U(FRAME|TOOL)\s?(?:\[((?:[^\[\]\n]|\[[^\[\]\n]{0,20}\]){1,40})\]|(?<=\$UFRAME)|(?<=\$UTOOL))[.$\w]{0,20}\s?=\s?([^;\n]*)",
     re.I,
 )
-FROM_REGISTER = re.compile(r"PR\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]\s*")
+FROM_REGISTER = re.compile(r"PR\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]\s*+")
 NUMBERED = re.compile(r"\s?(\d+)\s?(?::[^\]\n]*)?")
-WAY = re.compile(r"\s*(?:LBL|JMP|IF|ELSE|ENDIF|SELECT|FOR|ENDFOR|CALL|RUN|[JLCAS]\s+P)", re.I)
+WAY = re.compile(r"\s*+(?:LBL|JMP|IF|ELSE|ENDIF|SELECT|FOR|ENDFOR|CALL|RUN|[JLCAS]\s+P)", re.I)
 BRANCHES = re.compile(r"\b(?:JMP|CALL)\b", re.I)
 
 

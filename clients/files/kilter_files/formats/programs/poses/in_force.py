@@ -89,7 +89,7 @@ def calls_of_own(text: str, named: re.Pattern[str]) -> list[int]:
     """Return where a program calls its own subprograms, of which ``named`` finds the names: they may move the arm."""
     names = {match[1].upper() for match in named.finditer(text)}
     heads = {match.start(1) for match in named.finditer(text)}
-    calls = re.finditer(r"(?<![\w.$])(\w{1,64})[ \t]*\(", text)
+    calls = re.finditer(r"(?<![\w.$])(\w{1,64})[ \t]*+\(", text)
     return [match.start() for match in calls if match[1].upper() in names and match.start() not in heads]
 
 

@@ -16,11 +16,11 @@ INDEX = r"\[\s{0,9}\d{1,4}\s{0,9}(?:,\s{0,9}\d{1,4}\s{0,9}){0,2}\]"  # constants
 NAME = rf"\w{{1,64}}(?:{INDEX})?"
 POSE = re.compile(
     rf"(?:(?<![\w$.])((?:E6)?POS\s{{1,9}})?({NAME})\s{{0,9}}=\s{{0,9}})?"
-    r"\{\s{0,9}((?:E6)?POS\s{0,9}:)?\s{0,9}([XYZ]\s[^{}\n]{0,500})\}(?![ \t]*:)",
+    r"\{\s{0,9}((?:E6)?POS\s{0,9}:)?\s{0,9}([XYZ]\s[^{}\n]{0,500})\}(?![ \t]*+:)",
     re.I,
 )
 PART = re.compile(rf"\s{{0,9}}(\w{{1,2}})\s{{1,9}}({NUMBER}|'B\s?[01]{{1,16}}')\s{{0,9}}", re.I)
-COMPUTED_INDEX = re.compile(r"(?<![\w$.])(\w{1,64})[ \t]*\[[ \t\d,]*[^ \t\d,\]]")
+COMPUTED_INDEX = re.compile(r"(?<![\w$.])(\w{1,64})[ \t]*+\[[ \t\d,]*+[^ \t\d,\]]")
 BRANCH_BITS, TAUGHT_ABSOLUTE = 0b111, 0b10000  # of S; KUKA keeps its bit 3 zero
 TWICE = "bit 4 of its S says that a controller with absolute accuracy taught it: it would be corrected twice"
 
@@ -28,7 +28,7 @@ TWICE = "bit 4 of its S says that a controller with absolute accuracy taught it:
 EXTERNAL_AXIS = re.compile(
     rf"[{{,]\s{{0,9}}E([1-6])\s{{1,9}}({NUMBER}|\w{{1,64}})|\.\s{{0,9}}E([1-6])\s{{0,9}}=(?!=)", re.I
 )
-OTHER_LINE = re.compile(r"[ \t]*\$")  # a variable of the system
+OTHER_LINE = re.compile(r"[ \t]*+\$")  # a variable of the system
 
 
 def key(name: str) -> str:

@@ -14,7 +14,7 @@ from kilter_files.formats.programs.poses.krl import NAME, key
 
 NULL = Frame(KRL, (0.0,) * 6)
 BRACES = r"\{([^{}\r\n]{0,500})\}"
-ALONE = rf"{BRACES}(?![ \t]*:)"  # not the first part of a longer expression
+ALONE = rf"{BRACES}(?![ \t]*+:)"  # not the first part of a longer expression
 FRAME = re.compile(
     rf"(?<![\w.$])(\$(?:BASE|TOOL)|(?:BASE|TOOL)_DATA\s{{0,9}}\[\s{{0,9}}\d{{1,4}}\s{{0,9}}\]|{NAME})\s{{0,9}}=\s{{0,9}}{ALONE}",
     re.I,
@@ -22,34 +22,35 @@ FRAME = re.compile(
 FRAMES = re.compile(r"\bFRAME[ \t]+(\w[^=\r\n]{0,300})", re.I)
 PART = re.compile(rf"\s{{0,9}}(?:(?:FRAME|(?:E6)?POS)\s{{0,9}}:\s{{0,9}})?([XYZABC])\s{{1,9}}({NUMBER})\s{{0,9}}", re.I)
 SET = re.compile(
-    r"^[ \t]*(?:\$(BASE|TOOL)[ \t]*(?:=|(?=\.))[ \t]*([^\r\n]{1,200})|FDAT_ACT[ \t]*(?:=|(?=\.))[ \t]*([^\r\n]{1,300})"
-    r"|BAS[ \t]*\([ \t]*#(BASE|TOOL|\w{1,30})[ \t]*,[ \t]*(\w{1,30}))",
+    r"^[ \t]*+(?:\$(BASE|TOOL)[ \t]*+(?:=|(?=\.))[ \t]*+([^\r\n]{1,200})|FDAT_ACT[ \t]*+(?:=|(?=\.))[ \t]*+([^\r\n]{1,300})"
+    r"|BAS[ \t]*+\([ \t]*+#(BASE|TOOL|\w{1,30})[ \t]*+,[ \t]*+(\w{1,30}))",
     re.I | re.M,
 )
 FDAT = re.compile(
     rf"\b({NAME})\s{{0,9}}=\s{{0,9}}\{{([^{{}}\r\n]{{0,500}}\b(?:TOOL|BASE)_NO\b[^{{}}\r\n]{{0,500}})\}}", re.I
 )
 CONTROL = re.compile(
-    r"^[ \t]*(?:(IF|FOR|WHILE|REPEAT|LOOP|SWITCH)\b|(END(?:IF|FOR|WHILE|LOOP|SWITCH)|UNTIL)\b|(ELSE|CASE|DEFAULT)\b"
-    r"|(GOTO\b|\w{1,64}[ \t]*:(?!=)))",
+    r"^[ \t]*+(?:(IF|FOR|WHILE|REPEAT|LOOP|SWITCH)\b|(END(?:IF|FOR|WHILE|LOOP|SWITCH)|UNTIL)\b|(ELSE|CASE|DEFAULT)\b"
+    r"|(GOTO\b|\w{1,64}[ \t]*+:(?!=)))",
     re.I | re.M,
 )
-START = re.compile(r"^[ \t]*(?:GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w{1,64})?[ \t]+(\w{1,64})", re.I | re.M)
+START = re.compile(r"^[ \t]*+(?:GLOBAL[ \t]+)?DEF(?:FCT[ \t]+\w{1,64})?[ \t]+(\w{1,64})", re.I | re.M)
 CHANGED = re.compile(
-    r"^[ \t]*(BASE|TOOL)_DATA[ \t]*\[([^\]\r\n]{1,60})\][ \t]*"
-    r"(?:\.|=(?!=)(?![ \t]*\{[^{}\r\n]{0,500}\}[ \t]*\r?$))",
+    r"^[ \t]*+(BASE|TOOL)_DATA[ \t]*+\[([^\]\r\n]{1,60})\][ \t]*+"
+    r"(?:\.|=(?!=)(?![ \t]*+\{[^{}\r\n]{0,500}\}[ \t]*+\r?$))",
     re.I | re.M,
 )
 WITH = re.compile(
-    r"[ \t,]\$(BASE|TOOL)[ \t]*=[ \t]*((?:\{[^{}\r\n]{0,500}\}|[^,(\r\n]|\([^()\r\n]{0,200}\)){1,300})", re.I
+    r"[ \t,]\$(BASE|TOOL)[ \t]*+=[ \t]*+((?:\{[^{}\r\n]{0,500}\}|[^,(\r\n]|\([^()\r\n]{0,200}\)){1,300})", re.I
 )
-BLOCK = re.compile(r"^[ \t]*(?:((?:PTP_)?SPLINE)\b([^\r\n]{0,500})|ENDSPLINE\b)", re.I | re.M)
-BY_DATA = re.compile(rf"S(?:BASE|TOOL2?)[ \t]*\([ \t]*({NAME})(?:\.(?:BASE|TOOL)_NO)?[ \t]*\)", re.I)
+BLOCK = re.compile(r"^[ \t]*+(?:((?:PTP_)?SPLINE)\b([^\r\n]{0,500})|ENDSPLINE\b)", re.I | re.M)
+BY_DATA = re.compile(rf"S(?:BASE|TOOL2?)[ \t]*+\([ \t]*+({NAME})(?:\.(?:BASE|TOOL)_NO)?[ \t]*+\)", re.I)
 STANDING = re.compile(r"\$IPO_MODE\s{0,9}=\s{0,9}#TCP", re.I)
 ORIENTATION = re.compile(
-    r"^[ \t]*(?:\$ORI_TYPE[ \t]*=[ \t]*(#\w{1,20})|LDAT_ACT[ \t]*=[ \t]*(\w{1,64}|\{[^{}\r\n]{0,500}\}))", re.I | re.M
+    r"^[ \t]*+(?:\$ORI_TYPE[ \t]*+=[ \t]*+(#\w{1,20})|LDAT_ACT[ \t]*+=[ \t]*+(\w{1,64}|\{[^{}\r\n]{0,500}\}))",
+    re.I | re.M,
 )
-OWN_ORIENTATION = re.compile(r"\$ORI_TYPE[ \t]*=[ \t]*(#\w{1,20})", re.I)
+OWN_ORIENTATION = re.compile(r"\$ORI_TYPE[ \t]*+=[ \t]*+(#\w{1,20})", re.I)
 MOVE_DATA = re.compile(r"\b(\w{1,64})\s{0,9}=\s{0,9}(\{[^{}\r\n]{0,500}\bORI_TYP\b[^{}\r\n]{0,500}\})", re.I)
 NOT_TAKEN = re.compile(r"#(?:CONST\w*|IGNORE)\b", re.I)  # the arm keeps the orientation that it has, or finds its own
 TOOL_STANDS = "its tool stands still (#TCP)"

@@ -20,19 +20,19 @@ MOVES = re.compile(
 
 
 def _list(count: int) -> str:
-    return r"\[\s*" + r"\s*,\s*".join([f"({NUMBER})"] * count) + r"\s*\]"
+    return r"\[\s*+" + r"\s*+,\s*+".join([f"({NUMBER})"] * count) + r"\s*+\]"
 
 
-POSE = rf"{_list(3)}\s*,\s*{_list(4)}"
-TARGET = re.compile(rf"\[\s*{POSE}\s*,\s*{_list(4)}\s*,\s*{_list(6)}\s*\]")
-DECLARED = re.compile(r"\brobtarget\s+(\w+)\s*(\{[\w,\s]*\})?\s*:=([^;]{0,200000})", re.I)
-TOOL = re.compile(rf"\btooldata\s+(\w+)\s*:=\s*\[\s*(TRUE|FALSE)\s*,\s*\[\s*{POSE}\s*\]", re.I)
+POSE = rf"{_list(3)}\s*+,\s*+{_list(4)}"
+TARGET = re.compile(rf"\[\s*+{POSE}\s*+,\s*+{_list(4)}\s*+,\s*+{_list(6)}\s*+\]")
+DECLARED = re.compile(r"\brobtarget\s+(\w+)\s*+(\{[\w,\s]*\})?\s*+:=([^;]{0,200000})", re.I)
+TOOL = re.compile(rf"\btooldata\s+(\w+)\s*+:=\s*+\[\s*+(TRUE|FALSE)\s*+,\s*+\[\s*+{POSE}\s*+\]", re.I)
 OBJECT = re.compile(
-    rf"\bwobjdata\s+(\w+)\s*:=\s*\[\s*(TRUE|FALSE)\s*,\s*(TRUE|FALSE)\s*,[^,\[\]]{{0,80}},\s*\[\s*{POSE}\s*\]\s*,\s*\[\s*{POSE}\s*\]",
+    rf"\bwobjdata\s+(\w+)\s*+:=\s*+\[\s*+(TRUE|FALSE)\s*+,\s*+(TRUE|FALSE)\s*+,[^,\[\]]{{0,80}},\s*+\[\s*+{POSE}\s*+\]\s*+,\s*+\[\s*+{POSE}\s*+\]",
     re.I,
 )
 DISPLACED = re.compile(r"\b(?:PDispOn|PDispSet|EOffsOn|EOffsSet)\b", re.I)
-AXIS_LOCKED = re.compile(r"\bSingArea\s*\\\s*LockAxis4\b", re.I)
+AXIS_LOCKED = re.compile(r"\bSingArea\s*+\\\s*+LockAxis4\b", re.I)
 
 
 def pose_of(program: Program, name: str, match: re.Match[str]) -> PoseTarget:
@@ -110,7 +110,7 @@ def _handed_on(text: str, names: Collection[str], changed_names: set[str]) -> It
     keep = {
         match[1].lower()
         for match in ROUTINE.finditer(text)
-        if not changed_names & {name.lower() for name in re.findall(r"(\w+)\s*(?:,|$)", match[2])}
+        if not changed_names & {name.lower() for name in re.findall(r"(\w+)\s*+(?:,|$)", match[2])}
     }
     for use in other_uses(text, names, ()):
         by = use.handed_to

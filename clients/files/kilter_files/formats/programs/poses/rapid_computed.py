@@ -13,13 +13,13 @@ from kilter_files.formats.programs.poses.rapid import arguments
 from kilter_files.formats.programs.rigid import Rigid
 from kilter_files.ground.orientation import from_euler
 
-CALL = re.compile(r"(Offs|RelTool)\s*\((.*)\)\s*", re.I | re.S)
+CALL = re.compile(r"(Offs|RelTool)\s*+\((.*)\)\s*+", re.I | re.S)
 VALUE = rf"(?:{NUMBER}|[-+]?[A-Za-z]\w*)"
 SHIFT = re.compile(
-    rf"\s*({VALUE})\s*,\s*({VALUE})\s*,\s*({VALUE})\s*((?:,?\s*\\\s*R[xyz]\s*:=\s*{VALUE}\s*){{0,3}})", re.I
+    rf"\s*+({VALUE})\s*+,\s*+({VALUE})\s*+,\s*+({VALUE})\s*+((?:,?\s*+\\\s*+R[xyz]\s*+:=\s*+{VALUE}\s*+){{0,3}})", re.I
 )
-TURN = re.compile(rf"R([xyz])\s*:=\s*({VALUE})", re.I)
-CONSTANT = re.compile(rf"\bCONST\s+num\s+(\w+)\s*:=\s*({NUMBER})\s*;", re.I)
+TURN = re.compile(rf"R([xyz])\s*+:=\s*+({VALUE})", re.I)
+CONSTANT = re.compile(rf"\bCONST\s+num\s+(\w+)\s*+:=\s*+({NUMBER})\s*+;", re.I)
 NUM = re.compile(r"\bnum\s+(\w+)", re.I)
 LOOP = re.compile(r"\bFOR\s+(\w+)\s+FROM\b", re.I)  # which declares its variable
 

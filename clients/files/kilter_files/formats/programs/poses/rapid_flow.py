@@ -7,17 +7,17 @@ from collections.abc import Sequence
 
 from kilter_files.formats.programs.poses.in_force import InForce
 
-SWITCHED = re.compile(r"\bConf([JL])\s*\\\s*(On|Off)\b", re.I)
+SWITCHED = re.compile(r"\bConf([JL])\s*+\\\s*+(On|Off)\b", re.I)
 ROUTINE = re.compile(r"\b(?:PROC|FUNC\s+\w{1,64}|TRAP)\s+(\w{1,64})", re.I)
-STARTS = re.compile(r"^[ \t]*(?:LOCAL\s+)?(?:PROC|FUNC|TRAP|ERROR|UNDO|BACKWARD|END(?:PROC|FUNC|TRAP))\b", re.I | re.M)
-STATEMENT = re.compile(r"(?:^|;|\b(?:THEN|ELSE|DO)\b|(?<=\w):(?!=))\s*([A-Za-z]\w{0,63})", re.I | re.M)
+STARTS = re.compile(r"^[ \t]*+(?:LOCAL\s+)?(?:PROC|FUNC|TRAP|ERROR|UNDO|BACKWARD|END(?:PROC|FUNC|TRAP))\b", re.I | re.M)
+STATEMENT = re.compile(r"(?:^[ \t]*+|(?:;|\b(?:THEN|ELSE|DO)\b|(?<=\w):(?!=))\s*+)([A-Za-z]\w{0,63})", re.I | re.M)
 WAYS = {
     **dict.fromkeys(("IF", "WHILE", "FOR", "TEST"), 1),
     **dict.fromkeys(("ENDIF", "ENDWHILE", "ENDFOR", "ENDTEST"), -1),
     **dict.fromkeys(("ELSE", "ELSEIF", "CASE", "DEFAULT", "RETURN", "RAISE", "RETRY", "TRYNEXT", "EXITCYCLE"), 0),
     "GOTO": None,
 }
-LABEL = re.compile(r"^[ \t]*(?!(?:CASE|DEFAULT)\b)[A-Za-z]\w{0,63}[ \t]*:(?!=)", re.I | re.M)
+LABEL = re.compile(r"^[ \t]*+(?!(?:CASE|DEFAULT)\b)[A-Za-z]\w{0,63}[ \t]*+:(?!=)", re.I | re.M)
 # instructions, and words that begin a statement, after which the arm stands where it stood
 STAYS = re.compile(
     r"(?:END)?(?:MODULE|RECORD|PROC|FUNC|TRAP)|LOCAL|TASK|VAR|PERS|CONST|ALIAS|ERROR|UNDO|BACKWARD|THEN|DO|TO|STEP|FROM"
@@ -31,7 +31,9 @@ STAYS = re.compile(
     r"|Move(?:Abs)?[JLC]?\w*|Arc[LC]\w*|Trigg[LJC]|Search[LC]",  # moves say themselves where they go
     re.I,
 )
-ASSIGNED = re.compile(r"\s*(?:[.{][^;:]{0,200})?:=")
+ASSIGNED = re.compile(r"\s*+(?:[.{][^;:]{0,200})?:=")
+THEN = re.compile(r"\bTHEN\b", re.I)
+LONGEST = 500  # characters of a short IF
 UNKNOWN = "UNKNOWN"
 Place = tuple[int, int | None]
 
@@ -96,11 +98,12 @@ def _control(text: str) -> tuple[list[Place], list[tuple[int, str]]]:
     calls: list[tuple[int, str]] = []
     for match in STATEMENT.finditer(text):
         at, word = match.start(1), match[1].upper()
-        end = text.find(";", at) % (len(text) + 1)
         if word in WAYS:
-            short = word == "IF" and re.search(r"\bTHEN\b", text[at:end], re.I) is None  # IF on one line, without ENDIF
+            statement = text[at : at + LONGEST].partition(";")[0]
+            end = at + len(statement)
+            short = word == "IF" and THEN.search(statement) is None  # IF on one line, without ENDIF
             control += [(at, 0), (end, 0)] if short else [(at, WAYS[word])]
-            calls += [(at, one.upper()) for one in re.findall(r"[A-Za-z]\w*", text[at:end])] if short else []
+            calls += [(at, one.upper()) for one in re.findall(r"[A-Za-z]\w*", statement)] if short else []
         elif STAYS.fullmatch(word) is None and ASSIGNED.match(text, match.end()) is None:
             calls.append((at, word))
     return sorted(control, key=lambda one: one[0]), calls

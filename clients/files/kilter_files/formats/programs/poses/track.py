@@ -11,7 +11,7 @@ from kilter_files.formats.programs.notations import Frame, Notation
 # mm or deg: where an arm of which errors are some mm in a metre stands this far from where it is taken to be, its
 # correction is another one by some um at most. Rails that stand still read so.
 AT_ZERO = 0.01
-WRITTEN = re.compile(rf"\s*([-+]?)([xyz])\s*(?:,\s*({NUMBER})\s*)?", re.I)
+WRITTEN = re.compile(rf"\s*+([-+]?)([xyz])\s*+(?:,\s*+({NUMBER})\s*+)?", re.I)
 NONE = "none"
 
 

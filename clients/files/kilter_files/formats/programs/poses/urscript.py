@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_at
 from kilter_files.formats.programs.notations import URSCRIPT, Frame
@@ -12,11 +13,13 @@ from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own, 
 from kilter_files.formats.programs.poses.rapid import arguments
 
 NULL = Frame(URSCRIPT, (0.0,) * 6)
-SIX = re.compile(r"p\s?\[\s*" + r"\s*,\s*".join([f"({NUMBER})"] * 6) + r"\s*\]")
+SIX = re.compile(r"p\s?\[\s*+" + r"\s*+,\s*+".join([f"({NUMBER})"] * 6) + r"\s*+\]")
 INVERSE = re.compile(r"get_inverse_kin[ \t]{0,9}\(")
 IN_FRAME = re.compile(r"pose_trans[ \t]{0,9}\(")
 CALL = re.compile(r"\b(move[jlpc])[ \t]{0,9}\(")
 SET_TCP = re.compile(r"\bset_tcp[ \t]{0,9}\(")
+BRACKET = re.compile(r"[()\[\]]")
+MOST_INSIDE = 2000  # characters
 CALLED = re.compile(r"(?<![\w.])(\w{1,64})[ \t]{0,9}\(")
 # functions that only reckon, set or tell, and words before a bracket
 KNOWN = re.compile(
@@ -32,12 +35,12 @@ BY_FORCE = "force_mode moves the arm beside it"
 OF_INVERSE = ("qnear", "maxpositionerror", "maxorientationerror", "tcp")
 FIXED_ORIENTATION = re.compile(r"mode\s?=(?!\s?0\b)")
 CONTROL = re.compile(
-    r"^[ \t]*(?:(if|while)\b|(end)\b|(def|thread|sec|elif|else|halt|return|break|continue|join|run|kill)\b)", re.M
+    r"^[ \t]*+(?:(if|while)\b|(end)\b|(def|thread|sec|elif|else|halt|return|break|continue|join|run|kill)\b)", re.M
 )
-OWN = re.compile(r"^[ \t]*(?:def|thread|sec)[ \t]+(\w{1,64})", re.M)
+OWN = re.compile(r"^[ \t]*+(?:def|thread|sec)[ \t]+(\w{1,64})", re.M)
 OPENS = frozenset(("if", "while", "def", "thread", "sec"))
 PARTS = frozenset(("def", "thread", "sec"))
-CHANGED = re.compile(r"^[ \t]*(\w{1,64})[ \t]*\[[^\]\n]{1,40}\][ \t]*=(?!=)", re.M)
+CHANGED = re.compile(r"^[ \t]*+(\w{1,64})[ \t]*+\[[^\]\n]{1,40}\][ \t]*+=(?!=)", re.M)
 
 NAMED = re.compile(r"\w{1,32}\s?=(?!=)\s?")
 
@@ -253,9 +256,19 @@ def inverse_arguments(text: str, at: int) -> dict[str, tuple[int, str]]:
 
 def inside(text: str, at: int) -> str:
     """Return the text from behind an opening bracket to the one that closes it."""
-    depth = 1
-    for end in range(at, min(len(text), at + 2000)):
-        depth += (text[end] in "([") - (text[end] in ")]")
-        if depth == 0:
-            return text[at:end]
-    return ""
+    return text[at : _closings(text).get(at, at)]
+
+
+@lru_cache(maxsize=4)
+def _closings(text: str) -> dict[int, int]:
+    """The place of the closing bracket by that behind its opening one, of those that are not far apart."""
+    begun: list[int] = []
+    found: dict[int, int] = {}
+    for mark in BRACKET.finditer(text):
+        if mark[0] in "([":
+            begun.append(mark.end())
+        elif begun:
+            begins = begun.pop()
+            if mark.start() < begins + MOST_INSIDE:
+                found[begins] = mark.start()
+    return found

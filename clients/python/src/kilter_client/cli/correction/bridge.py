@@ -31,6 +31,14 @@ Force = Annotated[
     typer.Option("--force", help="Even if the controller corrects by itself, or nobody said whether it does."),
 ]
 Listen = Annotated[str, typer.Option("--listen", metavar="ADDRESS", help="Address of this machine to listen on.")]
+Controller = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Address of the controller, with :PORT if it has always the same; others get no answer. Default: whoever asks "
+        "first.",
+    ),
+]
 Signs = Annotated[
     str | None,
     typer.Option(help="Signs of the controller's axes against the robot's joints, as +,-,+,+,-,+; default: all +."),
@@ -71,10 +79,11 @@ def register(app: typer.Typer) -> None:
     app.add_typer(bridge, name="bridge")
 
 
-@bridge.command(epilog="Example: kilter bridge rsi cell7 --listen 192.168.1.10")
+@bridge.command(epilog="Example: kilter bridge rsi cell7 --listen 192.168.1.10 --controller 192.168.1.20")
 def rsi(
     robot: Robot,
     listen: Listen = "127.0.0.1",
+    controller: Controller = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="UDP port that the controller sends to; 0: any.")] = 59152,
     cycle_ms: Annotated[float, typer.Option(min=1.0, max=100.0, help="Cycle of the controller, ms: 4 or 12.")] = 4.0,
     joints_from: Annotated[
@@ -98,15 +107,18 @@ def rsi(
     start = running.prepared(robot, "rsi", version, force, as_json, publish)
     wire = RsiWire(running.axes_of(signs, start.joints, AXES), joints_from, cycle_ms)
     bounds: Bounds = running.Bounds(largest_deg, rate_deg_s, ramp_s, cycle_ms, gone_after_s)
-    emit(running.answer_over_udp(start, wire, bounds, listen, port), as_json, _show)
+    emit(running.answer_over_udp(start, wire, bounds, listen, port, controller), as_json, _show)
 
 
-@bridge.command(epilog="Example: kilter bridge egm cell7 --listen 192.168.1.10 --setpoints-port 6600")
+@bridge.command(
+    epilog="Example: kilter bridge egm cell7 --listen 192.168.1.10 --controller 192.168.1.20 --setpoints-port 6600"
+)
 def egm(
     robot: Robot,
     path: PathFile = None,
     setpoints_port: SetpointsPort = None,
     listen: Listen = "127.0.0.1",
+    controller: Controller = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="UDP port that the controller sends to; 0: any.")] = 6510,
     cycle_ms: Annotated[float, typer.Option(min=1.0, max=100.0, help="Cycle of the controller, ms.")] = 4.0,
     speed_deg_s: Speed = 30.0,
@@ -130,7 +142,7 @@ def egm(
     plan = planned(path, setpoints_port, start.found.limits_deg)
     setpoints = Setpoints(plan, math.radians(speed_deg_s), bounds.cycle_s)
     wire = EgmWire(running.axes_of(signs, start.joints, EGM_AXES), setpoints)
-    emit(running.answer_over_udp(start, wire, bounds, listen, port), as_json, _show)
+    emit(running.answer_over_udp(start, wire, bounds, listen, port, controller), as_json, _show)
 
 
 @bridge.command(epilog="Example: kilter bridge fci fr3 172.16.0.2 --path weld.csv")
