@@ -31,7 +31,7 @@ from tests.service.test_meshes import CORNERS, binary
 # What no result and no right rests on, as docs/explanation/durability.md says.
 OPEN = {("jobs", "fraction"), ("jobs", "stage")}
 APART = {"heartbeats", "ended_jobs"}
-SEALS = {"seals", "sealed_tables"}
+SEALS = {"seals", "database_seal"}
 
 
 def used(client: httpx.Client, database: Database, katana: Katana) -> None:

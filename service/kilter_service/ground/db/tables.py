@@ -354,14 +354,16 @@ class SealRow(Row):
     digests: Mapped[str] = mapped_column(Text)
 
 
-class SealedTableRow(Row):
-    """How many rows a table has, a total over their seals, which columns have digests, and which key seals this."""
+class DatabaseSealRow(Row):
+    """The one seal over the totals of all tables and the last entry of the audit, and the number of the key that made it.
 
-    __tablename__ = "sealed_tables"
-    thing: Mapped[str] = mapped_column(String(32), primary_key=True)
-    rows: Mapped[int]
-    total: Mapped[str] = mapped_column(String(64))
-    columns: Mapped[str] = mapped_column(Text)
+    ``totals`` is a JSON object: for each table the number of its rows and a total over their seals, for the audit the
+    number and hash of its last entry.
+    """
+
+    __tablename__ = "database_seal"
+    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    totals: Mapped[str] = mapped_column(Text)
     keyed_by: Mapped[str] = mapped_column(String(16))
     seal: Mapped[str] = mapped_column(String(32))
 

@@ -34,7 +34,7 @@ def backup(settings: Settings, arguments: argparse.Namespace) -> None:
 
 def restore(settings: Settings, arguments: argparse.Namespace) -> None:
     """Bring a backup into an empty data folder or database."""
-    found = service.restore(settings, Path(arguments.path))
+    found = service.restore(settings, Path(arguments.path), accept=arguments.accept)
     print(
         f"Restored {found.looked_at()}. Secrets are not in a backup: copy the token file, stream-keys.json and the "
         "authority of zenoh-config, where they were kept; the first start makes new ones."
@@ -67,7 +67,7 @@ def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
 def verify(settings: Settings, arguments: argparse.Namespace) -> None:
     """Check every hash of the database, or of a backup, while the server runs."""
     found = service.verify(Path(arguments.path)) if arguments.path else service.verify_stored(settings)
-    for sentence in found.damaged:
+    for sentence in found.sentences:
         print(sentence)
     if found.damaged:
         print(
@@ -75,8 +75,9 @@ def verify(settings: Settings, arguments: argparse.Namespace) -> None:
             "folder away and bring back the newest backup that is whole with `kilterd restore`.",
             file=sys.stderr,
         )
+    if found.sentences:
         sys.exit(1)
-    print(f"All is whole: {found.looked_at()}; {found.checked()}.")
+    print(found.headline())
 
 
 def seal(settings: Settings, arguments: argparse.Namespace) -> None:

@@ -14,15 +14,16 @@ from sqlalchemy.exc import DBAPIError
 from kilter_service.ground.caller import on_behalf
 from kilter_service.ground.db import Database, Session, seal_check
 from kilter_service.ground.db.audited import note
+from kilter_service.ground.db.database_seal import read_database_seal
 from kilter_service.ground.db.row import Row
-from kilter_service.ground.db.sealed import anew, keyed_by
+from kilter_service.ground.db.initial_seals import anew
 from kilter_service.ground.db.seals import Sealer
 from kilter_service.ground.db.tables import (
     CampaignRow,
     ChunkRow,
+    DatabaseSealRow,
     MeshRow,
     RobotRow,
-    SealedTableRow,
     SealRow,
     UploadRow,
     VersionRow,
@@ -35,21 +36,20 @@ from kilter_service.web.audit.store import everything
 
 AT_ONCE = 50  # rows that are in memory while a table is copied
 SAMPLE = 50  # chunks of a quick check, the newest
-SEALS = (SealRow.__table__, SealedTableRow.__table__)  # an empty database has those of its empty tables
+SEALS = (SealRow.__table__, DatabaseSealRow.__table__)  # an empty database has those of its empty tables
 Part = Callable[[Session, Findings, bool], None]
 
 
-def check(database: Database, *, quick: bool = False, elsewhere: bool = False) -> Findings:
+def check(database: Database, *, quick: bool = False) -> Findings:
     """Compare everything stored with its seals and hashes; a quick check looks at the newest chunks only.
 
-    ``elsewhere`` passes over seals with a key that this process does not have: a backup has its manifest.
     Each part has a snapshot of its own: what a damaged page holds cannot be read, what lies on others can.
     """
     found = Findings()
-    if not (elsewhere and _other_key(database)):
+    _part(database, found, "seals", partial(_whole, database), quick)
+    if not found.other_key:
         for name in seal_check.tables(quick=quick):
             _part(database, found, f"rows of {name}", partial(_sealed, database, name), quick)
-        _part(database, found, "seals of the audit", partial(_end, database), quick)
     for part, what in (
         (_pages, "pages"),
         (_audit, "entries of the audit"),
@@ -84,14 +84,12 @@ def _sealed(database: Database, name: str, session: Session, found: Findings, _q
     found.damaged.extend(seal_check.altered(session.connection(), database.sealer, name))
 
 
-def _other_key(database: Database) -> bool:
-    with database.reading() as session:
-        return keyed_by(session.connection()) != database.sealer.number
-
-
-def _end(database: Database, session: Session, found: Findings, _quick: bool) -> None:
-    """The end of the audit"""
-    found.damaged.extend(seal_check.audit_end(session.connection(), database.sealer))
+def _whole(database: Database, session: Session, found: Findings, _quick: bool) -> None:
+    """The seal over all tables and the end of the audit"""
+    connection = session.connection()
+    found.other_key = seal_check.other_key(connection, database.sealer)
+    if not found.other_key:
+        found.damaged.extend(seal_check.whole_altered(connection, database.sealer))
 
 
 def _audit(session: Session, found: Findings, _quick: bool) -> None:
@@ -201,11 +199,14 @@ def seal(database: Database, *, accept: bool) -> list[str]:
     ``accept`` takes them as they are. An entry of the audit says that it was done.
     """
     with database.engine.begin() as connection:
-        before = keyed_by(connection)
-        old = database.sealer if before == database.sealer.number else Sealer()
-        names = seal_check.tables()
-        found = [one for name in names for one in seal_check.altered(connection, old, name)]
-        found += seal_check.audit_end(connection, old)
+        whole = read_database_seal(connection, database.sealer)
+        before = "" if whole is None else whole.keyed_by
+        other = seal_check.other_key(connection, database.sealer)
+        found = [other] if other else []
+        if not before or not other:
+            old = Sealer() if other else database.sealer
+            found += seal_check.whole_altered(connection, old)
+            found += [one for name in seal_check.tables() for one in seal_check.altered(connection, old, name)]
         if found and not accept:
             return found
         anew(connection, database.sealer)
