@@ -117,10 +117,10 @@ class Pending:
         return None
 
 
-def in_parts(keys: Sequence[Key]) -> Iterator[Sequence[Key]]:
+def in_parts(keys: Sequence[Key], at_once: int = AT_ONCE) -> Iterator[Sequence[Key]]:
     """Yield as many at once as a statement takes."""
-    for start in range(0, len(keys), AT_ONCE):
-        yield keys[start : start + AT_ONCE]
+    for start in range(0, len(keys), at_once):
+        yield keys[start : start + at_once]
 
 
 def hex_total(weight: int) -> str:

@@ -13,10 +13,12 @@ from sqlalchemy.exc import DBAPIError
 
 from kilter_service.ground.caller import on_behalf
 from kilter_service.ground.db import Database, Session, seal_check
-from kilter_service.ground.db.audited import note
+from kilter_service.ground.db.audited import MOST_CHANGES, note
 from kilter_service.ground.db.database_seal import read_database_seal
 from kilter_service.ground.db.row import Row
 from kilter_service.ground.db.initial_seals import anew
+from kilter_service.ground.db.sealed import in_parts
+from kilter_service.ground.db.schema_check import schema_altered
 from kilter_service.ground.db.seals import Sealer
 from kilter_service.ground.db.tables import (
     CampaignRow,
@@ -30,6 +32,7 @@ from kilter_service.ground.db.tables import (
 )
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots.resolved import sha256_of, source_sha256
+from kilter_service.run.backup.audited_rows import audit_differences
 from kilter_service.run.backup.findings import Findings
 from kilter_service.web.audit.service import verified
 from kilter_service.web.audit.store import everything
@@ -51,8 +54,10 @@ def check(database: Database, *, quick: bool = False) -> Findings:
         for name in seal_check.tables(quick=quick):
             _part(database, found, f"rows of {name}", partial(_sealed, database, name), quick)
     for part, what in (
+        (_schema, "tables and triggers"),
         (_pages, "pages"),
         (_audit, "entries of the audit"),
+        (_audited, "rows of the audit"),
         (_robots, "robots"),
         (_chunks, "chunks of campaigns"),
         (_versions, "versions"),
@@ -92,6 +97,11 @@ def _whole(database: Database, session: Session, found: Findings, _quick: bool) 
         found.damaged.extend(seal_check.whole_altered(connection, database.sealer))
 
 
+def _schema(session: Session, found: Findings, _quick: bool) -> None:
+    """Tables, indexes and triggers"""
+    found.damaged.extend(schema_altered(session.connection()))
+
+
 def _audit(session: Session, found: Findings, _quick: bool) -> None:
     """The audit"""
     try:
@@ -109,6 +119,11 @@ def _pages(session: Session, found: Findings, quick: bool) -> None:
         found.add(f"The database file is damaged: {line}.")
     for table, row, parent, _ in session.execute(text("PRAGMA foreign_key_check")):
         found.add(f"Row {row} of {table} refers to a row of {parent} that is missing.")
+
+
+def _audited(session: Session, found: Findings, _quick: bool) -> None:
+    """Tokens, activations and repairs, as the audit has them"""
+    found.damaged.extend(one.sentence for one in audit_differences(session))
 
 
 def _robots(session: Session, found: Findings, _quick: bool) -> None:
@@ -198,6 +213,8 @@ def seal(database: Database, *, accept: bool) -> list[str]:
 
     ``accept`` takes them as they are. An entry of the audit says that it was done.
     """
+    with database.reading() as session:
+        differences = list(audit_differences(session))
     with database.engine.begin() as connection:
         whole = read_database_seal(connection, database.sealer)
         before = "" if whole is None else whole.keyed_by
@@ -207,17 +224,17 @@ def seal(database: Database, *, accept: bool) -> list[str]:
             old = Sealer() if other else database.sealer
             found += seal_check.whole_altered(connection, old)
             found += [one for name in seal_check.tables() for one in seal_check.altered(connection, old, name)]
+        found += [one.sentence for one in differences]
         if found and not accept:
             return found
         anew(connection, database.sealer)
-    asked = {"actor": "kilterd", "role": "admin"}
-    with on_behalf(asked, "kilterd seal", {}), database.transaction() as session:
-        note(
-            session,
-            "seals",
-            before or "no key",
-            f"{database.sealer.number or 'no key'}, {len(found)} findings accepted",
-        )
+    now = f"{database.sealer.number or 'no key'}, {len(found)} findings accepted"
+    with on_behalf({"actor": "kilterd", "role": "admin"}, "kilterd seal", {}), database.transaction() as session:
+        note(session, "seals", before or "no key", now)
+    for some in in_parts(differences, MOST_CHANGES):  # from now on the audit says of them what they are
+        with on_behalf({"actor": "kilterd", "role": "admin"}, "kilterd seal", {}), database.transaction() as session:
+            for one in some:
+                note(session, one.thing, one.audited, one.stored)
     return []
 
 
