@@ -130,8 +130,20 @@ def altered(chance: np.random.Generator, value: Any) -> Any:
 
 
 @pytest.mark.parametrize("seed", [28, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3, 4))])
-def test_random_alterations_are_named(whole: Path, tmp_path: Path, seed: int) -> None:
+@pytest.mark.parametrize("keyed", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_random_alterations_are_named(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int, keyed: bool
+) -> None:
     """Any column of any table by hand, deleted rows, and a cut audit."""
+    if keyed:
+        (tmp_path / "key").write_text("a secret of more than thirty-two characters\n")
+        (tmp_path / "key").chmod(0o600)
+        monkeypatch.setenv("KILTER_SEAL_KEY", str(tmp_path / "key"))
+        sealed = copied(whole, tmp_path, "sealed")
+        assert service.seal(sealed, accept=True) == []
+        with closing(sqlite3.connect(sealed.data / "kilter.sqlite")) as file:
+            file.execute("PRAGMA journal_mode=DELETE")
+        whole = sealed.data / "kilter.sqlite"
     chance = np.random.default_rng(seed)
     tables = [table for table in Row.metadata.sorted_tables if table.name not in APART]
     with closing(sqlite3.connect(whole)) as file:
@@ -272,10 +284,9 @@ def test_a_key_keeps_others_from_sealing(filled: Settings, tmp_path: Path, monke
     without = filled
     keyed = filled.model_copy(update={"seal_key": key})
     refused = kilterd(keyed, "verify")
-    assert (
-        "sealed without the key that KILTER_SEAL_KEY names: run `kilterd seal` once" in refused.stderr + refused.stdout
-    )
-    assert kilterd(keyed, "seal").returncode == 0
+    assert "not sealed with the key that KILTER_SEAL_KEY names" in refused.stderr + refused.stdout
+    assert kilterd(keyed, "seal").returncode == 1
+    assert kilterd(keyed, "seal", "--accept").returncode == 0
     assert kilterd(keyed, "verify").stdout.startswith("All is whole")
     assert kilterd(keyed, "audit").returncode == 0
     told = kilterd(without, "verify")
@@ -283,7 +294,8 @@ def test_a_key_keeps_others_from_sealing(filled: Settings, tmp_path: Path, monke
     backup = tmp_path / "keyed.backup"
     assert kilterd(keyed, "backup", str(backup)).returncode == 0
     new = plain(tmp_path, "new")
-    assert kilterd(new, "restore", str(backup)).returncode == 0  # the key may be lost with the machine
+    assert kilterd(new, "restore", str(backup)).returncode == 2
+    assert kilterd(new, "restore", "--accept", str(backup)).returncode == 0  # the key may be lost with the machine
     assert kilterd(new, "seal").returncode == 1
     assert kilterd(new, "seal", "--accept").returncode == 0
     assert kilterd(new, "verify").stdout.startswith("All is whole")
