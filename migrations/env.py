@@ -8,9 +8,9 @@ from alembic import context
 from sqlalchemy import inspect
 
 from kilter_service.ground.db.database import open_engine
+from kilter_service.ground.db.initial_seals import complete
 from kilter_service.ground.db.revision import HEAD
 from kilter_service.ground.db.row import Instant, Row
-from kilter_service.ground.db.initial_seals import complete
 from kilter_service.ground.db.seals import sealer
 from kilter_service.ground.settings import Settings
 

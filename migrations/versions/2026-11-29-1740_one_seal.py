@@ -1,4 +1,4 @@
-"""One seal over the totals of all tables and the end of the audit, in place of one for each table; old seals are compared once."""
+"""One seal over all tables, made once old seals are compared; answers of active versions, which the next upgrade replays."""
 
 from __future__ import annotations
 
@@ -35,13 +35,26 @@ def upgrade() -> None:
     if found:
         keys = {row["keyed_by"] for row in found}
         other = min(keys - {seals.number}, default=seals.number)
-        fits = all(_seal(seals, row["thing"], row["rows"], row["total"], row["columns"]) == row["seal"] for row in found)
+        fits = all(
+            _seal(seals, row["thing"], row["rows"], row["total"], row["columns"]) == row["seal"] for row in found
+        )
         refuse_other_key(DatabaseSeal({}, other, fits), seals)
         totals = json.dumps({row["thing"]: [row["rows"], row["total"]] for row in found}, sort_keys=True)
         # What did not fit before goes on being a finding.
         values = {"id": 1, "totals": totals, "keyed_by": seals.number, "seal": seals.seal(totals) if fits else ""}
         connection.execute(sa.insert(NOW).values(**values))
     op.drop_table("sealed_tables")
+    op.create_table(
+        "replays",
+        sa.Column(
+            "activation_id", sa.Integer(), sa.ForeignKey("activations.id", ondelete="RESTRICT"), primary_key=True
+        ),
+        sa.Column("rules", sa.JSON(), nullable=False),
+        sa.Column("setpoints", sa.LargeBinary(), nullable=False),
+        sa.Column("answers", sa.LargeBinary(), nullable=False),
+        sa.Column("made_by", sa.String(16), nullable=False),
+        sa.Column("code_version", sa.String(64), nullable=False),
+    )
 
 
 def downgrade() -> None:
@@ -57,11 +70,21 @@ def downgrade() -> None:
     )
     whole = read_database_seal(connection, seals)
     refuse_other_key(whole, seals)
-    for thing, (rows, total) in () if whole is None else whole.totals.items():
+    totals = {} if whole is None else {thing: total for thing, total in whole.totals.items() if thing != "replays"}
+    for thing, (rows, total) in totals.items():
         columns = "" if thing == AUDIT else " ".join(_columns(connection, thing))
-        seal = _seal(seals, thing, rows, total, columns) if whole.fits else ""
-        values = {"thing": thing, "rows": rows, "total": total, "columns": columns, "keyed_by": seals.number, "seal": seal}
+        seal = _seal(seals, thing, rows, total, columns) if whole is not None and whole.fits else ""
+        values = {
+            "thing": thing,
+            "rows": rows,
+            "total": total,
+            "columns": columns,
+            "keyed_by": seals.number,
+            "seal": seal,
+        }
         connection.execute(sa.insert(BEFORE).values(**values))
+    op.execute("DELETE FROM seals WHERE thing = 'replays'")
+    op.drop_table("replays")
     op.drop_table("database_seal")
 
 

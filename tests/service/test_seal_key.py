@@ -23,6 +23,7 @@ from kilter_service.ground.settings import Settings
 from kilter_service.run.backup import service
 from tests.service.test_backup import kilterd, plain
 
+_WHERE = " WHERE thing = 'tokens'"
 SECRET = "a secret of more than thirty-two characters\n"
 ANY_TABLE = "a table was put back to an earlier state, or a total was altered"
 REVOKED = "Table tokens, row tok_1: revoked_at, revoked_by are not what the audit says."
@@ -74,7 +75,7 @@ def remember(settings: Settings) -> dict[str, list[tuple[Any, ...]]]:
 def put_back(settings: Settings, copied: dict[str, list[tuple[Any, ...]]], *tables: str) -> None:
     with closing(sqlite3.connect(settings.data / "kilter.sqlite", isolation_level=None)) as file:
         for table in tables:
-            file.execute(f"DELETE FROM {table}{' WHERE thing = ?' if table == 'seals' else ''}", ("tokens",) * (table == "seals"))
+            file.execute(f"DELETE FROM {table}{_WHERE if table == 'seals' else ''}")
             for row in copied[table]:
                 file.execute(f"INSERT INTO {table} VALUES ({', '.join('?' * len(row))})", row)
 

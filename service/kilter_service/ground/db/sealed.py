@@ -227,5 +227,3 @@ def _cascade(connection: Connection, pending: Pending, table: Any, keys: Sequenc
                 for some in in_parts(keys):
                     query = select(*child.primary_key.columns).where(reference.parent.in_([key[0] for key in some]))
                     _gone(connection, pending, child, [tuple(found) for found in connection.execute(query)])
-
-

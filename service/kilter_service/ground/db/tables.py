@@ -189,6 +189,21 @@ class ActivationRow(Row):
     objections: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
 
 
+class ReplayRow(Row):
+    """Task and rules that a version was activated under, and its answers at some setpoints, which an upgrade replays.
+
+    ``setpoints`` and ``answers`` are joints (N, n), rad or m, as little-endian float64; NaN where a setpoint is refused.
+    """
+
+    __tablename__ = "replays"
+    activation_id: Mapped[int] = mapped_column(ForeignKey("activations.id", ondelete="RESTRICT"), primary_key=True)
+    rules: Mapped[dict[str, Any]]
+    setpoints: Mapped[bytes] = mapped_column(LargeBinary)
+    answers: Mapped[bytes] = mapped_column(LargeBinary)
+    made_by: Mapped[str] = mapped_column(String(16))
+    code_version: Mapped[str] = mapped_column(String(64))
+
+
 class HeartbeatRow(Row):
     """A process that says it is alive."""
 
@@ -392,5 +407,5 @@ def _refuse_change(_mapper: Mapper[Any], _connection: Any, row: Row) -> None:
     raise RuntimeError(f"{type(row).__name__} is immutable: store a new one instead of changing it.")
 
 
-for _immutable in (VersionRow, ActivationRow, ChunkRow, AuditRow):
+for _immutable in (VersionRow, ActivationRow, ReplayRow, ChunkRow, AuditRow):
     event.listen(_immutable, "before_update", _refuse_change)

@@ -44,6 +44,9 @@ def restore(settings: Settings, arguments: argparse.Namespace) -> None:
 def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
     """Bring the database to the revision of this Kilter, or say what that would do."""
     plan = upgrading.planned(settings) if arguments.check else upgrading.upgrade(settings)
+    changes = upgrading.planned_changes(settings, plan) if arguments.check else plan.changes
+    for change in changes:
+        print(upgrading.describe_change(change, plan, done=not arguments.check))
     if not plan.steps:
         print(f"The database is at revision {revision.HEAD}: there is nothing to upgrade.")
         return
@@ -56,6 +59,8 @@ def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
         needed = f"needs {plan.copy_bytes >> 20} MB of {plan.free_bytes >> 20} MB free"
         print(f"A copy of it as it is {'would be' if arguments.check else 'was'} kept: {plan.copy} ({needed}).")
     elif plan.found is not None:
+        if arguments.check:
+            print("`kilterd upgrade` says what changes of what arms are sent; of a PostgreSQL database --check cannot.")
         print("No copy is made of a PostgreSQL database: make one with pg_dump first.")
     if not plan.fits:
         print(

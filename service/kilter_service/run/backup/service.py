@@ -85,8 +85,8 @@ def restore(settings: Settings, path: Path, *, accept: bool = False) -> Findings
             found = _checked_copy(path, part)
             if found.other_key and not accept:
                 raise ServiceError(
-                    f"{path} was not restored, its seals cannot be compared. {found.other_key} `kilterd restore --accept` takes "
-                    "it as it is.",
+                    f"{path} was not restored, its seals cannot be compared. {found.other_key} `kilterd restore --accept` "
+                    "takes it as it is.",
                     code="seal_key_other",
                 )
             _refuse_damaged(found, f"{path} is damaged and was not restored")

@@ -15,10 +15,10 @@ from kilter_service.ground.caller import on_behalf
 from kilter_service.ground.db import Database, Session, seal_check
 from kilter_service.ground.db.audited import MOST_CHANGES, note
 from kilter_service.ground.db.database_seal import read_database_seal
-from kilter_service.ground.db.row import Row
 from kilter_service.ground.db.initial_seals import anew
-from kilter_service.ground.db.sealed import in_parts
+from kilter_service.ground.db.row import Row
 from kilter_service.ground.db.schema_check import schema_altered
+from kilter_service.ground.db.sealed import in_parts
 from kilter_service.ground.db.seals import Sealer
 from kilter_service.ground.db.tables import (
     CampaignRow,
