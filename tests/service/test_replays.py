@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
@@ -119,6 +120,21 @@ def test_a_rollback_returns_to_the_rules_of_that_time(settings: Settings, databa
         assert session.get(ReplayRow, entry.id) is not None
     assert found is not None
     assert found["rate_rad_s"] == 0.001
+
+
+def test_what_changed_before_answers_were_kept_is_estimated(
+    settings: Settings, database: Database, kilterd: Kilterd, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = {"name": ROBOT, "convention": "preset", "preset": ROBOT}
+    store_active(settings, database, document, calibration_of(ROBOT, effects=()))
+    command.downgrade(revision.configuration(settings.database), "0014")
+    kilterd(["upgrade", "--check", "--data", str(settings.data)])
+    said = capsys.readouterr().out
+    found = re.search(r"By an estimate joints change by at most (\S+) deg, the tool point by (\S+) mm", said)
+    assert found is not None, said
+    # The release of 2026-11-23 10:18 itself answers these setpoints otherwise by 0.4953 deg and 0.0000 mm at most.
+    assert float(found[1]) == pytest.approx(0.495, abs=0.01)
+    assert float(found[2]) < 0.001
 
 
 def planar() -> Calibration:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from kilter_core.model import Calibration
 
 SETPOINTS = 300  # all over the joint limits
+WHOLE_POSE, ANY_LEVERAGE = 6, 1e3  # of joints; of postures, none of which reaches it
 BY_ACTIVATION, BY_UPGRADE = "activation", "upgrade"
 
 
@@ -111,10 +112,10 @@ def keep_answers(database: Database) -> None:
                 add(session, entry.id, replay, BY_UPGRADE)
 
 
-def compare_answers(database: Database, earlier: Rules | None = None) -> Iterator[Change]:
+def compare_answers(database: Database, *, before_rules: bool = False) -> Iterator[Change]:
     """Yield how the answers of each active version differ from those that were kept.
 
-    Of a version without kept answers they are compared with those under the rules of an ``earlier`` release, where given.
+    ``before_rules``: they are of a release before 2026-11-23, which kept none; what it answered is estimated.
     """
     with database.reading() as session:
         found = [
@@ -123,7 +124,7 @@ def compare_answers(database: Database, earlier: Rules | None = None) -> Iterato
         ]
     for record, calibration, kept in found:
         try:
-            yield _compare(record.robot, record.id, calibration, record.limits, kept, earlier)
+            yield _compare(record.robot, record.id, calibration, record.limits, kept, before_rules)
         except CoreError:  # nor is it streamed
             continue
 
@@ -144,12 +145,14 @@ def _compare(
     calibration: Calibration,
     limits: dict[str, Any],
     kept: Replay | None,
-    earlier: Rules | None,
+    before_rules: bool,
 ) -> Change:
     if kept is None:
         q = drawn(calibration.robot, SETPOINTS)
         now = correct_setpoints(calibration, limits, rules_today(), q)
-        before = now if earlier is None else correct_setpoints(calibration, limits, {**rules_today(), **earlier}, q)
+        n = calibration.robot.n_joints
+        earlier = rules_today() | ({"task": "pose"} if n >= WHOLE_POSE else {"least_leverage": ANY_LEVERAGE})
+        before = correct_setpoints(calibration, limits, earlier, q) if before_rules else now
     else:
         q, before = kept.setpoints, kept.answers
         now = correct_setpoints(calibration, limits, kept.rules, q)

@@ -21,7 +21,6 @@ from kilter_service.ground.files.private_files import private_file
 from kilter_service.ground.settings import Settings
 
 if TYPE_CHECKING:
-    from kilter_service.ground.correction_limits import Rules
     from kilter_service.versions.replays import Change
 
 with later(__name__):  # a database without active versions needs no core
@@ -32,10 +31,9 @@ log = logging.getLogger("kilter.serve")
 
 SUFFIX = ".kilter-backup"
 MARGIN_BYTES = 64 << 20  # of the migration itself, beside the copy
-# Up to this revision a correction held the tool point with the least motion of the joints, whatever the rotation: as today
-# where every posture counts as weak.
-POINT_FIRST = "0014"
-LEAST_MOTION: Rules = {"least_leverage": 1e3}
+# Up to this revision a correction held the whole pose or, of an arm with fewer than six joints, the tool point alone with the
+# least motion of the joints: as today where every posture counts as weak. Releases kept no rules then.
+POINT_ALONE = "0014"
 STEP = re.compile(r'^"""(.+?)(?:"""|\n)', re.DOTALL)
 BEFORE = re.compile(r'^down_revision = "(\w+)"', re.MULTILINE)
 
@@ -104,12 +102,11 @@ def planned_changes(settings: Settings, plan: Plan) -> Iterator[Change]:
             url = f"sqlite:///{copy}"
         with closing(Database(url)) as database:
             revision.migrate(database)
-            yield from replays.compare_answers(database, _earlier_rules(plan))
+            yield from replays.compare_answers(database, before_rules=_is_before_rules(plan))
 
 
-def _earlier_rules(plan: Plan) -> Rules | None:
-    """What is known of the rules of releases that kept none, where these differ: they held the point without the rotation."""
-    return LEAST_MOTION if plan.found is not None and plan.found <= POINT_FIRST else None
+def _is_before_rules(plan: Plan) -> bool:
+    return plan.found is not None and plan.found <= POINT_ALONE
 
 
 def upgrade(settings: Settings, *, replay: bool = True) -> Plan:
@@ -144,7 +141,7 @@ def replay_and_keep(database: Database, plan: Plan) -> tuple[Change, ...]:
     with database.reading() as session:
         if not versions.active_entries(session):
             return ()
-    changes = tuple(replays.compare_answers(database, _earlier_rules(plan)))
+    changes = tuple(replays.compare_answers(database, before_rules=_is_before_rules(plan)))
     replays.keep_answers(database)
     return changes
 
@@ -157,7 +154,7 @@ def describe_change(change: Change, plan: Plan, *, done: bool) -> str:
     who = f"{change.robot} {change.version_id}"
     if not change.kept:
         kept = f"{who}: no earlier answers are stored; today's {'are' if done else 'would be'} kept."
-        return f"{kept} From rules of before 2026-11-23 {far}." if _earlier_rules(plan) else kept
+        return f"{kept} Releases before 2026-11-23 answered otherwise. By an estimate {far}." if _is_before_rules(plan) else kept
     other = f"; {change.otherwise} are refused that were not, or the other way round" if change.otherwise else ""
     return f"{who}: {far}, at {change.setpoints} setpoints{other}."
 
