@@ -100,7 +100,7 @@ def test_what_kilter_does_itself_breaks_no_seal(
     until(lambda: all(job["state"] == "succeeded" for job in client.get("/v1/jobs").json()["jobs"]))
     with database.reading() as session:
         sealed = dict(session.execute(text("SELECT thing, count(*) FROM seals GROUP BY thing")).all())  # type: ignore[arg-type]
-    assert {"robots", "campaigns", "chunks", "jobs", "versions", "activations", "replays", "tokens", "meshes"} <= sealed.keys()
+    assert {"robots", "campaigns", "chunks", "jobs", "versions", "replays", "tokens", "meshes"} <= sealed.keys()
     assert service.verify_stored(settings).damaged == []
 
 

@@ -14,11 +14,13 @@ from kilter_service.ground.db.row import now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
-from kilter_service.versions import replays, store, wire
+from kilter_service.versions import store, wire
 from kilter_service.versions.ability import CODE as CANNOT
 from kilter_service.versions.ability import Ability, ability
 from kilter_service.versions.guard import Verdict, judge
 from kilter_service.versions.if_match import ANY_STATE, Expected
+from kilter_service.versions.replays import service as replays
+from kilter_service.versions.replays import store as kept_answers
 
 ACTIVATE, ROLLBACK = "activate", "rollback"
 ATTEMPTS = 5
@@ -141,7 +143,7 @@ def _activated(
     wish: ActivationWish,
     verdict: Verdict,
     expected: Expected,
-    replay: replays.Replay,
+    replay: kept_answers.Replay,
 ) -> VersionSummary | None:
     """Write the activation; None when another version became active since the verdict."""
     with database.transaction() as session:
@@ -150,14 +152,14 @@ def _activated(
         last = store.active_entry(session, robot_id)
         active = None if last is None else last.version_id
         # The active version keeps its rules until somebody activates it anew.
-        if active != version_id or store.rules_of(session, version_id) not in (None, replay.rules):
+        if active != version_id or kept_answers.rules_of(session, version_id) not in (None, replay.rules):
             if active != verdict.active:
                 return None
             entry = store.activate(
                 session, robot_id, version_id, ACTIVATE, actor,
                 forced=wish.force, reason=wish.reason, objections=[objection.model_dump() for objection in verdict.objections],
             )  # fmt: skip
-            replays.add(session, entry, replay)
+            kept_answers.add(session, entry, replay)
         return wire.summary(store.get(session, version_id))
 
 
@@ -176,7 +178,7 @@ def rollback(
         robot_id = robots.get(session, robot).id
         expected.check(session, robot_id)
         before = _before(session, robot_id, robot)
-        replays.repeat(session, store.activate(session, robot_id, before, ROLLBACK, actor), before)
+        kept_answers.repeat(session, store.activate(session, robot_id, before, ROLLBACK, actor), before)
         summary = wire.summary(store.get(session, before))
         compensated = robots.compensation_of(session, robot_id)
     able = ability(database, before, temperature_c)  # after: nothing stands between a person and the way back

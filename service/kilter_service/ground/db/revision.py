@@ -12,7 +12,7 @@ from sqlalchemy import inspect, text
 from kilter_service.ground.db.database import Database
 from kilter_service.ground.db.database_seal import check_key
 from kilter_service.ground.db.outages import DatabaseAwayError
-from kilter_service.ground.db.tables import SealRow
+from kilter_service.ground.db.seal_tables import SealRow
 from kilter_service.ground.errors import ServiceError
 
 if TYPE_CHECKING:

@@ -19,7 +19,8 @@ from sqlalchemy import Column, Table
 from sqlalchemy.dialects import sqlite
 
 from kilter_service.ground.db.row import Row
-from kilter_service.ground.db.tables import AuditRow, DatabaseSealRow, EndedJobsRow, HeartbeatRow, SealRow
+from kilter_service.ground.db.seal_tables import DatabaseSealRow, SealRow
+from kilter_service.ground.db.tables import AuditRow, EndedJobsRow, HeartbeatRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.files.private_files import secret_in
 

@@ -360,29 +360,6 @@ class CreepingRow(Row):
     told_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class SealRow(Row):
-    """What a row was stored as: a digest for each of its columns. It is written with the row (`db/sealed.py`)."""
-
-    __tablename__ = "seals"
-    thing: Mapped[str] = mapped_column(String(32), primary_key=True)
-    id: Mapped[str] = mapped_column(String(200), primary_key=True)
-    digests: Mapped[str] = mapped_column(Text)
-
-
-class DatabaseSealRow(Row):
-    """The one seal over the totals of all tables and the last entry of the audit, and the number of the key that made it.
-
-    ``totals`` is a JSON object: for each table the number of its rows and a total over their seals, for the audit the
-    number and hash of its last entry.
-    """
-
-    __tablename__ = "database_seal"
-    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
-    totals: Mapped[str] = mapped_column(Text)
-    keyed_by: Mapped[str] = mapped_column(String(16))
-    seal: Mapped[str] = mapped_column(String(32))
-
-
 def _come_last(_mapper: Mapper[Any], connection: Connection, row: Any) -> None:
     """Date a row after the others (of its robot): the clock may have been set back, and `latest` is the newest."""
     if row.created_at is None:

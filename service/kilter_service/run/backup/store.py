@@ -14,25 +14,17 @@ from sqlalchemy.exc import DBAPIError
 from kilter_service.ground.caller import on_behalf
 from kilter_service.ground.db import Database, Session, seal_check
 from kilter_service.ground.db.audited import MOST_CHANGES, note
+from kilter_service.ground.db.audited_rows import audit_differences
 from kilter_service.ground.db.database_seal import read_database_seal
 from kilter_service.ground.db.initial_seals import anew
 from kilter_service.ground.db.row import Row
 from kilter_service.ground.db.schema_check import schema_altered
+from kilter_service.ground.db.seal_tables import DatabaseSealRow, SealRow
 from kilter_service.ground.db.sealed import in_parts
 from kilter_service.ground.db.seals import Sealer
-from kilter_service.ground.db.tables import (
-    CampaignRow,
-    ChunkRow,
-    DatabaseSealRow,
-    MeshRow,
-    RobotRow,
-    SealRow,
-    UploadRow,
-    VersionRow,
-)
+from kilter_service.ground.db.tables import CampaignRow, ChunkRow, MeshRow, RobotRow, UploadRow, VersionRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots.resolved import sha256_of, source_sha256
-from kilter_service.run.backup.audited_rows import audit_differences
 from kilter_service.run.backup.findings import Findings
 from kilter_service.web.audit.service import verified
 from kilter_service.web.audit.store import everything

@@ -21,11 +21,11 @@ from kilter_service.ground.files.private_files import private_file
 from kilter_service.ground.settings import Settings
 
 if TYPE_CHECKING:
-    from kilter_service.versions.replays import Change
+    from kilter_service.versions.replays.service import Change
 
 with later(__name__):  # a database without active versions needs no core
-    from kilter_service.versions import replays
     from kilter_service.versions import store as versions
+    from kilter_service.versions.replays import service as replays
 
 log = logging.getLogger("kilter.serve")
 
@@ -154,7 +154,8 @@ def describe_change(change: Change, plan: Plan, *, done: bool) -> str:
     who = f"{change.robot} {change.version_id}"
     if not change.kept:
         kept = f"{who}: no earlier answers are stored; today's {'are' if done else 'would be'} kept."
-        return f"{kept} Releases before 2026-11-23 answered otherwise. By an estimate {far}." if _is_before_rules(plan) else kept
+        estimate = f" Releases before 2026-11-23 answered otherwise. By an estimate {far}."
+        return kept + estimate if _is_before_rules(plan) else kept
     other = f"; {change.otherwise} are refused that were not, or the other way round" if change.otherwise else ""
     return f"{who}: {far}, at {change.setpoints} setpoints{other}."
 

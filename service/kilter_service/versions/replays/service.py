@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from sqlalchemy import select
 
 from kilter_core.errors import CoreError
 from kilter_core.observations import Observations
@@ -17,27 +16,18 @@ from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import program
 from kilter_service.ground.correction_limits import Rules, options_of, rules_today
 from kilter_service.ground.db import Database, Session
-from kilter_service.ground.db.tables import ActivationRow, ReplayRow
-from kilter_service.ground.version import code_version
 from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.versions import store
 from kilter_service.versions.predictions.preview import drawn
+from kilter_service.versions.replays.store import BY_UPGRADE, Replay, add, kept, rules_of
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
+    from kilter_service.versions.records import ActivationRecord
 
+STORED = "<f8"
 SETPOINTS = 300  # all over the joint limits
 WHOLE_POSE, ANY_LEVERAGE = 6, 1e3  # of joints; of postures, none of which reaches it
-BY_ACTIVATION, BY_UPGRADE = "activation", "upgrade"
-
-
-@dataclass(frozen=True)
-class Replay:
-    """Task and rules of a correction, ``setpoints (N, n)`` and ``answers (N, n)``, rad or m; NaN where refused."""
-
-    rules: dict[str, Any]
-    setpoints: Floats
-    answers: Floats
 
 
 @dataclass(frozen=True)
@@ -69,47 +59,21 @@ def replay_version(database: Database, version_id: str) -> Replay:
     with database.reading() as session:
         calibration, limits = store.calibration(session, version_id), store.get(session, version_id).limits
     q, rules = drawn(calibration.robot, SETPOINTS), rules_today()
-    return Replay(rules, q, correct_setpoints(calibration, limits, rules, q))
-
-
-def add(session: Session, activation_id: int, replay: Replay, made_by: str = BY_ACTIVATION) -> None:
-    """Keep the answers of a version with its activation."""
-    row = ReplayRow(activation_id=activation_id, rules=replay.rules, made_by=made_by, code_version=code_version())
-    row.setpoints, row.answers = (np.asarray(one, "<f8").tobytes() for one in (replay.setpoints, replay.answers))
-    session.add(row)
-    session.flush()
-
-
-def repeat(session: Session, activation_id: int, version_id: str) -> None:
-    """Keep with an activation what was kept with the last one of the version, its task and rules too."""
-    query = select(ReplayRow).join(ActivationRow, ActivationRow.id == ReplayRow.activation_id)
-    query = query.where(ActivationRow.version_id == version_id).order_by(ActivationRow.id.desc()).limit(1)
-    before = session.execute(query).scalar_one_or_none()
-    if before is not None:
-        names = ("rules", "setpoints", "answers", "made_by", "code_version")
-        session.add(ReplayRow(activation_id=activation_id, **{name: getattr(before, name) for name in names}))
-        session.flush()
-
-
-def without_answers(session: Session) -> list[int]:
-    """Return the activations in use that no answers were kept with: those of earlier releases."""
-    kept = set(session.execute(select(ReplayRow.activation_id)).scalars())
-    return [entry.id for entry in store.active_entries(session) if entry.id not in kept]
+    answers = correct_setpoints(calibration, limits, rules, q)
+    return Replay(rules, *(np.asarray(one, STORED).tobytes() for one in (q, answers)))
 
 
 def keep_answers(database: Database) -> None:
-    """Keep today's answers of the active versions that have none."""
+    """Keep today's answers of the active versions that have none: those of earlier releases."""
     with database.reading() as session:
-        missing = set(without_answers(session))
-        found = [entry for entry in store.active_entries(session) if entry.id in missing]
-    for entry in found:
+        missing = [entry for entry in store.active_entries(session) if rules_of(session, entry.version_id) is None]
+    for entry in missing:
         try:
             replay = replay_version(database, entry.version_id)
         except CoreError:  # nor is it streamed
             continue
         with database.transaction() as session:
-            if session.get(ReplayRow, entry.id) is None:
-                add(session, entry.id, replay, BY_UPGRADE)
+            add(session, entry.id, replay, BY_UPGRADE)
 
 
 def compare_answers(database: Database, *, before_rules: bool = False) -> Iterator[Change]:
@@ -118,25 +82,17 @@ def compare_answers(database: Database, *, before_rules: bool = False) -> Iterat
     ``before_rules``: they are of a release before 2026-11-23, which kept none; what it answered is estimated.
     """
     with database.reading() as session:
-        found = [
-            (record, store.calibration(session, record.id), _kept(session, record.robot_id))
-            for record in store.active_of_robots(session)
-        ]
-    for record, calibration, kept in found:
+        found = [_active(session, entry) for entry in store.active_entries(session)]
+    for robot, version_id, calibration, limits, before in found:
         try:
-            yield _compare(record.robot, record.id, calibration, record.limits, kept, before_rules)
+            yield _compare(robot, version_id, calibration, limits, before, before_rules)
         except CoreError:  # nor is it streamed
             continue
 
 
-def _kept(session: Session, robot_id: int) -> Replay | None:
-    entry = store.active_entry(session, robot_id)
-    row = None if entry is None else session.get(ReplayRow, entry.id)
-    if row is None:
-        return None
-    n = store.calibration(session, entry.version_id).robot.n_joints if entry is not None else 0
-    q, answers = (np.frombuffer(one, "<f8").reshape(-1, n) for one in (row.setpoints, row.answers))
-    return Replay(row.rules, q, answers)
+def _active(session: Session, entry: ActivationRecord) -> tuple[str, str, Calibration, dict[str, Any], Replay | None]:
+    record, calibration = store.get(session, entry.version_id), store.calibration(session, entry.version_id)
+    return record.robot, record.id, calibration, record.limits, kept(session, entry.id)
 
 
 def _compare(
@@ -144,18 +100,19 @@ def _compare(
     version_id: str,
     calibration: Calibration,
     limits: dict[str, Any],
-    kept: Replay | None,
+    before_upgrade: Replay | None,
     before_rules: bool,
 ) -> Change:
-    if kept is None:
+    if before_upgrade is None:
         q = drawn(calibration.robot, SETPOINTS)
         now = correct_setpoints(calibration, limits, rules_today(), q)
         n = calibration.robot.n_joints
         earlier = rules_today() | ({"task": "pose"} if n >= WHOLE_POSE else {"least_leverage": ANY_LEVERAGE})
         before = correct_setpoints(calibration, limits, earlier, q) if before_rules else now
     else:
-        q, before = kept.setpoints, kept.answers
-        now = correct_setpoints(calibration, limits, kept.rules, q)
+        stored = (before_upgrade.setpoints, before_upgrade.answers)
+        q, before = (np.frombuffer(one, STORED).reshape(-1, calibration.robot.n_joints) for one in stored)
+        now = correct_setpoints(calibration, limits, before_upgrade.rules, q)
     refused = np.isnan(before).any(axis=1), np.isnan(now).any(axis=1)
     both = ~refused[0] & ~refused[1]
     sliding = np.array([joint.kind == "prismatic" for joint in calibration.robot.joints])
@@ -164,5 +121,5 @@ def _compare(
     tool = np.linalg.norm(points[1] - points[0], axis=1).max() if points else 0.0
     return Change(
         robot, version_id, to_deg(moved[:, ~sliding].max(initial=0.0)), to_mm(moved[:, sliding].max(initial=0.0)),
-        to_mm(tool), len(q), int(np.sum(refused[0] != refused[1])), kept is not None,
+        to_mm(tool), len(q), int(np.sum(refused[0] != refused[1])), before_upgrade is not None,
     )  # fmt: skip

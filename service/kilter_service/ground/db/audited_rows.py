@@ -7,18 +7,18 @@ state is found, whoever computed its seals anew. What is older than the audit is
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from datetime import datetime
 from typing import Any, NamedTuple
 
 from sqlalchemy import Table, select
+from sqlalchemy.orm import Session
 
-from kilter_service.ground.db import Session
 from kilter_service.ground.db.audited import hash_when_long
 from kilter_service.ground.db.row import Instant, Row
-from kilter_service.ground.db.tables import ActivationRow, RepairRow, RobotRow, TokenRow
-from kilter_service.web.audit.store import AuditRecord, everything
+from kilter_service.ground.db.tables import ActivationRow, AuditRow, RepairRow, RobotRow, TokenRow
 
+AT_ONCE = 500  # entries in memory
 COMPARED = (TokenRow, ActivationRow, RepairRow)
 Audited = dict[str, dict[str, Any]]  # by table and key, as the audit writes them: the last value of each column
 
@@ -34,7 +34,7 @@ class Difference(NamedTuple):
 
 def audit_differences(session: Session) -> Iterator[Difference]:
     """Yield the rows that are not what the audit says of them."""
-    audited, since = read_audited(everything(session))
+    audited, since = read_audited(session)
     for one in COMPARED:
         table = Row.metadata.tables[one.__tablename__]
         (key,) = table.primary_key.columns
@@ -48,13 +48,14 @@ def audit_differences(session: Session) -> Iterator[Difference]:
             yield Difference(thing, audited[thing], None, said)
 
 
-def read_audited(entries: Iterable[AuditRecord]) -> tuple[Audited, datetime | None]:
+def read_audited(session: Session) -> tuple[Audited, datetime | None]:
     """Return what the audit says of the rows that are compared, and when it begins."""
     names = tuple(f"{one.__tablename__}/" for one in COMPARED)
     found: Audited = {}
     since = None
-    for entry in entries:
-        content = json.loads(entry.content)
+    query = select(AuditRow.content).order_by(AuditRow.number).execution_options(yield_per=AT_ONCE)
+    for text in session.execute(query).scalars():
+        content = json.loads(text)
         since = since or datetime.fromisoformat(content["at"])
         for change in content["changes"]:
             thing, after = change["thing"], change["after"]
