@@ -185,5 +185,9 @@ def test_versions_of_releases_that_kept_no_answers_have_todays_and_it_is_said(
         ((rules, made_by),) = file.execute("SELECT rules, made_by FROM replays").fetchall()
     assert (json.loads(rules)["task"], made_by) == ("position", BY_UPGRADE)
     assert backups.verify_stored(settings).sentences == []
+    (copy,) = settings.data.glob("kilter-before-*.kilter-backup")
+    kilterd(["restore", "--data", str(settings.data / "restored"), str(copy)])
+    with closing(sqlite3.connect(settings.data / "restored" / DATABASE_FILE)) as file:
+        assert file.execute("SELECT count(*) FROM replays").fetchone() == (1,)
     kilterd(["upgrade", "--check", "--data", str(settings.data)])
     assert "at 300 setpoints" in capsys.readouterr().out

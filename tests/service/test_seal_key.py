@@ -162,6 +162,16 @@ def test_a_seal_that_is_taken_out_is_none(keyed: Settings, statement: str) -> No
     assert service.seal(keyed, accept=False) != []
 
 
+def test_rows_beside_the_seals_are_named(keyed: Settings) -> None:
+    with closing(sqlite3.connect(keyed.data / "kilter.sqlite", isolation_level=None)) as file:
+        file.execute("INSERT INTO database_seal SELECT 2, totals, keyed_by, seal FROM database_seal")
+        file.execute("INSERT INTO seals VALUES ('nothing', '1', '')")
+    assert damage(keyed) == [
+        "Table seals, rows of nothing: they were put in past Kilter, there is no such table.",
+        "Table database_seal, row 2: it was put in past Kilter.",
+    ]
+
+
 @pytest.mark.parametrize("number", ["", "0" * 8])
 def test_a_backup_that_names_another_key_is_not_whole(keyed: Settings, number: str, tmp_path: Path) -> None:
     path, _ = service.backup(keyed, tmp_path / "one.backup")

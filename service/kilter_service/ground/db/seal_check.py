@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from sqlalchemy import Connection, select
 
 from kilter_service.ground.db import seals
-from kilter_service.ground.db.database_seal import AUDIT, audit_end, describe_other_key, read_database_seal
+from kilter_service.ground.db.database_seal import AUDIT, ONLY, WHOLE, audit_end, describe_other_key, read_database_seal
 from kilter_service.ground.db.initial_seals import stored
 from kilter_service.ground.db.sealed import SEALS
 from kilter_service.ground.db.seals import MODULUS, TABLES, Sealer
@@ -72,6 +72,10 @@ def whole_altered(connection: Connection, sealer: Sealer) -> Iterator[str]:
         return
     if not whole.fits:
         yield "The seal over all tables does not fit: a table was put back to an earlier state, or a total was altered."
+    for name in connection.execute(select(SEALS.c.thing).where(SEALS.c.thing.not_in(TABLES)).distinct()).scalars():
+        yield f"Table seals, rows of {_shown(name)}: they were put in past Kilter, there is no such table."
+    for key in connection.execute(select(WHOLE.c.id).where(WHOLE.c.id != ONLY)).scalars():
+        yield f"Table {WHOLE.name}, row {key}: it was put in past Kilter."
     end = audit_end(connection)
     if end != whole.totals.get(AUDIT):
         written = whole.total(AUDIT)[0]

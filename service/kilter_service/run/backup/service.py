@@ -23,6 +23,7 @@ from kilter_service.ground.files.private_files import private_file, private_fold
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, LOCK_FILE, Settings
 from kilter_service.run.backup import manifest, store
 from kilter_service.run.backup.findings import Findings
+from kilter_service.run.backup.upgrade import keep_todays_answers
 
 PAGES_AT_ONCE = 2000  # of a copy: writers go on in between
 
@@ -90,6 +91,9 @@ def restore(settings: Settings, path: Path, *, accept: bool = False) -> Findings
                     code="seal_key_other",
                 )
             _refuse_damaged(found, f"{path} is damaged and was not restored")
+            with closing(Database(f"sqlite:///{part}")) as database:
+                keep_todays_answers(database)
+            _one_file(part)
             if settings.database_url is None:
                 _put(part, settings.data / DATABASE_FILE)
             else:

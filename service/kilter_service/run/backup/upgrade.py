@@ -128,7 +128,7 @@ def upgrade(settings: Settings, *, replay: bool = True) -> Plan:
     try:
         if revision.migrate(database):
             log.info("the database was brought to revision %s", revision.HEAD)
-        plan = plan._replace(changes=replay_and_keep(database, plan))
+        plan = plan._replace(changes=_replay_and_keep(database, plan))
     finally:
         database.close()
     for change in plan.changes:
@@ -136,14 +136,23 @@ def upgrade(settings: Settings, *, replay: bool = True) -> Plan:
     return plan
 
 
-def replay_and_keep(database: Database, plan: Plan) -> tuple[Change, ...]:
-    """Return what changes of the answers of active versions, and keep today's of those that have none."""
-    with database.reading() as session:
-        if not versions.active_entries(session):
-            return ()
+def _replay_and_keep(database: Database, plan: Plan) -> tuple[Change, ...]:
+    if not _has_active(database):
+        return ()
     changes = tuple(replays.compare_answers(database, before_rules=_is_before_rules(plan)))
     replays.keep_answers(database)
     return changes
+
+
+def keep_todays_answers(database: Database) -> None:
+    """Keep today's answers of active versions that have none, such as those of a backup of an earlier release."""
+    if _has_active(database):
+        replays.keep_answers(database)
+
+
+def _has_active(database: Database) -> bool:
+    with database.reading() as session:
+        return bool(versions.active_entries(session))
 
 
 def describe_change(change: Change, plan: Plan, *, done: bool) -> str:
