@@ -28,7 +28,6 @@ from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 from kilter_service.versions.records import VersionRecord
-from kilter_service.versions.replays.store import rules_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -160,5 +159,5 @@ def _version(
     row = versions.get(session, version)
     if row.robot_id != stored.id:
         raise ServiceError(f"Version {version} is not of robot {robot!r}.", code="option_invalid", version=version)
-    limits, rules = CorrectionLimits(**row.limits), rules_of(session, version)
+    limits, rules = CorrectionLimits(**row.limits), versions.rules_of(session, version)
     return row, options_of(limits, temperature_c, wanted.task, wanted.at_limit, wanted.hold, rules)

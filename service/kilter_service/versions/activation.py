@@ -152,7 +152,7 @@ def _activated(
         last = store.active_entry(session, robot_id)
         active = None if last is None else last.version_id
         # The active version keeps its rules until somebody activates it anew.
-        if active != version_id or kept_answers.rules_of(session, version_id) not in (None, replay.rules):
+        if active != version_id or store.rules_of(session, version_id) not in (None, replay.rules):
             if active != verdict.active:
                 return None
             entry = store.activate(

@@ -12,7 +12,6 @@ from kilter_service.robots.exporters.exportable import Exportable
 from kilter_service.robots.exporters.registry import Exported, export
 from kilter_service.robots.into_controller import said_of_controller
 from kilter_service.versions import store, wire
-from kilter_service.versions.replays.store import rules_of
 
 
 def list_versions(database: Database, robot: str, page: Page, with_retired: bool = False) -> VersionList:
@@ -55,6 +54,6 @@ def exported(database: Database, version_id: str, format_name: str) -> Exported:
     """Return a version as a file of another tool's format, and what to say of a controller that is given it."""
     with database.reading() as session:
         record = store.get(session, version_id)
-        robot, rules = robots.get(session, record.robot), rules_of(session, version_id)
+        robot, rules = robots.get(session, record.robot), store.rules_of(session, version_id)
     found = export(format_name, Exportable(robot, wire.version(record), record.calibration, rules))
     return found._replace(notes=(*found.notes, *said_of_controller(format_name, robot)))

@@ -14,7 +14,7 @@ from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_model, predictive
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.audited import note
-from kilter_service.ground.db.tables import ActivationRow, JobRow, RobotRow, VersionRow
+from kilter_service.ground.db.tables import ActivationRow, JobRow, ReplayRow, RobotRow, VersionRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import ALL, Page
 from kilter_service.ground.references import retired
@@ -22,7 +22,6 @@ from kilter_service.ground.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.robots.resolved import sha256_of
 from kilter_service.versions.records import ActivationRecord, ListedVersion, VersionRecord
-from kilter_service.versions.replays.store import rules_of
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
@@ -258,6 +257,13 @@ def active_version(session: Session, robot: str) -> ActiveVersion | None:
     known = calibration(session, row.id)
     workspace, rules = row.report.get("workspace"), rules_of(session, row.id)
     return ActiveVersion(robot, row.id, row.sha256, last.id, known, limits, workspace, rules)
+
+
+def rules_of(session: Session, version_id: str) -> dict[str, Any] | None:
+    """Return the task and rules that a version was activated under the last time; None where that is not known."""
+    query = select(ReplayRow.rules).join(ActivationRow, ActivationRow.id == ReplayRow.activation_id)
+    query = query.where(ActivationRow.version_id == version_id).order_by(ActivationRow.id.desc()).limit(1)
+    return session.execute(query).scalar_one_or_none()
 
 
 def active_entries(session: Session) -> list[ActivationRecord]:

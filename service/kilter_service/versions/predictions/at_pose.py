@@ -20,7 +20,6 @@ from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.tables.assemble import with_default_load
 from kilter_service.versions import store
-from kilter_service.versions.replays.store import rules_of
 
 if TYPE_CHECKING:
     from kilter_core.correct.program import CorrectionOptions
@@ -66,7 +65,7 @@ def at_pose(
     """
     with database.reading() as session:
         limits = CorrectionLimits(**store.get(session, version).limits)
-        options = options_of(limits, temperature_c, rules=rules_of(session, version))
+        options = options_of(limits, temperature_c, rules=store.rules_of(session, version))
         calibration, known = store.calibration(session, version), store.known(session, version)
         rows = _rows(session, calibration, q, campaign, row)
     return _looked_at(calibration, known, rows, options)

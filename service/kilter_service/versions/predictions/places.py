@@ -29,7 +29,6 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.versions import store
 from kilter_service.versions.predictions.preview import drawn
 from kilter_service.versions.predictions.residuals import Part, frames_of, parts_of, refitted
-from kilter_service.versions.replays.store import rules_of
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
@@ -197,7 +196,7 @@ def spread(at: Floats, size: Floats, most: int = MOST_ROWS) -> Ints:
 def reach(database: Database, version: str) -> Reach:
     """Return how far a version corrects the tool, and how well it knows it, wherever it corrects within the joint limits."""
     with database.reading() as session:
-        limits, rules = CorrectionLimits(**store.get(session, version).limits), rules_of(session, version)
+        limits, rules = CorrectionLimits(**store.get(session, version).limits), store.rules_of(session, version)
         calibration, known = store.calibration(session, version), store.known(session, version)
     rows = Observations(q=drawn(calibration.robot, DRAWN))
     done = walker.correct_trajectory(calibration, rows, options_of(limits, None, rules=rules))

@@ -19,7 +19,7 @@ from kilter_service.ground.db import Database, Session
 from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.versions import store
 from kilter_service.versions.predictions.preview import drawn
-from kilter_service.versions.replays.store import BY_UPGRADE, Replay, add, kept, rules_of
+from kilter_service.versions.replays.store import BY_UPGRADE, Replay, add, kept
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
@@ -66,7 +66,9 @@ def replay_version(database: Database, version_id: str) -> Replay:
 def keep_answers(database: Database) -> None:
     """Keep today's answers of the active versions that have none: those of earlier releases."""
     with database.reading() as session:
-        missing = [entry for entry in store.active_entries(session) if rules_of(session, entry.version_id) is None]
+        missing = [
+            entry for entry in store.active_entries(session) if store.rules_of(session, entry.version_id) is None
+        ]
     for entry in missing:
         try:
             replay = replay_version(database, entry.version_id)

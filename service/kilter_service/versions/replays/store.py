@@ -23,12 +23,6 @@ class Replay:
     answers: bytes
 
 
-def rules_of(session: Session, version_id: str) -> dict[str, Any] | None:
-    """Return the task and rules that a version was activated under the last time; None where that is not known."""
-    row = _last(session, version_id)
-    return None if row is None else row.rules
-
-
 def _last(session: Session, version_id: str) -> ReplayRow | None:
     query = select(ReplayRow).join(ActivationRow, ActivationRow.id == ReplayRow.activation_id)
     query = query.where(ActivationRow.version_id == version_id).order_by(ActivationRow.id.desc()).limit(1)
