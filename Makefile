@@ -260,7 +260,7 @@ test-durability: $(KERNELS) ## set clocks, make disks read-only and freeze proce
 		tests/service/test_bad_starts.py
 
 alterations: $(KERNELS) ## flip 200 bits of a backup, alter a data folder 200 times, and print what is noticed and named
-	$(BIN)/python -m pytest -m "slow or not slow" -q -s tests/service/test_seals.py tests/service/test_backup.py -k "alterations or flipped"
+	$(BIN)/python -m pytest -m "slow or not slow" -q -s tests/service/test_seals.py tests/service/test_seal_key.py tests/service/test_schema.py tests/service/test_backup.py -k "alter or flipped or back or anew or arithmetic"
 
 kills-stream: $(KERNELS) ## kill every process of a server in turn under a controller at 1 kHz, and print for how long it was bypassed (N=200)
 	$(BIN)/python -m tests.corrector.kill_every --n $(or $(N),200)

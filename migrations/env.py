@@ -8,9 +8,9 @@ from alembic import context
 from sqlalchemy import inspect
 
 from kilter_service.ground.db.database import open_engine
+from kilter_service.ground.db.initial_seals import complete
 from kilter_service.ground.db.revision import HEAD
 from kilter_service.ground.db.row import Instant, Row
-from kilter_service.ground.db.sealed import complete
 from kilter_service.ground.db.seals import sealer
 from kilter_service.ground.settings import Settings
 
@@ -29,7 +29,7 @@ def run() -> None:
         with context.begin_transaction():
             context.run_migrations()
         # In one transaction with what it seals: tables that are new, or columns that a revision has added.
-        if inspect(connection).has_table("sealed_tables") and context.get_context().get_current_revision() == HEAD:
+        if inspect(connection).has_table("database_seal") and context.get_context().get_current_revision() == HEAD:
             complete(connection, sealer())
     engine.dispose()
 

@@ -42,6 +42,7 @@ Task = Literal["auto", "position", "axis", "pose"]
 
 # Rows of the tasks, and how many of them come first.
 _ROWS: Mapping[str, tuple[int, int]] = {"position": (6, 3), "axis": (5, 5), "pose": (6, 6)}
+DEFAULT_TASK: Task = "position"  # which "auto" is
 ROW_NAMES = ("x", "y", "z", "rx", "ry", "rz")  # rotations are about the axes of the tool
 
 
@@ -300,7 +301,7 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     options = options or CorrectionOptions()
     robot = calibration.robot
     n = robot.n_joints
-    task = options.task if options.task != "auto" else "position"
+    task = options.task if options.task != "auto" else DEFAULT_TASK
     beyond = [j + 1 for j in options.held_joints if not 0 <= j < n]
     if beyond or n <= len(set(options.held_joints)):
         which = f"joint {beyond[0]} is to be held, of {n}" if beyond else "every joint is held"

@@ -41,7 +41,7 @@ NOTHING_STATED = load.Carried()
 
 
 class Wanted(NamedTuple):
-    """How to correct: ``version`` None is the active one, ``task`` None the default of the core.
+    """How to correct: ``version`` None is the active one, ``task`` None that of its activation.
 
     ``at_limit`` and ``hold``, joints from 1, None what the limits of the version say.
 
@@ -159,4 +159,5 @@ def _version(
     row = versions.get(session, version)
     if row.robot_id != stored.id:
         raise ServiceError(f"Version {version} is not of robot {robot!r}.", code="option_invalid", version=version)
-    return row, options_of(CorrectionLimits(**row.limits), temperature_c, wanted.task, wanted.at_limit, wanted.hold)
+    limits, rules = CorrectionLimits(**row.limits), versions.rules_of(session, version)
+    return row, options_of(limits, temperature_c, wanted.task, wanted.at_limit, wanted.hold, rules)

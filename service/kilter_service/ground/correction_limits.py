@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
 
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import program
 from kilter_service.ground.wire import to_metres, to_rad
 
-if TYPE_CHECKING:
-    pass
+# What the limits of a version and the conditions of the rows say. All else is a rule: how this release corrects.
+NO_RULES = frozenset(
+    {
+        "largest_rad", "largest_m", "farthest_m", "at_limit", "held_joints", "temperature_c", "payload_kg", "payload_com",
+        "base_tilt", "link_masses",
+    }
+)  # fmt: skip
+Rules = Mapping[str, Any]
+
+
+def rules_today() -> dict[str, Any]:
+    """Return the task and the rules by which this release corrects."""
+    options = asdict(program.CorrectionOptions(task=program.DEFAULT_TASK))
+    return {name: value for name, value in options.items() if name not in NO_RULES}
 
 
 def options_of(
@@ -20,13 +32,16 @@ def options_of(
     task: str | None = None,
     at_limit: str | None = None,
     hold: Sequence[int] | None = None,
+    rules: Rules | None = None,
 ) -> program.CorrectionOptions:
     """Return how to correct within the limits of a version, the arm at this temperature.
 
-    ``task`` None is the default of the core, ``at_limit`` and ``hold`` (joints from 1) None what the limits say: as the
-    stream has all three.
+    ``rules`` are those that the version was activated under, None today's. ``task`` None is theirs, ``at_limit`` and
+    ``hold`` (joints from 1) None what the limits say: as the stream has all three.
     """
+    kept = {name: value for name, value in (rules or {}).items() if name in rules_today()}
     options = program.CorrectionOptions(
+        **kept,
         largest_rad=to_rad(limits.max_joint_deg),
         largest_m=to_metres(limits.max_position_mm),
         farthest_m=to_metres(limits.max_position_mm),

@@ -208,6 +208,10 @@ PATHS = {
     "restore": ("FILE", None, "file that `kilterd backup` wrote"),
     "verify": ("FILE", "?", "a backup to check (default: the database of the server)"),
 }
+ACCEPTS = {
+    "seal": "take the rows as they are, whatever their seals say",
+    "restore": "restore although its seals cannot be compared: they have another key, or none",
+}
 NAMES = ", ".join(f"KILTER_{name.upper()}" for name in Settings.model_fields)
 ENVIRONMENT = f"Every setting is also an environment variable: {NAMES}."
 
@@ -238,10 +242,8 @@ def parser() -> argparse.ArgumentParser:
         if name == "purge-jobs":
             added.add_argument("--older-than", metavar="AGE", required=True, help="12h, 30d or 8w since a job ended")
             added.add_argument("--dry-run", action="store_true", help="only say how many it would be")
-        if name == "seal":
-            added.add_argument(
-                "--accept", action="store_true", help="take the rows as they are, whatever their seals say"
-            )
+        if name in ACCEPTS:
+            added.add_argument("--accept", action="store_true", help=ACCEPTS[name])
         if name == "upgrade":
             added.add_argument("--check", action="store_true", help="say what would change, and change nothing")
         if name == "doctor":

@@ -203,7 +203,7 @@ def _start(settings: Settings, children: list[Program], stop: threading.Event) -
 
 
 def _migrate(settings: Settings) -> None:
-    upgrade.upgrade(settings)  # loaded after the children were started: it takes a moment
+    upgrade.upgrade(settings, replay=False)  # loaded after the children were started: it takes a moment
 
 
 def _stop(children: list[Program]) -> None:

@@ -19,6 +19,8 @@ from kilter_service.versions.ability import CODE as CANNOT
 from kilter_service.versions.ability import Ability, ability
 from kilter_service.versions.guard import Verdict, judge
 from kilter_service.versions.if_match import ANY_STATE, Expected
+from kilter_service.versions.replays import service as replays
+from kilter_service.versions.replays import store as kept_answers
 
 ACTIVATE, ROLLBACK = "activate", "rollback"
 ATTEMPTS = 5
@@ -46,12 +48,13 @@ def activate(
         expected.check(session, _refuse_retired(session, version_id), becomes=version_id)
     uncorrected = _left_out(database, version_id, temperature_c)  # first: what cannot be corrected is not activated
     able = ability(database, version_id, temperature_c)
+    replay = replays.replay_version(database, version_id)
     for _ in range(ATTEMPTS):
         verdict = _with_controller(database, _with(judge(database, version_id), able, version_id), version_id)
         verdict = _with_recent_activation(database, verdict, version_id, actor)
         if verdict.objections and not wish.force:
             raise _refusal(version_id, verdict, able)
-        summary = _activated(database, version_id, actor, wish, verdict, expected)
+        summary = _activated(database, version_id, actor, wish, verdict, expected, replay)
         if summary is not None:
             return ActivatedVersion(
                 **summary.model_dump(),
@@ -134,7 +137,13 @@ def _refusal(version_id: str, verdict: Verdict, able: Ability) -> ServiceError:
 
 
 def _activated(
-    database: Database, version_id: str, actor: str, wish: ActivationWish, verdict: Verdict, expected: Expected
+    database: Database,
+    version_id: str,
+    actor: str,
+    wish: ActivationWish,
+    verdict: Verdict,
+    expected: Expected,
+    replay: kept_answers.Replay,
 ) -> VersionSummary | None:
     """Write the activation; None when another version became active since the verdict."""
     with database.transaction() as session:
@@ -142,13 +151,15 @@ def _activated(
         expected.check(session, robot_id, becomes=version_id)
         last = store.active_entry(session, robot_id)
         active = None if last is None else last.version_id
-        if active != version_id:
+        # The active version keeps its rules until somebody activates it anew.
+        if active != version_id or store.rules_of(session, version_id) not in (None, replay.rules):
             if active != verdict.active:
                 return None
-            store.activate(
+            entry = store.activate(
                 session, robot_id, version_id, ACTIVATE, actor,
                 forced=wish.force, reason=wish.reason, objections=[objection.model_dump() for objection in verdict.objections],
             )  # fmt: skip
+            kept_answers.add(session, entry, replay)
         return wire.summary(store.get(session, version_id))
 
 
@@ -157,7 +168,7 @@ def rollback(
 ) -> ActivatedVersion:
     """Return to the version that was active before the present one; again, to the one before that. Never refused.
 
-    What was retired since is passed over.
+    It returns to the task and rules of that time, too. What was retired since is passed over.
 
     Raises:
         ServiceError: there is no earlier one, or another version is active than ``expected``.
@@ -167,7 +178,7 @@ def rollback(
         robot_id = robots.get(session, robot).id
         expected.check(session, robot_id)
         before = _before(session, robot_id, robot)
-        store.activate(session, robot_id, before, ROLLBACK, actor)
+        kept_answers.repeat(session, store.activate(session, robot_id, before, ROLLBACK, actor), before)
         summary = wire.summary(store.get(session, before))
         compensated = robots.compensation_of(session, robot_id)
     able = ability(database, before, temperature_c)  # after: nothing stands between a person and the way back

@@ -54,6 +54,6 @@ def exported(database: Database, version_id: str, format_name: str) -> Exported:
     """Return a version as a file of another tool's format, and what to say of a controller that is given it."""
     with database.reading() as session:
         record = store.get(session, version_id)
-        robot = robots.get(session, record.robot)
-    found = export(format_name, Exportable(robot, wire.version(record), record.calibration))
+        robot, rules = robots.get(session, record.robot), store.rules_of(session, version_id)
+    found = export(format_name, Exportable(robot, wire.version(record), record.calibration, rules))
     return found._replace(notes=(*found.notes, *said_of_controller(format_name, robot)))

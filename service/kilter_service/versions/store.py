@@ -14,7 +14,7 @@ from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_model, predictive
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.audited import note
-from kilter_service.ground.db.tables import ActivationRow, JobRow, RobotRow, VersionRow
+from kilter_service.ground.db.tables import ActivationRow, JobRow, ReplayRow, RobotRow, VersionRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import ALL, Page
 from kilter_service.ground.references import retired
@@ -57,6 +57,7 @@ class ActiveVersion:
     calibration: Calibration
     limits: CorrectionLimits
     workspace: dict[str, Any] | None = None
+    rules: dict[str, Any] | None = None  # task and rules that it was activated under
 
 
 HELD_OUT = "held_out_fraction"  # what a job held out by itself, in the report of its version
@@ -254,7 +255,21 @@ def active_version(session: Session, robot: str) -> ActiveVersion | None:
     row = _row(session, last.version_id)
     limits = CorrectionLimits(**row.limits)
     known = calibration(session, row.id)
-    return ActiveVersion(robot, row.id, row.sha256, last.id, known, limits, row.report.get("workspace"))
+    workspace, rules = row.report.get("workspace"), rules_of(session, row.id)
+    return ActiveVersion(robot, row.id, row.sha256, last.id, known, limits, workspace, rules)
+
+
+def rules_of(session: Session, version_id: str) -> dict[str, Any] | None:
+    """Return the task and rules that a version was activated under the last time; None where that is not known."""
+    query = select(ReplayRow.rules).join(ActivationRow, ActivationRow.id == ReplayRow.activation_id)
+    query = query.where(ActivationRow.version_id == version_id).order_by(ActivationRow.id.desc()).limit(1)
+    return session.execute(query).scalar_one_or_none()
+
+
+def active_entries(session: Session) -> list[ActivationRecord]:
+    """Return the last activation of each robot, the one that holds."""
+    last = select(func.max(ActivationRow.id)).group_by(ActivationRow.robot_id)
+    return [_entry(row) for row in session.execute(select(ActivationRow).where(ActivationRow.id.in_(last))).scalars()]
 
 
 def active_entry(session: Session, robot_id: int) -> ActivationRecord | None:
@@ -288,22 +303,22 @@ def activate(
     forced: bool = False,
     reason: str = "",
     objections: Sequence[Mapping[str, str]] = (),
-) -> None:
-    """Write into the log that a version is active from now on."""
+) -> int:
+    """Write into the log that a version is active from now on; returns the number of the entry."""
     before = active_entry(session, robot_id)
     note(session, "active_version", None if before is None else before.version_id, version_id)
-    session.add(
-        ActivationRow(
-            robot_id=robot_id,
-            version_id=version_id,
-            action=action,
-            actor=actor,
-            forced=forced,
-            reason=reason,
-            objections=[dict(objection) for objection in objections],
-        )
+    row = ActivationRow(
+        robot_id=robot_id,
+        version_id=version_id,
+        action=action,
+        actor=actor,
+        forced=forced,
+        reason=reason,
+        objections=[dict(objection) for objection in objections],
     )
+    session.add(row)
     session.flush()
+    return row.id
 
 
 def trainings(session: Session, version_id: str) -> list[Training]:

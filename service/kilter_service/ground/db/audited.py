@@ -78,11 +78,12 @@ def _text(value: object) -> str:
     if value is None:
         return ""
     if isinstance(value, dict):
-        return json.dumps({key: _short(part) for key, part in value.items()}, sort_keys=True, default=str)
-    return json.dumps(_short(value), default=str)
+        return json.dumps({key: hash_when_long(part) for key, part in value.items()}, sort_keys=True, default=str)
+    return json.dumps(hash_when_long(value), default=str)
 
 
-def _short(value: Any) -> Any:
+def hash_when_long(value: Any) -> Any:
+    """Return a value; of bytes, and of what is long, its hash."""
     written = value if isinstance(value, bytes) else json.dumps(value, sort_keys=True, default=str).encode()
     if isinstance(value, bytes) or len(written) > MOST_CHARACTERS:
         return {"sha256": hashlib.sha256(written).hexdigest(), "bytes": len(written)}

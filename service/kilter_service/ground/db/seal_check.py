@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from sqlalchemy import Connection, select
 
 from kilter_service.ground.db import seals
-from kilter_service.ground.db.sealed import AUDIT, SEALS, TOTALS, said_of_key, stored
+from kilter_service.ground.db.database_seal import AUDIT, ONLY, WHOLE, audit_end, describe_other_key, read_database_seal
+from kilter_service.ground.db.initial_seals import stored
+from kilter_service.ground.db.sealed import SEALS
 from kilter_service.ground.db.seals import MODULUS, TABLES, Sealer
-from kilter_service.ground.db.tables import AuditRow
 
 MOST_NAMED = 50  # rows of a table
 LARGE = frozenset({"jobs", "answered", "chunks"})  # what a quick check leaves out
@@ -20,26 +21,27 @@ def tables(*, quick: bool = False) -> list[str]:
     return [name for name in TABLES if not (quick and name in LARGE)]
 
 
+def other_key(connection: Connection, sealer: Sealer) -> str:
+    """Say that what is stored is not sealed with the key in use, so that no seal can be compared; empty: it is."""
+    whole = read_database_seal(connection, sealer)
+    keyed_by = "" if whole is None else whole.keyed_by
+    return "" if keyed_by == sealer.number else describe_other_key(keyed_by, sealer)
+
+
 def altered(connection: Connection, sealer: Sealer, name: str) -> Iterator[str]:
     """Sentences about the rows of a table that are not as they were stored."""
-    total = connection.execute(select(TOTALS).where(TOTALS.c.thing == name)).mappings().first()
-    if total is None:
-        yield f"Table {name} has no seal: it was taken out past Kilter."
-        return
-    if total["keyed_by"] != sealer.number:
-        yield f"Table {name} cannot be checked. {said_of_key(total['keyed_by'], sealer)}"
-        return
+    whole = read_database_seal(connection, sealer)
     known = dict(connection.execute(select(SEALS.c.id, SEALS.c.digests).where(SEALS.c.thing == name)).all())
     named = list(_rows(connection, sealer, name, known))
     yield from named[:MOST_NAMED]
     if len(named) > MOST_NAMED:
         yield f"Table {name}: {len(named) - MOST_NAMED} more rows are altered, missing or new."
-    weight = sum(sealer.weight(name, key, text) for key, text in known.items())
-    if sealer.seal(name, total["rows"], total["total"], total["columns"]) != total["seal"]:
-        yield f"Table {name}: the total over its rows was altered."
-    elif total["rows"] != len(known):
-        yield f"Table {name}: {total['rows']} rows were stored, and {len(known)} of them are sealed."
-    elif f"{weight % MODULUS:064x}" != total["total"]:
+    if whole is None:
+        return
+    rows, total = whole.total(name)
+    if rows != len(known):
+        yield f"Table {name}: {rows} rows were stored, and {len(known)} of them are sealed."
+    elif total != sum(sealer.weight(name, key, text) for key, text in known.items()) % MODULUS:
         yield f"Table {name}: the seal of a row was altered, or put back to an earlier one."
 
 
@@ -62,18 +64,19 @@ def _shown(key: str) -> str:
     return key.encode("utf-8", "backslashreplace").decode()[:100]
 
 
-def audit_end(connection: Connection, sealer: Sealer) -> Iterator[str]:
-    """Sentences about an audit that does not end where Kilter left it."""
-    total = connection.execute(select(TOTALS).where(TOTALS.c.thing == AUDIT)).mappings().first()
-    if total is None:
-        yield "The end of the audit has no seal: it was taken out past Kilter."
-    elif total["keyed_by"] != sealer.number:
-        yield f"The end of the audit cannot be checked. {said_of_key(total['keyed_by'], sealer)}"
-    elif sealer.seal(AUDIT, total["rows"], total["total"], total["columns"]) != total["seal"]:
-        yield "The seal of the audit's end was altered."
-    else:
-        query = select(AuditRow.number, AuditRow.sha256).order_by(AuditRow.number.desc()).limit(1)
-        last = connection.execute(query).first()
-        number, sha256 = (0, "") if last is None else tuple(last)
-        if (number, sha256) != (total["rows"], total["total"]):
-            yield f"The audit ends at entry {number}, and {total['rows']} were written: its end was cut off or rewritten."
+def whole_altered(connection: Connection, sealer: Sealer) -> Iterator[str]:
+    """Sentences about a seal over all tables that does not fit, and an audit that does not end where Kilter left it."""
+    whole = read_database_seal(connection, sealer)
+    if whole is None:
+        yield "The seal over all tables is missing: it was taken out past Kilter."
+        return
+    if not whole.fits:
+        yield "The seal over all tables does not fit: a table was put back to an earlier state, or a total was altered."
+    for name in connection.execute(select(SEALS.c.thing).where(SEALS.c.thing.not_in(TABLES)).distinct()).scalars():
+        yield f"Table seals, rows of {_shown(name)}: they were put in past Kilter, there is no such table."
+    for key in connection.execute(select(WHOLE.c.id).where(WHOLE.c.id != ONLY)).scalars():
+        yield f"Table {WHOLE.name}, row {key}: it was put in past Kilter."
+    end = audit_end(connection)
+    if end != whole.totals.get(AUDIT):
+        written = whole.total(AUDIT)[0]
+        yield f"The audit ends at entry {end[0]}, and {written} were written: its end was cut off or rewritten."

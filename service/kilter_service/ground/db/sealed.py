@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from sqlalchemy import Connection, Table, Text, cast, delete, event, insert, inspect, select, update
+from sqlalchemy import Connection, Table, bindparam, delete, event, insert, inspect, select, update
 from sqlalchemy.orm import ORMExecuteState, Session, sessionmaker
-from sqlalchemy.types import JSON
 
 from kilter_service.ground.db import seals
 from kilter_service.ground.db.audited import TOLD
+from kilter_service.ground.db.database_seal import AUDIT, read_database_seal, refuse_other_key
 from kilter_service.ground.db.row import Row
+from kilter_service.ground.db.seal_tables import SealRow
 from kilter_service.ground.db.seals import MODULUS, TABLES, Digests, Sealer
-from kilter_service.ground.db.tables import AuditRow, SealedTableRow, SealRow
-from kilter_service.ground.errors import ServiceError
+
+log = logging.getLogger("kilter.seals")
 
 PENDING = "kilter_seals"
 AT_ONCE = 500  # keys in a query
-AT_ONCE_READ = 50  # rows in memory
-AUDIT = AuditRow.__tablename__
-SEALS, TOTALS = (Row.metadata.tables[one.__tablename__] for one in (SealRow, SealedTableRow))
+SEALS = Row.metadata.tables[SealRow.__tablename__]
 Place = tuple[str, str]  # table and key of a row
 Key = TypeVar("Key")
+# Made once: to build a statement takes longer than to execute it.
+_OF_KEYS = (SEALS.c.thing == bindparam("b_thing"), SEALS.c.id.in_(bindparam("b_ids", expanding=True)))
+_KNOWN = select(SEALS.c.id, SEALS.c.digests).where(*_OF_KEYS)
+_REMOVE = delete(SEALS).where(*_OF_KEYS)
+STORE = insert(SEALS)
+CHANGE = update(SEALS).where(SEALS.c.thing == bindparam("b_thing"), SEALS.c.id == bindparam("b_id"))
+CHANGE = CHANGE.values(digests=bindparam("digests"))
 
 
 class Pending:
@@ -49,20 +56,32 @@ class Pending:
             self.gone.add(place)
 
     def apply(self, connection: Connection, audited: tuple[int, str] | None) -> None:
-        """Write the seals and totals."""
-        by_table: dict[str, list[Place]] = {}
-        for place in (*self.stored, *self.changed, *self.gone):
-            by_table.setdefault(place[0], []).append(place)
-        for table, places in by_table.items():
-            self._table(connection, table, {key for _, key in places})
-        if audited is not None:
-            write_total(connection, self._sealer, AUDIT, *audited)
+        """Write the seals of the rows, the totals, and the seal over all of them.
 
-    def _table(self, connection: Connection, table: str, keys: set[str]) -> None:
-        total = total_of(connection, self._sealer, table)
-        if total is None:
+        Raises:
+            ServiceError: they are sealed with another key than that of this process.
+
+        """
+        whole = read_database_seal(connection, self._sealer)
+        refuse_other_key(whole, self._sealer)
+        by_table: dict[str, set[str]] = {}
+        for table, key in (*self.stored, *self.changed, *self.gone):
+            by_table.setdefault(table, set()).add(key)
+        changes = {table: self._rows(connection, table, keys) for table, keys in by_table.items()}
+        if whole is None:
             return
-        rows, weight, columns = total
+        for table, (more, heavier) in changes.items():
+            rows, weight = whole.total(table)
+            whole.totals[table] = rows + more, hex_total(weight + heavier)
+        if audited is not None:
+            whole.totals[AUDIT] = audited
+        if not whole.fits:
+            log.error("stored data were altered past Kilter: run `kilterd verify`")
+        whole.write(connection, self._sealer)
+
+    def _rows(self, connection: Connection, table: str, keys: set[str]) -> tuple[int, int]:
+        """Write the seals of rows; returns by how much the number of rows and their total grow."""
+        more, heavier = 0, 0
         known = _known(connection, table, sorted(keys))
         new, other, gone = [], [], []
         for key in sorted(keys):
@@ -70,23 +89,23 @@ class Pending:
             text = self._text(place, had)
             if had is not None and place in self.gone:
                 gone.append(key)
-                rows, weight, had = rows - 1, weight - self._sealer.weight(table, key, had), None
+                more, heavier, had = more - 1, heavier - self._sealer.weight(table, key, had), None
             if text is None or text == had:
                 continue
             if had is None:
-                rows += 1
+                more += 1
                 new.append({"thing": table, "id": key, "digests": text})
             else:
-                weight -= self._sealer.weight(table, key, had)
-                other.append((key, text))
-            weight += self._sealer.weight(table, key, text)
-        for some in _parts(gone):
-            connection.execute(delete(SEALS).where(SEALS.c.thing == table, SEALS.c.id.in_(some)))
+                heavier -= self._sealer.weight(table, key, had)
+                other.append({"b_thing": table, "b_id": key, "digests": text})
+            heavier += self._sealer.weight(table, key, text)
+        for some in in_parts(gone):
+            connection.execute(_REMOVE, {"b_thing": table, "b_ids": some})
         if new:
-            connection.execute(insert(SEALS), new)
-        for key, text in other:
-            _reseal(connection, table, key, text)
-        write_total(connection, self._sealer, table, rows, _hex(weight), columns)
+            connection.execute(STORE, new)
+        if other:
+            connection.execute(CHANGE, other)
+        return more, heavier
 
     def _text(self, place: Place, had: str | None) -> str | None:
         """New digests of a row; None: none, or its seal stays as it is."""
@@ -98,64 +117,22 @@ class Pending:
         return None
 
 
-def _parts(keys: Sequence[Key]) -> Iterator[Sequence[Key]]:
-    for start in range(0, len(keys), AT_ONCE):
-        yield keys[start : start + AT_ONCE]
+def in_parts(keys: Sequence[Key], at_once: int = AT_ONCE) -> Iterator[Sequence[Key]]:
+    """Yield as many at once as a statement takes."""
+    for start in range(0, len(keys), at_once):
+        yield keys[start : start + at_once]
 
 
-def _hex(weight: int) -> str:
+def hex_total(weight: int) -> str:
+    """Return a total as it is stored."""
     return f"{weight % MODULUS:064x}"
 
 
 def _known(connection: Connection, table: str, keys: Sequence[str]) -> dict[str, str]:
     found: dict[str, str] = {}
-    for some in _parts(keys):
-        query = select(SEALS.c.id, SEALS.c.digests).where(SEALS.c.thing == table, SEALS.c.id.in_(some))
-        found.update(connection.execute(query).all())
+    for some in in_parts(keys):
+        found.update(connection.execute(_KNOWN, {"b_thing": table, "b_ids": some}).all())
     return found
-
-
-def total_of(connection: Connection, sealer: Sealer, table: str) -> tuple[int, int, str] | None:
-    """Return number of rows, their total and the sealed columns of a table; None where it is not sealed.
-
-    Raises:
-        ServiceError: it is sealed with another key than that of this process.
-
-    """
-    row = connection.execute(select(TOTALS).where(TOTALS.c.thing == table)).mappings().first()
-    if row is None:
-        return None
-    if row["keyed_by"] != sealer.number:
-        raise ServiceError(said_of_key(row["keyed_by"], sealer), code="seal_key_other")
-    try:
-        return int(row["rows"]), int(row["total"], 16), row["columns"]
-    except ValueError:
-        return int(row["rows"]), 0, row["columns"]  # altered, and its seal says so: what follows does not fit either
-
-
-def said_of_key(keyed_by: str, sealer: Sealer) -> str:
-    """Say that the rows are sealed with another key than that of this process, and what helps."""
-    if not keyed_by:
-        return f"The rows are sealed without the key that {seals.KEY_VARIABLE} names: run `kilterd seal` once."
-    now = "with another one" if sealer.number else "without one"
-    return (
-        f"The rows are sealed with the key {keyed_by}, and this process runs {now}: set {seals.KEY_VARIABLE} to its file, or "
-        "run `kilterd seal --accept` once, if it is lost."
-    )
-
-
-def write_total(
-    connection: Connection, sealer: Sealer, table: str, rows: int, total: str, columns: str = "", *, new: bool = False
-) -> None:
-    """Write how many rows a table has, their total, and the seal over both."""
-    values = {
-        "rows": rows, "total": total, "columns": columns, "keyed_by": sealer.number,
-        "seal": sealer.seal(table, rows, total, columns),
-    }  # fmt: skip
-    if new:
-        connection.execute(insert(TOTALS).values(thing=table, **values))
-        return
-    connection.execute(update(TOTALS).where(TOTALS.c.thing == table).values(**values))
 
 
 def listen(sessions: sessionmaker[Session], sealer: Sealer) -> None:
@@ -247,104 +224,6 @@ def _cascade(connection: Connection, pending: Pending, table: Any, keys: Sequenc
     for child in TABLES.values():
         for reference in child.foreign_keys:
             if reference.ondelete == "CASCADE" and reference.column.table.name == table.name:
-                for some in _parts(keys):
+                for some in in_parts(keys):
                     query = select(*child.primary_key.columns).where(reference.parent.in_([key[0] for key in some]))
                     _gone(connection, pending, child, [tuple(found) for found in connection.execute(query)])
-
-
-def complete(connection: Connection, sealer: Sealer) -> None:
-    """Seal the tables and columns that a migration brought; what is sealed stays as it is."""
-    for name, table in TABLES.items():
-        total = total_of(connection, sealer, name)
-        wanted = [column.name for column in seals.columns_of(table)]
-        known = set() if total is None else set(total[2].split(" "))
-        if set(wanted) - known:
-            _complete(connection, sealer, table, known, first=total is None)
-    if total_of(connection, sealer, AUDIT) is None:
-        query = select(AuditRow.number, AuditRow.sha256).order_by(AuditRow.number.desc()).limit(1)
-        last = connection.execute(query).first()
-        number, sha256 = (0, "") if last is None else (last.number, last.sha256)
-        write_total(connection, sealer, AUDIT, number, sha256, new=True)
-
-
-def check_key(database_reading: Session, sealer: Sealer) -> None:
-    """Refuse to work on rows that are sealed with another key, before anything is done.
-
-    Raises:
-        ServiceError: they are.
-
-    """
-    total_of(database_reading.connection(), sealer, AUDIT)
-
-
-def keyed_by(connection: Connection) -> str:
-    """Return the number of the key that the rows are sealed with; empty: with none."""
-    return connection.execute(select(TOTALS.c.keyed_by).where(TOTALS.c.thing == AUDIT)).scalar() or ""
-
-
-def anew(connection: Connection, sealer: Sealer) -> None:
-    """Seal all rows as they are now."""
-    connection.execute(delete(SEALS))
-    connection.execute(delete(TOTALS))
-    complete(connection, sealer)
-
-
-def _complete(connection: Connection, sealer: Sealer, table: Table, known: set[str], *, first: bool) -> None:
-    found = [
-        (
-            key,
-            {name: sealer.digest(table.name, key, name, value) for name, value in values.items() if name not in known},
-        )
-        for key, values in stored(connection, table)
-    ]
-    if first:
-        rows = [{"thing": table.name, "id": key, "digests": seals.written(digests)} for key, digests in found]
-        for some in _parts(rows):
-            connection.execute(insert(SEALS), some)
-    else:
-        for key, digests in found:
-            had = _known(connection, table.name, [key]).get(key)
-            if had is not None:  # else a row that was put in past Kilter
-                _reseal(connection, table.name, key, seals.written({**seals.read(had), **digests}))
-    number, weight = 0, 0
-    for key, text in connection.execute(select(SEALS.c.id, SEALS.c.digests).where(SEALS.c.thing == table.name)):
-        number, weight = number + 1, weight + sealer.weight(table.name, key, text)
-    names = " ".join(column.name for column in seals.columns_of(table))
-    write_total(connection, sealer, table.name, number, _hex(weight), names, new=first)
-
-
-def _reseal(connection: Connection, table: str, key: str, text: str) -> None:
-    connection.execute(update(SEALS).where(SEALS.c.thing == table, SEALS.c.id == key).values(digests=text))
-
-
-def stored(connection: Connection, table: Table) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Rows of a table as SQLite stores them, by their keys; nothing in them is decoded, however damaged."""
-    columns = seals.columns_of(table)
-    if connection.dialect.name == "sqlite":
-        yield from _of_sqlite(connection, table)
-        return
-    shown = [cast(c, Text).label(c.name) if isinstance(c.type, JSON) else c for c in columns]
-    for row in connection.execute(select(*shown).execution_options(yield_per=AT_ONCE_READ)).mappings():
-        values = {c.name: row[c.name] if isinstance(c.type, JSON) else seals.raw(c, row[c.name]) for c in columns}
-        yield seals.id_of(values[c.name] for c in table.primary_key.columns), values
-
-
-def _of_sqlite(connection: Connection, table: Table) -> Iterator[tuple[str, dict[str, Any]]]:
-    names = [column.name for column in seals.columns_of(table)]
-    keys = [column.name for column in table.primary_key.columns]
-    quoted = ", ".join(f'"{name}"' for name in names)
-    driver: Any = connection.connection.driver_connection
-    before = driver.text_factory
-    cursor = driver.cursor()
-    try:
-        driver.text_factory = _text
-        for row in cursor.execute(f'SELECT {quoted} FROM "{table.name}" NOT INDEXED'):  # noqa: S608 (names of our tables)
-            values = dict(zip(names, row, strict=True))
-            yield seals.id_of(values[key] for key in keys), values
-    finally:
-        cursor.close()
-        driver.text_factory = before
-
-
-def _text(content: bytes) -> str:
-    return content.decode("utf-8", "surrogateescape")

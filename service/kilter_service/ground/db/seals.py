@@ -1,6 +1,7 @@
-"""Seals: a digest for every column of every row, and a total over the rows of each table.
+"""Seals: a digest for every column of every row, a total over the rows of each table, and one seal over all totals.
 
-A row that is changed, removed or put in past Kilter no longer fits its digests or the total. Values are taken as SQLite
+A row that is changed, removed or put in past Kilter no longer fits its digests or the total; a table that is put back to
+an earlier state with its total no longer fits the seal over all of them. Values are taken as SQLite
 stores them, so that a seal holds in either database and in a backup. docs/decisions/0019-rows-are-sealed.md has the reasons.
 """
 
@@ -18,14 +19,15 @@ from sqlalchemy import Column, Table
 from sqlalchemy.dialects import sqlite
 
 from kilter_service.ground.db.row import Row
-from kilter_service.ground.db.tables import AuditRow, EndedJobsRow, HeartbeatRow, SealedTableRow, SealRow
+from kilter_service.ground.db.seal_tables import DatabaseSealRow, SealRow
+from kilter_service.ground.db.tables import AuditRow, EndedJobsRow, HeartbeatRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.files.private_files import secret_in
 
 # The audit has a chain of its own, that a process is alive lasts for seconds, and on how many jobs ended rests nothing but
 # a metric. Nor does anything on the progress of a job, which workers note beside each other, and the bytes of chunks and
 # shapes have a SHA-256 in the row.
-APART = frozenset(row.__tablename__ for row in (AuditRow, EndedJobsRow, HeartbeatRow, SealRow, SealedTableRow))
+APART = frozenset(row.__tablename__ for row in (AuditRow, EndedJobsRow, HeartbeatRow, SealRow, DatabaseSealRow))
 OPEN = frozenset({("jobs", "fraction"), ("jobs", "stage"), ("chunks", "parquet"), ("meshes", "content")})
 TABLES: Mapping[str, Table] = {table.name: table for table in Row.metadata.sorted_tables if table.name not in APART}
 DIGEST_BYTES, TOTAL_BYTES, SEAL_BYTES, NUMBER_BYTES = 8, 32, 16, 4
@@ -56,10 +58,9 @@ class Sealer:
         place = f"{table}\0{row}\0\0{digests}".encode("utf-8", "surrogateescape")
         return int.from_bytes(self._hash(place, TOTAL_BYTES), "big")
 
-    def seal(self, table: str, rows: int, total: str, columns: str) -> str:
-        """Seal of the total of a table."""
-        content = f"{table}\0{rows}\0{total}\0{columns}\0{self.number}".encode("utf-8", "surrogateescape")
-        return self._hash(content, SEAL_BYTES).hex()
+    def seal(self, totals: str) -> str:
+        """Seal over the totals of all tables, as they are stored."""
+        return self._hash(f"{totals}\0{self.number}".encode("utf-8", "surrogateescape"), SEAL_BYTES).hex()
 
 
 def sealer() -> Sealer:

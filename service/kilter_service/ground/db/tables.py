@@ -189,6 +189,21 @@ class ActivationRow(Row):
     objections: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
 
 
+class ReplayRow(Row):
+    """Task and rules that a version was activated under, and its answers at some setpoints, which an upgrade replays.
+
+    ``setpoints`` and ``answers`` are joints (N, n), rad or m, as little-endian float64; NaN where a setpoint is refused.
+    """
+
+    __tablename__ = "replays"
+    activation_id: Mapped[int] = mapped_column(ForeignKey("activations.id", ondelete="RESTRICT"), primary_key=True)
+    rules: Mapped[dict[str, Any]]
+    setpoints: Mapped[bytes] = mapped_column(LargeBinary)
+    answers: Mapped[bytes] = mapped_column(LargeBinary)
+    made_by: Mapped[str] = mapped_column(String(16))
+    code_version: Mapped[str] = mapped_column(String(64))
+
+
 class HeartbeatRow(Row):
     """A process that says it is alive."""
 
@@ -345,27 +360,6 @@ class CreepingRow(Row):
     told_at: Mapped[datetime] = mapped_column(default=now)
 
 
-class SealRow(Row):
-    """What a row was stored as: a digest for each of its columns. It is written with the row (`db/sealed.py`)."""
-
-    __tablename__ = "seals"
-    thing: Mapped[str] = mapped_column(String(32), primary_key=True)
-    id: Mapped[str] = mapped_column(String(200), primary_key=True)
-    digests: Mapped[str] = mapped_column(Text)
-
-
-class SealedTableRow(Row):
-    """How many rows a table has, a total over their seals, which columns have digests, and which key seals this."""
-
-    __tablename__ = "sealed_tables"
-    thing: Mapped[str] = mapped_column(String(32), primary_key=True)
-    rows: Mapped[int]
-    total: Mapped[str] = mapped_column(String(64))
-    columns: Mapped[str] = mapped_column(Text)
-    keyed_by: Mapped[str] = mapped_column(String(16))
-    seal: Mapped[str] = mapped_column(String(32))
-
-
 def _come_last(_mapper: Mapper[Any], connection: Connection, row: Any) -> None:
     """Date a row after the others (of its robot): the clock may have been set back, and `latest` is the newest."""
     if row.created_at is None:
@@ -390,5 +384,5 @@ def _refuse_change(_mapper: Mapper[Any], _connection: Any, row: Row) -> None:
     raise RuntimeError(f"{type(row).__name__} is immutable: store a new one instead of changing it.")
 
 
-for _immutable in (VersionRow, ActivationRow, ChunkRow, AuditRow):
+for _immutable in (VersionRow, ActivationRow, ReplayRow, ChunkRow, AuditRow):
     event.listen(_immutable, "before_update", _refuse_change)

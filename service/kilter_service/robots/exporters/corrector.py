@@ -53,7 +53,7 @@ def c_source(version: Exportable) -> Written:
 
 def _program(version: Exportable) -> CorrectionProgram:
     # Nobody states the arm's temperature in a file: thermal growth is named in the notes instead.
-    return compile_program(version.calibration, options_of(version.version.limits, None))
+    return compile_program(version.calibration, options_of(version.version.limits, None, rules=version.rules))
 
 
 def _file(version: Exportable, program: CorrectionProgram) -> bytes:

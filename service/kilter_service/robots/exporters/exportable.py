@@ -35,6 +35,7 @@ class Exportable:
     arm: Arm
     version: Version
     document: dict[str, Any]
+    rules: dict[str, Any] | None = None  # that it was activated under
 
     @property
     def robot(self) -> dict[str, Any]:

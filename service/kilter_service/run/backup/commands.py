@@ -34,7 +34,7 @@ def backup(settings: Settings, arguments: argparse.Namespace) -> None:
 
 def restore(settings: Settings, arguments: argparse.Namespace) -> None:
     """Bring a backup into an empty data folder or database."""
-    found = service.restore(settings, Path(arguments.path))
+    found = service.restore(settings, Path(arguments.path), accept=arguments.accept)
     print(
         f"Restored {found.looked_at()}. Secrets are not in a backup: copy the token file, stream-keys.json and the "
         "authority of zenoh-config, where they were kept; the first start makes new ones."
@@ -44,6 +44,9 @@ def restore(settings: Settings, arguments: argparse.Namespace) -> None:
 def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
     """Bring the database to the revision of this Kilter, or say what that would do."""
     plan = upgrading.planned(settings) if arguments.check else upgrading.upgrade(settings)
+    changes = upgrading.planned_changes(settings, plan) if arguments.check else plan.changes
+    for change in changes:
+        print(upgrading.describe_change(change, plan, done=not arguments.check))
     if not plan.steps:
         print(f"The database is at revision {revision.HEAD}: there is nothing to upgrade.")
         return
@@ -56,6 +59,8 @@ def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
         needed = f"needs {plan.copy_bytes >> 20} MB of {plan.free_bytes >> 20} MB free"
         print(f"A copy of it as it is {'would be' if arguments.check else 'was'} kept: {plan.copy} ({needed}).")
     elif plan.found is not None:
+        if arguments.check:
+            print("`kilterd upgrade` says what changes of what arms are sent; of a PostgreSQL database --check cannot.")
         print("No copy is made of a PostgreSQL database: make one with pg_dump first.")
     if not plan.fits:
         print(
@@ -67,7 +72,7 @@ def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
 def verify(settings: Settings, arguments: argparse.Namespace) -> None:
     """Check every hash of the database, or of a backup, while the server runs."""
     found = service.verify(Path(arguments.path)) if arguments.path else service.verify_stored(settings)
-    for sentence in found.damaged:
+    for sentence in found.sentences:
         print(sentence)
     if found.damaged:
         print(
@@ -75,8 +80,9 @@ def verify(settings: Settings, arguments: argparse.Namespace) -> None:
             "folder away and bring back the newest backup that is whole with `kilterd restore`.",
             file=sys.stderr,
         )
+    if found.sentences:
         sys.exit(1)
-    print(f"All is whole: {found.looked_at()}; {found.checked()}.")
+    print(found.headline())
 
 
 def seal(settings: Settings, arguments: argparse.Namespace) -> None:

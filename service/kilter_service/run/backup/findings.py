@@ -18,10 +18,24 @@ class Findings:
     versions: int = 0
     meshes: int = 0
     every_row: bool = False  # all tables were compared with a backup's manifest, or one was written
+    sealed: bool = True  # else it is of a release that sealed no rows
+    other_key: str = ""  # why no seal can be compared: it is sealed with another key than the one in use
 
     def add(self, sentence: str) -> None:
         """Note one more."""
         self.damaged.append(sentence)
+
+    @property
+    def sentences(self) -> list[str]:
+        """All that keeps it from being whole."""
+        return [*filter(None, [self.other_key]), *self.damaged]
+
+    def headline(self) -> str:
+        """Say that it is whole; of what has no seals, no more than what was compared."""
+        if self.sealed:
+            return f"All is whole: {self.looked_at()}; {self.checked()}."
+        hashes = f"Hashes of rows, chunks and versions fit: {self.looked_at()}."
+        return f"{hashes} It is of a release without seals, so no seal was compared."
 
     def looked_at(self) -> str:
         """Say how much was looked at."""

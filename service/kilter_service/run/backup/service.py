@@ -23,6 +23,7 @@ from kilter_service.ground.files.private_files import private_file, private_fold
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, LOCK_FILE, Settings
 from kilter_service.run.backup import manifest, store
 from kilter_service.run.backup.findings import Findings
+from kilter_service.run.backup.upgrade import keep_todays_answers
 
 PAGES_AT_ONCE = 2000  # of a copy: writers go on in between
 
@@ -48,6 +49,8 @@ def backup(settings: Settings, where: Path) -> tuple[Path, Findings]:
         else:
             _copy_rows(database, part)
         found = _checked(part)
+        if found.other_key:
+            raise ServiceError(found.other_key, code="seal_key_other")
         _refuse_damaged(found, "The database is damaged, so there is no new backup")
         manifest.write(part)
         found.every_row = True
@@ -59,11 +62,14 @@ def backup(settings: Settings, where: Path) -> tuple[Path, Findings]:
     return path, found
 
 
-def restore(settings: Settings, path: Path) -> Findings:
+def restore(settings: Settings, path: Path, *, accept: bool = False) -> Findings:
     """Put a backup where no data are yet; it is checked first, and brought to the revision of this Kilter.
 
+    ``accept`` restores one whose seals cannot be compared, because it is sealed with another key or with none.
+
     Raises:
-        ServiceError: the file is damaged or of a newer Kilter, the target has data, or a server runs there.
+        ServiceError: the file is damaged, sealed with another key or of a newer Kilter, the target has data, or a server
+            runs there.
 
     """
     if not path.is_file():
@@ -78,7 +84,16 @@ def restore(settings: Settings, path: Path) -> Findings:
         part = settings.data / f"{DATABASE_FILE}.part"
         try:
             found = _checked_copy(path, part)
+            if found.other_key and not accept:
+                raise ServiceError(
+                    f"{path} was not restored, its seals cannot be compared. {found.other_key} `kilterd restore --accept` "
+                    "takes it as it is.",
+                    code="seal_key_other",
+                )
             _refuse_damaged(found, f"{path} is damaged and was not restored")
+            with closing(Database(f"sqlite:///{part}")) as database:
+                keep_todays_answers(database)
+            _one_file(part)
             if settings.database_url is None:
                 _put(part, settings.data / DATABASE_FILE)
             else:
@@ -159,8 +174,11 @@ def _checked(path: Path) -> Findings:
     database = Database(f"sqlite:///{path}")
     try:
         revision.check_known(database)
+        sealed = revision.has_seals(database)
         revision.migrate(database)
-        return store.check(database, elsewhere=True)
+        found = store.check(database)
+        found.sealed = sealed
+        return found
     except Exception as error:
         return _damage(error)
     finally:

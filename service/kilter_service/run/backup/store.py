@@ -13,20 +13,16 @@ from sqlalchemy.exc import DBAPIError
 
 from kilter_service.ground.caller import on_behalf
 from kilter_service.ground.db import Database, Session, seal_check
-from kilter_service.ground.db.audited import note
+from kilter_service.ground.db.audited import MOST_CHANGES, note
+from kilter_service.ground.db.audited_rows import audit_differences
+from kilter_service.ground.db.database_seal import read_database_seal
+from kilter_service.ground.db.initial_seals import anew
 from kilter_service.ground.db.row import Row
-from kilter_service.ground.db.sealed import anew, keyed_by
+from kilter_service.ground.db.schema_check import schema_altered
+from kilter_service.ground.db.seal_tables import DatabaseSealRow, SealRow
+from kilter_service.ground.db.sealed import in_parts
 from kilter_service.ground.db.seals import Sealer
-from kilter_service.ground.db.tables import (
-    CampaignRow,
-    ChunkRow,
-    MeshRow,
-    RobotRow,
-    SealedTableRow,
-    SealRow,
-    UploadRow,
-    VersionRow,
-)
+from kilter_service.ground.db.tables import CampaignRow, ChunkRow, MeshRow, RobotRow, UploadRow, VersionRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots.resolved import sha256_of, source_sha256
 from kilter_service.run.backup.findings import Findings
@@ -35,24 +31,25 @@ from kilter_service.web.audit.store import everything
 
 AT_ONCE = 50  # rows that are in memory while a table is copied
 SAMPLE = 50  # chunks of a quick check, the newest
-SEALS = (SealRow.__table__, SealedTableRow.__table__)  # an empty database has those of its empty tables
+SEALS = (SealRow.__table__, DatabaseSealRow.__table__)  # an empty database has those of its empty tables
 Part = Callable[[Session, Findings, bool], None]
 
 
-def check(database: Database, *, quick: bool = False, elsewhere: bool = False) -> Findings:
+def check(database: Database, *, quick: bool = False) -> Findings:
     """Compare everything stored with its seals and hashes; a quick check looks at the newest chunks only.
 
-    ``elsewhere`` passes over seals with a key that this process does not have: a backup has its manifest.
     Each part has a snapshot of its own: what a damaged page holds cannot be read, what lies on others can.
     """
     found = Findings()
-    if not (elsewhere and _other_key(database)):
+    _part(database, found, "seals", partial(_whole, database), quick)
+    if not found.other_key:
         for name in seal_check.tables(quick=quick):
             _part(database, found, f"rows of {name}", partial(_sealed, database, name), quick)
-        _part(database, found, "seals of the audit", partial(_end, database), quick)
     for part, what in (
+        (_schema, "tables and triggers"),
         (_pages, "pages"),
         (_audit, "entries of the audit"),
+        (_audited, "rows of the audit"),
         (_robots, "robots"),
         (_chunks, "chunks of campaigns"),
         (_versions, "versions"),
@@ -84,14 +81,17 @@ def _sealed(database: Database, name: str, session: Session, found: Findings, _q
     found.damaged.extend(seal_check.altered(session.connection(), database.sealer, name))
 
 
-def _other_key(database: Database) -> bool:
-    with database.reading() as session:
-        return keyed_by(session.connection()) != database.sealer.number
+def _whole(database: Database, session: Session, found: Findings, _quick: bool) -> None:
+    """The seal over all tables and the end of the audit"""
+    connection = session.connection()
+    found.other_key = seal_check.other_key(connection, database.sealer)
+    if not found.other_key:
+        found.damaged.extend(seal_check.whole_altered(connection, database.sealer))
 
 
-def _end(database: Database, session: Session, found: Findings, _quick: bool) -> None:
-    """The end of the audit"""
-    found.damaged.extend(seal_check.audit_end(session.connection(), database.sealer))
+def _schema(session: Session, found: Findings, _quick: bool) -> None:
+    """Tables, indexes and triggers"""
+    found.damaged.extend(schema_altered(session.connection()))
 
 
 def _audit(session: Session, found: Findings, _quick: bool) -> None:
@@ -111,6 +111,11 @@ def _pages(session: Session, found: Findings, quick: bool) -> None:
         found.add(f"The database file is damaged: {line}.")
     for table, row, parent, _ in session.execute(text("PRAGMA foreign_key_check")):
         found.add(f"Row {row} of {table} refers to a row of {parent} that is missing.")
+
+
+def _audited(session: Session, found: Findings, _quick: bool) -> None:
+    """Tokens, activations and repairs, as the audit has them"""
+    found.damaged.extend(one.sentence for one in audit_differences(session))
 
 
 def _robots(session: Session, found: Findings, _quick: bool) -> None:
@@ -200,23 +205,28 @@ def seal(database: Database, *, accept: bool) -> list[str]:
 
     ``accept`` takes them as they are. An entry of the audit says that it was done.
     """
+    with database.reading() as session:
+        differences = list(audit_differences(session))
     with database.engine.begin() as connection:
-        before = keyed_by(connection)
-        old = database.sealer if before == database.sealer.number else Sealer()
-        names = seal_check.tables()
-        found = [one for name in names for one in seal_check.altered(connection, old, name)]
-        found += seal_check.audit_end(connection, old)
+        whole = read_database_seal(connection, database.sealer)
+        before = "" if whole is None else whole.keyed_by
+        other = seal_check.other_key(connection, database.sealer)
+        found = [other] if other else []
+        if not before or not other:
+            old = Sealer() if other else database.sealer
+            found += seal_check.whole_altered(connection, old)
+            found += [one for name in seal_check.tables() for one in seal_check.altered(connection, old, name)]
+        found += [one.sentence for one in differences]
         if found and not accept:
             return found
         anew(connection, database.sealer)
-    asked = {"actor": "kilterd", "role": "admin"}
-    with on_behalf(asked, "kilterd seal", {}), database.transaction() as session:
-        note(
-            session,
-            "seals",
-            before or "no key",
-            f"{database.sealer.number or 'no key'}, {len(found)} findings accepted",
-        )
+    now = f"{database.sealer.number or 'no key'}, {len(found)} findings accepted"
+    with on_behalf({"actor": "kilterd", "role": "admin"}, "kilterd seal", {}), database.transaction() as session:
+        note(session, "seals", before or "no key", now)
+    for some in in_parts(differences, MOST_CHANGES):  # from now on the audit says of them what they are
+        with on_behalf({"actor": "kilterd", "role": "admin"}, "kilterd seal", {}), database.transaction() as session:
+            for one in some:
+                note(session, one.thing, one.audited, one.stored)
     return []
 
 

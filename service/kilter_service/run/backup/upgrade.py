@@ -7,20 +7,33 @@ import logging
 import re
 import shutil
 import sqlite3
+import tempfile
+from collections.abc import Iterator
 from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from kilter_files.ground.later import later
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.files.private_files import private_file
 from kilter_service.ground.settings import Settings
 
+if TYPE_CHECKING:
+    from kilter_service.versions.replays.service import Change
+
+with later(__name__):  # a database without active versions needs no core
+    from kilter_service.versions import store as versions
+    from kilter_service.versions.replays import service as replays
+
 log = logging.getLogger("kilter.serve")
 
 SUFFIX = ".kilter-backup"
 MARGIN_BYTES = 64 << 20  # of the migration itself, beside the copy
+# Up to this revision a correction held the whole pose or, of an arm with fewer than six joints, the tool point alone with the
+# least motion of the joints: as today where every posture counts as weak. Releases kept no rules then.
+POINT_ALONE = "0014"
 STEP = re.compile(r'^"""(.+?)(?:"""|\n)', re.DOTALL)
 BEFORE = re.compile(r'^down_revision = "(\w+)"', re.MULTILINE)
 
@@ -40,6 +53,7 @@ class Plan(NamedTuple):
     copy: Path | None
     copy_bytes: int
     free_bytes: int
+    changes: tuple[Change, ...] = ()  # of what active versions answer
 
     @property
     def fits(self) -> bool:
@@ -72,25 +86,87 @@ def planned(settings: Settings) -> Plan:
     return Plan(found, steps, file.parent / name, file.stat().st_size, free)
 
 
-def upgrade(settings: Settings) -> Plan:
+def planned_changes(settings: Settings, plan: Plan) -> Iterator[Change]:
+    """Replay the answers of the active versions; those of an earlier revision in a copy that is migrated.
+
+    Of a PostgreSQL database of an earlier revision there is no copy: the upgrade itself replays them.
+    """
+    if plan.found is None or (plan.steps and settings.sqlite_file is None):
+        return
+    with tempfile.TemporaryDirectory(prefix="kilter-replay-", dir=settings.data) as folder:
+        url = settings.database
+        if plan.steps:
+            copy = Path(folder) / "copy.sqlite"
+            assert settings.sqlite_file is not None
+            _copy(settings.sqlite_file, copy)
+            url = f"sqlite:///{copy}"
+        with closing(Database(url)) as database:
+            revision.migrate(database)
+            yield from replays.compare_answers(database, before_rules=_is_before_rules(plan))
+
+
+def _is_before_rules(plan: Plan) -> bool:
+    return plan.found is not None and plan.found <= POINT_ALONE
+
+
+def upgrade(settings: Settings, *, replay: bool = True) -> Plan:
     """Bring the database to the revision of this Kilter, with a copy of what there was beside it.
+
+    The answers of active versions are compared with those that were kept, where something is upgraded or ``replay`` asks
+    for it; those of versions that have none are kept.
 
     Raises:
         ServiceError: the database is of a newer Kilter, or the disk has no room for the copy.
 
     """
     plan = planned(settings)
-    if not plan.steps:
+    if not (plan.steps or replay):
         return plan
     if plan.copy is not None:
         _keep(settings, plan, plan.copy)
     database = Database(settings.database)
     try:
-        revision.migrate(database)
+        if revision.migrate(database):
+            log.info("the database was brought to revision %s", revision.HEAD)
+        plan = plan._replace(changes=_replay_and_keep(database, plan))
     finally:
         database.close()
-    log.info("the database was brought to revision %s", revision.HEAD)
+    for change in plan.changes:
+        log.info("%s", describe_change(change, plan, done=True))
     return plan
+
+
+def _replay_and_keep(database: Database, plan: Plan) -> tuple[Change, ...]:
+    if not _has_active(database):
+        return ()
+    changes = tuple(replays.compare_answers(database, before_rules=_is_before_rules(plan)))
+    replays.keep_answers(database)
+    return changes
+
+
+def keep_todays_answers(database: Database) -> None:
+    """Keep today's answers of active versions that have none, such as those of a backup of an earlier release."""
+    if _has_active(database):
+        replays.keep_answers(database)
+
+
+def _has_active(database: Database) -> bool:
+    with database.reading() as session:
+        return bool(versions.active_entries(session))
+
+
+def describe_change(change: Change, plan: Plan, *, done: bool) -> str:
+    """Say how far the answers of an active version change, or that none were kept."""
+    joint = [f"{change.joint_deg:.2g} deg"] if change.joint_deg or not change.joint_mm else []
+    joints = " or ".join([*joint, *([f"{change.joint_mm:.2g} mm"] if change.joint_mm else [])])
+    far = f"joints change by at most {joints}, the tool point by {change.tool_mm:.2g} mm"
+    who = f"{change.robot} {change.version_id}"
+    if not change.kept:
+        kept = f"{who}: no earlier answers are stored; today's {'are' if done else 'would be'} kept."
+        estimate = f" Releases before 2026-11-23 answered otherwise. By an estimate {far}."
+        return kept + estimate if _is_before_rules(plan) else kept
+    other = f"; {change.otherwise} are refused that were not, or the other way round" if change.otherwise else ""
+    return f"{who}: {far}, at {change.setpoints} setpoints{other}."
 
 
 def _keep(settings: Settings, plan: Plan, copy: Path) -> None:
@@ -102,10 +178,8 @@ def _keep(settings: Settings, plan: Plan, copy: Path) -> None:
         )
     assert settings.sqlite_file is not None
     part = copy.with_name(f"{copy.name}.part")
-    private_file(part)
     try:
-        with closing(sqlite3.connect(settings.sqlite_file)) as read, closing(sqlite3.connect(part)) as written:
-            read.backup(written)
+        _copy(settings.sqlite_file, part)
         with closing(sqlite3.connect(part)) as written:
             written.execute("PRAGMA journal_mode=DELETE")
         part.rename(copy)
@@ -114,6 +188,12 @@ def _keep(settings: Settings, plan: Plan, copy: Path) -> None:
     digest = hashlib.sha256(copy.read_bytes()).hexdigest()
     copy.with_name(f"{copy.name}.sha256").write_text(f"{digest}  {copy.name}\n", encoding="utf-8")
     log.info("the database of revision %s is kept as %s", plan.found, copy)
+
+
+def _copy(source: Path, target: Path) -> None:
+    private_file(target)
+    with closing(sqlite3.connect(source)) as read, closing(sqlite3.connect(target)) as written:
+        read.backup(written)
 
 
 def _steps(found: str | None) -> list[Step]:

@@ -107,6 +107,8 @@ def hashes(settings: Settings) -> tuple[bool, str]:
     if settings.database_url is None and not (settings.data / DATABASE_FILE).exists():
         return _ok("nothing is stored yet")
     found = verify_stored(settings, quick=True)
+    if found.other_key:
+        return _wrong(found.other_key)
     if found.damaged:
         return _wrong(f"{found.damaged[0]} Run `kilterd verify` for all, then `kilterd restore` a backup that is whole")
     return _ok(f"{found.looked_at()} looked at, `kilterd verify` looks at all")

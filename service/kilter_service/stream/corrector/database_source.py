@@ -83,7 +83,7 @@ class DatabaseSource:
 
 
 def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Active:
-    options = correction_limits.options_of(version.limits, temperature_c)
+    options = correction_limits.options_of(version.limits, temperature_c, rules=version.rules)
     return Active(
         robot=version.robot,
         version_id=version.id,

@@ -22,6 +22,7 @@ from kilter_service.ground.tables.assemble import with_default_load
 from kilter_service.versions import store
 
 if TYPE_CHECKING:
+    from kilter_core.correct.program import CorrectionOptions
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
 
@@ -64,9 +65,10 @@ def at_pose(
     """
     with database.reading() as session:
         limits = CorrectionLimits(**store.get(session, version).limits)
+        options = options_of(limits, temperature_c, rules=store.rules_of(session, version))
         calibration, known = store.calibration(session, version), store.known(session, version)
         rows = _rows(session, calibration, q, campaign, row)
-    return _looked_at(calibration, known, rows, limits, temperature_c)
+    return _looked_at(calibration, known, rows, options)
 
 
 def _rows(session: Session, calibration: Calibration, q: Floats | None, campaign: str, row: int) -> Observations:
@@ -88,13 +90,12 @@ def _looked_at(
     calibration: Calibration,
     known: Predictive | None,
     rows: Observations,
-    limits: CorrectionLimits,
-    temperature_c: float | None,
+    options: CorrectionOptions,
 ) -> AtPose:
     arm, wanted = predictive.acting(calibration, rows), calibration.wanted()
     to_base = transforms.inverse(np.asarray(wanted.model.T_base))
     tool, expected = arm.predict(rows).position[0], wanted.predict(rows).position[0]
-    done = walker.correct_trajectory(arm, rows, options_of(limits, temperature_c))
+    done = walker.correct_trajectory(arm, rows, options)
     there = {effect.id for effect in arm.model.effects}
     missing = [one.id for one in calibration.model.effects if one.stage != "measurement" and one.id not in there]
     sigma = None if known is None else float(known.of_the_tool(calibration, rows).max()) / QUANTILE

@@ -196,10 +196,10 @@ def spread(at: Floats, size: Floats, most: int = MOST_ROWS) -> Ints:
 def reach(database: Database, version: str) -> Reach:
     """Return how far a version corrects the tool, and how well it knows it, wherever it corrects within the joint limits."""
     with database.reading() as session:
-        limits = CorrectionLimits(**store.get(session, version).limits)
+        limits, rules = CorrectionLimits(**store.get(session, version).limits), store.rules_of(session, version)
         calibration, known = store.calibration(session, version), store.known(session, version)
     rows = Observations(q=drawn(calibration.robot, DRAWN))
-    done = walker.correct_trajectory(calibration, rows, options_of(limits, None))
+    done = walker.correct_trajectory(calibration, rows, options_of(limits, None, rules=rules))
     good = done.status == Status.OK
     rows = rows.select(good)
     before = np.linalg.norm(done.error_removed[good], axis=1)

@@ -1,0 +1,1 @@
+"""Task, rules and answers that are kept with every active version, and their replay."""
