@@ -254,6 +254,8 @@ def test_a_bridge_that_any_machine_can_take_says_so_and_the_named_controller_is_
 
 
 @pytest.mark.parametrize("address", ["cell7", "192.168.1", "127.0.0.1:x", "127.0.0.1:70000", "", "::1"])
-def test_a_controller_that_is_not_an_address_is_refused(arm: str, address: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_controller_that_is_not_an_address_is_refused(
+    arm: str, address: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert run(["bridge", "rsi", arm, *PACE, "--controller", address]) == 2
     assert "192.168.1.20:50000" in capsys.readouterr().err
