@@ -54,7 +54,7 @@ def correct_setpoints(calibration: Calibration, limits: dict[str, Any], rules: R
     return np.where((done.status == Status.OK)[:, None], done.q, np.nan)
 
 
-def first_rules(n_joints: int) -> Rules:
+def first_rules(n_joints: int) -> dict[str, Any]:
     """Rules of releases before 2026-11-23: the whole pose, or the tool point alone where an arm has fewer than six joints."""
     return rules_today() | ({"task": "pose"} if n_joints >= WHOLE_POSE else {"least_leverage": ANY_LEVERAGE})
 
