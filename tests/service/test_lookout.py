@@ -63,7 +63,7 @@ def test_a_lookout_opens_a_new_connection_after_one_that_broke(database: Databas
     lookout = Lookout(database, ROBOTS)
     assert lookout.rows() == []
     assert lookout._connection is not None
-    lookout._connection.dbapi_connection.close()  # type: ignore[union-attr]
+    lookout._connection.close()
     assert lookout.rows() == []  # asked by a session
     assert lookout.rows() == []
     lookout.close()

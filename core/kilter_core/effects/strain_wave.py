@@ -20,7 +20,7 @@ from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
-KNEES = (0.1, 0.2, 0.4)  # that are tried, of the largest load on the joint
+KNEES = (0.1, 0.2)  # that are tried, of the largest load on the joint: a larger one is as good as hardening
 LEAST_LOAD_NM = 1e-3
 
 
@@ -52,7 +52,7 @@ class StrainWave(Effect):
 
     @classmethod
     def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
-        """Three knees at each revolute joint, within the loads that it bears in these rows."""
+        """Two knees at each revolute joint, within the loads that it bears in these rows."""
         largest = np.max(np.abs(axial_loads(robot, loads_of(robot, rows))), axis=0, initial=0.0)
         bearing = [j for j, x in enumerate(robot.joints) if x.kind == "revolute" and largest[j] > LEAST_LOAD_NM]
         return [{"joints": (j,), "knee_nm": float(f"{part * largest[j]:.2g}")} for j in bearing for part in KNEES]

@@ -94,7 +94,7 @@ def rooms_with(settings: Settings) -> Mapping[Kind, Room]:
     shared = max(1, slots // 2), max(1, places // 2)  # half of it stays free for the others' arms
     return {
         "corrections": Room(slots, places, *shared),
-        "stops": Room(slots, places, *shared),
+        "stops": Room(2 * slots, places, slots, shared[1]),  # who activates may roll back meanwhile
         "drops": Room(slots, places, slots_each=1, places_each=4, wait_s=10.0),
         "files": Room(slots, places),  # those that wait are on disk
         "checks": Room(slots, places),  # documents that only compute

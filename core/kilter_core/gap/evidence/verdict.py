@@ -55,13 +55,9 @@ class Evidence:
 
     @property
     def contradicted(self) -> bool:
-        """Whether rows that no choice saw speak against it: a confirmation, or held-out poses that err more with it.
-
-        Poses of which another split errs less with it, half against half, do not agree: they leave it open.
-        """
+        """Whether rows that no choice saw speak against it: a confirmation, or held-out poses that err more with it."""
         again = self.replication is not None and self.replication.contradicted
-        halved = self.halves is not None and self.halves.predicted.better
-        return again or (self.unseen_poses > 0 and self.held_out[0] < 0.0 and not halved)
+        return again or (self.unseen_poses > 0 and self.held_out[0] < 0.0)
 
     @property
     def law(self) -> Law:

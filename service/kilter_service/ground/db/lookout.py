@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import weakref
 from typing import Any
 
-from sqlalchemy import PoolProxiedConnection, Select
+from sqlalchemy import Select
 
 from kilter_service.ground.db.database import Database
 
@@ -20,7 +22,7 @@ class Lookout:
             (one.string, one.params if one.positiontup is None else tuple(one.params[name] for name in one.positiontup))
             for one in compiled
         ]
-        self._connection: PoolProxiedConnection | None = None
+        self._connection: Any = None
 
     def rows(self) -> list[tuple[Any, ...]]:
         """Return the rows of the queries, one after the other; what is wrong with the database is raised as by a session."""
@@ -34,14 +36,18 @@ class Lookout:
 
     def _connected(self) -> Any:
         if self._connection is None:
-            self._connection = self._database.engine.raw_connection()
-            self._connection.detach()  # the pool hands out none that commits by itself
+            pooled = self._database.engine.raw_connection()
+            self._connection = found = pooled.dbapi_connection
+            # Out of the pool, which hands out none that commits by itself, and would log the roll-back of one that is lost.
+            pooled.detach()
+            self._closing = weakref.finalize(self, found.close)  # type: ignore[union-attr]
             if self._database.engine.dialect.name != "sqlite":
-                self._connection.dbapi_connection.autocommit = True  # type: ignore[union-attr]
-        return self._connection.dbapi_connection
+                self._connection.autocommit = True
+        return self._connection
 
     def close(self) -> None:
         """Close the connection; the next question opens another."""
         if self._connection is not None:
-            self._connection.close()
             self._connection = None
+            with contextlib.suppress(Exception):  # of a connection that is lost
+                self._closing()

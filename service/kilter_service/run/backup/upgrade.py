@@ -140,7 +140,7 @@ def _replay_and_keep(database: Database, plan: Plan) -> tuple[Change, ...]:
     if not _has_active(database):
         return ()
     changes = tuple(replays.compare_answers(database, before_rules=_is_before_rules(plan)))
-    replays.keep_answers(database, before_rules=_is_before_rules(plan))
+    replays.keep_answers(database)
     return changes
 
 
@@ -162,9 +162,9 @@ def describe_change(change: Change, plan: Plan, *, done: bool) -> str:
     far = f"joints change by at most {joints}, the tool point by {change.tool_mm:.2g} mm"
     who = f"{change.robot} {change.version_id}"
     if not change.kept:
-        if _is_before_rules(plan):
-            return f"{who}: {'keeps' if done else 'would keep'} the task of its release. Activated anew, {far}."
-        return f"{who}: no earlier answers are stored; today's {'are' if done else 'would be'} kept."
+        kept = f"{who}: no earlier answers are stored; today's {'are' if done else 'would be'} kept."
+        estimate = f" Releases before 2026-11-23 answered otherwise. By an estimate {far}."
+        return kept + estimate if _is_before_rules(plan) else kept
     other = f"; {change.otherwise} are refused that were not, or the other way round" if change.otherwise else ""
     return f"{who}: {far}, at {change.setpoints} setpoints{other}."
 
