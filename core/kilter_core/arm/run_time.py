@@ -134,6 +134,14 @@ class RunTimeForm:
         for j, value in zip(joints, values.tolist(), strict=True):
             setattr(self.joints[j], name, getattr(self.joints[j], name) + value)
 
+    def add_side(self, joints: Sequence[int], values: Floats, softening_nm: float | tuple[float, ...]) -> bool:
+        """Add a shift to the side of the load about each of these joints; False where another effect has one already."""
+        if not self.free("backlash", joints):
+            return False
+        for j, value, width in zip(joints, values.tolist(), self.softening(softening_nm, joints), strict=True):
+            self.joints[j].backlash, self.joints[j].backlash_softening_nm = value, width
+        return True
+
     def twist(self, joint: int, translation: Floats) -> None:
         """Add a constant translation (3,) behind a joint."""
         self.joints[joint].twist[:3] += translation

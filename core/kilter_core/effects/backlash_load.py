@@ -56,12 +56,7 @@ class BacklashLoad(Effect):
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Add the backlash, where no other effect has one by the load."""
-        joints = self.acting(len(form.joints))
-        if not form.free("backlash", joints):
-            return False
-        for j, value, width in zip(joints, values.tolist(), form.softening(self.softening_nm, joints), strict=True):
-            form.joints[j].backlash, form.joints[j].backlash_softening_nm = value, width
-        return True
+        return form.add_side(self.acting(len(form.joints)), values, self.softening_nm)
 
     def smooth_over(self, load_nm: float) -> bool:
         """Whether every sign changes over more than this."""

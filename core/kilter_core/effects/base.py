@@ -318,12 +318,10 @@ class Effect(ABC):
             return self
         return replace(self, joints=tuple(possible))
 
-    def revolute(self, robot: Robot) -> Self:
-        """Act on revolute joints only: the effect is periodic in the angle."""
+    def revolute(self, robot: Robot, because: str = "it is periodic in an angle") -> Self:
+        """Act on revolute joints only, ``because`` the effect is of an angle."""
         revolute = [j for j, joint in enumerate(robot.joints) if joint.kind == "revolute"]
-        return self.limited(
-            robot, revolute, "it is periodic in an angle, and the joint is prismatic. Name revolute joints."
-        )
+        return self.limited(robot, revolute, f"{because}, and the joint is prismatic. Name revolute joints.")
 
     def column(self, batch: Batch, name: str) -> NDArray[Any]:
         """Return a measured column of the batch; a missing one raises :class:`ObservationError`."""

@@ -56,8 +56,7 @@ class LocalBump(Effect):
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on revolute joints."""
-        turning = [j for j, joint in enumerate(robot.joints) if joint.kind == "revolute"]
-        return self.limited(robot, turning, "it stands at an angle, and the joint is prismatic. Name revolute joints.")
+        return self.revolute(robot, "it stands at an angle")
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Height h per joint, rad; named with centre and half-width in hundredths of rad, for a joint may have several."""

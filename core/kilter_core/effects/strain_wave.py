@@ -59,8 +59,7 @@ class StrainWave(Effect):
 
     def on(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on revolute joints."""
-        revolute = [j for j, joint in enumerate(robot.joints) if joint.kind == "revolute"]
-        return self.limited(robot, revolute, "it is a gear, and the joint is prismatic. Name revolute joints.")
+        return self.revolute(robot, "it is a gear")
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Twist b per joint, rad; named with the knee in N mm, for a search tries several."""
@@ -79,9 +78,4 @@ class StrainWave(Effect):
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
         """Add it as a soft side by the load, where no other effect has one."""
-        joints = self.acting(len(form.joints))
-        if not form.free("backlash", joints):
-            return False
-        for j, value in zip(joints, values.tolist(), strict=True):
-            form.joints[j].backlash, form.joints[j].backlash_softening_nm = value, self.knee_nm
-        return True
+        return form.add_side(self.acting(len(form.joints)), values, self.knee_nm)

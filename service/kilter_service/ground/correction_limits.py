@@ -39,7 +39,8 @@ def options_of(
     ``rules`` are those that the version was activated under, None today's. ``task`` None is theirs, ``at_limit`` and
     ``hold`` (joints from 1) None what the limits say: as the stream has all three.
     """
-    kept = {name: value for name, value in (rules or {}).items() if name in rules_today()}
+    known = rules_today() if rules else {}
+    kept = {name: value for name, value in (rules or {}).items() if name in known}
     options = program.CorrectionOptions(
         **kept,
         largest_rad=to_rad(limits.max_joint_deg),

@@ -22,6 +22,7 @@ from kilter_service.ground.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.robots.resolved import sha256_of
 from kilter_service.versions.records import ActivationRecord, ListedVersion, VersionRecord
+from kilter_service.versions.replays.store import last_kept
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
@@ -261,9 +262,8 @@ def active_version(session: Session, robot: str) -> ActiveVersion | None:
 
 def rules_of(session: Session, version_id: str) -> dict[str, Any] | None:
     """Return the task and rules that a version was activated under the last time; None where that is not known."""
-    query = select(ReplayRow.rules).join(ActivationRow, ActivationRow.id == ReplayRow.activation_id)
-    query = query.where(ActivationRow.version_id == version_id).order_by(ActivationRow.id.desc()).limit(1)
-    return session.execute(query).scalar_one_or_none()
+    found: dict[str, Any] | None = last_kept(session, ReplayRow.rules, version_id)
+    return found
 
 
 def active_entries(session: Session) -> list[ActivationRecord]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import select
+from sqlalchemy.orm import InstrumentedAttribute
 
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import ActivationRow, ReplayRow
@@ -23,8 +24,9 @@ class Replay:
     answers: bytes
 
 
-def _last(session: Session, version_id: str) -> ReplayRow | None:
-    query = select(ReplayRow).join(ActivationRow, ActivationRow.id == ReplayRow.activation_id)
+def last_kept(session: Session, what: type[ReplayRow] | InstrumentedAttribute[Any], version_id: str) -> Any:
+    """Return what was kept with the last activation of a version, the row or a column of it; None where nothing was."""
+    query = select(what).join(ActivationRow, ActivationRow.id == ReplayRow.activation_id)
     query = query.where(ActivationRow.version_id == version_id).order_by(ActivationRow.id.desc()).limit(1)
     return session.execute(query).scalar_one_or_none()
 
@@ -48,7 +50,7 @@ def add(session: Session, activation_id: int, replay: Replay, made_by: str = BY_
 
 def repeat(session: Session, activation_id: int, version_id: str) -> None:
     """Keep with an activation what was kept with the last one of the version, its task and rules too."""
-    before = _last(session, version_id)
+    before = last_kept(session, ReplayRow, version_id)
     if before is not None:
         names = ("rules", "setpoints", "answers", "made_by", "code_version")
         session.add(ReplayRow(activation_id=activation_id, **{name: getattr(before, name) for name in names}))
