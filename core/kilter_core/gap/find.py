@@ -310,7 +310,7 @@ class _Run:
             found, _stage(self.progress, 0.6, 0.65, "profile intervals"),
             lambda: self.budget.over(MEASURING, "profile intervals"),
         )  # fmt: skip
-        out = {}
+        out, left_mm = {}, fit_rms(found.problem) * reported(found.problem.settings.source.unit)[1]
         for k, told in own.items():
             borne = None if told is None or not told.lasts else outweighing(found, k, told.joints, left)
             evidence, late = (
@@ -318,7 +318,13 @@ class _Run:
                 told is None and k in alone and sides.able,
             )
             out[k] = replace(
-                evidence, moves_mm=moved[k], replication=again.get(k), halves=told, untimed=late, borne=borne
+                evidence,
+                moves_mm=moved[k],
+                replication=again.get(k),
+                halves=told,
+                untimed=late,
+                left_mm=left_mm,
+                borne=borne,
             )
         return out
 
@@ -348,7 +354,7 @@ class _Run:
             chance(found, place, self.options.alpha),
             held.taken_off(place) * unit,
             local_bump_test(found, place, self.prepared.visits.observations.q),
-            held.poses, joints, any_, separated=separated(found, place), left_mm=fit_rms(found.problem) * unit,
+            held.poses, joints, any_, separated=separated(found, place),
         )  # fmt: skip
 
     def _worse(self, found: SearchResult, held: HoldoutEvaluator, kept: Stored) -> Iterator[dict[str, Any]]:
