@@ -27,7 +27,7 @@ from kilter_core.model.region import Region
 from kilter_core.watch import Check, check, check_poses
 from kilter_service.contract.drift import ControlChart
 from kilter_service.versions.drift import wire
-from kilter_service.versions.drift.charts import charts_of
+from kilter_service.versions.drift.charts import control_charts
 from kilter_service.versions.drift.records import StoredCheck
 from tests.blind.bounds import clopper_pearson
 from tests.core.watch.drifting import DriftingArm, some_arm, some_poses
@@ -104,7 +104,7 @@ def quiet(one: Watched, days: int) -> Iterator[tuple[str, bool]]:
     """An arm that does not move."""
     made = [one.check(one.arm) for _ in range(days)]
     yield from (("false alarms, single checks", found.verdict != "ok") for found in made)
-    over = beyond(charts_of([stored(day, found) for day, found in enumerate(made)]), days)
+    over = beyond(control_charts([stored(day, found) for day, found in enumerate(made)]), days)
     yield from (
         ("false alarms, sums (days on which one begins)", now and not was)
         for was, now in zip([False, *over], over, strict=False)
@@ -122,7 +122,7 @@ def seasons(one: Watched, days: int) -> Iterator[tuple[str, bool]]:
         )
         made.append((one.check(arm, 23.0 + warm), 23.0 + warm))
     yield from (("false alarms, warm and cold, single checks", found.verdict != "ok") for found, _ in made)
-    over = beyond(charts_of([stored(day, *found) for day, found in enumerate(made)]), days)
+    over = beyond(control_charts([stored(day, *found) for day, found in enumerate(made)]), days)
     yield from (
         ("false alarms, warm and cold, sums", now and not was) for was, now in zip([False, *over], over, strict=False)
     )
@@ -138,7 +138,7 @@ def steps(one: Watched, days: int) -> Iterator[tuple[str, bool]]:
     for joint in range(1, 7):
         moved = one.arm.after(f"zero_{joint}", STEP)
         after = [stored(WARM_UP + day, one.check(moved)) for day in range(3)]
-        over = beyond(charts_of([*before, *after]), WARM_UP + 3)[WARM_UP:]
+        over = beyond(control_charts([*before, *after]), WARM_UP + 3)[WARM_UP:]
         seen = any(made.result["verdict"] != "ok" for made in after) or any(over)
         yield f"0.03 deg of joint {joint} within 3 checks", seen
 
@@ -162,7 +162,7 @@ def ramp(one: Watched, days: int) -> Iterator[tuple[str, bool]]:
     a_day = 1e-4 / MONTH / (float(np.linalg.norm(moved - tool, axis=1).max()) / 1e-6)
     made = [stored(day, one.check(one.arm)) for day in range(WARM_UP)]
     made += [stored(WARM_UP + day, one.check(one.arm.after(f"zero_{joint}", a_day * day))) for day in range(60)]
-    over = beyond(charts_of(made), len(made))
+    over = beyond(control_charts(made), len(made))
     yield (
         "0.1 mm a month before 0.2 mm",
         any(over[WARM_UP:]) or any(one.result["verdict"] != "ok" for one in made[WARM_UP:]),

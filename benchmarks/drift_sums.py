@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, t
 
-from kilter_core.watch.history import RUN_LENGTH, alarm_limit, limit_of
+from kilter_core.watch.history import RUN_LENGTH, alarm_limit, cusum_limit
 
 Floats = NDArray[np.float64]
 CHARTS = (1, 6, 12, 16)
 PARTS = (0, 25, 50, 100, 250)  # days
-LIMITS: dict[str, Callable[[int], float]] = {"Siegmund": limit_of, "in use": alarm_limit}
+LIMITS: dict[str, Callable[[int], float]] = {"Siegmund": cusum_limit, "in use": alarm_limit}
 AT_ONCE = 20_000  # numbers a day
 
 

@@ -12,7 +12,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.effects import make_effect
 from kilter_core.identify import IdentifyOptions
-from kilter_core.identify.estimate import estimate, prepared
+from kilter_core.identify.estimate import estimate, prepare_problem
 from kilter_core.identify.fit.least_squares import solve
 from kilter_core.identify.uncertainty.intervals import RESAMPLES, bootstrap
 from kilter_core.measurement import Measurement
@@ -57,7 +57,7 @@ def _large_fit() -> list[Line]:
     model = arm()
     start, options = Calibration(model, model.values0()), IdentifyOptions(level=3, noise_mm=NOISE_M * 1e3)
     rows = Measurement.of(campaign(model, 1_000))
-    problem, values = prepared(start, rows, options)
+    problem, values = prepare_problem(start, rows, options)
     fit = solve(problem, values)
     alone = best_of(lambda: solve(problem, values), 10) * 1e3
     whole = best_of(lambda: estimate(start, rows, IdentifyOptions(level=3)), 5) * 1e3
@@ -86,7 +86,7 @@ def _growth() -> list[Line]:
     each, out = {}, []
     for count in SIZES:
         start = Calibration(model, model.values0())
-        problem, values = prepared(start, Measurement.of(campaign(model, count)), IdentifyOptions(noise_mm=0.02))
+        problem, values = prepare_problem(start, Measurement.of(campaign(model, count)), IdentifyOptions(noise_mm=0.02))
         shortest, iterations = float("inf"), 1
         for _ in range(max(2, 20_000 // count)):
             began = time.perf_counter()

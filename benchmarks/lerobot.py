@@ -21,7 +21,7 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from benchmarks.table import Line, show
-from kilter_files.formats.joints.lerobot.log import blocks, opened
+from kilter_files.formats.joints.lerobot.log import blocks, open_recorded_joints
 from kilter_files.formats.reader import LogHints
 
 SERVOS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
@@ -77,7 +77,7 @@ def measured(rows: int) -> list[Line]:
         hints = LogHints(calibration=calibration(folder), norm_mode="DEGREES")
         path, read, early = data_set(folder / "set", rows), 0, 0
         began = time.perf_counter()
-        for block in blocks(opened(path, hints)):
+        for block in blocks(open_recorded_joints(path, hints)):
             read += len(block.angles)
             early = early or (_most_kb() if read >= rows / 10 else 0)
         rate = read / (time.perf_counter() - began)

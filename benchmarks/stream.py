@@ -35,7 +35,7 @@ from benchmarks.stream_arm import ROBOT, calibration, kernel_times, path
 from kilter_client.signing import Signer, on_this_machine
 from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_service.ground.settings import Settings
-from kilter_service.run.zenoh_config.folders import authority_in, write_folders
+from kilter_service.run.zenoh_config.folders import load_or_make_authority, write_folders
 from kilter_service.stream.corrector import wire
 from kilter_service.stream.corrector.active import Active, version_number
 from kilter_service.stream.corrector.loop import ask_for_real_time
@@ -83,7 +83,7 @@ class Guarded:
 
     def write(self) -> None:
         """Write them, for the corrector's site and for that of the echo."""
-        authority, trusted = authority_in(self.folder, rotate=False)
+        authority, trusted = load_or_make_authority(self.folder, rotate=False)
         for site in (SITE, BARE_SITE):
             folder = self.folder / site
             write_folders(folder, site, ("127.0.0.1",), 7447, {"main": ("*",)}, 0, authority, trusted)

@@ -31,7 +31,7 @@ from benchmarks.stream import (
 )
 from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_service.stream.corrector.active import Active, version_number
-from kilter_service.stream.live.session import LiveSession, place_in
+from kilter_service.stream.live.session import LiveSession, read_corrector_place
 
 TURN_S = 2.0
 
@@ -39,7 +39,7 @@ TURN_S = 2.0
 def watcher_main(pipe: Connection, file: Path) -> None:
     """Look at all streams while it is told to, as the API process does, and say how many messages came."""
     while pipe.recv() == "look":
-        place = place_in(file)
+        place = read_corrector_place(file)
         assert place is not None
         session, messages = LiveSession(place), 0
         pipe.send(0)

@@ -63,7 +63,7 @@ def main() -> None:
     program = shutil.which("chromium") or shutil.which("google-chrome")
     if program is None:
         raise SystemExit("Chromium is not installed: apt-get install chromium")
-    style = (STYLE / assets.hashed("page.css")).read_text(encoding="utf-8")
+    style = (STYLE / assets.hashed_file_name("page.css")).read_text(encoding="utf-8")
     body = environment().from_string(PARTS).render(figure=figure())
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=ARGUMENTS)

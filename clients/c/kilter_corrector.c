@@ -194,7 +194,7 @@ static tuple3 angle_series(double t2)
 }
 
 /* Frame T rotated about its own x and y by the rotation vector (x, y, 0). */
-static tuple12 tilted(tuple12 T, double x, double y)
+static tuple12 rotate_about_xy(tuple12 T, double x, double y)
 {
     const tuple3 got1 = angle_series(x * x + y * y);
     double a = got1.at[0];
@@ -326,7 +326,7 @@ static tuple12 load_frames(rows P, matrix W, int at, int m, int oj)
 }
 
 /* Frame T behind move k at the command of joint row j with its local correction. */
-static tuple12 moved_of(rows P, matrix W, int k, int j, tuple12 T)
+static tuple12 frame_after_move(rows P, matrix W, int k, int j, tuple12 T)
 {
     if (P.at[k][KIND] == 0.0) {
         double shift = P.at[k][RATIO] * (W[j][COMMAND] - W[j][WANTED] + W[j][SHIFT]);
@@ -339,13 +339,13 @@ static tuple12 moved_of(rows P, matrix W, int k, int j, tuple12 T)
 }
 
 /* Frame T behind the twist of joint row j. */
-static tuple12 twisted(rows P, matrix W, int j, tuple12 T)
+static tuple12 frame_after_twist(rows P, matrix W, int j, tuple12 T)
 {
     if (P.at[j][TWISTED] != 0.0) {
         double *t = W[j];
         return product(T, exponential(t[TWIST], t[TWIST + 1], t[TWIST + 2], t[TWIST + 3], t[TWIST + 4], t[TWIST + 5]));
     }
-    return tilted(T, W[j][TWIST + 3], W[j][TWIST + 4]);
+    return rotate_about_xy(T, W[j][TWIST + 3], W[j][TWIST + 4]);
 }
 
 /* Frames of the load chain at the command with the local corrections in W, and those behind the twists, into W. */
@@ -357,10 +357,10 @@ static void hanging_frames(rows P, matrix W, int at, int m, int oj)
             T = product(T, constant(P, at + k, NOMINAL));
         }
         int j = oj + (int)P.at[k][JOINT];
-        T = moved_of(P, W, k, j, T);
+        T = frame_after_move(P, W, k, j, T);
         put_frame(W, k, 0, T);
         if (P.at[k][PRIMARY] >= 0.0) {
-            T = twisted(P, W, j, T);
+            T = frame_after_twist(P, W, j, T);
         }
         put_frame(W, k, BEHIND_TWIST, T);
     }
@@ -375,7 +375,7 @@ static tuple12 base_frame(rows P, matrix W, int m)
     }
     double x = P.at[S - 1][MOUNT_X] * (W[m][ON_BASE] + P.at[S - 1][FIXED_MOMENT_X]);
     double y = P.at[S - 1][MOUNT_Y] * (W[m][ON_BASE + 1] + P.at[S - 1][FIXED_MOMENT_Y]);
-    return product(tilted(constant(P, S - 1, BASE_FRAME), x, y), constant(P, S - 1, FIRST_MOVE));
+    return product(rotate_about_xy(constant(P, S - 1, BASE_FRAME), x, y), constant(P, S - 1, FIRST_MOVE));
 }
 
 /* Tool frame of the identified chain at the command, with the local corrections in W; joint lines into W. */
@@ -387,7 +387,7 @@ static tuple12 identified_tool(rows P, matrix W, int m, int oj)
             T = product(T, constant(P, k, IDENTIFIED));
         }
         int j = oj + (int)P.at[k][JOINT];
-        T = moved_of(P, W, k, j, T);
+        T = frame_after_move(P, W, k, j, T);
         W[k][LINE] = T.at[2];
         W[k][LINE + 1] = T.at[5];
         W[k][LINE + 2] = T.at[8];
@@ -395,7 +395,7 @@ static tuple12 identified_tool(rows P, matrix W, int m, int oj)
         W[k][LINE + 4] = T.at[10];
         W[k][LINE + 5] = T.at[11];
         if (P.at[k][PRIMARY] >= 0.0) {
-            T = twisted(P, W, j, T);
+            T = frame_after_twist(P, W, j, T);
         }
     }
     return product(T, constant(P, m, IDENTIFIED));
@@ -761,7 +761,7 @@ static double soft_sign(double x, double width)
 }
 
 /* a / sqrt(1 + a²); the series is exact up to a degree. */
-static double bounded_of(double a)
+static double soft_saturation(double a)
 {
     double z = a * a;
     if (z < 0.0004) {
@@ -797,7 +797,7 @@ static tuple2 clearance_tilt(rows P, int j, double x, double y, double soft)
         s = ax * h;
         c = ay * h;
     }
-    return (tuple2){{bounded_of(t * s * soft_sign(x, soft)), bounded_of(t * c * soft_sign(y, soft))}};
+    return (tuple2){{soft_saturation(t * s * soft_sign(x, soft)), soft_saturation(t * c * soft_sign(y, soft))}};
 }
 
 /* target, or as far towards it from last as reach allows. */
@@ -825,7 +825,7 @@ static tuple3 signs_of(rows P, matrix W, int j, double tilt_soft, double play_so
 }
 
 /* Whether a sign of a joint is softer now than the version has it, by as much as counts. */
-static bool softened(rows P, matrix W, int j, double a, double b, double side)
+static bool is_sign_softened(rows P, matrix W, int j, double a, double b, double side)
 {
     double soft = P.at[j][TILT_SOFT];
     double about = fabs(W[j][MOMENT + 2]);
@@ -855,7 +855,7 @@ static int sign_effects(rows P, matrix W, matrix state, int n, int oj, double dt
         double a = got1.at[0];
         double b = got1.at[1];
         double side = got1.at[2];
-        if (softened(P, W, j, a, b, side)) {
+        if (is_sign_softened(P, W, j, a, b, side)) {
             flags |= NEAR_REVERSAL;
         }
         if (dt < INFINITY) {
@@ -1339,7 +1339,7 @@ static void factor_task(rows P, matrix W, int S, int n, int og, int rows)
 }
 
 /* Length of the correction of the multipliers, and its largest part of a limit. */
-static tuple2 part_of(rows P, matrix W, int n, int oj, int og)
+static tuple2 correction_size(rows P, matrix W, int n, int oj, int og)
 {
     double square = 0.0;
     double part = 0.0;
@@ -1375,7 +1375,7 @@ static void scale(matrix W, int og, int rows, double part)
 /* All rows are one task: damped where the posture makes it weak, else scaled down to the limit. */
 static int within_whole(rows P, matrix W, int S, int n, int oj, int og, int rows)
 {
-    const tuple2 got1 = part_of(P, W, n, oj, og);
+    const tuple2 got1 = correction_size(P, W, n, oj, og);
     double length = got1.at[0];
     double part = got1.at[1];
     if (part <= 1.0) {
@@ -1390,7 +1390,7 @@ static int within_whole(rows P, matrix W, int S, int n, int oj, int og, int rows
         damp(W, og, 0, rows, amount);
         factor(W, og);
         solve_factored(W, og);
-        const tuple2 got2 = part_of(P, W, n, oj, og);
+        const tuple2 got2 = correction_size(P, W, n, oj, og);
         length = got2.at[0];
         part = got2.at[1];
         damp(W, og, 0, rows, -amount);
@@ -1452,7 +1452,7 @@ static int within_point_first(rows P, matrix W, int S, int n, int oj, int og)
         r = r_at;
         W[og + r][MULTIPLIER] = 0.0;
     }
-    const tuple2 got3 = part_of(P, W, n, oj, og);
+    const tuple2 got3 = correction_size(P, W, n, oj, og);
     part = got3.at[1];
     if (part > 1.0) {
         scale(W, og, 3, part);
@@ -1654,7 +1654,8 @@ static void left_after_step(rows P, matrix W, int S, double *info, int n, int oj
 }
 
 /* What is left of the tool's error at the commands in W, evaluated there; own: by the signs of the version itself. */
-static void left_at(rows P, matrix W, int S, double *info, int n, int m, int oj, bool dynamic, tuple12 wanted, bool own)
+static void evaluate_remaining_error(rows P, matrix W, int S, double *info, int n, int m, int oj, bool dynamic,
+    tuple12 wanted, bool own)
 {
     int at = (int)P.at[S][LOAD_CHAIN];
     if (P.at[S][LOADED] != 0.0) {
@@ -1687,7 +1688,7 @@ static tuple3 left_on_way(rows P, matrix W, int S, double *info, int n, int m, b
     for (int j = oj; j < oj + n; j++) {
         W[j][COMMAND] = W[j][WANTED] + share * W[j][STEPPED];
     }
-    left_at(P, W, S, info, n, m, oj, dynamic, wanted, false);
+    evaluate_remaining_error(P, W, S, info, n, m, oj, dynamic, wanted, false);
     return (tuple3){{info[LEFT], info[LEFT + 1], info[LEFT + 2]}};
 }
 
@@ -1829,7 +1830,7 @@ static int solve(rows P, matrix W, matrix state, double *info, int n, int m, boo
     if (it + 1 < rounds) {
         left_after_step(P, W, S, info, n, oj, rows, d, rotation_between(actual, wanted));
     } else {
-        left_at(P, W, S, info, n, m, oj, dynamic, wanted, false);
+        evaluate_remaining_error(P, W, S, info, n, m, oj, dynamic, wanted, false);
     }
     if (made & (SATURATED | DAMPED)) {
         shorten(P, W, S, info, n, m, dynamic, wanted);
@@ -1954,7 +1955,7 @@ static void hold_point(rows P, matrix W, int S, double *info, int n, int m, bool
         j = j_at;
         W[j][COMMAND] = W[j][WANTED] + W[j][AIMED];
     }
-    left_at(P, W, S, info, n, m, oj, dynamic, wanted, false);
+    evaluate_remaining_error(P, W, S, info, n, m, oj, dynamic, wanted, false);
     /* Near a singular posture of the point this would ask for too much. */
     double floor = 0.01 * P.at[S][WEAK];
     const tuple3 got1 = solve_point(W, og, info[LEFT] - l0, info[LEFT + 1] - l1, info[LEFT + 2] - l2, floor);
@@ -2049,7 +2050,7 @@ static int flag_doubts(rows P, matrix W, int S, int n, int m)
 #define LEAST_STEP_S 1e-06
 
 /* Status of a setpoint before anything is computed: numbers, limits, speed. */
-static int refused(rows P, matrix state, double *info, const double *x, int n, int m, int width, double dt)
+static int setpoint_status(rows P, matrix state, double *info, const double *x, int n, int m, int width, double dt)
 {
     int i = 0;
     for (int i_at = 0; i_at < n * width; i_at++) {
@@ -2279,13 +2280,14 @@ static void commit(rows P, matrix W, matrix state, double *out, double remaining
 
 /* What is left of the tool's error at the joints that are answered, by the signs of the version itself,
  * into the info. near: a sign is softened or held to its rate, which is said where it leaves something. */
-static void tell_left(rows P, matrix W, int S, double *info, double *out, int n, int m, bool dynamic, bool near)
+static void report_remaining_error(rows P, matrix W, int S, double *info, double *out, int n, int m, bool dynamic,
+    bool near)
 {
     int oj = m + 1;
     for (int i = 0; i < n; i++) {
         W[oj + i][COMMAND] = out[i];
     }
-    left_at(P, W, S, info, n, m, oj, dynamic, wanted_tool(P, W, m, oj, false), true);
+    evaluate_remaining_error(P, W, S, info, n, m, oj, dynamic, wanted_tool(P, W, m, oj, false), true);
     info[2] = sqrt(squared(info[LEFT]) + squared(info[LEFT + 1]) + squared(info[LEFT + 2]));
     if (!(info[2] <= P.at[S][REACHED])) {
         info[0] = (int)info[0] | RESIDUAL | (near ? REVERSING : 0);
@@ -2302,7 +2304,7 @@ static void hold_short(rows P, matrix W, int S, double *info, double *out, int n
         W[oj + i][COMMAND] = out[i];
     }
     tuple12 wanted = wanted_tool(P, W, m, oj, false);
-    left_at(P, W, S, info, n, m, oj, dynamic, wanted, false);
+    evaluate_remaining_error(P, W, S, info, n, m, oj, dynamic, wanted, false);
     shorten(P, W, S, info, n, m, dynamic, wanted);
     for (int i_at = 0; i_at < n; i_at++) {
         i = i_at;
@@ -2326,7 +2328,7 @@ static int correct_setpoint(rows P, matrix W, matrix state, const double *x, int
         i = i_at;
         out[i] = NAN;
     }
-    int status = refused(P, state, info, x, n, m, width, dt);
+    int status = setpoint_status(P, state, info, x, n, m, width, dt);
     if (status != OK) {
         return status;
     }
@@ -2358,7 +2360,7 @@ static int correct_setpoint(rows P, matrix W, matrix state, const double *x, int
     if (status == OK) {
         commit(P, W, state, out, remaining, length, behind, n, m, dt, fresh);
         if (remaining > 0.0 || behind > 0.0 || info[1] != 0.0 || near) {
-            tell_left(P, W, S, info, out, n, m, dynamic, near);
+            report_remaining_error(P, W, S, info, out, n, m, dynamic, near);
         }
     } else {
         for (int i_at = 0; i_at < n; i_at++) {
@@ -2402,7 +2404,7 @@ static int correct_row(rows P, matrix W, matrix state, const double *x, int widt
         hold_short(P, W, S, info, out, n, m, width == 3);
     }
     if (info[1] != 0.0 || near) {
-        tell_left(P, W, S, info, out, n, m, width == 3, near);
+        report_remaining_error(P, W, S, info, out, n, m, width == 3, near);
     }
     for (int i_at = 0; i_at < n; i_at++) {
         i = i_at;

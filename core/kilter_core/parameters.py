@@ -27,7 +27,7 @@ _REPORTED = {"m": ("mm", MM), "rad": ("deg", DEG), "rad/(N m)": ("deg/(N m)", DE
 T = TypeVar("T", float, Floats)
 
 
-def reported(unit: str) -> tuple[str, float]:
+def display_unit_and_scale(unit: str) -> tuple[str, float]:
     """Return the unit that reports have for an SI unit, and how many of it one of those is."""
     return _REPORTED.get(unit, (unit, 1.0))
 
@@ -84,16 +84,16 @@ class TypePrior:
     freedom: float
     untold: tuple[str, ...] = ()
 
-    def widened(self, by: float) -> TypePrior:
+    def widen_by_factor(self, by: float) -> TypePrior:
         """The same with standard deviations ``by`` times as large."""
         return replace(self, covariance=self.covariance * by**2)
 
-    def loosened(self, names: Sequence[str], by: float) -> TypePrior:
+    def widen_parameters(self, names: Sequence[str], by: float) -> TypePrior:
         """The same with standard deviations ``by`` times as large of these parameters alone."""
         factor = np.where(np.isin(self.names, list(names)), by, 1.0)
         return replace(self, covariance=self.covariance * np.outer(factor, factor))
 
-    def told(self) -> TypePrior:
+    def restrict_to_identifiable(self) -> TypePrior:
         """The same of those parameters alone that arms of the type could tell."""
         own = np.array([k for k, name in enumerate(self.names) if name not in self.untold], dtype=np.int64)
         names = tuple(self.names[k] for k in own)
@@ -118,7 +118,7 @@ class Prior:
     correlation: Floats | None = None
 
     @staticmethod
-    def of(parameters: Sequence[Parameter], of_type: TypePrior | None = None) -> Prior:
+    def from_parameters(parameters: Sequence[Parameter], of_type: TypePrior | None = None) -> Prior:
         """The parameters' own, and in place of it what the type says of those that it knows."""
         mean, sigma = (np.array([getattr(p, part) for p in parameters]) for part in ("value", "prior_sigma"))
         if of_type is None:
@@ -129,7 +129,7 @@ class Prior:
         correlation[np.ix_(known, known)] = of_type.covariance[np.ix_(own, own)] / np.outer(sigma[known], sigma[known])
         return Prior(mean, sigma, correlation)
 
-    def beside(self, other: Prior) -> Prior:
+    def append_prior(self, other: Prior) -> Prior:
         """Both, those of ``other`` after these; neither knows of the other."""
         mean, sigma = np.concatenate([self.mean, other.mean]), np.concatenate([self.sigma, other.sigma])
         if self.correlation is None and other.correlation is None:
@@ -140,7 +140,7 @@ class Prior:
                 correlation[part, part] = one.correlation
         return Prior(mean, sigma, correlation)
 
-    def part(self, which: Bools) -> Prior:
+    def select_parameters(self, which: Bools) -> Prior:
         """What it says of some alone, whatever the others are."""
         correlation = None if self.correlation is None else self.correlation[np.ix_(which, which)]
         return Prior(self.mean[which], self.sigma[which], correlation)
@@ -150,7 +150,7 @@ class Prior:
         """Inverse of the correlation (F, F), in standard deviations; None where that is the identity."""
         return None if self.correlation is None else np.asarray(np.linalg.inv(self.correlation))
 
-    def away(self, values: Floats) -> Floats:
+    def standardized_deviation(self, values: Floats) -> Floats:
         """How far ``values (F,)`` are from the mean, in standard deviations (F,)."""
         return np.asarray((values - self.mean) / self.sigma)
 
@@ -163,7 +163,7 @@ class Prior:
         scaled = J * self.sigma
         return scaled if self._root is None else np.asarray(scaled @ self._root)
 
-    def apart(self, away: Floats) -> Floats:
+    def whiten_deviation(self, away: Floats) -> Floats:
         """The ``away (F,)`` in those: with :meth:`columns` it moves the same."""
         return away if self._root is None else np.asarray(np.linalg.solve(self._root, away))
 

@@ -41,7 +41,7 @@ def rotation_between(T: Floats, other: Floats) -> float:
     return float(np.linalg.norm(rotation_log((T[:3, :3].T @ other[:3, :3])[None])))
 
 
-def aligned(R: Floats, z: Floats) -> Floats:
+def align_z_axis(R: Floats, z: Floats) -> Floats:
     """Rotation (3, 3) with this z axis, rotated as little as possible from ``R``."""
     # A rotation by 180 degrees has no nearest: then the frame is rotated about its own x.
     x = R[:, 0] - z * (R[:, 0] @ z)
@@ -100,7 +100,7 @@ def rotation_exp(w: Floats) -> Floats:
     return np.asarray(Rotation.from_rotvec(w).as_matrix())
 
 
-def twisted(v: Floats, w: Floats) -> Floats:
+def pose_from_twist(v: Floats, w: Floats) -> Floats:
     """Pose (4, 4) of a twist: the exponential of (v, w), m and rad."""
     out = np.eye(4)
     out[:3, :3], out[:3, 3] = rotation_exp(w), left_jacobian(w) @ v

@@ -36,7 +36,7 @@ class Twin:
         model = RobotModel(self.robot, self.effects)
         values = model.values0()
         values[indices(model.names, self.errors)] += list(self.errors.values())
-        return Calibration(model.loads_at(values), values)
+        return Calibration(model.with_loads_at_values(values), values)
 
     def observe(
         self,

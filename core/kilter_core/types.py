@@ -33,16 +33,18 @@ class Each(Protocol):
         ...
 
 
-def one_by_one(work: Callable[[Task, Progress], Answer], tasks: Sequence[Task], progress: Progress) -> list[Answer]:
+def run_sequentially(
+    work: Callable[[Task, Progress], Answer], tasks: Sequence[Task], progress: Progress
+) -> list[Answer]:
     """Compute the tasks here, one after the other."""
     found = []
     for k, task in enumerate(tasks):
         progress(k / len(tasks), f"{k + 1} of {len(tasks)}")
-        found.append(work(task, _part(progress, k, len(tasks))))
+        found.append(work(task, _task_progress(progress, k, len(tasks))))
     return found
 
 
-def _part(progress: Progress, k: int, n: int) -> Progress:
+def _task_progress(progress: Progress, k: int, n: int) -> Progress:
     return lambda fraction, stage: progress((k + fraction) / n, f"{k + 1} of {n}, {stage}")
 
 

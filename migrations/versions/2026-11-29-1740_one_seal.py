@@ -10,7 +10,7 @@ from alembic import op
 from sqlalchemy import inspect
 
 from kilter_service.ground.db.database_seal import DatabaseSeal, read_database_seal, refuse_other_key
-from kilter_service.ground.db.seals import TABLES, Sealer, columns_of, sealer
+from kilter_service.ground.db.seals import TABLES, Sealer, sealed_columns, sealer
 
 revision = "0022"
 down_revision = "0021"
@@ -90,7 +90,7 @@ def downgrade() -> None:
 
 def _columns(connection: sa.Connection, table: str) -> list[str]:
     there = {column["name"] for column in inspect(connection).get_columns(table)}
-    return [column.name for column in columns_of(TABLES[table]) if column.name in there]
+    return [column.name for column in sealed_columns(TABLES[table]) if column.name in there]
 
 
 def _seal(seals: Sealer, table: str, rows: int, total: str, columns: str) -> str:

@@ -9,7 +9,7 @@ import pytest
 
 from kilter_client import Kilter, PayloadError
 from kilter_client.verbs import dry_run
-from kilter_client.verbs.inputs import rows_of
+from kilter_client.verbs.inputs import prepare_rows
 
 JOINTS = [{"name": f"q{k}", "limits_deg": [-180.0, 180.0]} for k in range(1, 7)]
 FORM = "Content-Type multipart/form-data is not read: send text/csv, application/vnd.apache.parquet, application/json."
@@ -42,7 +42,7 @@ def older(request: httpx.Request) -> httpx.Response:
 
 def told(rows: dict[str, Any], into: str | None = None) -> dict[str, Any]:
     with Kilter("http://kilter.test", "secret", httpx.MockTransport(older)) as k:
-        return dict(k.run(dry_run.checked_rows("arm", rows_of(rows), {"name": "rows", "conditions": {}}, into)))
+        return dict(k.run(dry_run.checked_rows("arm", prepare_rows(rows), {"name": "rows", "conditions": {}}, into)))
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from kilter_client.results.shown_jobs import ShownSearch
 from kilter_service.contract.gap_details import NamedEffect
 from kilter_service.contract.gap_details import Untestable as Row
 from kilter_service.contract.jobs.gap import GapOptions, GapResult
-from kilter_service.page.gap.claim import claim_of
+from kilter_service.page.gap.claim import claim_from_effect
 from kilter_service.page.gap.tested import candidates, untestable
 
 GAP = {"lengths": "at_tool", "before_mm": 0.235, "after_mm": 0.0505, "noise_mm": 0.0304, "noise_rms_mm": 0.0527}
@@ -89,7 +89,7 @@ def test_what_revisits_say_is_told_beside_the_effect_that_they_bear_out(capsys: 
     order = {"name": "order", "words": "poses revisited", "met": True, "number": 14.0, "told": told}
     walk = WALK | {"claim": {"said": "member", "words": "random walk", "evidence": [order]}}
     assert f"  random_walk: {told}\n" in printed(capsys, effects=[walk])
-    assert f"{told}." in claim_of(NamedEffect(**walk)).remarks
+    assert f"{told}." in claim_from_effect(NamedEffect(**walk)).remarks
     unmet = walk | {"claim": walk["claim"] | {"evidence": [order | {"met": False}]}}
     assert told not in printed(capsys, effects=[unmet])
 
@@ -98,10 +98,10 @@ def test_the_joints_at_which_both_halves_name_an_effect_are_told(capsys: pytest.
     halves = {"named": [True, True], "apart_sigma": 0.7, "joints": [2, 5]}
     play = {"id": "backlash", "joints": [2, 4, 5], "verdict": "class_confirmed", "gain_mm": 0.2, "p_value": 1e-9}
     assert "; both name it at joint 2, 5\n" in printed(capsys, effects=[play | {"halves": halves}])
-    assert "Both name it at joint 2, 5." in " ".join(claim_of(NamedEffect(**play, halves=halves)).remarks)
+    assert "Both name it at joint 2, 5." in " ".join(claim_from_effect(NamedEffect(**play, halves=halves)).remarks)
     nowhere = play | {"halves": halves | {"joints": []}}
     assert "at no joint do both name it" in printed(capsys, effects=[nowhere])
-    assert "at the same joint nowhere" in " ".join(claim_of(NamedEffect(**nowhere)).remarks)
+    assert "at the same joint nowhere" in " ".join(claim_from_effect(NamedEffect(**nowhere)).remarks)
     one = play | {"joints": [2], "halves": halves | {"joints": [2]}}
     assert "both name it at" not in printed(capsys, effects=[one])
     earlier = play | {"halves": {key: value for key, value in halves.items() if key != "joints"}}

@@ -13,7 +13,7 @@ import pytest
 from kilter_client import AsyncKilter, Kilter, PayloadError, ServerUnreachableError
 from kilter_client.requests.calls import jobs as waiting
 from kilter_client.requests.calls.jobs import AWAY
-from kilter_client.requests.steps import Pause, Relocate, Request, answer_of
+from kilter_client.requests.steps import Pause, Relocate, Request, send_with_retries
 from kilter_client.verbs.error_wording import in_words
 
 JOB = "job_" + "0" * 16
@@ -106,7 +106,7 @@ def test_a_server_that_was_started_again_is_found(
 
 def test_steps_can_be_read_without_sending() -> None:
     """A call says what it asks; nobody needs a server to see it."""
-    call = answer_of(Request("GET", "/v1/robots"))
+    call = send_with_retries(Request("GET", "/v1/robots"))
     asked = next(call)
     assert isinstance(asked, Request)
     busy = type("Busy", (), {"status": 503, "headers": {"retry-after": "2"}, "content": b"{}", "url": ""})

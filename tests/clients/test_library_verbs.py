@@ -23,7 +23,7 @@ from kilter_client import (
     UsageError,
     connect,
 )
-from kilter_client.verbs.inputs import rows_of
+from kilter_client.verbs.inputs import prepare_rows
 
 Write = Callable[..., Path]
 
@@ -114,9 +114,9 @@ def test_arrays_are_rows_as_a_file_is(k: Kilter, robot: str, write_campaign: Wri
 def test_what_is_missing_is_an_empty_cell() -> None:
     pandas = pytest.importorskip("pandas")
     missing = [None, float("nan"), pandas.NA, 1.5]
-    sent = rows_of({"m1x_mm": missing, "pose_id": [1, 2.0, None, np.int64(4)], "session": ["a", "b", "c", "d"]})
+    sent = prepare_rows({"m1x_mm": missing, "pose_id": [1, 2.0, None, np.int64(4)], "session": ["a", "b", "c", "d"]})
     assert sent.content == b"m1x_mm,pose_id,session\n,1,a\n,2,b\n,,c\n1.5,4,d\n"
-    assert rows_of({"x_mm": [0.1 + 0.2]}).content == b"x_mm\n0.30000000000000004\n"
+    assert prepare_rows({"x_mm": [0.1 + 0.2]}).content == b"x_mm\n0.30000000000000004\n"
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def test_sending_again_has_an_end(proxy: CuttingProxy, monkeypatch: pytest.Monke
 
 
 def test_where_nobody_ever_answered_is_said_at_once(no_settings: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(retries.RetryPolicy, "_waited", lambda self: pytest.fail("it waits"))
+    monkeypatch.setattr(retries.RetryPolicy, "_consume_wait_s", lambda self: pytest.fail("it waits"))
     with Kilter("http://127.0.0.1:1", "secret") as k, pytest.raises(ServerUnreachableError, match="kilterd serve"):
         k.robots()
 

@@ -12,7 +12,7 @@ from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 import kilter as library
 from kilter_client import Kilter
-from kilter_client.twin.settled import registered
+from kilter_client.twin.settled import distances_after_registration
 from tests.clients.test_cli import Command
 from tests.core.watch.drifting import DriftingArm, some_arm, some_poses
 
@@ -188,7 +188,7 @@ def test_base_and_tool_are_fitted_whatever_they_are() -> None:
         np.array([0.1, 0.4, -0.3]),
     )
     points = (places + turns @ tool) @ base.T + shift
-    assert registered(places, turns, points).max() < 1e-12
+    assert distances_after_registration(places, turns, points).max() < 1e-12
     off = rng.normal(0.0, 1e-3, points.shape)
-    left = registered(places, turns, points + off)
+    left = distances_after_registration(places, turns, points + off)
     assert 0.7 * np.linalg.norm(off, axis=1).mean() < left.mean() < np.linalg.norm(off, axis=1).mean()

@@ -11,7 +11,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.cli.terminal.wording import ROUTES, in_words, parameters_of
+from kilter_client.cli.terminal.wording import ROUTES, in_words, parameters_by_request_name
 
 Write = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]
@@ -63,7 +63,7 @@ def test_every_route_that_a_refusal_names_has_its_command() -> None:
     ],
 )
 def test_remedies_of_checks_name_options(arguments: list[str], said: str, typed: str) -> None:
-    assert typed in in_words(said, parameters_of(arguments))
+    assert typed in in_words(said, parameters_by_request_name(arguments))
 
 
 @pytest.fixture
@@ -136,8 +136,8 @@ def test_names(robot: str, campaign: str, write_campaign: Write, capsys: Capture
 
 def test_a_purge_of_what_is_cited(robot: str, campaign: str, kilter: Kilter, capsys: Capture) -> None:
     assert run(["identify", robot, "--campaign", campaign, "--level", "1"]) == 0
-    whole = kilter.campaigns.id_of(campaign, robot)
-    version = kilter.versions.id_of("latest", robot)
+    whole = kilter.campaigns.resolve_id(campaign, robot)
+    version = kilter.versions.resolve_id("latest", robot)
     kilter.campaigns.change(whole, name="only this")
     assert f"is {whole}. Give that" in refused(capsys, "campaigns", "purge", "only this", "--yes", code=2)
     assert "`kilter campaigns ROBOT` lists them" in refused(capsys, "campaigns", "purge", "nobody", "--yes", code=2)
@@ -158,11 +158,11 @@ def test_remedies_are_commands(robot: str, tmp_path: Path, capsys: Capture) -> N
 
 
 def test_places_of_no_option_stay_as_they_are() -> None:
-    flags = parameters_of(["robot", "add", "arm.json"])
+    flags = parameters_by_request_name(["robot", "add", "arm.json"])
     assert in_words("body.rows.0.alpha_deg: Field required", flags) == "rows.0.alpha_deg: it is missing."
-    assert parameters_of(["dance"]) == {}
-    assert parameters_of(["versions", "arm"])["robot"] == "ROBOT"
-    assert parameters_of(["campaigns", "name", "a", "b"])["name"] == "NAME"
+    assert parameters_by_request_name(["dance"]) == {}
+    assert parameters_by_request_name(["versions", "arm"])["robot"] == "ROBOT"
+    assert parameters_by_request_name(["campaigns", "name", "a", "b"])["name"] == "NAME"
 
 
 def test_an_option_with_two_names_is_named_by_both(capsys: pytest.CaptureFixture[str]) -> None:

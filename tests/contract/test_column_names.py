@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from kilter_files.ground.units import dimension_of, unit_of
+from kilter_files.ground.units import column_unit, unit_dimension
 from kilter_service.contract.columns import JOINT_UNITS, LOAD_UNITS, PIXEL_UNITS, PIXELS, PLAIN_UNITS, TILT_UNITS, TILTS
 
 
@@ -24,6 +24,6 @@ def names() -> Iterator[str]:
 
 @pytest.mark.parametrize("name", sorted(set(names())))
 def test_a_column_of_the_service_is_one_of_the_readers(name: str) -> None:
-    unit = unit_of(name)
+    unit = column_unit(name)
     assert unit is not None
-    assert unit == "" or dimension_of(unit) is not None
+    assert unit == "" or unit_dimension(unit) is not None

@@ -67,7 +67,7 @@ class ToyWobble(Effect):
 USE_EFFECT = """
 import numpy as np
 from kilter_core.effects import make_effect
-from kilter_core.gap.search.candidates import library_of
+from kilter_core.gap.search.candidates import build_library
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -90,7 +90,7 @@ row = next(p for p in found.to_document()["parameters"] if p["name"] == "toy_wob
 assert abs(row["value"] - np.degrees(2e-3)) < 1e-3, row
 again = Calibration.from_document(robot, found.calibration.to_document())
 assert np.allclose(again.predict(rows).position, found.calibration.predict(rows).position)
-assert "toy_wobble" in {c.id for c in library_of(robot, rows).candidates}
+assert "toy_wobble" in {c.id for c in build_library(robot, rows).candidates}
 from kilter_core.correct.program import compile_program
 from kilter_core.correct.reference import correct
 program = compile_program(again)
@@ -162,7 +162,7 @@ class ToyRange(Kind):
     observations: Observations
 
     @classmethod
-    def of(cls, rows: Rows) -> ToyRange | None:
+    def from_rows(cls, rows: Rows) -> ToyRange | None:
         """Rows with a length."""
         return cls(rows.observations) if rows.observations.bar_length is not None else None
 

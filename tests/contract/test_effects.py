@@ -173,7 +173,7 @@ def case(request: pytest.FixtureRequest) -> Case:
     name, options, arm = request.param
     robot = robot_named(arm)
     rows = observed(robot, 12)
-    return Case(make_effect(name, **options).on(robot, rows), robot, rows)
+    return Case(make_effect(name, **options).configure_for_robot(robot, rows), robot, rows)
 
 
 def part(local: Local, name: str, batch: Batch) -> Floats:
@@ -205,10 +205,10 @@ def slopes(local: Local, batch: Batch, parameter: int) -> dict[str, Floats]:
 def test_every_effect_states_its_physical_class_and_what_names_it_there() -> None:
     for effect in EFFECTS.values():
         robot = robot_named("odd" if effect.id in SLIDES else "katana450-chapter5")
-        made = effect(**OPTIONS.get(effect.id, [{}])[0]).on(robot, observed(robot, 12))
-        about = made.class_on(robot)
+        made = effect(**OPTIONS.get(effect.id, [{}])[0]).configure_for_robot(robot, observed(robot, 12))
+        about = made.physical_class(robot)
         assert about.id
-        assert "{" not in about.at(made.joints)
+        assert "{" not in about.label_for_joints(made.joints)
         # Shapes without a cause, and what nothing but a rival can take away, need no more than their rivals.
         assert about.outside or about.id == "shape", effect.id
         assert len(set(made.separators(robot))) == len(made.separators(robot))
@@ -216,11 +216,11 @@ def test_every_effect_states_its_physical_class_and_what_names_it_there() -> Non
 
 def test_a_slide_keeps_its_scale_and_a_revolute_joint_has_a_smooth_error() -> None:
     robot = robot_named("odd")
-    slide, turning = (make_effect("encoder_scale", (j,)).on(robot) for j in (2, 0))
-    assert slide.class_on(robot).at((2,)) == "scale of joint 3"
+    slide, turning = (make_effect("encoder_scale", (j,)).configure_for_robot(robot) for j in (2, 0))
+    assert slide.physical_class(robot).label_for_joints((2,)) == "scale of joint 3"
     assert slide.separators(robot) == ()
-    assert any("thermal length" in one for one in slide.class_on(robot).outside)
-    assert turning.class_on(robot).at((0,)) == "smooth error of joint 1"
+    assert any("thermal length" in one for one in slide.physical_class(robot).outside)
+    assert turning.physical_class(robot).label_for_joints((0,)) == "smooth error of joint 1"
     assert turning.separators(robot)
 
 
@@ -309,7 +309,7 @@ def test_document_round_trip(case: Case) -> None:
     again = effect_from_document(document)
     assert again == case.effect
     assert hash(again) == hash(case.effect)
-    assert again.on(case.robot, case.rows) == again
+    assert again.configure_for_robot(case.robot, case.rows) == again
     with pytest.raises(OptionError, match="no option"):
         effect_from_document({**document, "colour": "red"})
 
@@ -375,7 +375,7 @@ def test_what_acts_at_run_time_is_corrected_as_the_reference_does(name: str, arm
     robot = robot_named(arm)
     if arm == "ur10" and name in SLIDES:
         with pytest.raises(OptionError, match="prismatic"):
-            make_effect(name).on(robot)
+            make_effect(name).configure_for_robot(robot)
         return
     rows = replace(
         observed(robot, 100, seed=8),
@@ -386,7 +386,7 @@ def test_what_acts_at_run_time_is_corrected_as_the_reference_does(name: str, arm
         base_tilt_y=np.full(100, -5e-4),
     )
     for options in RUN_TIME_OPTIONS.get(name, OPTIONS.get(name, [{}])):
-        case = Case(make_effect(name, **options).on(robot, observed(robot, 12)), robot, rows)
+        case = Case(make_effect(name, **options).configure_for_robot(robot, observed(robot, 12)), robot, rows)
         calibration = Calibration(case.model, case.whole(0.1 * case.values()))
         program = compile_program(calibration, CorrectionOptions(**CORRECTED, payload_kg=payload_kg))
         if case.effect.stage == "measurement":
@@ -420,7 +420,7 @@ def test_simulated_effect_is_identified(case: Case) -> None:
     """With the geometry known, noise-free poses give the values back, those that move the tool at all."""
     model, rows = case.model, observed(case.robot, 60, seed=5)
     whole = case.whole(case.values())
-    truth = model.loads_at(whole).predict(rows, whole)  # an arm that sags is loaded where it hangs
+    truth = model.with_loads_at_values(whole).predict(rows, whole)  # an arm that sags is loaded where it hangs
     measured = replace(rows, position=truth.position, rotation=truth.rotation)
     geometry = tuple(n for n in model.names[: model.n_geometric] if not n.startswith(("base_", "tool_")))
     effects = (case.effect.to_document(),)
@@ -455,7 +455,7 @@ def test_all_effects_stand_in_one_model(arm: str) -> None:
     robot = robot_named(arm)
     rows = observed(robot, 5)
     named = [name for name in EFFECTS if arm == "odd" or name not in SLIDES]
-    made = (make_effect(name, **OPTIONS.get(name, [{}])[0]).on(robot, rows) for name in named)
+    made = (make_effect(name, **OPTIONS.get(name, [{}])[0]).configure_for_robot(robot, rows) for name in named)
     model = RobotModel(robot, tuple(made))
     assert list(model.effect_slices()) == named
     assert np.all(np.isfinite(model.jacobian(rows, model.values0())[1]))

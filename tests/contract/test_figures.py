@@ -13,7 +13,7 @@ from kilter_client.results.plots import save_figures
 from kilter_service.contract.figures import Figure, GapFigures, IdentifyFigures
 from kilter_service.jobs.plotly_figures.arrows import _from_three_sides, _in_space, _sides, _space
 from kilter_service.jobs.plotly_figures.gap import gap_figures
-from kilter_service.jobs.plotly_figures.layout import captioned
+from kilter_service.jobs.plotly_figures.layout import add_captions
 from kilter_service.jobs.plotly_figures.parameters import changes
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -82,7 +82,7 @@ def identify_figures() -> dict[str, Any]:
         "residual_arrows": {"data": _from_three_sides(tails, heads, red), "layout": _sides("sides")},
         "parameter_changes": changes(parameters),
     }
-    return dict(captioned(drawn, "arm", ["rows"], "ver_1"))
+    return dict(add_captions(drawn, "arm", ["rows"], "ver_1"))
 
 
 @pytest.mark.parametrize(

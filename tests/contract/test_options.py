@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 import kilter_core.gap
 import kilter_core.identify
 from kilter_core.effects import EFFECTS, effect_from_document
-from kilter_core.gap.search.requested import wanted
+from kilter_core.gap.search.requested import joints_by_effect
 from kilter_service.contract.effects import AnyEffect
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.jobs.identify import IdentifyOptions
@@ -69,11 +69,11 @@ def test_one_grammar_of_effects_for_every_kind() -> None:
 
 
 def test_a_hunt_looks_at_the_joints_that_are_named() -> None:
-    assert wanted(["drift", {"id": "backlash", "joints": [2]}, {"id": "backlash", "joints": [3]}]) == {
+    assert joints_by_effect(["drift", {"id": "backlash", "joints": [2]}, {"id": "backlash", "joints": [3]}]) == {
         "drift": None,
         "backlash": frozenset({1, 2}),
     }
-    assert wanted([{"id": "backlash", "joints": [2]}, "backlash"]) == {"backlash": None}
+    assert joints_by_effect([{"id": "backlash", "joints": [2]}, "backlash"]) == {"backlash": None}
 
 
 def refused(kind: str, options: Any) -> str:

@@ -205,5 +205,5 @@ def test_after_refusals_it_starts_anew(statuses: list[str], resets: bool) -> Non
     assert answer is not None
     assert stream._flags == 0
     for status in statuses:
-        stream._heed(answer._replace(status=status, q=()))
+        stream._react_to_refusal(answer._replace(status=status, q=()))
     assert stream._flags == (8 if resets else 0)

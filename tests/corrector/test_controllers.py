@@ -21,7 +21,7 @@ from kilter_client.streaming.corrector import StreamError
 from kilter_core.model import Calibration
 from kilter_service.ground.settings import Settings
 from kilter_service.run.zenoh_config import authority
-from kilter_service.run.zenoh_config.folders import authority_in, write_folders
+from kilter_service.run.zenoh_config.folders import load_or_make_authority, write_folders
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.process import Corrector
 from kilter_service.stream.corrector.session import with_free_port
@@ -194,7 +194,7 @@ def folders(place: Path, hosts: tuple[str, ...], of: Path | None = None) -> Path
     """Folders of all roles by an authority of their own, or by that of the cell."""
     if of is not None:
         subprocess.run(["cp", "-a", str(of), str(place)], check=True)
-    write_folders(place, "local", hosts, 7447, ROBOTS, 0, *authority_in(place, rotate=False))
+    write_folders(place, "local", hosts, 7447, ROBOTS, 0, *load_or_make_authority(place, rotate=False))
     return place
 
 

@@ -114,7 +114,9 @@ def test_queries_come_back_after_either_process_was_killed(corrector: Corrector)
 
 
 def test_the_adaptor_of_ros_listens_nowhere(tmp_path: Path, corrector: Corrector) -> None:
-    session = ros2.opened(Settings(data=tmp_path, ros2_connect=corrector.endpoints["stream"]), lambda _: True)
+    session = ros2.open_router_session(
+        Settings(data=tmp_path, ros2_connect=corrector.endpoints["stream"]), lambda _: True
+    )
     assert session is not None
     with session:
         assert not [address for address in listening(os.getpid()) if not address.startswith("0100007F")]

@@ -41,7 +41,7 @@ def rows(calibration: Calibration, count: int = 200, seed: int = 1, spread: floa
 
 def landing(calibration: Calibration, data: dict[str, np.ndarray], q: np.ndarray, dynamic: bool) -> np.ndarray:
     """Distance (N,) m between where the full model puts the commands and where the nominal arm should be."""
-    wanted = calibration.wanted().predict(Observations(data["q"]))
+    wanted = calibration.nominal_in_wanted_frames().predict(Observations(data["q"]))
     motion = {"qd": data["qd"], "qdd": data["qdd"]} if dynamic else {}
     actual = calibration.predict(Observations(q, direction=data["direction"], **motion))
     return np.linalg.norm(wanted.position - actual.position, axis=1)

@@ -34,7 +34,7 @@ def on_its_own_chain(*effects: str, tool_m: float = 4e-3) -> Calibration:
             values[k] += np.radians(0.5) * (-1.0) ** k
     values[found.model.n_geometric - 6] = tool_m
     model = replace(found.model, robot=robot)
-    return Calibration(model.loads_at(values), values)
+    return Calibration(model.with_loads_at_values(values), values)
 
 
 @pytest.mark.parametrize("effect", LOADS)

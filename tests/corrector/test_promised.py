@@ -12,7 +12,7 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_core.model import Calibration
-from kilter_service.stream.corrector.active import Active, workspace_of
+from kilter_service.stream.corrector.active import Active, workspace_counts
 from kilter_service.stream.corrector.queries import describe
 from tests.core.truth import Arm, Step
 
@@ -54,9 +54,9 @@ def test_the_workspace_is_what_was_stored_and_nothing_is_made_up(
         "refused": {"JOINT_LIMIT": 1, "CORRECTION_TOO_LARGE": 1}, "sentence": "...",
     }  # fmt: skip
     counts = {"poses": 400, "ok": 380, "damped": 15, "limited": 3, "refused": 2}
-    assert workspace_of(stored) == counts
-    assert workspace_of(None) is workspace_of({}) is workspace_of({"poses": 0}) is None
-    active = replace(active_of(ur10), workspace=workspace_of(stored))
+    assert workspace_counts(stored) == counts
+    assert workspace_counts(None) is workspace_counts({}) is workspace_counts({"poses": 0}) is None
+    active = replace(active_of(ur10), workspace=workspace_counts(stored))
     assert json.loads(describe("ur10", active, True))["workspace"] == counts
     assert json.loads(describe("ur10", active_of(ur10), True))["workspace"] is None
     assert json.loads(describe("ur10", None, True))["workspace"] is None

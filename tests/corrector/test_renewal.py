@@ -38,7 +38,7 @@ def flows(stream: CorrectedStream, condition: Callable[[], bool]) -> int:
 
 def renew(stream: CorrectedStream) -> None:
     """Let the time for the next session come now."""
-    stream._sessions.expired()
+    stream._sessions.mark_expired()
     stream._ask_again.set()
 
 
@@ -107,7 +107,7 @@ def test_of_a_session_that_is_revoked_no_frame_is_taken_any_more(
         open_stream(corrector, "kept", signed=True) as kept,
     ):
         # As a controller that was given its session by hand: it can ask for no other.
-        monkeypatch.setattr(stream._sessions, "next", lambda: None)
+        monkeypatch.setattr(stream._sessions, "next_session", lambda: None)
         flows(stream, lambda: True)
         flows(kept, lambda: True)
         kilterd(["stream-keys", "--data", str(file.parent), "--revoke", given.id.hex()])

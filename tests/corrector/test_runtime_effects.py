@@ -95,7 +95,7 @@ def landing(calibration: Calibration, program: CorrectionProgram, dynamic: bool,
         "qdd": 0.0 * q,
         "payload_kg": np.full(60, payload_kg),
     } | motion
-    wanted = calibration.wanted().predict(Observations(q)).position
+    wanted = calibration.nominal_in_wanted_frames().predict(Observations(q)).position
     actual = calibration.predict(Observations(result.q, **stated)).position
     return np.asarray(np.linalg.norm(actual - wanted, axis=1)[good])
 

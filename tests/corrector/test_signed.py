@@ -177,7 +177,7 @@ def test_an_expired_session_is_refused_with_a_signature(active: Active) -> None:
 
 
 def test_the_master_before_the_one_in_use_is_valid_for_the_stated_time(active: Active) -> None:
-    masters = Masters((Master(SECRET),)).rotated(3600.0)
+    masters = Masters((Master(SECRET),)).with_rotated_secret(3600.0)
     Controller(active, gate=Gate(masters)).began()
     ended = Masters((Master(SECRET, time.time() - 1.0), masters.all[-1]))
     controller = Controller(active, gate=Gate(ended))
@@ -257,13 +257,13 @@ def test_no_attacked_answer_or_document_is_accepted(count: int) -> None:
     challenge_head = struct.pack("<4sBBH", b"KLT2", 3, 0, 0) + greeted[8:32] + struct.pack("<QIHHIi", 0, 0, 12, 0, 0, 0)
     challenge = sealer.seal(challenge_head + bytes(16), session, key, "KLT2chal")
     for _ in range(200):
-        assert signer.challenged(sealer.damaged(challenge, rng), b"") is None
-    assert signer.challenged(challenge, b"") == 12
-    assert signer.challenged(challenge, b"") is None  # once only
+        assert signer.accept_challenge(sealer.damaged(challenge, rng), b"") is None
+    assert signer.accept_challenge(challenge, b"") == 12
+    assert signer.accept_challenge(challenge, b"") is None  # once only
     in_use = sealer.derive(key, "KLT2work", bytes(16))
     plain = struct.pack("<4sBBHQQQQIHHIi5d", b"KLT1", 0, 5, 0, 1, 2, 3, 9, 1, 0, 0, 1000, 0, *Q)
     answer = sealer.seal(plain, session, in_use, "KLT2out")
-    assert signer.opened(answer) == plain
+    assert signer.verify_answer(answer) == plain
     address, body = "kilter/@v1/test/arm/active", json.dumps({"epoch": 3, "version": "0" * 16}).encode()
     number = f"{struct.unpack_from('<I', session)[0]:08x}"
 
@@ -271,34 +271,36 @@ def test_no_attacked_answer_or_document_is_accepted(count: int) -> None:
         return body[:-1] + b', "signature": "' + prefix.encode() + tag.hex().encode() + b'"}'
 
     announced = signed(sealer.tag(robot_key, "KLT2said", address.encode() + b"\0" + body), f"{number}:")
-    assert signer.said(address, announced) == body
+    assert signer.verify_announcement(address, announced) == body
     question = signer.question()
     reply = signed(sealer.tag(key, "KLT2rply", question[-16:] + address.encode() + b"\0" + body))
-    assert signer.replied(question, address, reply) == body
+    assert signer.verify_reply(question, address, reply) == body
     accepted = 0
     for k in range(count // 4):
-        accepted += signer.opened(sealer.damaged(answer, rng)) is not None
+        accepted += signer.verify_answer(sealer.damaged(answer, rng)) is not None
         wrong = sealer.seal(plain, session, rng.choice((key, rng.randbytes(32))), rng.choice(("KLT2out", "KLT2in")))
-        accepted += signer.opened(wrong) is not None
+        accepted += signer.verify_answer(wrong) is not None
         accepted += (
-            signer.said(f"{address}{k % 2 or ''}", sealer.damaged(announced, rng) if k % 2 == 0 else announced)
+            signer.verify_announcement(
+                f"{address}{k % 2 or ''}", sealer.damaged(announced, rng) if k % 2 == 0 else announced
+            )
             is not None
         )
         other = signer.question()
-        accepted += signer.replied(other, address, reply if k % 2 else sealer.damaged(reply, rng)) is not None
+        accepted += signer.verify_reply(other, address, reply if k % 2 else sealer.damaged(reply, rng)) is not None
     assert accepted == 0
     print(f"{count} attacked answers and documents: {accepted} accepted")
 
 
 def test_a_session_that_is_revoked_while_it_is_admitted_is_not_taken(active: Active) -> None:
     controller = Controller(active).began()
-    controller.gate.masters = controller.gate.masters.without([controller.session])
+    controller.gate.masters = controller.gate.masters.with_sessions_revoked([controller.session])
     controller.guard.follow()
     assert controller.status(controller.frame()) == Status.SESSION_EXPIRED
     late = Controller(active)
     late.greet()
     admitted = late.gate.admit(ADDRESS, late.frame(Flag.RESET | Flag.SETTLED), b"", late.guard._secret)
     assert isinstance(admitted, Admitted)
-    late.gate.masters = late.gate.masters.without([late.session])
+    late.gate.masters = late.gate.masters.with_sessions_revoked([late.session])
     late.guard.adopt(admitted)
     assert late.status(late.frame(Flag.RESET | Flag.SETTLED)) == Status.SESSION_EXPIRED

@@ -92,7 +92,7 @@ def test_both_paths_say_what_is_left_in_the_same_bytes_through_a_singularity(
 ) -> None:
     active = active_of(ur10, largest_rad=1.5e-3)  # with larger limits nothing is left of the point
     fast, full = Stream(), Stream()
-    monkeypatch.setattr(full._fast, "take", lambda clock: False)
+    monkeypatch.setattr(full._fast, "adopt_clock", lambda clock: False)
     slow, calls = fast._full_path, [0]
 
     def counting(*frame: Any) -> bytes | None:
@@ -115,8 +115,8 @@ def test_both_paths_say_what_is_left_in_the_same_bytes_through_a_singularity(
         damped += bool(answer.header.flags & Flag.DAMPED)
     assert calls[0] <= 3  # the first frames; all others took the fast path
     assert damped > 0
-    assert fast.counters.made == full.counters.made
-    assert fast.counters.made["damped"] == damped
+    assert fast.counters.held_back_counts == full.counters.held_back_counts
+    assert fast.counters.held_back_counts["damped"] == damped
     assert fast.counters.most_left_nm[1] == full.counters.most_left_nm[1] == max(left) > 0
 
 
@@ -371,7 +371,7 @@ def test_a_million_malformed_frames_are_answered_without_numbers(active: Active)
 def test_the_fast_path_of_plain_setpoints_is_the_full_path(active: Active, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(8)
     fast, full = Stream(), Stream()
-    monkeypatch.setattr(full._fast, "take", lambda clock: False)
+    monkeypatch.setattr(full._fast, "adopt_clock", lambda clock: False)
     rest, refused = fast._full_path, [0]
 
     def counting(*frame: Any) -> bytes | None:
@@ -410,6 +410,6 @@ def test_the_fast_path_of_plain_setpoints_is_the_full_path(active: Active, monke
         seq = max(seq, full._sequence.clock.seq)
     assert refused[0] < 3000
     first, second = fast.counters, full.counters
-    assert (first.by_status, first.made) == (second.by_status, second.made)
+    assert (first.by_status, first.held_back_counts) == (second.by_status, second.held_back_counts)
     assert first.most_left_nm == second.most_left_nm
     assert sum(count > 0 for count in first.by_status) >= 7

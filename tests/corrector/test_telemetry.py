@@ -13,12 +13,12 @@ import zenoh
 from kilter_core.model import Calibration
 from kilter_service.stream.corrector import wire
 from kilter_service.stream.corrector.active import Active
-from kilter_service.stream.corrector.fast_path import bin_edges_us, bin_of
+from kilter_service.stream.corrector.fast_path import bin_edges_us, latency_bin
 from kilter_service.stream.corrector.process import Corrector
 from kilter_service.stream.corrector.session import config
 from kilter_service.stream.corrector.specs import Rules
 from kilter_service.stream.corrector.stream import Stream
-from kilter_service.stream.corrector.telemetry import TurnedAway, shown
+from kilter_service.stream.corrector.telemetry import TurnedAway, answer_document
 from kilter_service.stream.corrector.wire import Flag, Status
 from tests.corrector import sealer
 from tests.corrector.live import ROOT, Q, open_stream, until
@@ -42,20 +42,20 @@ def ask(stream: Stream, active: Active, data: bytes, seq: int) -> wire.Answer:
 
 def test_the_last_answer_is_what_is_shown(katana: Calibration, active_of: Callable[..., Active]) -> None:
     active, stream = active_of(katana), Stream(FRESH)
-    assert stream.last is None
+    assert stream.last_answer is None
     for seq in range(1, 30):
         q = (Q[0] + 1e-4 * seq, *Q[1:])
         step_ns = 1_000_000 if seq in (5, 29) else None  # chunks take the full path
         answer = ask(stream, active, frame(seq, q, step_ns, Flag.RESET | Flag.SETTLED if seq == 1 else 0), seq)
         assert answer.status == Status.OK
-        assert stream.last is not None
-        last = shown(stream.last)
+        assert stream.last_answer is not None
+        last = answer_document(stream.last_answer)
         np.testing.assert_array_equal(last["wanted"], q)
         np.testing.assert_allclose(np.add(last["wanted"], last["correction"]), answer.values[-1], rtol=0, atol=1e-15)
         assert 1e-5 < np.linalg.norm(last["tool"]) < 5e-3
-    before = stream.last
+    before = stream.last_answer
     assert ask(stream, active, frame(30, (50.0, *Q[1:])), 30).status == Status.JOINT_LIMIT
-    assert stream.last == before  # a refused setpoint has no correction
+    assert stream.last_answer == before  # a refused setpoint has no correction
 
 
 def test_every_answer_is_counted_in_the_bin_of_its_time(katana: Calibration, active_of: Callable[..., Active]) -> None:
@@ -74,9 +74,9 @@ def test_bins_begin_where_is_said() -> None:
     edges = bin_edges_us()
     assert edges[0] == 0
     for k, edge in enumerate(edges[1:], 1):
-        assert bin_of(int(edge * 1e3) + 1) == k
-        assert bin_of(int(edge * 1e3) - 1) == k - 1
-    assert bin_of(10**10) == len(edges) - 1
+        assert latency_bin(int(edge * 1e3) + 1) == k
+        assert latency_bin(int(edge * 1e3) - 1) == k - 1
+    assert latency_bin(10**10) == len(edges) - 1
 
 
 def test_streams_without_a_slot_are_few() -> None:

@@ -21,7 +21,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow, RobotRow
 from kilter_service.ground.recent import Recent
 from kilter_service.ground.settings import Settings
-from kilter_service.page.campaign.series import thinned
+from kilter_service.page.campaign.series import thin_series
 from kilter_service.run.app import create_app
 from kilter_service.versions import store as versions
 from kilter_service.versions.store import NewVersion
@@ -111,7 +111,7 @@ def test_no_extreme_is_lost(count: int) -> None:
     values = random.normal(0.0, 1.0, count)
     values[count // 3], values[count // 2] = 90.0, -90.0
     values[count // 5] = np.nan
-    rows, shown = thinned(values, 1, count, 200, keep=[count // 5 + 1])
+    rows, shown = thin_series(values, 1, count, 200, keep=[count // 5 + 1])
     assert len(rows) <= max(401, 2 * 200 + 1)
     assert {90.0, -90.0} <= set(shown)
     assert count // 5 + 1 in rows

@@ -20,7 +20,7 @@ from sqlalchemy import text
 
 from kilter_core.twin import thesis_katana
 from kilter_service.page.words import chance as written
-from kilter_service.page.words import like
+from kilter_service.page.words import format_in_shared_unit
 from kilter_service.versions.predictions.differences import _beyond as beyond
 from kilter_service.versions.predictions.paired import chance
 from tests.service.conftest import Katana
@@ -62,8 +62,8 @@ def test_the_sign_test_is_exact(better: int, worse: int) -> None:
 
 def test_probabilities_and_lengths_are_written_as_people_read_them() -> None:
     assert [written(one) for one in (0.42, 0.0123, 1.2e-9, 3e-18)] == ["0.42", "0.012", "1e-9", "3e-18"]
-    assert [like(one, 0.05) for one in (0.05, 0.0012)] == ["50.0 µm", "1.2 µm"]
-    assert [like(one, 1.25) for one in (1.25, 0.0201)] == ["1.25 mm", "0.02 mm"]
+    assert [format_in_shared_unit(one, 0.05) for one in (0.05, 0.0012)] == ["50.0 µm", "1.2 µm"]
+    assert [format_in_shared_unit(one, 1.25) for one in (1.25, 0.0201)] == ["1.25 mm", "0.02 mm"]
 
 
 def test_two_versions_are_paired_row_by_row(there: Made) -> None:

@@ -17,7 +17,7 @@ from playwright.sync_api import Browser
 from kilter_service.contract.drift import CheckOfRobot, DriftHistory, DriftMark
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
-from kilter_service.page.shared.control_chart import watched
+from kilter_service.page.shared.control_chart import draw_check_history
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.token import admin_token
 from tests.core.watch.drifting import some_arm, some_poses
@@ -149,7 +149,7 @@ def test_a_date_of_years_ago_squeezes_nothing_and_is_said() -> None:
             robot="arm", state="ok", version_id="ver", sentence="ok", checks=len(days), last=history[-1], age_days=0,
             history=history, marks=[mark], charts=[], run_length=1000, false_alarm=1e-3,
         )  # fmt: skip
-        seen = watched(found)
+        seen = draw_check_history(found)
         assert seen.checks is not None
         return seen.checks.svg(), seen.begins
 

@@ -13,7 +13,7 @@ from playwright.sync_api import Browser
 
 from kilter_service.page.figures import room
 from kilter_service.page.figures.plot import LEFT, RIGHT, Plot
-from kilter_service.page.figures.scale import around, days_around, named
+from kilter_service.page.figures.scale import around, category_axis, days_around
 
 from .conftest import opened
 from .made import Made, made
@@ -32,7 +32,7 @@ def server(there: Made) -> httpx.Client:
 
 
 def drawn(names: list[str], width: float = 760.0) -> str:
-    plot = Plot("errors", named("parameter", names), around("mm", [1.0], zero=True), width)
+    plot = Plot("errors", category_axis("parameter", names), around("mm", [1.0], zero=True), width)
     return str(plot.bars([k + 0.5 for k in range(len(names))], [1.0] * len(names), 0.6, "mean").svg())
 
 

@@ -20,11 +20,11 @@ from kilter_service.contract.gap_details import Evidence, Gates
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
-from kilter_service.page.gap.bins import Point, binned, branches, student
+from kilter_service.page.gap.bins import Point, bin_points, branches, student
 from kilter_service.page.gap.claim import GATES
 from kilter_service.page.gap.curves import curves
-from kilter_service.page.shared.called import named
-from kilter_service.page.shared.own_curves import own_curves, without
+from kilter_service.page.shared.called import format_effect_at_joints
+from kilter_service.page.shared.own_curves import has_effect_without_curve, own_curves
 from kilter_service.page.words import number, of_joints
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.token import admin_token
@@ -211,7 +211,7 @@ def test_an_effect_is_drawn_over_what_it_follows(hunted: Hunted) -> None:
     assert f"within the 95 % interval of {near} of {len(visits['x'])} visits" in said
     assert f"joint 1 stands {number(abs(distance['value']))} deg" in said
     assert f"leaves {number(curve['rival']['times'])} times the squares" in said
-    assert f"refused: {named(curve['rival']['id'], curve['rival']['joints'])}" in figure
+    assert f"refused: {format_effect_at_joints(curve['rival']['id'], curve['rival']['joints'])}" in figure
 
 
 def test_the_report_has_the_same_curve(hunted: Hunted) -> None:
@@ -229,9 +229,9 @@ def test_an_earlier_result_has_its_residuals_only(hunted: Hunted) -> None:
 
 def test_residuals_are_unfolded_where_an_effect_has_no_curve_of_its_own(hunted: Hunted) -> None:
     result = hunted.closed["result"]
-    assert not without(GapResult.model_validate(result))
+    assert not has_effect_without_curve(GapResult.model_validate(result))
     bending = {**result["effects"][0], "id": "link_bending"}
-    assert without(GapResult.model_validate({**result, "effects": [*result["effects"], bending]}))
+    assert has_effect_without_curve(GapResult.model_validate({**result, "effects": [*result["effects"], bending]}))
     body = hunted.client.get(f"/jobs/{hunted.closed['id']}").text
     assert "<details><summary>The residuals as the instrument saw them" in body
 
@@ -266,7 +266,7 @@ def test_bins_hold_their_points_and_intervals() -> None:
     noise = rng.normal(0, 0.1, 60)
     lines = [Point(float(a), float(a / 90 + e), float(a / 90)) for a, e in zip(angles, noise, strict=True)]
     assert [len(part) for part in branches(lines)] == [60]
-    found = binned(lines)
+    found = bin_points(lines)
     assert sum(each.count for each in found) == 60
     first = noise[: found[0].count]
     half = student_t.ppf(0.975, len(first) - 1) * first.std(ddof=1) / np.sqrt(len(first))

@@ -15,7 +15,7 @@ from playwright.sync_api import Browser, expect
 
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
-from kilter_service.page.words import measured, mm
+from kilter_service.page.words import format_with_uncertainty, mm
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, WorkerProcess, new_database, ready, served, wait_for
@@ -245,8 +245,8 @@ def test_an_identification_shows_the_numbers_of_the_interface(
     for number, told in zip(job["result"]["load_model"], bodies, strict=True):
         assert (f">link {number['link']}<" if number["link"] else ">payload<") in told
         assert f"<code>{number['parameter']}</code>" in told
-        assert measured(number["stated"], number["prior_sigma"]) in told
-        assert measured(number["value"], number["sigma"]) in told
+        assert format_with_uncertainty(number["stated"], number["prior_sigma"]) in told
+        assert format_with_uncertainty(number["value"], number["sigma"]) in told
         assert f"<td>{'yes' if number['seen'] else 'no'}</td>" in told
     blind = sum(not number["seen"] for number in job["result"]["load_model"])
     assert blind

@@ -19,8 +19,8 @@ from kilter_service.contract.campaigns import Campaign
 from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow
 from kilter_service.page.audit.action_words import DONE
 from kilter_service.page.jobs.form import by_role
-from kilter_service.page.jobs.options import given
-from kilter_service.page.shared.lists import Asked, part
+from kilter_service.page.jobs.options import parse_typed_values
+from kilter_service.page.shared.lists import Asked, select_page
 from kilter_service.web.auth.policy import PAGE_RULES, RULES
 from tests.service.conftest import Katana
 
@@ -83,7 +83,7 @@ def test_parts_of_a_list() -> None:
     numbers = list(range(120))
 
     def of(**asked: object) -> list[int]:
-        return list(part(numbers, Asked(**asked), str, {"n": lambda k: None if k == 5 else k}).shown)  # type: ignore[arg-type]
+        return list(select_page(numbers, Asked(**asked), str, {"n": lambda k: None if k == 5 else k}).shown)  # type: ignore[arg-type]
 
     assert of() == numbers[:50]
     assert of(page=3) == numbers[100:]
@@ -246,10 +246,10 @@ def test_the_newest_set_up_is_preset() -> None:
 
 
 def test_effects_that_are_ticked_join_those_that_are_typed() -> None:
-    assert given("identify", {"effect.backlash": "1"})["effects"] == ["backlash"]
+    assert parse_typed_values("identify", {"effect.backlash": "1"})["effects"] == ["backlash"]
     both = {"option.effects": "backlash, friction_windup", "effect.backlash": "1", "effect.drift": "1"}
-    assert given("identify", both)["effects"] == ["backlash", "friction_windup", "drift"]
-    assert "effects" not in given("evaluate", {"option.version": "ver_1", "effect.backlash": "1"})
+    assert parse_typed_values("identify", both)["effects"] == ["backlash", "friction_windup", "drift"]
+    assert "effects" not in parse_typed_values("evaluate", {"option.version": "ver_1", "effect.backlash": "1"})
 
 
 def test_a_campaign_that_is_found_joins_the_form(there: Made, chromium: Browser) -> None:

@@ -10,9 +10,9 @@ import cv2
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from kilter_files.rig.live.feeds import feed_of
+from kilter_files.rig.live.feeds import open_feed
 from kilter_files.rig.live.newest import newest
-from kilter_files.rig.live.server import page_of
+from kilter_files.rig.live.server import serve_live_page
 from kilter_files.rig.live.session import Session, follow
 from kilter_files.rig.live.taken import Taken
 from kilter_files.rig.see.run import Looker
@@ -51,10 +51,10 @@ def test_a_stream_is_shown_with_its_corners_and_takes_views_at_rest(page: Page, 
             while len(live.taken) <= k:
                 yield still
 
-    with mjpeg(frames) as address, page_of(live) as shown:
+    with mjpeg(frames) as address, serve_live_page(live) as shown:
         page.goto(shown)
         expect(page.locator("#now")).to_have_text("Waiting for a picture.")
-        looking = Thread(target=follow, args=(live, newest(feed_of(address), stop)), daemon=True)
+        looking = Thread(target=follow, args=(live, newest(open_feed(address), stop)), daemon=True)
         looking.start()
         expect(page.locator("#taken")).to_have_text("3", timeout=60_000)
         expect(page.locator("#wanted")).to_have_text("of 3 views")
@@ -70,9 +70,9 @@ def test_a_stream_is_shown_with_its_corners_and_takes_views_at_rest(page: Page, 
 
 def test_a_folder_that_fills_says_what_is_missing_and_what_is_wrong(page: Page, tmp_path: Path) -> None:
     live, stop = session(None, 99), Event()
-    with page_of(live) as shown:
+    with serve_live_page(live) as shown:
         page.goto(shown)
-        Thread(target=follow, args=(live, newest(feed_of(str(tmp_path)), stop)), daemon=True).start()
+        Thread(target=follow, args=(live, newest(open_feed(str(tmp_path)), stop)), daemon=True).start()
         for k in range(6):
             cv2.imwrite(str(tmp_path / f"pose{k}.png"), picture(k))
         expect(page.locator("#taken")).to_have_text("6", timeout=60_000)

@@ -12,7 +12,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page
 
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.settings import Settings
 from kilter_service.page.routes import ROUTERS
 from kilter_service.page.shell import POLICY
@@ -122,7 +122,7 @@ def test_a_link_logs_in_once_in_the_role_of_whoever_made_it(server: httpx.Client
 
 def test_a_link_ends_with_its_minutes_and_with_its_token(server: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     secret = link_of(server, minutes=5)
-    later = now() + timedelta(minutes=5, seconds=1)
+    later = utc_now() + timedelta(minutes=5, seconds=1)
     monkeypatch.setattr("kilter_service.web.logins.store.now", lambda: later)
     assert use(server, secret).status_code == 401
     monkeypatch.undo()

@@ -11,7 +11,7 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, Route, expect
 
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import JobRow
 
 from .conftest import log_in, opened
@@ -139,7 +139,7 @@ def test_the_tab_of_a_job_says_that_it_is_over(there: Made, chromium: Browser) -
         page.get_by_label("Notify me when it is over").check()
         with there.database.transaction() as session:
             row = session.get_one(JobRow, job)
-            row.state, row.finished_at = "failed", now()
+            row.state, row.finished_at = "failed", utc_now()
             row.error = {"code": "internal_error", "message": "It broke."}
         page.get_by_text("The job has failed.").wait_for()
         expect(page).to_have_title(re.compile("^✗ "))

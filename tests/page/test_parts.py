@@ -17,14 +17,14 @@ from kilter_service.contract.fits import Errors, Parameter, StageErrors
 from kilter_service.contract.jobs.job import JobSummary, Progress
 from kilter_service.contract.today import ErrorsToday, Today
 from kilter_service.contract.versions import VersionSummary
-from kilter_service.ground.called import JOBS, called
-from kilter_service.ground.db.row import now
+from kilter_service.ground.called import JOBS, display_name
+from kilter_service.ground.db.row import utc_now
 from kilter_service.page.figures.meanings import MEANINGS
 from kilter_service.page.shared.accuracy import accuracy_today
 from kilter_service.page.shared.correcting import Correcting, Corrector
 from kilter_service.page.shared.listed_jobs import KINDS
-from kilter_service.page.shared.state import state_of
-from kilter_service.page.words import beside, sigma_of
+from kilter_service.page.shared.state import assess_robot_state
+from kilter_service.page.words import format_in_largest_unit, parameter_sigma
 
 from .conftest import opened
 from .made import Made, made
@@ -61,7 +61,7 @@ def test_style_sheet_picture_and_docs_have_the_colours_of_the_figures() -> None:
 
 def of_today(source: str = "held_out", changed: bool = False, version: str | None = "ver_1") -> Today:
     errors = StageErrors(n=40, identified=Errors(mean_mm=0.02, rms_mm=0.022))
-    newest = ErrorsToday(source=source, job_id="job_1", at=now(), campaigns=[], refit=[], rows="", errors=errors)  # type: ignore[arg-type]
+    newest = ErrorsToday(source=source, job_id="job_1", at=utc_now(), campaigns=[], refit=[], rows="", errors=errors)  # type: ignore[arg-type]
     return Today(
         robot="arm", version_id=version, newest=newest, own=newest, changed=changed, larger_by_mm=0.5 if changed else None,
         compared="", not_evaluated=[], missing=None, sentences=["No version is active."],
@@ -79,13 +79,13 @@ def of_today(source: str = "held_out", changed: bool = False, version: str | Non
     ],
 )
 def test_the_state_says_what_is_worst(today: Today, seen: Correcting, word: str) -> None:
-    assert state_of(today, accuracy_today(today), None, seen).word == word
+    assert assess_robot_state(today, accuracy_today(today), None, seen).word == word
 
 
 def bridge_that_is(state: str, active: str | None) -> Bridge:
     return Bridge(
         kind="rsi", state=state, version_id="ver_1", cycle_ms=4.0, cycles=1, late=0, lost=0, refused=0, offset_deg=0.1,
-        largest_offset_deg=0.1, id="run_1", robot="arm", since=now(), heard_at=now(), silent_s=0.0, gone=False,
+        largest_offset_deg=0.1, id="run_1", robot="arm", since=utc_now(), heard_at=utc_now(), silent_s=0.0, gone=False,
         other_version=active != "ver_1", sentence="The rsi bridge corrects.",
     )  # type: ignore[arg-type] # fmt: skip
 
@@ -109,23 +109,23 @@ def bridge_that_is(state: str, active: str | None) -> Bridge:
 def test_state_and_tile_agree_on_a_bridge_that_was_told_its_version(
     state: str, active: str | None, word: str, tile: str
 ) -> None:
-    seen = Corrector(True, "alive", [], {"arm": [bridge_that_is(state, active)]}).of("arm", active)
-    found = state_of(of_today(version=active), accuracy_today(of_today()), None, seen)
+    seen = Corrector(True, "alive", [], {"arm": [bridge_that_is(state, active)]}).describe_correction("arm", active)
+    found = assess_robot_state(of_today(version=active), accuracy_today(of_today()), None, seen)
     assert (found.word, seen.word) == (word, tile)
     if word in ("By a bridge", "Other version") or (active and word == "Not corrected"):
         assert (found.sentence, found.look) == (seen.sentence, "warn")
 
 
 def test_lengths_beside_each_other_have_the_unit_of_the_largest() -> None:
-    assert [beside(one, 1.25) for one in (0.0171, 0.834, 1.25)] == ["0.0171 mm", "0.834 mm", "1.25 mm"]
-    assert [beside(one, 0.05) for one in (0.0171, 0.05)] == ["17.1 µm", "50.0 µm"]
+    assert [format_in_largest_unit(one, 1.25) for one in (0.0171, 0.834, 1.25)] == ["0.0171 mm", "0.834 mm", "1.25 mm"]
+    assert [format_in_largest_unit(one, 0.05) for one in (0.0171, 0.05)] == ["17.1 µm", "50.0 µm"]
 
 
 def test_standard_deviation_and_interval_of_a_line_are_of_one_estimate() -> None:
     told = {"name": "a_2", "unit": "mm", "value": 190.0, "sigma": 0.01, "lower": 189.902, "upper": 190.098}
-    assert sigma_of(Parameter(**told, interval_from="profile")) == pytest.approx(0.05)
-    assert sigma_of(Parameter(**told, interval_from="sigma")) == 0.01
-    assert sigma_of(Parameter(name="a_2", unit="mm", value=190.0, sigma=0.01)) == 0.01
+    assert parameter_sigma(Parameter(**told, interval_from="profile")) == pytest.approx(0.05)
+    assert parameter_sigma(Parameter(**told, interval_from="sigma")) == 0.01
+    assert parameter_sigma(Parameter(name="a_2", unit="mm", value=190.0, sigma=0.01)) == 0.01
 
 
 def test_the_settings_hold_what_is_rarely_changed(server: httpx.Client, there: Made) -> None:
@@ -154,8 +154,8 @@ def test_what_has_no_name_is_called_by_what_it_is_and_when_it_was_made(there: Ma
             created_at=at, started_at=None, finished_at=None,
         ),
     ]  # fmt: skip
-    assert [called(one) for one in unnamed] == ["version of 2026-11-02 14:05:09", "search of 2026-11-02 14:05:09"]
-    assert called(unnamed[0].model_copy(update={"name": "spring"})) == "spring"
+    assert [display_name(one) for one in unnamed] == ["version of 2026-11-02 14:05:09", "search of 2026-11-02 14:05:09"]
+    assert display_name(unnamed[0].model_copy(update={"name": "spring"})) == "spring"
     assert set(JOBS) == set(KINDS)
 
 

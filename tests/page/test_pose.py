@@ -15,7 +15,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
 from kilter_core.twin import thesis_katana
-from kilter_service.page.words import within
+from kilter_service.page.words import format_value_with_interval
 from tests.service.conftest import Katana
 
 from .conftest import opened
@@ -94,10 +94,10 @@ def test_parts_have_intervals_where_something_is_known(there: Made) -> None:
 
 
 def test_a_length_and_its_interval_have_one_unit() -> None:
-    assert within(0.0408, 0.035, 0.047) == "41 µm (35 to 47)"
-    assert within(0.4592, 0.4555, 0.4629) == "0.4592 mm (0.4555 to 0.4629)"
-    assert within(0.09, 0.07, 0.11) == "0.090 mm (0.070 to 0.110)"  # the unit of the largest
-    assert within(0.4592, None, None) == "0.459 mm"
+    assert format_value_with_interval(0.0408, 0.035, 0.047) == "41 µm (35 to 47)"
+    assert format_value_with_interval(0.4592, 0.4555, 0.4629) == "0.4592 mm (0.4555 to 0.4629)"
+    assert format_value_with_interval(0.09, 0.07, 0.11) == "0.090 mm (0.070 to 0.110)"  # the unit of the largest
+    assert format_value_with_interval(0.4592, None, None) == "0.459 mm"
 
 
 def test_two_versions_are_two_arrows(there: Made) -> None:

@@ -26,7 +26,7 @@ from kilter_service.jobs.kind import VersionContent
 from kilter_service.page.report import pdf
 from kilter_service.run.app import create_app
 from kilter_service.versions import store as versions
-from kilter_service.versions.objections import objections_of
+from kilter_service.versions.objections import objections_from_report
 from kilter_service.versions.store import NewVersion
 from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, new_database, ready, served
@@ -223,7 +223,7 @@ def doubtful(server: httpx.Client, settings: Settings, report: dict[str, Any]) -
             JobRow(id=DOUBTFUL, kind="identify", robot_id=robot, request=OPTIONS | {"robot": "other"}, state="running")
         )
         session.flush()
-        jobs.succeed(session, DOUBTFUL, {}, new, None, objections_of(report, limits))
+        jobs.succeed(session, DOUBTFUL, {}, new, None, objections_from_report(report, limits))
     with database.reading() as session:
         made = session.execute(select(VersionRow.id).where(VersionRow.job_id == DOUBTFUL)).scalar_one()
     database.close()

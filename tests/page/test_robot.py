@@ -17,7 +17,7 @@ from axe_playwright_python.sync_playwright import Axe
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
-from kilter_service.page.assets import FOLDER, hashed
+from kilter_service.page.assets import FOLDER, hashed_file_name
 from kilter_service.versions.predictions.places import WORST, spread
 from tests.core.palletiser import palletiser, said
 
@@ -137,7 +137,7 @@ def test_what_people_wrote_is_text(there: Made) -> None:
 
 
 def test_the_bundle_is_small() -> None:
-    assert len(gzip.compress((STATIC / hashed("arm.js")).read_bytes(), 9)) <= 160_000
+    assert len(gzip.compress((STATIC / hashed_file_name("arm.js")).read_bytes(), 9)) <= 160_000
 
 
 def arm_of(page: Page, robot: str, query: str = "") -> None:

@@ -22,7 +22,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
 from kilter_service.run.app import create_app
 from kilter_service.stream.corrector.session import config
-from kilter_service.stream.live.followers import Viewers, viewers_of
+from kilter_service.stream.live.followers import Viewers, get_viewers
 from kilter_service.web.auth.token import admin_token
 from tests.core.truth import Arm, Step
 from tests.corrector.live import Line, point
@@ -56,7 +56,7 @@ class Cell:
 
     @property
     def viewers(self) -> Viewers:
-        return viewers_of(self.app)
+        return get_viewers(self.app)
 
     def events(
         self,

@@ -72,14 +72,14 @@ def test_all_scripts_and_styles_together_are_light(server: httpx.Client) -> None
 
 def test_the_picture_of_very_many_rows_is_light(tmp_path: Path, migrated: Path) -> None:
     """The script that draws, the chain and the rows, as they are sent."""
-    from kilter_service.page.assets import hashed
+    from kilter_service.page.assets import hashed_file_name
 
     rows = 12_000
     with made(tmp_path, migrated, rows) as there:
         address = f"/robots/{there.robot}/places.json?version={there.good}&campaign={there.campaign}"
         found = there.client.get(address).raise_for_status().json()
         measured = Katana().columns(rows, seed=3)
-        parts = [address, f"/robots/{there.robot}/arm.json", f"/assets/{hashed('arm.js')}"]
+        parts = [address, f"/robots/{there.robot}/arm.json", f"/assets/{hashed_file_name('arm.js')}"]
         sizes = [sent(there.client, path) / 1024 for path in parts]
     assert found["total"] == rows
     assert len(found["row"]) >= 7000

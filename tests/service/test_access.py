@@ -14,7 +14,7 @@ from sqlalchemy import text
 
 from kilter_core.twin import thesis_katana
 from kilter_service.ground.db import Database
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import CampaignRow, FleetJobRow, FleetRobotRow, JobRow, TokenRow
 from kilter_service.ground.settings import Settings
 from kilter_service.run import app as application
@@ -296,7 +296,7 @@ def test_a_token_ends_when_it_is_revoked_or_expires(house: House) -> None:
     )
     assert house.ask("GET /v1/whoami", made["token"]).json()["actor"] == "guest"
     with house.database.transaction() as session:
-        session.get_one(TokenRow, made["id"]).expires_at = now() - timedelta(seconds=1)
+        session.get_one(TokenRow, made["id"]).expires_at = utc_now() - timedelta(seconds=1)
     assert refusal(house.ask("GET /v1/whoami", made["token"])) == (401, "token_ended")
     again = house.ask("POST /v1/tokens", "admin", json={"name": "guest", "role": "viewer", "days": None}).json()
     assert again["expires_at"] is None

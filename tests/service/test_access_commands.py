@@ -19,7 +19,7 @@ import pytest
 from kilter_client import Kilter, NotAuthorisedError
 from kilter_client.cli import run
 from kilter_client.errors import ConflictError
-from kilter_client.requests.calls.access import checked
+from kilter_client.requests.calls.access import verify_entries
 from kilter_service.ground.settings import DATABASE_FILE, Settings
 from tests.service.forked import forked_command
 
@@ -101,15 +101,15 @@ def test_what_a_server_sends_is_not_believed(client: httpx.Client) -> None:
     for number in range(3):
         client.patch("/v1/robots/arm", json={"remarks": str(number)}).raise_for_status()
     found = client.get("/v1/audit").json()["entries"]
-    assert checked(found)[0] == 4
+    assert verify_entries(found)[0] == 4
     for wrong in (found[1:], found[:1] + found[2:], [found[0], *found]):
         with pytest.raises(ConflictError):
-            checked(wrong)
+            verify_entries(wrong)
     for field, value in (("actor", "otto"), ("content", "{}"), ("sha256", "0" * 64), ("number", 7)):
         wrong = copy.deepcopy(found)
         wrong[2][field] = value
         with pytest.raises(ConflictError):
-            checked(wrong)
+            verify_entries(wrong)
 
 
 def test_a_database_is_checked_without_a_server(client: httpx.Client, settings: Settings, tmp_path: Path) -> None:

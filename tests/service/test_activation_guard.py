@@ -254,7 +254,7 @@ def test_versions_split_by_rounded_readings_keep_their_split(lab: Lab) -> None:
         archive = guard.Archive(session, store.get(session, version).robot_id)
         rows = archive.rows(campaign)
         assert rows is not None
-        now = np.flatnonzero(archive.fitted(version, campaign))
+        now = np.flatnonzero(archive.mark_fitted_rows(version, campaign))
     np.testing.assert_array_equal(now, split(rows, 0.3, 5)[0])
     with lab.database.engine.begin() as connection:  # as an earlier release stored it
         of_version = VersionRow.id == version
@@ -263,7 +263,7 @@ def test_versions_split_by_rounded_readings_keep_their_split(lab: Lab) -> None:
         connection.execute(update(VersionRow).where(of_version).values(report=report))
     with lab.database.reading() as session:
         archive = guard.Archive(session, store.get(session, version).robot_id)
-        before = np.flatnonzero(archive.fitted(version, campaign))
+        before = np.flatnonzero(archive.mark_fitted_rows(version, campaign))
     groups = rounded_poses(rows.q)
     drawn = np.random.default_rng(5).permutation(groups.max() + 1)[: round(0.3 * (groups.max() + 1))]
     np.testing.assert_array_equal(before, np.flatnonzero(~np.isin(groups, drawn)))

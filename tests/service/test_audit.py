@@ -341,12 +341,12 @@ def test_a_cut_end_is_seen_by_whoever_noted_the_last_entry(database: Database) -
     noted = service.verify(database)
     with database.reading() as session:
         found = list(service.store.everything(session))
-    assert service.verified(found, noted) == noted
-    assert service.verified(found[:3]).number == 3
+    assert service.verify_entries(found, noted) == noted
+    assert service.verify_entries(found[:3]).number == 3
     with pytest.raises(ServiceError, match="does not hold entry 4"):
-        service.verified(found[:3], noted)
+        service.verify_entries(found[:3], noted)
     with pytest.raises(ServiceError, match="does not hold entry 4"):
-        service.verified(found, Head(4, "0" * 64))
+        service.verify_entries(found, Head(4, "0" * 64))
 
 
 @pytest.mark.skipif(programs() is None, reason="PostgreSQL is not installed")

@@ -37,7 +37,7 @@ def test_repeats_noise_and_coverage_are_those_of_the_data(
     client: httpx.Client, database: Database, katana: Katana
 ) -> None:
     rows = measured(katana)
-    found = facts(looking.stored(database, stored(client, katana, rows)))
+    found = facts(looking.load_campaign_rows(database, stored(client, katana, rows)))
     assert (found.rows, found.repeats.poses, found.repeats.visits) == (POSES * VISITS, POSES, POSES * VISITS)
     assert found.repeats.visits_per_pose == (VISITS, VISITS)
     assert found.repeats.between is not None
@@ -58,7 +58,7 @@ def test_rows_that_look_wrong_are_named_and_do_not_count_as_noise(
     rows["x_mm"][16] += 3.0  # row 17: a wrong reading of a repeated pose
     for axis in "xyz":
         rows[f"{axis}_mm"][60] = rows[f"{axis}_mm"][59]  # row 61: the instrument kept its last reading
-    found = facts(looking.stored(database, stored(client, katana, rows)))
+    found = facts(looking.load_campaign_rows(database, stored(client, katana, rows)))
     named = {one.row: one.why for one in found.doubtful.rows}
     assert set(named) == {17, 61}
     assert "from the other rows of its pose" in named[17]
@@ -74,7 +74,7 @@ def test_two_wild_rows_do_not_count_as_noise_where_every_pose_was_visited_twice(
     rows = {name: values[: 2 * POSES] for name, values in measured(katana).items()}
     rows["y_mm"][7] += 4.0
     rows["z_mm"][POSES + 20] -= 2.5
-    found = facts(looking.stored(database, stored(client, katana, rows)))
+    found = facts(looking.load_campaign_rows(database, stored(client, katana, rows)))
     assert found.repeats.between is not None
     assert found.repeats.between * 1e3 == pytest.approx(NOISE_MM, rel=0.25)
     named = {one.row: one.why for one in found.doubtful.rows}
@@ -93,7 +93,7 @@ def test_a_pose_whose_sides_differ_far_more_than_those_of_others_is_named(
         rows[f"dir{joint}"] = side
     rows["x_mm"] = rows["x_mm"] + 0.1 * side
     rows["y_mm"][POSES + 20] += apart_mm
-    found = facts(looking.stored(database, stored(client, katana, rows)))
+    found = facts(looking.load_campaign_rows(database, stored(client, katana, rows)))
     assert {one.row for one in found.doubtful.rows} == ({21, POSES + 21} if apart_mm else set())
     assert found.repeats.between is None
 
@@ -103,6 +103,6 @@ def test_a_row_far_from_the_arm_is_named_without_repeats(
 ) -> None:
     rows = {name: np.array(values) for name, values in katana.columns(60, seed=1).items()}
     rows["z_mm"][30] += 60.0
-    found = facts(looking.stored(database, stored(client, katana, rows)))
+    found = facts(looking.load_campaign_rows(database, stored(client, katana, rows)))
     assert [one.row for one in found.doubtful.rows] == [31]
     assert found.repeats.between is None

@@ -287,7 +287,7 @@ def test_orientations_and_markers_become_core_arrays(client: httpx.Client, datab
 
 def test_poses_of_two_campaigns_keep_apart() -> None:
     part = Observations(q=np.zeros((3, 2)), pose_id=np.array([5, 5, 9]), session=np.array([1, 1, 1]))
-    joined = Observations.concatenate(store.numbered([part, part]))
+    joined = Observations.concatenate(store.renumber_poses_and_sessions([part, part]))
     assert joined.pose_id is not None
     assert joined.pose_id.tolist() == [0, 0, 1, 2, 2, 3]
     assert joined.session is not None
@@ -300,10 +300,10 @@ def test_sessions_of_one_name_are_one_in_all_campaigns() -> None:
         Observations(q=np.zeros((2, 2)), session=np.array(codes))
         for codes in ([afternoon, morning], [morning, morning], [1, 2], [2, 1])
     ]
-    joined = [part.session.tolist() for part in store.numbered(parts) if part.session is not None]
+    joined = [part.session.tolist() for part in store.renumber_poses_and_sessions(parts) if part.session is not None]
     assert joined == [[0, 1], [1, 1], [2, 3], [5, 4]]
     assert morning != afternoon
-    marked = Setups(("base",), {}).marked(
+    marked = Setups(("base",), {}).number_setups(
         [(str(k), replace(p, position=np.zeros((2, 3)))) for k, p in enumerate(parts)]
     )
     assert [set(part.setup.tolist()) for part in marked if part.setup is not None] == [{1, 2}, {2}, {3, 4}, {5, 6}]

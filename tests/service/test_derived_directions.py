@@ -18,7 +18,7 @@ from kilter_service.contract.jobs.job import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.inputs.approaches import with_direction_warning
-from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.registry import get_job_kind
 from kilter_service.robots import store as robots
 
 Floats = NDArray[np.float64]
@@ -80,7 +80,7 @@ class Cell:
         with self.database.transaction() as session:
             made = jobs.add(session, robots.get(session, "arm").id, job)
             loaded = jobs.load(session, made)
-            output = with_direction_warning(kind, kind_of(kind).run(loaded, lambda fraction, stage: None), loaded)
+            output = with_direction_warning(kind, get_job_kind(kind).run(loaded, lambda fraction, stage: None), loaded)
             jobs.succeed(session, made, output.result, output.version)
             result = jobs.get(session, made).result
         assert result is not None

@@ -14,7 +14,7 @@ from kilter_service.ground.db import Database
 from kilter_service.jobs.retention import store as retention
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
-from kilter_service.versions.drift.charts import KeptCharts, charts_of
+from kilter_service.versions.drift.charts import KeptCharts, control_charts
 from kilter_service.versions.drift.records import StoredCheck
 from kilter_service.versions.drift.store import of_all_causes
 from kilter_service.versions.drift.wire import chance_words
@@ -230,14 +230,14 @@ def test_charts_are_kept_until_a_check_comes_or_its_day_is_another() -> None:
         ]
 
     kept, values, days = KeptCharts(2), [0.1, 0.12, 0.11, 0.13, 0.9], [1, 2, 3, 4, 5]
-    first = kept.of(made(values, days))
-    assert kept.of(made(values, days)) is first
-    assert first == charts_of(made(values, days))
-    more = kept.of(made([*values, 0.2], [*days, 6]))
+    first = kept.get_charts(made(values, days))
+    assert kept.get_charts(made(values, days)) is first
+    assert first == control_charts(made(values, days))
+    more = kept.get_charts(made([*values, 0.2], [*days, 6]))
     assert len(more[0].values) == 6
     other = made([0.1, 0.12, 0.9, 0.11, 0.13], [1, 2, 5, 3, 4])
-    assert kept.of(sorted(other, key=lambda one: one.at))[0].values[-1] == 0.9
-    assert kept.of(made(values, days)) is not first  # of three, the oldest went
+    assert kept.get_charts(sorted(other, key=lambda one: one.at))[0].values[-1] == 0.9
+    assert kept.get_charts(made(values, days)) is not first  # of three, the oldest went
 
 
 def test_charts_sum_what_was_stored_to_be_summed_and_mix_it_with_nothing_else() -> None:
@@ -251,8 +251,8 @@ def test_charts_sum_what_was_stored_to_be_summed_and_mix_it_with_nothing_else() 
             for k, one in enumerate(numbers)
         ]  # fmt: skip
 
-    assert charts_of(made([3.0, 4.0, 5.0]))[0].values == [3.0, 4.0, 5.0]
-    assert charts_of(made([None, 4.0, 5.0]))[0].values == pytest.approx(
+    assert control_charts(made([3.0, 4.0, 5.0]))[0].values == [3.0, 4.0, 5.0]
+    assert control_charts(made([None, 4.0, 5.0]))[0].values == pytest.approx(
         [0.0, 0.1, 0.2]
     )  # the first of an earlier release
 
@@ -272,13 +272,13 @@ def test_one_check_that_shows_less_or_states_no_temperature_ends_no_chart() -> N
             out.append(StoredCheck(f"job_{day}", "cmp", at, result))
         return out
 
-    (season,) = charts_of(made([0.0] * 120))
+    (season,) = control_charts(made([0.0] * 120))
     assert not season.alarms
-    (one_missing,) = charts_of(made([*[0.0] * 60, None, *[0.0] * 59]))
+    (one_missing,) = control_charts(made([*[0.0] * 60, None, *[0.0] * 59]))
     assert not one_missing.alarms
     assert one_missing.up[60] is None
-    assert charts_of(made([None] * 120))[0].alarms
-    (one_shows_less,) = charts_of(made([0.0] * 120, without=70))
+    assert control_charts(made([None] * 120))[0].alarms
+    (one_shows_less,) = control_charts(made([0.0] * 120, without=70))
     assert (one_shows_less.values[70], one_shows_less.up[70]) == (None, None)
     assert one_shows_less.up[71] is not None
     assert max(one for one in one_shows_less.up if one is not None) < one_shows_less.limit

@@ -11,7 +11,7 @@ from alembic import command
 from prometheus_client.parser import text_string_to_metric_families
 
 from kilter_service.ground.db import Database, revision
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import FleetJobRow, FleetRobotRow, HeartbeatRow, JobRow, RobotRow
 from kilter_service.ground.ended_jobs.store import AT_MOST_MS
 from kilter_service.ground.settings import Settings
@@ -34,7 +34,7 @@ def robot_id(client: httpx.Client, database: Database, katana: Katana) -> int:
 
 def began(database: Database, name: str, robot_id: int, ran: timedelta | None = timedelta(0)) -> str:
     """A job that has run for some time; None: it waits."""
-    at = now() - (ran or timedelta(0))
+    at = utc_now() - (ran or timedelta(0))
     row = JobRow(
         id=f"job_{name}", kind="plan", robot_id=robot_id, request={}, state="queued" if ran is None else "running",
         created_at=at, started_at=None if ran is None else at, worker="w", attempts=1,
@@ -79,7 +79,7 @@ def test_the_counter_does_not_fall_when_jobs_are_purged_or_the_server_starts_aga
     assert before["kilter_job_duration_seconds_count", "cancelled", ""] == 1  # the other never ran
     with database.transaction() as session:
         for row in session.query(JobRow):
-            row.finished_at = now() - LONG_AGO
+            row.finished_at = utc_now() - LONG_AGO
     assert retention.purge(database, timedelta(days=30), "test") == 5
     assert given(settings) == before
 
@@ -94,7 +94,7 @@ def test_durations_fall_into_the_bins_that_they_belong_to(
             started = session.get_one(JobRow, job).started_at
             assert started is not None
             end = started + timedelta(seconds=seconds)  # by the clock, however busy the machine is
-            monkeypatch.setattr(store, "now", lambda end=end: end)
+            monkeypatch.setattr(store, "utc_now", lambda end=end: end)
             store.fail(session, job, "internal_error", "it failed")
     found = given(settings)
     edges_s = [edge * 1e-3 for edge in AT_MOST_MS]
@@ -118,7 +118,7 @@ def test_several_that_end_in_one_transaction_are_all_counted(
     fleet_job = FleetJobRow(id="flt_1", request={})
     with database.transaction() as session:
         session.add(fleet_job)
-        session.add(HeartbeatRow(process=lease.WORKER, name="w", pid=1, at=now()))
+        session.add(HeartbeatRow(process=lease.WORKER, name="w", pid=1, at=utc_now()))
     job = began(database, "of_fleet", robot_id)
     with database.transaction() as session:
         session.add(FleetRobotRow(fleet_id="flt_1", robot_id=robot_id, job_id=job))
@@ -130,7 +130,7 @@ def test_several_that_end_in_one_transaction_are_all_counted(
 def test_an_update_counts_the_jobs_that_are_there(database: Database, settings: Settings, robot_id: int) -> None:
     for number, (state, seconds) in enumerate((("succeeded", 2.0), ("succeeded", 8000.0), ("cancelled", None))):
         job = began(database, str(number), robot_id)
-        at = now()
+        at = utc_now()
         with database.transaction() as session:
             row = session.get_one(JobRow, job)
             row.state, row.finished_at = state, at

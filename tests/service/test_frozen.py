@@ -14,7 +14,7 @@ import httpx
 import pytest
 
 from kilter_client.stream import CorrectedStream
-from kilter_service.ground.processes.child import running, stopped
+from kilter_service.ground.processes.child import is_process_stopped, running
 from kilter_service.ground.settings import Settings
 from kilter_service.run.backup.service import verify_stored
 from kilter_service.run.supervisor import Program
@@ -154,7 +154,7 @@ def test_a_process_whose_first_thread_has_ended_is_not_stopped() -> None:
             time.sleep(0.02)
         assert process.poll() is None
         assert not running(process.pid)
-        assert not stopped(process.pid)
+        assert not is_process_stopped(process.pid)
     finally:
         process.kill()
         process.wait()

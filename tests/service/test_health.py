@@ -17,7 +17,7 @@ import httpx
 import pytest
 
 from kilter_service.ground.db import Database, revision
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import HeartbeatRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.processes.child import running
@@ -39,7 +39,9 @@ def test_live_says_the_version(client: httpx.Client) -> None:
 
 def beat(database: Database, process: str, name: str = "here", age_s: float = 0.0) -> None:
     with database.transaction() as session:
-        session.merge(HeartbeatRow(process=process, name=name, pid=os.getpid(), at=now() - timedelta(seconds=age_s)))
+        session.merge(
+            HeartbeatRow(process=process, name=name, pid=os.getpid(), at=utc_now() - timedelta(seconds=age_s))
+        )
 
 
 def why(client: httpx.Client) -> str:

@@ -19,7 +19,7 @@ from kilter_service.jobs.kind import JobInput
 from kilter_service.jobs.kinds.identify import run
 from kilter_service.jobs.plotly_figures.arrows import LONGEST, MOST_ARROWS, arrows, magnification
 from kilter_service.jobs.plotly_figures.layout import LONGEST as LONGEST_LABEL
-from kilter_service.jobs.plotly_figures.layout import bar_layout, captioned, distinct_labels, shortened
+from kilter_service.jobs.plotly_figures.layout import add_captions, bar_layout, distinct_labels, shorten_label
 from kilter_service.jobs.plotly_figures.parameters import MOST_PARAMETERS, changes
 from kilter_service.jobs.plotly_figures.worst_rows import WORST
 from tests.core.campaigns import joints, measured
@@ -164,11 +164,11 @@ def test_names_stay_names() -> None:
     """No marks and no mathematics: Plotly would read both, and a title between two dollars is gone."""
     layout = bar_layout("title", "x", ["a"])
     used = ["a < b $x$", "b", "c", "d"]
-    title = captioned({"f": {"data": [], "layout": layout}}, "<b>$y$", used, "ver_1")["f"]["layout"]["title"]["text"]
+    title = add_captions({"f": {"data": [], "layout": layout}}, "<b>$y$", used, "ver_1")["f"]["layout"]["title"]["text"]
     assert "<b>" not in title
     assert "$" not in title
     assert "and 1 more" in title
     assert "ver_1" in title
     long = "x" * 100
-    assert len(shortened(long)) == LONGEST_LABEL
-    assert distinct_labels([long, long, "a"])[1:] == [shortened(long) + " (2)", "a"]
+    assert len(shorten_label(long)) == LONGEST_LABEL
+    assert distinct_labels([long, long, "a"])[1:] == [shorten_label(long) + " (2)", "a"]

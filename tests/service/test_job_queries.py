@@ -10,7 +10,7 @@ import pytest
 from sqlalchemy import event, insert, text
 
 from kilter_service.ground.db import Database, Session
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import JobRow, RobotRow
 from kilter_service.ground.paging import Page
 from kilter_service.jobs import store
@@ -22,7 +22,7 @@ JOBS, ROBOTS, WAITING = 8_000, 40, 3
 @pytest.fixture
 def full(database: Database) -> Database:
     """A database with many jobs, of which few are not over, and whose planner knows it."""
-    begun = now()
+    begun = utc_now()
     robots = [{"id": k, "name": f"r{k}", "document": {}, "left_out": []} for k in range(1, ROBOTS + 1)]
     jobs = [
         {"id": f"job_{k:016x}", "kind": "identify", "robot_id": 1 + k % ROBOTS, "request": {"robot": f"r{k % ROBOTS}"},

@@ -77,12 +77,12 @@ def test_an_idle_queue_and_an_idle_corrector_open_no_session(
     source = DatabaseSource(database.url)
     idle = source.stamp()
     work = Work(database), Work(source._database)
-    assert [queue._next() for _ in range(20)] == [None] * 20
+    assert [queue._claim_next_job() for _ in range(20)] == [None] * 20
     assert {source.stamp() for _ in range(20)} == {idle}
     assert [one.statements for one in work] == [0, 0]
     job = {"kind": "identify", "robot": "katana", "campaigns": [katana.campaign(client, 20)]}
     queued = client.post("/v1/jobs", json=job).raise_for_status().json()["id"]
-    claim = queue._next()
+    claim = queue._claim_next_job()
     assert claim is not None
     assert claim.job_id == queued
     with database.reading() as session:

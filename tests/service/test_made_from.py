@@ -7,7 +7,7 @@ from typing import Any, cast
 
 from sqlalchemy.orm import Session
 
-from kilter_service.versions.store import made_from
+from kilter_service.versions.store import training_campaign_ids
 
 USED = {"cmp_1": "train", "cmp_2": "validation", "cmp_3": "confirmation"}
 
@@ -23,4 +23,4 @@ class Two:
 
 
 def test_campaigns_held_out_are_none_of_those_a_version_was_fitted_to() -> None:
-    assert made_from(cast(Session, Two()), "ver_2") == {"cmp_0", "cmp_1"}
+    assert training_campaign_ids(cast(Session, Two()), "ver_2") == {"cmp_0", "cmp_1"}

@@ -102,7 +102,7 @@ def test_a_stored_campaign_says_what_is_mixed_up_in_it(client: httpx.Client, dat
     for first in range(0, len(arm.rows), 11):
         part = {name: values[first : first + 11] for name, values in rows.items()}
         client.post(f"/v1/campaigns/{target}/observations", json=part).raise_for_status()
-    assert "Joint 2 looks to count the other way round" in facts(looking.stored(database, target)).mixed_up
+    assert "Joint 2 looks to count the other way round" in facts(looking.load_campaign_rows(database, target)).mixed_up
 
 
 def test_a_reading_that_was_not_taken_is_named_with_its_row(client: httpx.Client, arm: Genuine) -> None:

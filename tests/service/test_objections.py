@@ -16,7 +16,7 @@ from kilter_client.cli.reports.results import show_job
 from kilter_core.identify.comparison.model_comparison import PoseErrors
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.db import Database
-from kilter_service.versions.objections import objections_of
+from kilter_service.versions.objections import objections_from_report
 from tests.core.truth import ur10
 from tests.service.test_activation_guard import Lab, codes
 
@@ -44,7 +44,7 @@ def test_another_robot_is_suspected_only_where_next_to_nothing_is_explained(
 ) -> None:
     stages = {"identified": {"mean_mm": left}} | ({} if before is None else {"registration_only": {"mean_mm": before}})
     report = {"metrics": {"train": {"n": 40, **stages}}} | ({} if reach is None else {"workspace": {"reach_mm": reach}})
-    found = [one.message for one in objections_of(report, CorrectionLimits(max_position_mm=5.0))]
+    found = [one.message for one in objections_from_report(report, CorrectionLimits(max_position_mm=5.0))]
     assert len(found) == bool(said)
     assert all(said in message and "too large to correct with" in message for message in found)
     assert all(("another robot" in message) == ("another robot" in said) for message in found)
@@ -72,7 +72,7 @@ def test_what_a_report_advises_is_what_objects(
     }
     report = {"warnings": list(PoseErrors(stages).warnings())}
     advised = {w["code"] for w in report["warnings"] if ADVICE in w["message"]}
-    objections = [one.model_dump() for one in objections_of(report, CorrectionLimits())]
+    objections = [one.model_dump() for one in objections_from_report(report, CorrectionLimits())]
     assert codes(objections) == advised
     assert ("kilter activate ver_1" in printed(report, objections)) == (not advised)
 
@@ -113,6 +113,6 @@ def test_rows_astray_are_not_taken_for_another_robot() -> None:
         "rows": [6],
     }
     report = {"metrics": {"validation": {"n": 10, **stages}}, "warnings": [astray]}
-    (one,) = objections_of(report, CorrectionLimits(max_position_mm=5.0))
+    (one,) = objections_from_report(report, CorrectionLimits(max_position_mm=5.0))
     assert "in row 6 by 2910 mm" in one.message
     assert "another robot" not in one.message

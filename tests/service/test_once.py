@@ -154,14 +154,14 @@ def test_the_client_sends_keys_digests_and_states(
 ) -> None:
     server = serve(create_app(settings))
     seen: list[Request] = []
-    done = Connection._done
+    done = Connection._perform_step
 
     def noted(self: Connection, step: Step) -> Any:
         if isinstance(step, Request):
             seen.append(step)
         return done(self, step)
 
-    monkeypatch.setattr(Connection, "_done", noted)
+    monkeypatch.setattr(Connection, "_perform_step", noted)
     (tmp_path / "rows.csv").write_bytes(CSV)
     with Kilter(str(server.base_url), token=admin_token(settings)) as kilter:
         kilter.robots.add(Katana.document)

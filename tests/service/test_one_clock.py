@@ -21,7 +21,7 @@ from kilter_service.contract.jobs.job import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.inputs.laws_of_time import with_clock_warnings
-from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.registry import get_job_kind
 from kilter_service.robots import store as robots
 
 Floats = NDArray[np.float64]
@@ -107,7 +107,7 @@ class Cell:
         with self.database.transaction() as session:
             made = jobs.add(session, robots.get(session, self.name).id, job)
             loaded = jobs.load(session, made)
-            output = with_clock_warnings(kind_of(kind).run(loaded, lambda fraction, stage: None), loaded)
+            output = with_clock_warnings(get_job_kind(kind).run(loaded, lambda fraction, stage: None), loaded)
             jobs.succeed(session, made, output.result, output.version)
             result = jobs.get(session, made).result
         assert result is not None

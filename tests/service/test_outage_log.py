@@ -115,11 +115,11 @@ def test_what_fails_again_and_again_is_said_once_until_it_worked(
     failing = Failing(logging.getLogger("kilter.test"), "%s cannot be read", "this")
     error = _unreadable(tmp_path)
     for _ in range(3):
-        failing.failed(error)
+        failing.report_failure(error)
     assert [record.getMessage().partition(":")[0] for record in caplog.records] == ["this cannot be read"]
     assert caplog.records[0].exc_info is None
-    failing.worked()
-    failing.failed(error)
+    failing.report_success()
+    failing.report_failure(error)
     assert len(caplog.records) == 2
 
 

@@ -90,7 +90,7 @@ def _determines(plan: dict[str, Any]) -> float:
     from kilter_core.observations import Observations
 
     robot = robot_from_document(preset_document("katana450-chapter5"))
-    model = RobotModel(robot, (make_effect("eccentricity").on(robot),))
+    model = RobotModel(robot, (make_effect("eccentricity").configure_for_robot(robot),))
     q = np.radians([[pose[f"q{j}_deg"] for j in range(1, 6)] for pose in plan["poses"]])
     free = IdentifyOptions().free_parameters(model, observes_orientation=False)
     J = model.jacobian(Observations(q), model.values0(), free)[1][:, :3].reshape(-1, len(free))

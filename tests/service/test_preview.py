@@ -38,7 +38,7 @@ def test_a_version_is_looked_at_without_activating_it(client: httpx.Client, vers
     assert found["corrected"] + sum(found["refused"].values()) == found["poses"] == 500
     assert client.get("/v1/robots/katana").json()["active_version"] is None
     there = Observations(q=np.radians([found["largest_at"]]))
-    error = twin.truth.predict(there).position - twin.truth.wanted().predict(there).position
+    error = twin.truth.predict(there).position - twin.truth.nominal_in_wanted_frames().predict(there).position
     assert found["largest_mm"] == pytest.approx(1e3 * float(np.linalg.norm(error)), rel=0.05)
     assert found["mean_mm"] < found["largest_mm"]
     assert [joint["joint"] for joint in found["joints"]] == [joint.name for joint in twin.robot.joints]

@@ -38,7 +38,7 @@ def refusals(rates: Rates, sender: str, count: int) -> list[int]:
     found = []
     for _ in range(count):
         try:
-            rates.take(sender)
+            rates.count_request(sender)
         except ServiceError as error:
             found.append(error.context["retry_after_s"])
     return found
@@ -70,7 +70,7 @@ def test_senders_that_went_away_are_forgotten() -> None:
     rates = Rates(1.0, lambda: clock[0])
     for number in range(3 * MOST_SENDERS):
         clock[0] += 0.01
-        rates.take(str(number))
+        rates.count_request(str(number))
     assert len(rates._buckets) <= MOST_SENDERS
 
 
@@ -192,12 +192,12 @@ def test_time_in_which_the_server_computes_does_not_count(
     quick: tuple[httpx.Client, dict[str, str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     client, headers = quick
-    found = frames.found
+    found = frames.find_frame
 
     def slowly(frame: NewFrame) -> Frame:
         time.sleep(1.5)
         return found(frame)
 
-    monkeypatch.setattr(frames, "found", slowly)
+    monkeypatch.setattr(frames, "find_frame", slowly)
     points = [{"known_mm": [k, k * k, 0], "measured_mm": [k, k * k, 5]} for k in range(4)]
     assert client.post("/v1/frames", json={"points": points}, headers=headers).status_code == 200

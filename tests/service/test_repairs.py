@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 
 from kilter_service.ground.db import Database
-from kilter_service.page.shared.control_chart import watched as drawn
+from kilter_service.page.shared.control_chart import draw_check_history as drawn
 from kilter_service.versions.drift import service as drift
 from tests.core.watch.drifting import some_arm
 from tests.service.watched_robot import DAY, Watched

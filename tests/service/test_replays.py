@@ -27,7 +27,7 @@ from kilter_service.robots.wire import DOCUMENT
 from kilter_service.run.backup import service as backups
 from kilter_service.stream.corrector.database_source import DatabaseSource
 from kilter_service.versions import activation, store
-from kilter_service.versions.replays.store import BY_UPGRADE
+from kilter_service.versions.answers.store import BY_UPGRADE
 from kilter_service.versions.store import NewVersion
 from tests.corrector.conftest import calibration_of
 

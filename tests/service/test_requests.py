@@ -227,7 +227,7 @@ class Held:
 @pytest.fixture
 def held(monkeypatch: pytest.MonkeyPatch) -> Iterator[Held]:
     held = Held()
-    monkeypatch.setattr(frames, "found", held)
+    monkeypatch.setattr(frames, "find_frame", held)
     yield held
     held.go.set()
 
@@ -292,7 +292,7 @@ def test_nothing_is_parsed_or_computed_on_the_event_loop(
 
     watched = [
         (bodies, "_parsed"), (reading, "column_names"), (campaigns, "upload"), (correction, "correct"),
-        (check, "check"), (circles, "found_robot"), (convert, "convert"), (robots, "add"), (frames, "found"),
+        (check, "check"), (circles, "found_robot"), (convert, "convert"), (robots, "add"), (frames, "find_frame"),
     ]  # fmt: skip
     for module, name in watched:
         watch(module, name)

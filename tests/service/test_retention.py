@@ -10,7 +10,7 @@ import httpx
 import pytest
 
 from kilter_service.ground.db import Database
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import FleetJobRow, FleetRobotRow, JobRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
@@ -26,7 +26,7 @@ OLD, YOUNG = timedelta(days=40), timedelta(days=2)
 def ended(
     database: Database, name: str, age: timedelta, kind: str = "plan", state: str = "succeeded", **result: Any
 ) -> str:
-    at = now() - age
+    at = utc_now() - age
     finished = at if state in ("succeeded", "failed", "cancelled") else None
     row = JobRow(id=f"job_{name}", kind=kind, robot_id=1, request={}, state=state, created_at=at, finished_at=finished,
                  result=result)  # fmt: skip
@@ -49,7 +49,7 @@ def test_old_jobs_go_and_what_is_needed_stays(
     client.post(f"/v1/versions/{second}/activate", json={"force": True, "reason": "test"}).raise_for_status()
     with database.transaction() as session:
         for number in (1, 2):
-            session.get_one(JobRow, f"job_{number:016x}").finished_at = now() - OLD
+            session.get_one(JobRow, f"job_{number:016x}").finished_at = utc_now() - OLD
     kept = {f"job_{number:016x}" for number in (1, 2)}
     kept |= {
         ended(database, "young", YOUNG),
@@ -85,19 +85,19 @@ def test_a_worker_purges_where_a_setting_says_so(client: httpx.Client, database:
     for number in range(service.AT_ONCE + 1):
         ended(database, f"old_{number}", OLD)
     clock = [0.0]
-    service.Retention(database, 0, lambda: clock[0]).look()
+    service.Retention(database, 0, lambda: clock[0]).purge_if_due()
     assert len(left(database)) == service.AT_ONCE + 1
     retention = service.Retention(database, 30, lambda: clock[0])
     counts = []
     for _ in range(3):
-        retention.look()
+        retention.purge_if_due()
         counts.append(len(left(database)))
     assert counts == [1, 0, 0]
     ended(database, "later", OLD)
-    retention.look()
+    retention.purge_if_due()
     assert left(database) == {"job_later"}
     clock[0] += service.EVERY_S
-    retention.look()
+    retention.purge_if_due()
     assert left(database) == set()
     entries = json.dumps(client.get("/v1/audit").json()["entries"])
     assert "kilterd worker" in entries
@@ -106,4 +106,4 @@ def test_a_worker_purges_where_a_setting_says_so(client: httpx.Client, database:
 @pytest.mark.parametrize("text", ["30", "0d", "d", "-1d", "1.5d", "30 days"])
 def test_an_age_has_its_unit(text: str) -> None:
     with pytest.raises(ServiceError, match="give an age such as 12h, 30d or 8w"):
-        service.age_in(text)
+        service.parse_age(text)

@@ -15,7 +15,7 @@ import pytest
 from kilter_service.ground.caller import on_behalf
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.db.initial_seals import anew
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.seals import MODULUS, Sealer
 from kilter_service.ground.db.tables import RobotRow, TokenRow
 from kilter_service.ground.errors import ServiceError
@@ -59,7 +59,7 @@ def changing(settings: Settings) -> Iterator[Any]:
 def revoke(settings: Settings) -> None:
     with changing(settings) as session:
         token = session.get_one(TokenRow, "tok_1")
-        token.revoked_at, token.revoked_by = now(), "admin"
+        token.revoked_at, token.revoked_by = utc_now(), "admin"
 
 
 def remember(settings: Settings) -> dict[str, list[tuple[Any, ...]]]:

@@ -14,7 +14,7 @@ from kilter_core.arm.presets import preset_document
 from kilter_service.contract.jobs.job import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
-from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.registry import get_job_kind
 from kilter_service.jobs.work.set_up_changes import with_set_up_warning
 from kilter_service.robots import store as robots
 from tests.core.truth import ur10, with_hidden_errors
@@ -50,7 +50,9 @@ def identify(database: Database, campaigns: list[str], **options: Any) -> dict[s
     with database.transaction() as session:
         made = jobs.add(session, robots.get(session, "arm").id, TypeAdapter[Any](NewJob).validate_python(body))
         loaded = jobs.load(session, made)
-        output = with_set_up_warning("identify", kind_of("identify").run(loaded, lambda fraction, stage: None), loaded)
+        output = with_set_up_warning(
+            "identify", get_job_kind("identify").run(loaded, lambda fraction, stage: None), loaded
+        )
     return output.result
 
 

@@ -17,7 +17,7 @@ import pytest
 from kilter_client.signing import from_document, on_this_machine
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
-from kilter_service.stream.signing.masters import changed, masters_in
+from kilter_service.stream.signing.masters import load_masters, update_masters_file
 from tests.corrector import sealer
 
 PRESET = {"name": "arm", "convention": "preset", "preset": "katana450-chapter4"}
@@ -53,32 +53,32 @@ def test_a_rotation_keeps_the_secret_before_it_for_the_overlap(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], kilterd: Callable[[list[str]], None]
 ) -> None:
     file = tmp_path / "stream-keys.json"
-    before = masters_in(file)
+    before = load_masters(file)
     old = on_this_machine(file, "local", "arm", "main")
     kilterd(["stream-keys", "--data", str(tmp_path), "--rotate", "--overlap-h", "1"])
     assert "valid for 1.0 h" in capsys.readouterr().out
-    after = masters_in(file)
+    after = load_masters(file)
     assert after.all[0].secret == before.all[0].secret
     new = on_this_machine(file, "local", "arm", "main")
     assert old is not None
     assert new is not None
     for session in (old, new):
-        assert after.key_of(session.id, "local", "arm", "main") == session.key
+        assert after.session_key(session.id, "local", "arm", "main") == session.key
     kilterd(["stream-keys", "--data", str(tmp_path), "--rotate", "--overlap-h", "0"])
-    ended = masters_in(file)
-    assert ended.key_of(new.id, "local", "arm", "main") is None
+    ended = load_masters(file)
+    assert ended.session_key(new.id, "local", "arm", "main") is None
 
 
 def test_a_secret_that_others_can_read_or_that_is_damaged_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "stream-keys.json"
-    masters_in(file)
+    load_masters(file)
     file.chmod(0o644)
     with pytest.raises(ServiceError, match="chmod 600"):
-        masters_in(file)
+        load_masters(file)
     file.chmod(0o600)
     file.write_text('{"keys": []}')
     with pytest.raises(ServiceError, match="damaged"):
-        masters_in(file)
+        load_masters(file)
 
 
 def test_the_secrets_that_the_how_to_saves_come_back(tmp_path: Path) -> None:
@@ -89,7 +89,7 @@ def test_the_secrets_that_the_how_to_saves_come_back(tmp_path: Path) -> None:
     places = {"~/.kilter": "data", "/backups": "backups", "/etc/kilter": "etc", "~/restored": "restored"}
     for name in ("data", "backups", "etc/zenoh/authority", "restored"):
         (tmp_path / name).mkdir(parents=True)
-    masters = masters_in(tmp_path / "data" / "stream-keys.json")
+    masters = load_masters(tmp_path / "data" / "stream-keys.json")
     (tmp_path / "data" / "token").write_text("secret")
     (tmp_path / "etc" / "zenoh" / "authority" / "key.pem").write_text("key")
 
@@ -105,7 +105,7 @@ def test_the_secrets_that_the_how_to_saves_come_back(tmp_path: Path) -> None:
     run(lines[3:])
     saved = tmp_path / "backups" / "secrets.tar"
     assert stat.S_IMODE(saved.stat().st_mode) == 0o600
-    assert masters_in(tmp_path / "restored" / "stream-keys.json", make=False) == masters
+    assert load_masters(tmp_path / "restored" / "stream-keys.json", make=False) == masters
     assert (tmp_path / "restored" / "token").read_text() == "secret"
     assert (tmp_path / "etc" / "zenoh" / "authority" / "key.pem").read_text() == "key"
 
@@ -140,14 +140,14 @@ def test_a_session_ends_with_its_token(client: httpx.Client, settings: Settings)
     assert from_document(longest).expires_s <= datetime.fromisoformat(expires).timestamp()
     more, other = opened(client, ends).json(), opened(client, stays, stream="other").json()
     client.delete(f"/v1/tokens/{ends_id}").raise_for_status()
-    known = masters_in(settings.stream_keys_file)
+    known = load_masters(settings.stream_keys_file)
     for document, held in ((longest, False), (more, False), (other, True)):
         session = from_document(document)
-        assert (known.key_of(session.id, "local", "arm", document["stream"]) is not None) == held
+        assert (known.session_key(session.id, "local", "arm", document["stream"]) is not None) == held
     assert opened(client, ends).json()["code"] == "token_ended"
     # The secret is rotated: what was revoked stays so.
-    changed(settings.stream_keys_file, lambda now: now.rotated(3600.0))
-    assert masters_in(settings.stream_keys_file).revoked == known.revoked
+    update_masters_file(settings.stream_keys_file, lambda now: now.with_rotated_secret(3600.0))
+    assert load_masters(settings.stream_keys_file).revoked == known.revoked
 
 
 def test_secrets_that_cannot_be_written_are_said_with_the_remedy(client: httpx.Client, settings: Settings) -> None:
@@ -164,7 +164,7 @@ def test_secrets_that_cannot_be_written_are_said_with_the_remedy(client: httpx.C
     assert opened(client, token).json()["code"] == "token_ended"
     lock.rmdir()
     client.delete(f"/v1/tokens/{token_id}").raise_for_status()  # sent again, it is done
-    assert bytes.fromhex(session) in masters_in(file).revoked
+    assert bytes.fromhex(session) in load_masters(file).revoked
 
 
 def test_a_stream_of_somebody_else_is_taken_over_only_when_that_is_asked_for(
@@ -182,9 +182,9 @@ def test_a_stream_of_somebody_else_is_taken_over_only_when_that_is_asked_for(
     assert opened(client, right, stream="second").status_code == 201  # as the sentence says
     before = len(client.get("/v1/audit").json()["entries"])
     taken = opened(client, right, take_over=True).raise_for_status().json()
-    known = masters_in(settings.stream_keys_file)
-    assert known.key_of(bytes.fromhex(first["session"]), "local", "arm", "main") is None
-    assert known.key_of(bytes.fromhex(taken["session"]), "local", "arm", "main") is not None
+    known = load_masters(settings.stream_keys_file)
+    assert known.session_key(bytes.fromhex(first["session"]), "local", "arm", "main") is None
+    assert known.session_key(bytes.fromhex(taken["session"]), "local", "arm", "main") is not None
     entries = client.get("/v1/audit").json()["entries"]
     assert len(entries) == before + 1
     assert (entries[-1]["actor"], "left-cell" in json.dumps(entries[-1]["changes"])) == ("right-cell", True)

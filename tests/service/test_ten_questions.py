@@ -19,7 +19,7 @@ from kilter_client.cli.correction.correct import _show_status
 from kilter_client.cli.reports.activation_report import show_activations
 from kilter_client.cli.reports.results import show_job, show_version
 from kilter_client.cli.suspicious import show_suspicious
-from kilter_service.page.words import beside, mm
+from kilter_service.page.words import format_in_largest_unit, mm
 from tests.core.truth import ur10, with_hidden_errors
 from tests.service.conftest import WorkerProcess
 from tests.service.test_suspicious import rows_of
@@ -205,13 +205,17 @@ def did_it_help(asked: Asked, kilter: Kilter, read: Callable[[], Any]) -> None:
     errors = [asked.get(f"/v1{asked.version(job)}")["metrics"]["validation"] for job in jobs]
     worst = max(held["identified"]["mean_mm"] for held in errors)  # the list is written in the unit of its largest
     for job, held in zip(jobs, errors, strict=True):
-        after = beside(held["identified"]["mean_mm"], held["identified"]["max_mm"])  # a card has one unit
+        after = format_in_largest_unit(
+            held["identified"]["mean_mm"], held["identified"]["max_mm"]
+        )  # a card has one unit
         assert large(asked.text(asked.version(job))) == [after]
-        number, unit = beside(held["identified"]["mean_mm"], worst).split()
+        number, unit = format_in_largest_unit(held["identified"]["mean_mm"], worst).split()
         assert f" {number} " in history
         assert f", {unit} " in history
         said = asked.words(f"{asked.version(job)}/report")
-        told = beside(held["identified"]["mean_mm"], held["registration_only"]["mean_mm"])  # a sentence has one unit
+        told = format_in_largest_unit(
+            held["identified"]["mean_mm"], held["registration_only"]["mean_mm"]
+        )  # a sentence has one unit
         assert f"The mean error of the tool is {told} on poses that were held out" in said
         left = "no row left out" if held["left_out"] == 0 else f"{held['left_out']} row"
         for page in (asked.version(job), f"{asked.version(job)}/report", f"/jobs/{job['id']}"):

@@ -17,7 +17,7 @@ from sqlalchemy import select
 from kilter_client import Kilter
 from kilter_client.cli.reports.activation_report import show_today
 from kilter_service.ground.db import Database
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow
 from tests.service.conftest import Katana, WorkerProcess
 
@@ -61,7 +61,7 @@ def searched(database: Database, effects: list[dict[str, Any]], later: int = 60)
         for number in range(later + 1):
             kind, state = ("plan", "cancelled") if number else ("gap", "succeeded")
             request = {"kind": kind, "robot": "katana", "campaigns": [], "validation": None, "options": {}}
-            at = now() + timedelta(seconds=number)
+            at = utc_now() + timedelta(seconds=number)
             session.add(
                 JobRow(
                     id=f"job_{number:016x}", kind=kind, robot_id=robot, request=request, state=state, created_at=at,
@@ -193,7 +193,7 @@ def test_today_says_when_rows_were_measured_and_where_only_their_upload_is_known
     assert (newest["stated"], newest["age_days"]) == (False, 0)
     assert "(when it was measured is not stated)" in newest["when"]
 
-    at = now() - timedelta(days=22, hours=1)
+    at = utc_now() - timedelta(days=22, hours=1)
     later = "2031-11-02T00:00:00+00:00"
     refused = client.post("/v1/robots/katana/campaigns", json={"name": "tomorrow", "measured_at": later})
     assert refused.status_code == 422

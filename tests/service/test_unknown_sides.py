@@ -55,8 +55,8 @@ def test_what_the_side_may_cost_is_left_until_the_joint_has_moved(moving: tuple[
     assert worst[0] > 2e-4
     settled = known[:, 1] & known[:, 2]
     assert settled.any() == (moving == (1, 2))
-    assert np.all(found.left >= worst - 2e-6)
-    assert np.all(found.left[~settled] < 2.0 * worst[~settled])
+    assert np.all(found.remaining_errors >= worst - 2e-6)
+    assert np.all(found.remaining_errors[~settled] < 2.0 * worst[~settled])
     assert all(word == outcome.LIMITED for word, good in zip(found.words, settled, strict=True) if not good)
     assert found.words[-1] == (outcome.OK if moving == (1, 2) else outcome.LIMITED)
     (said,) = [line for line in outcome.summary(found) if "From which side" in line]

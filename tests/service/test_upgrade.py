@@ -19,7 +19,7 @@ from kilter_core.correct.program import Track
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import DATABASE_FILE, Settings
-from kilter_service.robots.resolved import sha256_of
+from kilter_service.robots.resolved import hash_canonical_json
 from kilter_service.run.backup import upgrade
 from kilter_service.run.backup.service import verify
 from kilter_service.stream.corrector.database_source import DatabaseSource
@@ -44,7 +44,7 @@ def old(tmp_path: Path) -> tuple[Settings, bytes]:
     with closing(sqlite3.connect(settings.data / DATABASE_FILE)) as file:
         calibration, limits = file.execute("SELECT calibration, limits FROM versions").fetchone()
         # The hash of the first releases does not cover the robot.
-        first = sha256_of({"calibration": json.loads(calibration), "limits": json.loads(limits)})
+        first = hash_canonical_json({"calibration": json.loads(calibration), "limits": json.loads(limits)})
         file.execute("UPDATE versions SET sha256 = ?", (first,))
         file.commit()
     return settings, corrected
@@ -136,9 +136,9 @@ def test_the_log_names_the_copy_and_nothing_is_migrated_without_room_for_it(
 
 
 def test_the_plan_of_an_empty_folder_is_every_revision_and_makes_nothing(tmp_path: Path) -> None:
-    plan = upgrade.planned(Settings(data=tmp_path, database_url=None))
+    plan = upgrade.plan_upgrade(Settings(data=tmp_path, database_url=None))
     assert (plan.found, plan.steps[0].revision, plan.steps[-1].revision) == (None, FIRST, revision.HEAD)
-    assert len(plan.steps) == len(revision.known())
+    assert len(plan.steps) == len(revision.known_revisions())
     assert list(tmp_path.iterdir()) == []
 
 
@@ -149,6 +149,6 @@ def test_a_newer_database_is_refused_in_one_sentence(old: tuple[Settings, bytes]
         file.commit()
     database = Database(settings.database)
     database.close()
-    for refused in (upgrade.planned, upgrade.upgrade):
+    for refused in (upgrade.plan_upgrade, upgrade.upgrade):
         with pytest.raises(ServiceError, match="of a newer Kilter: it has revision 9999"):
             refused(settings)

@@ -209,7 +209,8 @@ def test_correction_over_http_is_that_of_stream_and_query(client: httpx.Client, 
     assert np.abs(np.array(out["q2_deg"]) - columns["q2_deg"]).max() > 1e-3
     # What is left is by the version itself, whose backlash jumps: a row that is on its way from one side to the other says so.
     real, wanted = (
-        one.predict(Observations(at)).position for one, at in ((twin.truth, joints(out)), (twin.truth.wanted(), q))
+        one.predict(Observations(at)).position
+        for one, at in ((twin.truth, joints(out)), (twin.truth.nominal_in_wanted_frames(), q))
     )
     off_mm = np.linalg.norm(real - wanted, axis=1) * 1e3
     np.testing.assert_allclose(out["left_mm"], off_mm, rtol=1e-6, atol=3e-4)
@@ -318,7 +319,9 @@ def test_rows_held_at_a_limit_keep_their_numbers_and_say_what_is_left(
         assert out["left_mm"][0] == pytest.approx(np.linalg.norm(along), rel=1e-9)
         assert out["left_mm"][0] > 0.5
         real = twin.truth.predict(Observations(joints(out))).position
-        off = np.linalg.norm(real - twin.truth.wanted().predict(Observations(joints(columns))).position)
+        off = np.linalg.norm(
+            real - twin.truth.nominal_in_wanted_frames().predict(Observations(joints(columns))).position
+        )
         assert out["left_mm"][0] == pytest.approx(1e3 * off, rel=1e-6)
 
 
@@ -340,7 +343,11 @@ def test_every_corrected_row_says_how_far_the_tool_may_be_off(
         k for k in range(30) if out["left_mm"][k] is not None and out["left_mm"][k] < 1e-3
     ]  # backlash is on its way else
     assert len(good) > 15
-    p = twin.truth.wanted().predict(Observations(joints(columns)[good])).position * 1e3 - [55.0, 55.0, 201.5]
+    p = twin.truth.nominal_in_wanted_frames().predict(Observations(joints(columns)[good])).position * 1e3 - [
+        55.0,
+        55.0,
+        201.5,
+    ]
     expected = 1.96 * np.sqrt(
         np.stack([0.1**2 + (1e-3 * p[:, 1]) ** 2, (1e-3 * p[:, 0]) ** 2, np.zeros(len(p))], axis=1) + 0.03**2
     )

@@ -78,7 +78,7 @@ def serving(peer: Peer) -> Iterator[Peer]:
 
 def told(webhook: Webhook, *deliveries: str) -> dict[str, int]:
     for delivery in deliveries:
-        webhook.tell(delivery, {"verdict": "moved"})
+        webhook.enqueue_message(delivery, {"verdict": "moved"})
     wait_for(lambda: sum(webhook.counts.values()) == len(deliveries), 30)
     return webhook.counts
 
@@ -114,7 +114,7 @@ def test_whoever_does_not_answer_holds_nobody_up() -> None:
         assert told(webhook, "job_1") == {"sent": 0, "failed": 1}
     gone = Webhook(peer.url, SECRET, 0.2, ())  # nobody listens there now
     for number in range(150):  # more than wait at once: told at once, never in the way
-        gone.tell(f"job_{number}", {"verdict": "moved"})
+        gone.enqueue_message(f"job_{number}", {"verdict": "moved"})
     wait_for(lambda: gone.counts["failed"] == 150, 60)
 
 
@@ -166,9 +166,9 @@ def test_nothing_is_posted_without_a_good_secret(tmp_path: Path) -> None:
             file.write_bytes(content)
             file.chmod(mode)
         with pytest.raises(ServiceError, match=said) as refused:
-            Webhook.of(settings)
+            Webhook.from_settings(settings)
         assert refused.value.code == "webhook_secret_unusable"
-    assert Webhook.of(Settings(data=tmp_path)) is None
+    assert Webhook.from_settings(Settings(data=tmp_path)) is None
 
 
 def posts_counted(client: httpx.Client) -> dict[str, float]:
@@ -260,13 +260,13 @@ def test_what_creeps_is_posted_once_when_it_begins_and_once_when_it_ends(
         client.post("/v1/robots/arm/repairs", json={"what": "mastered anew"}).raise_for_status()
         webhook = Webhook(peer.url, SECRET, 5.0, ())
         first, second = (CreepingPosts(database, webhook, clock=lambda: 1e9) for _ in range(2))
-        first.look()
-        second.look()
+        first.post_changes_if_due()
+        second.post_changes_if_due()
         until(lambda: len(told()) == 2)
         ended = told()[1]
         assert (ended["event"], ended["job_id"], ended["state"]) == ("creeping_ended", said["job_id"], "never")
         assert ended["sentence"].startswith("Not checked since the repair of ")
         assert (ended["since"], ended["causes"], ended["remedy"]) == (None, [], "")
-        first.checked("arm")
+        first.post_changes_after_check("arm")
         webhook.settle(5.0)
         assert len(told()) == 2

@@ -17,7 +17,7 @@ import pytest
 from sqlalchemy import func, select
 
 from kilter_service.ground.db import Database, revision
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import HeartbeatRow, JobRow, VersionRow
 from kilter_service.ground.settings import Settings
 from kilter_service.jobs.lease import store as lease
@@ -240,9 +240,9 @@ def test_a_claim_whose_answer_was_lost_is_found_again(client: httpx.Client, data
 
 def test_silence_is_measured_by_the_own_clock() -> None:
     """Clocks of other machines may be wrong: what counts is that a heartbeat does not change."""
-    time_s, ahead = 0.0, now() + timedelta(days=1)
+    time_s, ahead = 0.0, utc_now() + timedelta(days=1)
     watch = Watch(15.0, clock=lambda: time_s)
-    beats = {"ahead": ahead, "behind": now() - timedelta(days=1)}
+    beats = {"ahead": ahead, "behind": utc_now() - timedelta(days=1)}
     assert watch.silent(beats) == {}
     time_s = 14.0
     beats["behind"] += timedelta(seconds=1)

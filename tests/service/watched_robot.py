@@ -14,7 +14,7 @@ from kilter_service.contract.jobs.job import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.registry import get_job_kind
 from kilter_service.jobs.work.runner import Runner
 from kilter_service.robots import store as robots
 from tests.core.watch.drifting import DriftingArm, some_poses
@@ -101,7 +101,7 @@ class Watched:
         job = TypeAdapter[Any](NewJob).validate_python(asked)
         with database.transaction() as session:
             made = jobs.add(session, robots.get(session, self.name).id, job)
-            output = kind_of(kind).run(jobs.load(session, made), lambda fraction, stage: None)
+            output = get_job_kind(kind).run(jobs.load(session, made), lambda fraction, stage: None)
             jobs.succeed(session, made, output.result, output.version)
             result = jobs.get(session, made).result
         assert result is not None

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kilter_core.identify.rows.influence import influence_of
+from kilter_core.identify.rows.influence import parameter_influence
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from tools.thesis import arms, combining
@@ -49,7 +49,7 @@ def test_influence_of_an_independent_arm_is_that_of_the_identification() -> None
     outside = done.influence(q)
     ours = {"theta_offset_" + name[1:]: name for name in outside if name[0] == "q"}
     names = [*ours, *(name for name in outside if name[0] != "q")]
-    inside = influence_of(Calibration.nominal(robot), Observations(q), names)
+    inside = parameter_influence(Calibration.nominal(robot), Observations(q), names)
     for column, name in enumerate(names):
         np.testing.assert_allclose(inside.moved[:, column] * 1e3, outside[ours.get(name, name)], atol=1e-9)
 

@@ -30,8 +30,8 @@ PARAMETERS: Mapping[str, str] = {
 EXCEPTIONS: Mapping[tuple[str, str], str] = {
     **{(function, "c"): "double" for function in ("rotated_z", "sine_cosine_near")},
     **{(function, "d"): "double" for function in ("shifted_z", "sine_cosine_near")},
-    **{(function, "a"): "double" for function in ("_bounded", "_softened")},
-    **{(function, "x"): "const row" for function in ("_refused", "_motion", "correct_setpoint", "correct_row")},
+    **{(function, "a"): "double" for function in ("_soft_saturation", "_is_sign_softened")},
+    **{(function, "x"): "const row" for function in ("_setpoint_status", "_motion", "correct_setpoint", "correct_row")},
     ("_soft_sign", "width"): "double",
     ("_rate_limited", "last"): "double",
 }

@@ -11,7 +11,7 @@ from typing import Any
 
 from kilter_core.effects import EFFECTS
 from kilter_files.formats.registry import list_formats
-from kilter_service.contract.words import allowed
+from kilter_service.contract.words import describe_schema
 from kilter_service.jobs.registry import KINDS
 from tools.contract.commands import table_of_command, table_of_server
 
@@ -62,7 +62,7 @@ def _may_be(schema: dict[str, Any]) -> str:
     if "AskedEffect" in text or "EffectDocument" in text or "clearance_tilt" in text:
         return "a list of [effects](effects.md)"
     named = re.search(r"#/\$defs/(\w+)", text)
-    return _cell(allowed(schema) or (f"`{named[1]}`" if named else ""))
+    return _cell(describe_schema(schema) or (f"`{named[1]}`" if named else ""))
 
 
 def _default(schema: dict[str, Any]) -> str:

@@ -14,9 +14,9 @@ from kilter_core.arm.robot import Robot
 from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import make_effect
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.estimate import prepared
+from kilter_core.identify.estimate import prepare_problem
 from kilter_core.identify.methods.per_pose import pose_solutions
-from kilter_core.identify.rows.influence import relative_influence, step_of
+from kilter_core.identify.rows.influence import imposed_step, relative_influence
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
@@ -95,9 +95,9 @@ def methods(seed: int, calibrate: Floats, unseen: Floats) -> dict[str, tuple[flo
 def one_round(nominal: Calibration, rows: Observations, weighted: bool) -> Calibration:
     """Every pose solved once from the drawing (eq. 3.6, or 3.7 and 3.8), and the mean taken, no pose asked again."""
     options = replace(FIXED, free=CHAPTER_3, noise_mm=RESOLUTION_MM)
-    problem, values = prepared(nominal, Measurement.of(rows), options)
-    J, r = problem.by_row(problem.linearised(values))
-    steps = np.array([step_of(problem.model.parameters[k]) for k in problem.free]) / problem.prior_sigma
+    problem, values = prepare_problem(nominal, Measurement.from_observations(rows), options)
+    J, r = problem.by_row(problem.linearise(values))
+    steps = np.array([imposed_step(problem.model.parameters[k]) for k in problem.free]) / problem.prior_sigma
     k = relative_influence(np.linalg.norm(J[:, :3], axis=1) * steps) if weighted else np.ones((len(J), J.shape[2]))
     values[problem.free] += pose_solutions(J, r, k, 0.5, 1.0).mean(axis=0) * problem.prior_sigma
     return Calibration(problem.model, values)

@@ -67,7 +67,7 @@ def prepare(
     """
     path, other = Path(path), None if joined is None else Path(joined)
     if column_map is None:
-        preset = preset or (_preset_of(device, path, joined=other is not None) if device else None)
+        preset = preset or (_preset_for_device(device, path, joined=other is not None) if device else None)
     said = euler or (hints is not None and (hints.topic or hints.order))
     if (said and preset is None) or (column_map is not None and (preset or said)):
         raise UsageError(
@@ -87,15 +87,15 @@ def prepare(
     elif preset is not None:
         table = points.read_points(path, preset, euler, other, hints)
     else:
-        table = _mapped(path, None if column_map is None else Path(column_map), other)
+        table = _read_with_map(path, None if column_map is None else Path(column_map), other)
     return Prepared.from_table(table)
 
 
-def _preset_of(device: str, path: Path, joined: bool) -> str | None:
+def _preset_for_device(device: str, path: Path, joined: bool) -> str | None:
     """Return the preset that a device names, where its file is an export of points and not contract columns already."""
     if device not in tracker_header.PRESETS or path.suffix.lower() in (".json", ".parquet"):
         return None
-    return device if joined or not registry.recognised(path, "contract-columns") else None
+    return device if joined or not registry.has_format(path, "contract-columns") else None
 
 
 def inspect(path: Path | str, **said: Any) -> dict[str, Any]:
@@ -131,11 +131,11 @@ def read_joints(path: Path, column_map: Path | None = None, hints: LogHints | No
     """
     if column_map is None:
         return joint_log.read_joint_log(path, hints or reader.LogHints())
-    table = _mapped(path, column_map, None)
+    table = _read_with_map(path, column_map, None)
     return joint_logs.checked_log(path, {name: np.array(values) for name, values in table.columns.items()}, table.lines)
 
 
-def _mapped(path: Path, column_map: Path | None, joined: Path | None) -> Table:
+def _read_with_map(path: Path, column_map: Path | None, joined: Path | None) -> Table:
     """Read a file and those of the map's [join] tables into contract columns; without a map it has these already."""
     if column_map is None:
         first = opening.open_source(path, None, source.Layout())
@@ -145,7 +145,7 @@ def _mapped(path: Path, column_map: Path | None, joined: Path | None) -> Table:
         first = opening.open_source(path, chosen.form, chosen.layout)
     places = joins.further_files(path, chosen.joins, chosen.path, joined)
     others = [opening.open_source(place, one.form, one.layout) for place, one in zip(places, chosen.joins, strict=True)]
-    return mapped.mapped(first, chosen, others)
+    return mapped.apply_column_map(first, chosen, others)
 
 
 def _is_joined(path: Path) -> bool:
@@ -157,7 +157,7 @@ def _is_joined(path: Path) -> bool:
             names = stream.readline(65_536).strip().split(",")
     except (OSError, UnicodeDecodeError):
         return False
-    return all(units.unit_of(name) is not None for name in names)
+    return all(units.column_unit(name) is not None for name in names)
 
 
 def as_it_is(path: Path) -> Prepared:
@@ -171,7 +171,7 @@ def as_it_is(path: Path) -> Prepared:
             f"({', '.join(registry.readers_for(reader.DEVICE))}).",
             file=str(path),
         )
-    if kind == JSON_TYPE and registry.recognised(path, "json"):
+    if kind == JSON_TYPE and registry.has_format(path, "json"):
         raise FileError(
             f"{path}: holds a list of poses, not contract columns. Send it with a column map (--map columns.toml; a first "
             f"one: `kilter inspect {quote(str(path))} --draft columns.toml`).",

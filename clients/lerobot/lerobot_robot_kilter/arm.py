@@ -19,7 +19,7 @@ from kilter_client.bridges.correction import Correction
 from kilter_client.bridges.guard import Guard
 from kilter_client.errors import ConflictError, UsageError
 from kilter_core.correct.kernels import layout
-from kilter_files.formats.joints.lerobot.calibration import BY_RANGE, DEGREES, read_calibration, servo_of
+from kilter_files.formats.joints.lerobot.calibration import BY_RANGE, DEGREES, read_calibration, servo_name_for_joint
 from kilter_files.formats.joints.lerobot.homing import TICK_DEG
 from kilter_files.ground.arrays import Floats
 from lerobot_robot_kilter.version import Used, refuse_other_calibration
@@ -66,7 +66,7 @@ class CorrectedArm:
         refuse_other_calibration(found, calibration)
         self._servos = read_calibration(calibration)
         self._mode = DEGREES if use_degrees else BY_RANGE
-        self.names = tuple(servo_of(self._servos, joint) for joint in found.joints)
+        self.names = tuple(servo_name_for_joint(self._servos, joint) for joint in found.joints)
         self._program = found.stored.program
         n = self._program.n_joints
         rows = slice(self._program.moves + 1, self._program.moves + 1 + n)
@@ -76,11 +76,11 @@ class CorrectedArm:
         self._correction = Correction(found.stored, found.robot, guard, self._cycle_s)
         if self._correction.off:
             raise ConflictError(f"{self._correction.off}: activate a version of this robot.", code="foreign_version")
-        self.begin()
+        self.reset_correction()
 
-    def begin(self) -> None:
+    def reset_correction(self) -> None:
         """Forget the past: the correction comes in anew."""
-        self._correction.begin()
+        self._correction.reset_to_zero()
         self._answered_s: float | None = None
         self._turned = self._side = np.zeros(0)
         self._known = np.zeros(self._program.n_joints)
@@ -110,7 +110,7 @@ class CorrectedArm:
         offset = np.array(self._correction.offset)
         return dict(action) | self._numbers(self._angles(action, "action") - offset, -0.5)
 
-    def true(self, observation: Mapping[str, Any]) -> dict[str, Any]:
+    def true_observation(self, observation: Mapping[str, Any]) -> dict[str, Any]:
         """Return an observation with true joints; pictures and the gripper stay as they are."""
         reading = self._angles(observation, "observation")
         side = self._sides(reading)
@@ -148,6 +148,6 @@ class CorrectedArm:
     def _numbers(self, q: Floats, ticks: float) -> dict[str, float]:
         """Numbers of the servos at these angles, that many ticks further in their own direction."""
         return {
-            name + POSITION: self._servos.recorded(name, float(angle), self._mode, ticks)
+            name + POSITION: self._servos.recorded_value(name, float(angle), self._mode, ticks)
             for name, angle in zip(self.names, np.degrees(q), strict=True)
         }

@@ -13,7 +13,7 @@ from lerobot.robots.so_follower import SO101Follower
 from kilter_client.errors import UsageError
 from lerobot_robot_kilter.arm import CorrectedArm, Pace
 from lerobot_robot_kilter.config import KilterSO101Config
-from lerobot_robot_kilter.version import refuse_other_calibration, used
+from lerobot_robot_kilter.version import fetch_used_version, refuse_other_calibration
 
 log = logging.getLogger(__name__)
 
@@ -66,7 +66,7 @@ class KilterSO101(Robot):  # type: ignore[misc, unused-ignore]
             ConflictError: the version was measured with another calibration, none is active, or it would correct twice.
 
         """
-        found = used(self.config.kilter_robot, self.config.kilter_version, self.config.kilter_force)
+        found = fetch_used_version(self.config.kilter_robot, self.config.kilter_version, self.config.kilter_force)
         refuse_other_calibration(found, self.calibration_fpath)
         self.follower.connect(calibrate)
         pace = Pace(self.config.kilter_fps, self.config.kilter_rate_deg_s, self.config.kilter_ramp_s)
@@ -88,11 +88,11 @@ class KilterSO101(Robot):  # type: ignore[misc, unused-ignore]
 
     def get_observation(self) -> dict[str, Any]:
         """Return true joints, and what the cameras see."""
-        return self._corrected().true(self.follower.get_observation())
+        return self._connected_arm().true_observation(self.follower.get_observation())
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
         """Correct an action and send it; returns what was sent, perhaps clipped, in joints as they were wanted."""
-        arm = self._corrected()
+        arm = self._connected_arm()
         return arm.sent(self.follower.send_action(arm.command(action)))
 
     def disconnect(self) -> None:
@@ -100,7 +100,7 @@ class KilterSO101(Robot):  # type: ignore[misc, unused-ignore]
         self.follower.disconnect()
         self.arm = None
 
-    def _corrected(self) -> CorrectedArm:
+    def _connected_arm(self) -> CorrectedArm:
         if self.arm is None:
             raise UsageError(f"{self} is not connected: call connect() first.")
         return self.arm

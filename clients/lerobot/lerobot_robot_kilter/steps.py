@@ -9,7 +9,7 @@ from typing import Any
 from lerobot.processor import ObservationProcessorStep, ProcessorStepRegistry, RobotActionProcessorStep
 
 from lerobot_robot_kilter.arm import CorrectedArm, Pace
-from lerobot_robot_kilter.version import used
+from lerobot_robot_kilter.version import fetch_used_version
 
 
 @dataclass
@@ -30,7 +30,7 @@ class _OfVersion:
     arm: CorrectedArm = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        found = used(self.robot, self.version, self.force)
+        found = fetch_used_version(self.robot, self.version, self.force)
         pace = Pace(self.fps, self.rate_deg_s, self.ramp_s)
         self.arm = CorrectedArm(found, Path(self.calibration), self.use_degrees, pace)
         self.version = found.version_id
@@ -45,7 +45,7 @@ class _OfVersion:
 
     def reset(self) -> None:
         """Forget the past, as between episodes: the correction comes in anew."""
-        self.arm.begin()
+        self.arm.reset_correction()
 
     def transform_features(self, features: Any) -> Any:
         """Features stay what they are."""
@@ -69,4 +69,4 @@ class KilterTrueJoints(_OfVersion, ObservationProcessorStep):  # type: ignore[mi
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """Return the observation with true joints."""
-        return self.arm.true(observation)
+        return self.arm.true_observation(observation)

@@ -26,7 +26,7 @@ class Used:
     calibrations: Mapping[str, str | None]
 
 
-def used(robot: str, version: str | None = None, force: bool = False) -> Used:
+def fetch_used_version(robot: str, version: str | None = None, force: bool = False) -> Used:
     """Fetch what corrects a robot.
 
     Raises:
@@ -36,7 +36,7 @@ def used(robot: str, version: str | None = None, force: bool = False) -> Used:
     """
     if not robot:
         raise UsageError("Say which robot of the Kilter server this arm is: --robot.kilter_robot=NAME.")
-    found = versions.first(robot, version, force)
+    found = versions.fetch_startup_version(robot, version, force)
     with Kilter() as kilter:
         joints = tuple(str(joint["name"]) for joint in kilter.robots.get(robot)["joints"])
         campaigns = [str(one["id"]) for one in kilter.versions.get(found.version_id, robot=robot)["campaigns"]]

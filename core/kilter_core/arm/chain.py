@@ -132,17 +132,17 @@ class Chain:
         return tuple(k for k in self.driven if k not in self.primary)
 
     @cached_property
-    def linked(self) -> tuple[int, ...]:
+    def linkage_axes(self) -> tuple[int, ...]:
         """Axes that follow a joint by a linkage, so that its gear carries their load too."""
         return tuple(k for k in self.followers if self.elements[k].drive == LINKAGE)
 
-    def carried(self, element: int) -> float:
+    def linkage_load_ratio(self, element: int) -> float:
         """How far a linked axis moves per motion of its joint's own axis: what of its load that joint carries."""
         own = self.elements[self.primary[self.elements[element].joint or 0]]
         return self.elements[element].ratio / abs(own.ratio)
 
     @cached_property
-    def named(self) -> tuple[int, ...]:
+    def named_elements(self) -> tuple[int, ...]:
         """Indices of the elements that carry a parameter."""
         return tuple(k for k, e in enumerate(self.elements) if e.name)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kilter_core.arm.chain import Axis, Element
-from kilter_core.transforms import aligned, inverse, xyz_rpy_from_pose
+from kilter_core.transforms import align_z_axis, inverse, xyz_rpy_from_pose
 from kilter_core.types import Floats
 
 ORDER = ((Axis.TX, "x"), (Axis.TY, "y"), (Axis.TZ, "z"), (Axis.RX, "rx"), (Axis.RY, "ry"), (Axis.RZ, "rz"))
@@ -54,11 +54,14 @@ def poe_elements(axes: Sequence[MovingAxis], home: Floats) -> tuple[Element, ...
     frame, led = np.eye(4), set[int]()
     for k, axis in enumerate(axes, 1):
         stands = np.eye(4)
-        stands[:3, :3], stands[:3, 3] = aligned(frame[:3, :3], axis.direction), axis.point
+        stands[:3, :3], stands[:3, 3] = align_z_axis(frame[:3, :3], axis.direction), axis.point
         place = Place(0.0, 0.0, 0.0, 0.0, prismatic=axis.prismatic, before=inverse(frame) @ stands)
         leads = axis.joint not in led
         led.add(axis.joint)
-        elements += [*_placed(k, place, ("tilt_x", "tilt_y", "shift_x", "shift_y")), _joint(k, place, axis, leads)]
+        elements += [
+            *_placement_elements(k, place, ("tilt_x", "tilt_y", "shift_x", "shift_y")),
+            _joint(k, place, axis, leads),
+        ]
         frame = stands
     return (*elements, *_flange(inverse(frame) @ home))
 
@@ -90,13 +93,13 @@ def _by_places(places: Sequence[Place], flange: Floats, names: tuple[str, str, s
     elements: list[Element] = []
     for k, place in enumerate(places, 1):
         axis = MovingAxis(np.zeros(3), np.zeros(3), k - 1, place.prismatic)
-        elements += [*_placed(k, place, names), _joint(k, place, axis, leads=True)]
+        elements += [*_placement_elements(k, place, names), _joint(k, place, axis, leads=True)]
         if place.prismatic and place.offset:
             elements.append(Element(Axis.RZ, place.offset))
     return (*elements, *_flange(flange))
 
 
-def _placed(k: int, place: Place, names: tuple[str, str, str, str]) -> list[Element]:
+def _placement_elements(k: int, place: Place, names: tuple[str, str, str, str]) -> list[Element]:
     """Elements up to a joint. A prismatic axis has no place across itself: its shifts are structure."""
     four = zip((Axis.RX, Axis.RY, Axis.TX, Axis.TY), (place.alpha, place.beta, place.x, place.y), names, strict=True)
     made = _structure(place.before)

@@ -28,7 +28,7 @@ def driving_order(q: Floats, ranges: Floats) -> Ints:
     cost = np.abs(scaled[:, None] - scaled[None]).max(axis=2)
     order = _nearest(cost)
     for _ in range(PASSES):
-        if not _exchanged(cost, order):
+        if not _run_two_opt_pass(cost, order):
             break
     return order
 
@@ -44,7 +44,7 @@ def _nearest(cost: Floats) -> Ints:
     return np.array(order, dtype=np.int64)
 
 
-def _exchanged(cost: Floats, order: Ints) -> bool:
+def _run_two_opt_pass(cost: Floats, order: Ints) -> bool:
     """Reverse parts of the path, in place, where that shortens it; the last part may end anywhere."""
     better = False
     for i in range(len(order) - 2):

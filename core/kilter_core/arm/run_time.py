@@ -12,7 +12,7 @@ from enum import Enum, auto
 
 import numpy as np
 
-from kilter_core.arm.loads.slopes import EACH, weighed
+from kilter_core.arm.loads.slopes import EACH, links_with_mass
 from kilter_core.arm.robot import Robot
 from kilter_core.types import Floats
 
@@ -197,7 +197,7 @@ class RunTimeForm:
 
     def change_masses(self, values: Floats) -> None:
         """Add errors of the links that have a mass and, behind them, of the payload where there are more."""
-        split = EACH * len(weighed(self.robot))
+        split = EACH * len(links_with_mass(self.robot))
         links = np.zeros(split) if self.link_errors is None else self.link_errors
         self.link_errors = links + values[:split]
         self.payload_errors[: len(values) - split] += values[split:]

@@ -45,13 +45,13 @@ def at_run_time(model: RobotModel, values: Floats, conditions: Conditions) -> At
             loaded |= "moments" in effect.needs
             continue
         unsupported.append(key)
-        asked = _asked(model, k, values[where], conditions)
+        asked = _required_quantities(model, k, values[where], conditions)
         if asked:
             where_stated[key] = asked
     return AtRunTime(form, tuple(dict.fromkeys(supported)), tuple(unsupported), loaded, where_stated)
 
 
-def _asked(model: RobotModel, which: int, values: Floats, conditions: Conditions) -> tuple[str, ...]:
+def _required_quantities(model: RobotModel, which: int, values: Floats, conditions: Conditions) -> tuple[str, ...]:
     """Quantities that must be stated for an effect to be made up for; empty: no statement helps."""
     effect = model.effects[which]
     for quantities, tried in _STATED:

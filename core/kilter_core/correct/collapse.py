@@ -12,7 +12,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.correct.kernels import layout
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.transforms import twisted
+from kilter_core.transforms import pose_from_twist
 from kilter_core.types import Floats
 
 
@@ -87,8 +87,10 @@ def write_bodies(
     """Bodies that ride on the same move become one; the payload keeps its own row, on the last move."""
     last = len(loads.moves)
     for move, (element, *_) in enumerate(loads.moves):
-        P[move, layout.CARRIED] = robot.chain.carried(element) if element in robot.chain.linked else 0.0
-    P[last, layout.CARRIED] = float(bool(robot.chain.linked))  # whether any is
+        P[move, layout.CARRIED] = (
+            robot.chain.linkage_load_ratio(element) if element in robot.chain.linkage_axes else 0.0
+        )
+    P[last, layout.CARRIED] = float(bool(robot.chain.linkage_axes))  # whether any is
     bodies: dict[int, list[tuple[float, Floats, Floats]]] = {}
     for link in robot.links:
         move = loads.move_of[link.element]
@@ -138,9 +140,9 @@ class Chains:
     base: Floats
 
 
-def chains_of(calibration: Calibration, model: RobotModel, values: Floats) -> Chains:
+def collapse_chains(calibration: Calibration, model: RobotModel, values: Floats) -> Chains:
     """Collapse both chains of a calibration; the identified one is that of ``model`` with ``values``."""
-    robot, ideal = calibration.robot, calibration.wanted().model
+    robot, ideal = calibration.robot, calibration.nominal_in_wanted_frames().model
     found = dict(zip(model.names, values.tolist(), strict=True))
     identified = [found[e.name] if e.name else e.value for e in robot.chain.elements]
     # Seen from the wanted base, so that the frames, too, are part of the error.
@@ -163,7 +165,7 @@ def write_base(head: Floats, scalars: Floats, form: RunTimeForm, base: Floats, f
         return []
     first = head[0, layout.IDENTIFIED : layout.IDENTIFIED + 12]
     first_move = np.linalg.solve(base, np.vstack([np.column_stack([first[:9].reshape(3, 3), first[9:]]), [0, 0, 0, 1]]))
-    moved = base @ twisted(form.base_shift, form.base_tilt)
+    moved = base @ pose_from_twist(form.base_shift, form.base_tilt)
     if form.base_compliance is None:
         first[:] = _flat(moved @ first_move)
         return []

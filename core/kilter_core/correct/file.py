@@ -99,29 +99,29 @@ def from_bytes(content: bytes) -> Stored:
 
     """
     if len(content) < HEADER.size:
-        raise _refused("is cut off")
+        raise _program_error("is cut off")
     magic, form, header, layout_of, rows, columns, joints, crc, number, version_id, robot = HEADER.unpack_from(content)
     if magic != MAGIC or header != HEADER.size:
-        raise _refused("is none")
+        raise _program_error("is none")
     if form > FORMAT or layout_of != layout_digest() or columns != layout.COLUMNS:
         newer = f", which writes format {form}" if form > FORMAT else ""
-        raise _refused(f"is of another release of Kilter{newer}", _OF_ONE)
+        raise _program_error(f"is of another release of Kilter{newer}", _OF_ONE)
     if not (4 <= rows <= MOST_ROWS and 1 <= joints <= MOST_JOINTS):
-        raise _refused("has the numbers of no arm")
+        raise _program_error("has the numbers of no arm")
     if len(content) != HEADER.size + 8 * rows * columns:
-        raise _refused("is cut off, or goes on behind its end")
+        raise _program_error("is cut off, or goes on behind its end")
     zero = content[:CRC_AT] + bytes(4) + content[CRC_AT + 4 : HEADER.size]
     if checksum(zero, content[HEADER.size :]) != crc:
-        raise _refused("was altered on its way, its checksum is wrong")
+        raise _program_error("was altered on its way, its checksum is wrong")
     array = np.frombuffer(content, "<f8", offset=HEADER.size).reshape(rows, columns).astype(np.float64)
     if not _possible(array, joints):
-        raise _refused("has the numbers of no arm")
+        raise _program_error("has the numbers of no arm")
     scalars = array[-1]
     program = CorrectionProgram(array, joints, int(scalars[layout.M]), int(scalars[layout.FIRST]), (), ())
     return Stored(program, _text(version_id), number, _text(robot))
 
 
-def _refused(what: str, remedy: str | None = None) -> OptionError:
+def _program_error(what: str, remedy: str | None = None) -> OptionError:
     return OptionError(f"This program of a corrector {what}: {remedy or _AGAIN}", option="program")
 
 

@@ -56,7 +56,7 @@ class Needs:
     within_suggested: Shares
     rows: CorrectedRows
 
-    def suggested(self, options: CorrectionOptions | None = None) -> CorrectionOptions:
+    def suggested_options(self, options: CorrectionOptions | None = None) -> CorrectionOptions:
         """The options with the suggested limits."""
         limits = {"largest_rad": self.largest_rad, "largest_m": self.largest_m, "farthest_m": self.farthest_m}
         return replace(options or CorrectionOptions(), **limits)  # type: ignore[arg-type]

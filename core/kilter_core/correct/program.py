@@ -22,7 +22,7 @@ from kilter_core.arm.robot import Joint, Link, Payload, Robot
 from kilter_core.arm.run_time import Conditions
 from kilter_core.correct.at_run_time import at_run_time
 from kilter_core.correct.collapse import (
-    chains_of,
+    collapse_chains,
     collapse_constants,
     fixed_links_moment,
     load_rows,
@@ -316,7 +316,7 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     conditions = Conditions(load.mass, options.temperature_c, options.base_tilt)
     made = at_run_time(model, values, conditions)
     form, loaded = made.form, made.loaded
-    chains = chains_of(calibration, model, values)
+    chains = collapse_chains(calibration, model, values)
     weighed = model.load_robot if form.link_errors is None else with_masses(model.load_robot, form.link_errors.tolist())
     weighed = _with_more(weighed, options.link_masses)
     loads = chains.nominal
@@ -330,7 +330,7 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
     scalars[layout.LOADED] = float(loaded)
     if loaded and model.load_chain is not None and model.load_chain.effects:
         scalars[layout.HANGING] = HANGING_ROUNDS
-        sided = any(effect.sided and np.any(values[at]) for effect, at in model.placed)
+        sided = any(effect.sided and np.any(values[at]) for effect, at in model.effects_with_slices)
         scalars[layout.HANGING_SIDED] = SIDED_ROUNDS if sided else 0
     scalars[layout.CURVES], scalars[layout.BENDINGS] = len(form.curves), len(form.bending)
     widths = softening(form, weighed, load, options.least_softening_nm)

@@ -92,7 +92,7 @@ def correct(
         raise OptionError(f"task is {options.task!r}: give position or pose.", option="task")
     model, values = _on_the_arm(calibration)
     load = calibration.robot.load
-    ideal = calibration.wanted()
+    ideal = calibration.nominal_in_wanted_frames()
     ideal = replace(ideal, model=replace(ideal.model, T_base=np.eye(4)))
     finite = np.asarray(np.isfinite(q).all(axis=1))
     safe = np.where(finite[:, None], q, 0.0)
@@ -131,7 +131,7 @@ def _on_the_arm(calibration: Calibration) -> tuple[RobotModel, Floats]:
     arm = tuple(e for e in calibration.model.effects if e.stage != "measurement")
     kept = calibration.with_effects(arm)
     model, values = kept.model.absorb_frame_increments(kept.values)
-    seen_from = inverse(calibration.wanted().model.T_base)
+    seen_from = inverse(calibration.nominal_in_wanted_frames().model.T_base)
     return replace(model, T_base=seen_from @ model.T_base), values
 
 

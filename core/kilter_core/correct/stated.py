@@ -32,7 +32,7 @@ class Stated:
     held_joints: tuple[int, ...]
 
 
-def stated(program: CorrectionProgram) -> Stated:
+def read_program_limits(program: CorrectionProgram) -> Stated:
     """What the program promises."""
     joints, scalars = program.array[program.moves + 1 : program.moves + 1 + program.n_joints], program.array[-1]
     return Stated(

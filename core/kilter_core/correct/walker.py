@@ -60,7 +60,7 @@ class Walked:
         return Refusal(self.done, int(self.status[self.done]), int(self.info[self.done, 1]))
 
     @property
-    def left(self) -> Floats:
+    def remaining_error_m(self) -> Floats:
         """What is left of the error of the tool (N, 3) m."""
         return self.info[:, layout.LEFT : layout.LEFT + 3]
 
@@ -117,7 +117,7 @@ class CorrectedTrajectory:
     def direction(self) -> Floats:
         """Last motion (N, n) of each joint that the correction reckoned with; 0 in rows of a stream that were refused."""
         if not _follow_one_another(self.wanted):
-            return _named(self.wanted, self.reversal_band)
+            return _motion_directions(self.wanted, self.reversal_band)
         direction, good = np.zeros_like(self.q), self.status == layout.OK
         direction[good] = headings(self.wanted.q[good], self.reversal_band)
         return direction
@@ -163,7 +163,7 @@ def walk_from_rest(program: CorrectionProgram, x: Floats, width: int, t: Floats)
     return walk_whole(Track(program, settled=True), x, width, time_steps(t))
 
 
-def walk_on(stretches: Stretches, x: Floats, width: int, t: Floats) -> Walked:
+def walk_past_refusals(stretches: Stretches, x: Floats, width: int, t: Floats) -> Walked:
     """Correct a motion as :func:`walk_from_rest`, but go on after a refusal, from the last point that was answered.
 
     Raises:
@@ -195,12 +195,14 @@ def walk_on(stretches: Stretches, x: Floats, width: int, t: Floats) -> Walked:
 
 def walk_apart(stretches: Stretches, x: Floats, width: int, direction: Floats) -> Walked:
     """Correct points that do not follow one another: each as the first of a stream, with the direction it names."""
-    parts = [_apart(program, x[where], width, direction[where]) for where, program in stretches]
+    parts = [_correct_independent_rows(program, x[where], width, direction[where]) for where, program in stretches]
     q, info, status = (np.concatenate(column) for column in zip(*parts, strict=True))
     return _each(q, info, status)
 
 
-def _apart(program: CorrectionProgram, x: Floats, width: int, direction: Floats) -> tuple[Floats, Floats, Ints]:
+def _correct_independent_rows(
+    program: CorrectionProgram, x: Floats, width: int, direction: Floats
+) -> tuple[Floats, Floats, Ints]:
     n = program.n_joints
     given = [x[:, k * n : (k + 1) * n] for k in range(width)]
     found = program.correct_rows(
@@ -260,12 +262,12 @@ def correct_trajectory(
     stretches = _stretches(calibration, rows, options)
     x, width = side_by_side(rows.q, rows.qd, rows.qdd)
     if _follow_one_another(rows):
-        walked = walk_on(stretches, x, width, np.asarray(rows.t))
+        walked = walk_past_refusals(stretches, x, width, np.asarray(rows.t))
     else:
-        walked = walk_apart(stretches, x, width, _named(rows, options.reversal_band))
+        walked = walk_apart(stretches, x, width, _motion_directions(rows, options.reversal_band))
     left_out = tuple(sorted({name for _, program in stretches for name in program.unsupported}))
     return CorrectedTrajectory(
-        rows, walked.q, -walked.info[:, _REMOVED], walked.left, walked.left_rad, walked.status, walked.flags,
+        rows, walked.q, -walked.info[:, _REMOVED], walked.remaining_error_m, walked.left_rad, walked.status, walked.flags,
         walked.limit_mask, left_out, options.reversal_band,
         {name: asked for _, program in stretches for name, asked in program.where_stated.items()},
     )  # fmt: skip
@@ -275,7 +277,7 @@ def _follow_one_another(rows: Observations) -> bool:
     return rows.t is not None and rows.direction is None
 
 
-def _named(rows: Observations, band: float) -> Floats:
+def _motion_directions(rows: Observations, band: float) -> Floats:
     return headings(rows.q, band) if rows.direction is None else rows.direction
 
 

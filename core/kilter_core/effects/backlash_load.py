@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import SOFTENING, Derivative, Effect, Local, linear, option, soft_sign, width_of
+from kilter_core.effects.base import SOFTENING, Derivative, Effect, Local, linear, option, sign_half_width, soft_sign
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import JOINT_TWIST, Separator
 from kilter_core.parameters import Parameter
@@ -62,12 +62,12 @@ class BacklashLoad(Effect):
         """Whether every sign changes over more than this."""
         return float(np.min(self.softening_nm)) > load_nm
 
-    def softened(self, batch: Batch) -> Self:
+    def with_softened_signs(self, batch: Batch) -> Self:
         """The sign as soft as it is in this batch."""
         if batch.blur is None:
             return self
         acting = enumerate(self.acting(batch.q.shape[1]))
-        widths = tuple(width_of(self.softening_nm, k, j, batch, about=True) for k, j in acting)
+        widths = tuple(sign_half_width(self.softening_nm, k, j, batch, about=True) for k, j in acting)
         return replace(self, softening_nm=widths)
 
     def doubt(self, batch: Batch, values: Floats) -> tuple[Derivative, ...]:
@@ -78,5 +78,5 @@ class BacklashLoad(Effect):
 
     def _side(self, batch: Batch, place: int, joint: int) -> Floats:
         about = batch.sided_axial[:, joint]
-        soft = soft_sign(about, width_of(self.softening_nm, place, joint, batch, about=True))
+        soft = soft_sign(about, sign_half_width(self.softening_nm, place, joint, batch, about=True))
         return np.where(np.abs(about) > NO_MOMENT_NM, soft, 0.0)

@@ -147,7 +147,7 @@ class Effect(ABC):
     joints: tuple[int, ...] | None = option(None, "Joints it acts on, from 1; null: all that it can act on.")
 
     @property
-    def told_by(self) -> float:
+    def informative_row_share(self) -> float:
         """Share of the rows that tell one of its parameters, at most 1: a piece of a curve has those of its own stretch."""
         return 1.0
 
@@ -160,7 +160,7 @@ class Effect(ABC):
             raise OptionError(f"{self.id} needs different joints, or none named for all.", effect=self.id)
 
     @classmethod
-    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+    def candidate_configurations(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
         """Configurations in which a search for missing effects tries it: the one that nothing is said of."""
         return ({},)
 
@@ -194,7 +194,7 @@ class Effect(ABC):
         """What blurred loads leave open: independent corrections of one standard deviation each."""
         return ()
 
-    def softened(self, batch: Batch) -> Self:
+    def with_softened_signs(self, batch: Batch) -> Self:
         """The effect as it is in this batch: what a blur softens is soft without it too."""
         return self
 
@@ -202,7 +202,7 @@ class Effect(ABC):
         """Whether what it does follows the load without steps that are narrower than this."""
         return True
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Fill in what the configuration leaves open, from the robot and, where given, the rows to identify it on.
 
         A model does this with its robot. Doing it twice changes nothing.
@@ -213,7 +213,7 @@ class Effect(ABC):
         """
         return self
 
-    def class_on(self, robot: Robot) -> PhysicalClass:
+    def physical_class(self, robot: Robot) -> PhysicalClass:
         """The physical class it belongs to on this robot."""
         return self.physical
 
@@ -221,7 +221,7 @@ class Effect(ABC):
         """Evidence that separates it from the others of its class on this robot."""
         return self.separated_by
 
-    def followed(self, n: int) -> tuple[tuple[int, float], ...]:
+    def joint_frequencies(self, n: int) -> tuple[tuple[int, float], ...]:
         """Joints whose values its shape follows, each with how often the shape repeats within one revolution."""
         return tuple((j, 1.0) for j in self.acting(n))
 
@@ -240,7 +240,7 @@ class Effect(ABC):
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able configuration: ``id`` and every field, joints counted from 1."""
-        own = {f.name: _plain(getattr(self, f.name), int(f.name in self.counted)) for f in fields(self)}
+        own = {f.name: _to_document_value(getattr(self, f.name), int(f.name in self.counted)) for f in fields(self)}
         return {"id": self.id, **own}
 
     def as_stored(self, robot: Robot, document: Mapping[str, Any]) -> Self:
@@ -256,12 +256,12 @@ class Effect(ABC):
 
         """
         try:
-            return cls.made(**{k: _frozen(v, -int(k in cls.counted)) for k, v in document.items() if k != "id"})
+            return cls.from_options(**{k: _frozen(v, -int(k in cls.counted)) for k, v in document.items() if k != "id"})
         except (TypeError, ValueError) as error:
             raise OptionError(f"Effect {cls.id} cannot be made of {dict(document)}: {error}", effect=cls.id) from error
 
     @classmethod
-    def made(cls, **config: Any) -> Self:
+    def from_options(cls, **config: Any) -> Self:
         """Make the effect with these options, joints from 0; an unknown one raises :class:`OptionError`."""
         known = [f.name for f in fields(cls)]
         for name in config:
@@ -302,7 +302,7 @@ class Effect(ABC):
                     f"Effect {self.id} names joint {j + 1}; the robot has {robot.n_joints}.", effect=self.id
                 )
 
-    def limited(self, robot: Robot, possible: Collection[int], why: str) -> Self:
+    def restrict_to_joints(self, robot: Robot, possible: Collection[int], why: str) -> Self:
         """Act on the ``possible`` joints only.
 
         Raises:
@@ -321,7 +321,7 @@ class Effect(ABC):
     def revolute(self, robot: Robot, because: str = "it is periodic in an angle") -> Self:
         """Act on revolute joints only, ``because`` the effect is of an angle."""
         revolute = [j for j, joint in enumerate(robot.joints) if joint.kind == "revolute"]
-        return self.limited(robot, revolute, f"{because}, and the joint is prismatic. Name revolute joints.")
+        return self.restrict_to_joints(robot, revolute, f"{because}, and the joint is prismatic. Name revolute joints.")
 
     def column(self, batch: Batch, name: str) -> NDArray[Any]:
         """Return a measured column of the batch; a missing one raises :class:`ObservationError`."""
@@ -348,21 +348,23 @@ def soft_sign(x: Floats, width: float) -> Floats:
 BLUR_WIDTH = math.sqrt(math.pi / 2.0)
 
 
-def width_of(softening_nm: float | tuple[float, ...], place: int, joint: int, batch: Batch, about: bool) -> float:
+def sign_half_width(
+    softening_nm: float | tuple[float, ...], place: int, joint: int, batch: Batch, about: bool
+) -> float:
     """Half-width N·m of a sign: that of the configuration (per acting joint), or of the batch's blur where it is wider."""
     own = softening_nm[place] if isinstance(softening_nm, tuple) else softening_nm
     return own if batch.blur is None else max(own, BLUR_WIDTH * float(batch.blur[joint, int(about)]))
 
 
-def _plain(value: Any, shift: int) -> Any:
+def _to_document_value(value: Any, shift: int) -> Any:
     """Convert tuples to lists, and count joints from ``shift``."""
     if isinstance(value, tuple):
-        return [_plain(v, shift) for v in value]
+        return [_to_document_value(v, shift) for v in value]
     return value + shift if shift and value is not None else value
 
 
 def _frozen(value: Any, shift: int) -> Any:
-    """Undo :func:`_plain`."""
+    """Undo :func:`_to_document_value`."""
     if isinstance(value, (list, tuple)):
         return tuple(_frozen(v, shift) for v in value)
     return int(value) + shift if shift and value is not None else value

@@ -37,7 +37,7 @@ class BaseStep(Step):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist of the base and its derivatives by how far it moved."""
-        before = -batch.before(self.at_s, self.at_row)
+        before = -batch.before_event_indicator(self.at_s, self.at_row)
         moved = np.eye(6)[:, None, :] * before[:, None]
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])
 

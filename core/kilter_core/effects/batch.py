@@ -58,7 +58,7 @@ class Batch(Conditions):
         assert self.slopes is not None
         loads: dict[str, Any] = {}
         for name, parts in (ALL_LOADS if reads is None else reads).items():
-            own = self._held(name)
+            own = self._load_field_names(name)
             loads |= {k: getattr(self, k).copy() for k in own}
             for part, moved in zip(parts, self.slopes.changes(name, parts, change), strict=True):
                 for k in own:
@@ -66,12 +66,12 @@ class Batch(Conditions):
                     here += moved
         return replace(self, **loads)
 
-    def part(self, rows: slice) -> Batch:
+    def select_rows(self, rows: slice) -> Batch:
         """The conditions of some of the rows, as views."""
         own = {k: v[rows] for k, v in vars(self).items() if isinstance(v, np.ndarray) and k not in NOT_OF_ROWS}
-        return replace(self, **own, slopes=None if self.slopes is None else self.slopes.part(rows))
+        return replace(self, **own, slopes=None if self.slopes is None else self.slopes.select_rows(rows))
 
-    def before(self, at_s: float | None, at_row: int | None) -> Floats:
+    def before_event_indicator(self, at_s: float | None, at_row: int | None) -> Floats:
         """1 in the rows (N,) measured before an event, 0 in the others and where a row does not say: the last state holds.
 
         Rows on another clock do not say.
@@ -92,26 +92,26 @@ class Batch(Conditions):
     @property
     def sided_moment(self) -> Floats:
         """As ``moment``, with backlash and clearance in their middle."""
-        return self.sided("wrench")[:, :, 3:]
+        return self.side_deciding_load("wrench")[:, :, 3:]
 
     @property
     def sided_axial(self) -> Floats:
         """As ``axial``, with backlash and clearance in their middle."""
-        return self.sided("axial")
+        return self.side_deciding_load("axial")
 
-    def _held(self, name: str) -> tuple[str, ...]:
+    def _load_field_names(self, name: str) -> tuple[str, ...]:
         """The load of this name, and last that by which sides are taken where it is another."""
         centre = CENTRES.get(name, "")
         return (name,) if getattr(self, centre, None) is None else (name, centre)
 
-    def sided(self, name: str) -> Floats:
+    def side_deciding_load(self, name: str) -> Floats:
         """The load of this name by which sides are taken."""
-        found: Floats = getattr(self, self._held(name)[-1])
+        found: Floats = getattr(self, self._load_field_names(name)[-1])
         return found
 
-    def stepped(self, name: str, step: Floats) -> Batch:
+    def add_to_load(self, name: str, step: Floats) -> Batch:
         """The same rows with ``step`` added to the load of this name, whoever reads it."""
-        loads: dict[str, Any] = {k: getattr(self, k) + step for k in self._held(name)}
+        loads: dict[str, Any] = {k: getattr(self, k) + step for k in self._load_field_names(name)}
         return replace(self, **loads)
 
     def __len__(self) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import SOFTENING, Derivative, Effect, Local, option, soft_sign, width_of
+from kilter_core.effects.base import SOFTENING, Derivative, Effect, Local, option, sign_half_width, soft_sign
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import JOINT_TILT, Separator
 from kilter_core.errors import OptionError
@@ -93,12 +93,12 @@ class ClearanceTilt(Effect):
         """Whether every sign changes over more than this."""
         return float(np.min(self.softening_nm)) > load_nm
 
-    def softened(self, batch: Batch) -> Self:
+    def with_softened_signs(self, batch: Batch) -> Self:
         """The sign as soft as it is in this batch."""
         if batch.blur is None:
             return self
         acting = enumerate(self.acting(batch.q.shape[1]))
-        widths = tuple(width_of(self.softening_nm, k, j, batch, about=False) for k, j in acting)
+        widths = tuple(sign_half_width(self.softening_nm, k, j, batch, about=False) for k, j in acting)
         return replace(self, softening_nm=widths)
 
     def doubt(self, batch: Batch, values: Floats) -> tuple[Derivative, ...]:
@@ -122,7 +122,7 @@ class ClearanceTilt(Effect):
         loaded = total > 1e-9
         share = ax / np.where(loaded, total, 1.0)
         gamma = share * (math.pi / 2.0) if self.share == "thesis" else np.arctan2(ax, ay)
-        width = width_of(self.softening_nm, place, joint, batch, about=False)
+        width = sign_half_width(self.softening_nm, place, joint, batch, about=False)
         sx, sy = (np.where(loaded, soft_sign(m, width), 0.0) for m in (mx, my))
         along, beside = np.sin(gamma), np.cos(gamma)
         return sx * along, sy * beside, (along * np.sqrt(1.0 - sx**2), beside * np.sqrt(1.0 - sy**2))

@@ -43,5 +43,5 @@ class Drift(LawOfTime):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist of the base and its derivatives by the rates."""
-        moved = np.eye(6)[:, None, :] * self.elapsed(batch)[:, None]
+        moved = np.eye(6)[:, None, :] * self.elapsed_time(batch)[:, None]
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])

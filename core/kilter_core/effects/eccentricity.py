@@ -33,7 +33,7 @@ class Eccentricity(JointCurve):
     aliases = ("encoder_scale", "gravity_spring", "second_harmonic", "axial_compliance")
     remedy = "move the joint over more than 180 degrees; repeat poses with a second payload, which it ignores"
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on revolute joints."""
         return self.revolute(robot)
 

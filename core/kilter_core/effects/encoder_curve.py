@@ -54,7 +54,7 @@ class EncoderCurve(JointCurve):
             )
 
     @classmethod
-    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+    def candidate_configurations(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
         """Order by order, as many as the poses can carry; none where they carry no curve."""
         poses = len(np.unique(np.round(rows.q, 6), axis=0))
         able = [count for count in COUNTS if 2 * count * POSES <= poses]
@@ -65,7 +65,7 @@ class EncoderCurve(JointCurve):
         """The first orders, as one curve."""
         return [tuple(tried[:count]) for count in COUNTS if count <= len(tried)]
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on revolute joints."""
         return self.revolute(robot)
 

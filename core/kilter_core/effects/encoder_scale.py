@@ -25,7 +25,7 @@ class EncoderScale(JointCurve):
     aliases = ("eccentricity", "gravity_spring", "second_harmonic")
     remedy = "move the joint over its whole range, best over more than one turn"
 
-    def class_on(self, robot: Robot) -> PhysicalClass:
+    def physical_class(self, robot: Robot) -> PhysicalClass:
         """A straight line is what the pitch of a prismatic joint does; of a revolute joint it is a shape like any other."""
         return JOINT_SCALE if self._slides(robot) else self.physical
 

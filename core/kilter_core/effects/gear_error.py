@@ -45,7 +45,7 @@ class GearError(Effect):
         if self.ratios is not None and len(self.ratios) != len(self.joints or ()):
             raise OptionError("gear_error needs one ratio for each of the joints it names.", effect=self.id)
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on the joints whose gear ratio is known, with the robot's ratios unless there are own ones.
 
         Raises:
@@ -56,7 +56,7 @@ class GearError(Effect):
             return self.revolute(robot)
         geared = {j: x.gear_ratio for j, x in enumerate(robot.joints) if x.gear_ratio and x.kind == "revolute"}
         why = "its gear ratio is not known. Give gear_ratio in the robot's joints, or joints with ratios."
-        chosen = self.limited(robot, geared, why)
+        chosen = self.restrict_to_joints(robot, geared, why)
         joints = chosen.acting(robot.n_joints)
         return replace(chosen, joints=joints, ratios=tuple(float(geared[j] or 0.0) for j in joints))
 
@@ -70,7 +70,7 @@ class GearError(Effect):
             for p in self.per_joint(robot, f"gear_{wave}{k}", "rad", sigma, -wide, wide, f"amplitude of {wave} {k} N q")
         )
 
-    def followed(self, n: int) -> tuple[tuple[int, float], ...]:
+    def joint_frequencies(self, n: int) -> tuple[tuple[int, float], ...]:
         """It repeats with the motor, not with the joint."""
         slowest = min(self.orders)
         return tuple((j, slowest * ratio) for j, ratio in zip(self.acting(n), self.ratios or (), strict=True))

@@ -51,7 +51,7 @@ class GravitySpring(JointCurve):
         if self.arms_m is not None and (len(self.arms_m) != 2 or min(self.arms_m) <= 0 or len(set(self.arms_m)) == 1):
             raise OptionError("gravity_spring needs arms_m of two different distances above 0.", effect=self.id)
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on joint 2, where balancers are, unless joints are named."""
         usual = (min(1, robot.n_joints - 1),)
         return (self if self.joints is not None else replace(self, joints=usual)).revolute(robot)

@@ -49,16 +49,16 @@ class JointCoupling(Effect):
             raise OptionError("joint_coupling cannot drive a joint by itself: that is encoder_scale.", effect=self.id)
 
     @classmethod
-    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+    def candidate_configurations(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
         """Each joint by the one before it, and by the one two before it: J6 follows q4."""
         return [{}, *({"joints": (j,), "drivers": (j - 2,)} for j in range(2, robot.n_joints))]
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Name the joints and their drivers."""
         if self.drivers is not None:
             self.refuse_unknown(robot, (*self.drivers, *self.acting(robot.n_joints)))
             return self
-        joints = self.limited(robot, range(1, robot.n_joints), "no joint before it drives it. Give drivers.")
+        joints = self.restrict_to_joints(robot, range(1, robot.n_joints), "no joint before it drives it. Give drivers.")
         followers = joints.acting(robot.n_joints)
         return replace(self, joints=followers, drivers=tuple(j - 1 for j in followers))
 
@@ -71,7 +71,7 @@ class JointCoupling(Effect):
             made.append(Parameter(f"coupling_q{j + 1}_{i + 1}", unit, 0.0, sigma, -wide, wide, text))
         return tuple(made)
 
-    def followed(self, n: int) -> tuple[tuple[int, float], ...]:
+    def joint_frequencies(self, n: int) -> tuple[tuple[int, float], ...]:
         """It follows its drivers."""
         return tuple((j, 1.0) for _, j in self._pairs())
 

@@ -12,7 +12,7 @@ from kilter_core.effects.base import Effect, option
 from kilter_core.effects.batch import Batch
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
-from kilter_core.observations.clock import on_shared_clock, reached
+from kilter_core.observations.clock import applicable_time_mask, on_shared_clock
 from kilter_core.types import Floats
 
 SHARES = (0.07, 0.14, 0.27, 0.52)  # time constants, of the campaign: nearer ones look the same
@@ -34,7 +34,7 @@ class LawOfTime(Effect):
         None, "Last time that it was fitted to, s: half a day later it is not applied; null: the last row."
     )
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Begin at the earliest row and end at the last one."""
         if rows is None or rows.t is None or not len(rows):
             return self
@@ -50,7 +50,7 @@ class LawOfTime(Effect):
         """When it begins and ends, s."""
         return None if self.t0_s is None else (self.t0_s, self.until_s)
 
-    def elapsed(self, batch: Batch) -> Floats:
+    def elapsed_time(self, batch: Batch) -> Floats:
         """Return the time (N,) s since the law began; 0 in rows that it does not reach.
 
         Raises:
@@ -60,7 +60,7 @@ class LawOfTime(Effect):
         t = np.asarray(self.column(batch, "t"), dtype=np.float64)
         if self.t0_s is None:
             raise OptionError(f"{self.id} needs t0_s: give the time in s at which it began.", effect=self.id)
-        return np.where(reached(t, self.t0_s, self.until_s), t - self.t0_s, 0.0)
+        return np.where(applicable_time_mask(t, self.t0_s, self.until_s), t - self.t0_s, 0.0)
 
 
 def settled_share(elapsed: Floats, tau_s: float) -> Floats:

@@ -43,7 +43,7 @@ class LinkBending(LinkShafts):
         """Twist (N, 6) at the joint of a link of EI = 1 under the wrenches (N, 6) on its joint and its end."""
         u, length, a = shaft.u, shaft.length, shaft.centre
         force = shaft.across(end[:, :3])
-        moment = shaft.across(end[:, 3:] + np.cross(shaft.beside, end[:, :3]))
+        moment = shaft.across(end[:, 3:] + np.cross(shaft.offset_to_next_joint, end[:, :3]))
         lever = np.cross(u, force)
         weight, own = own_load(shaft.link, root, end)
         own, sideways = shaft.across(own), np.cross(u, weight)

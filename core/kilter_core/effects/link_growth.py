@@ -36,11 +36,11 @@ class LinkGrowth(LawOfTemperature):
     aliases = ("thermal_growth", "zero_thermal", "drift")
     remedy = "revisit the same poses cold and warm, with the link stretched out and folded back"
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on the links that have a length."""
         lengths = np.linalg.norm(robot.chain.link_vectors[:-1], axis=1)
         long = [int(j) for j in np.flatnonzero(lengths > SHORTEST_M)]
-        return self.limited(robot, long, "its link has no length. Name the joint before a long link.")
+        return self.restrict_to_joints(robot, long, "its link has no length. Name the joint before a long link.")
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Coefficient of expansion α per link, 1/K; steel has 12e-6, aluminium 23e-6."""

@@ -38,18 +38,20 @@ class LinkLengthening(LawOfTime):
     tau_s: float | None = option(None, "Time constant, s, above 0; null: at a constant rate.", above=0.0)
 
     @classmethod
-    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+    def candidate_configurations(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
         """At a constant rate and, where rows have a time, settling at several paces."""
         if rows.t is None or not len(rows):
-            return super().tried(robot, rows)
+            return super().candidate_configurations(robot, rows)
         return [{}, *({"tau_s": tau} for tau in time_constants(float(np.ptp(rows.t))))]
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Begin at the earliest row, at the links that have a length."""
         lengths = np.linalg.norm(robot.chain.link_vectors[:-1], axis=1)
         long = [int(j) for j in np.flatnonzero(lengths > SHORTEST_M)]
         return (
-            super().on(robot, rows).limited(robot, long, "its link has no length. Name the joint before a long link.")
+            super()
+            .configure_for_robot(robot, rows)
+            .restrict_to_joints(robot, long, "its link has no length. Name the joint before a long link.")
         )
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
@@ -61,7 +63,7 @@ class LinkLengthening(LawOfTime):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Shift of each joint's frame along its link, and the derivative."""
-        elapsed = self.elapsed(batch)
+        elapsed = self.elapsed_time(batch)
         course = elapsed if self.tau_s is None else settled_share(elapsed, self.tau_s)
         derivatives = []
         for k, j in enumerate(self.acting(batch.q.shape[1])):

@@ -38,7 +38,7 @@ class Shaft:
     centre: float
 
     @property
-    def beside(self) -> Floats:
+    def offset_to_next_joint(self) -> Floats:
         """From the end of the shaft to the next joint, across it."""
         return np.asarray(self.link - self.length * self.u)
 
@@ -82,13 +82,15 @@ class LinkShafts(Effect):
     def twists(shaft: Shaft, root: Floats, end: Floats) -> Floats:
         """Twist (N, 6) behind the joint of a shaft, per unit of its parameter, by the wrenches (N, 6) on joint and end."""
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on the links that have a length, along their shafts, with their centres of mass."""
         links = robot.chain.link_vectors[:-1]
         long = [int(j) for j in np.flatnonzero(np.linalg.norm(links, axis=1) > SHORTEST_M)]
-        chosen = self.limited(robot, long, "its link has no length. Name the joint before a long link.")
+        chosen = self.restrict_to_joints(robot, long, "its link has no length. Name the joint before a long link.")
         joints = chosen.acting(robot.n_joints)
-        ways = [_way(robot, j) for j in joints] if self.directions is None else self._stated(robot, joints)
+        ways = (
+            [_way(robot, j) for j in joints] if self.directions is None else self._validated_directions(robot, joints)
+        )
         if self.centres_m is None:
             masses = _centres(robot)
             centres = tuple(_along(links[j], way, masses[j]) for j, way in zip(joints, ways, strict=True))
@@ -99,7 +101,7 @@ class LinkShafts(Effect):
         directions = self.directions or tuple(tuple(way.tolist()) for way in ways)
         return replace(chosen, joints=joints, directions=directions, centres_m=centres)
 
-    def _stated(self, robot: Robot, joints: tuple[int, ...]) -> list[Floats]:
+    def _validated_directions(self, robot: Robot, joints: tuple[int, ...]) -> list[Floats]:
         """The directions as unit vectors; refused where they are none, or lead to no end of the link."""
         ways = [np.array(way, dtype=np.float64) for way in self.directions or ()]
         sizes = [float(np.linalg.norm(way)) if len(way) == 3 else 0.0 for way in ways]

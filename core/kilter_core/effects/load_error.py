@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from kilter_core.arm.loads.slopes import NO_COLUMNS, LoadSlopes, weighed
+from kilter_core.arm.loads.slopes import NO_COLUMNS, LoadSlopes, links_with_mass
 from kilter_core.arm.robot import CENTRE_M, MASS_SHARE, Link, Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Effect, Local, option
@@ -49,7 +49,7 @@ class LoadError(Effect):
         0.0, "Standard deviation of each coordinate of every centre, m; 0: what the robot says of each.", low=0.0
     )
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Take the mean payload from the rows."""
         if self.payload_kg > 0.0 or rows is None or rows.payload_kg is None or not np.any(rows.payload_kg > 0.0):
             return self
@@ -57,7 +57,7 @@ class LoadError(Effect):
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Mass (kg) and first moment (kg m) of each link with a mass, then mass (kg) and place (m) of the payload."""
-        out = [p for k in weighed(robot) for p in _of_link(k + 1, self._known(robot.links[k]))]
+        out = [p for k in links_with_mass(robot) for p in _of_link(k + 1, self._link_with_sigmas(robot.links[k]))]
         return (*out, *self._of_payload(robot))
 
     def local(self, batch: Batch, values: Floats) -> Local:
@@ -74,7 +74,7 @@ class LoadError(Effect):
         links = tuple(range(len(slopes) - len(slopes.payload)))
         return links + ((slopes.payload or NO_COLUMNS) if self.payload_kg > 0.0 else ())
 
-    def _known(self, link: Link) -> Link:
+    def _link_with_sigmas(self, link: Link) -> Link:
         """The link with its standard deviations, those of the options before its own."""
         mass = self.mass_share * link.mass if self.mass_share > 0.0 else link.mass_sigma
         return replace(link, mass_sigma=mass, com_sigma=self.centre_m if self.centre_m > 0.0 else link.com_sigma)

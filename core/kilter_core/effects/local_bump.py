@@ -49,12 +49,17 @@ class LocalBump(Effect):
             )
 
     @classmethod
-    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+    def candidate_configurations(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
         """Side by side at each joint, in two widths, where enough poses are."""
         turning = [j for j, joint in enumerate(robot.joints) if joint.kind == "revolute"]
-        return [one for j in turning for half in HALVES for one in _tried_at(j, np.unique(rows.q[:, j].round(6)), half)]
+        return [
+            one
+            for j in turning
+            for half in HALVES
+            for one in _bumps_along_joint(j, np.unique(rows.q[:, j].round(6)), half)
+        ]
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on revolute joints."""
         return self.revolute(robot, "it stands at an angle")
 
@@ -77,7 +82,7 @@ class LocalBump(Effect):
         return True
 
 
-def _tried_at(joint: int, q: Floats, half: float) -> Iterator[Mapping[str, Any]]:
+def _bumps_along_joint(joint: int, q: Floats, half: float) -> Iterator[Mapping[str, Any]]:
     """Bumps of one width side by side over the readings ``q (K,)`` of a joint."""
     for step in range(math.floor(q.min() / half), math.ceil(q.max() / half) + 1):
         if np.sum(np.abs(q - step * half) < INSIDE * half) >= POSES:

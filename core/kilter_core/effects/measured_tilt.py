@@ -47,7 +47,7 @@ class MeasuredTilt(Effect):
         None, "Reading about y at which the geometry holds, rad; null: the mean of the rows."
     )
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Let the geometry hold at the mean reading of the rows."""
         if rows is None or rows.base_tilt_x is None or rows.base_tilt_y is None or not len(rows):
             return self
@@ -68,7 +68,7 @@ class MeasuredTilt(Effect):
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist of the base and its derivatives."""
         x, y = (np.asarray(self.column(batch, f"base_tilt_{k}"), dtype=np.float64) for k in "xy")
-        moved = _moved(x - _zero(self.zero_x_rad), y - _zero(self.zero_y_rad))
+        moved = _base_twists(x - _zero(self.zero_x_rad), y - _zero(self.zero_y_rad))
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
@@ -77,7 +77,7 @@ class MeasuredTilt(Effect):
         if tilt is None:
             return False
         x, y = (np.array([t - _zero(zero)]) for t, zero in zip(tilt, (self.zero_x_rad, self.zero_y_rad), strict=True))
-        twist = values @ _moved(x, y)[:, 0]
+        twist = values @ _base_twists(x, y)[:, 0]
         form.base_shift += twist[:3]
         form.base_tilt += twist[3:]
         return True
@@ -91,7 +91,7 @@ def _zero(reading: float | None) -> float:
     return reading
 
 
-def _moved(x: Floats, y: Floats) -> Floats:
+def _base_twists(x: Floats, y: Floats) -> Floats:
     """Twists (7, N, 6) of the base per parameter at readings (N,) less their zeros."""
     out = np.zeros((7, len(x), 6))
     out[0, :, 3] = out[3, :, 4] = x

@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.effects.base import Effect
 from kilter_core.effects.step import Step
 from kilter_core.observations import Observations
-from kilter_core.observations.clock import on_shared_clock, reached
+from kilter_core.observations.clock import applicable_time_mask, on_shared_clock
 
 LATER_S = 1e7  # behind all that a campaign saw
 LATER_ROWS = 10**9
@@ -25,7 +25,7 @@ def carried_effects(effects: Sequence[Effect], rows: Observations) -> tuple[Effe
     happened before all rows, and no law is applied.
     """
     shared = rows.t is not None and len(rows) > 0 and bool(on_shared_clock(rows.t).all())
-    return tuple(one for effect in effects for one in _carried(effect, shared))
+    return tuple(one for effect in effects for one in _carry_over_effect(effect, shared))
 
 
 def placed_later(rows: Observations) -> Observations:
@@ -34,7 +34,7 @@ def placed_later(rows: Observations) -> Observations:
     return replace(rows, t=t, row=None if rows.row is None else rows.row + LATER_ROWS)
 
 
-def _carried(effect: Effect, shared: bool) -> tuple[Effect, ...]:
+def _carry_over_effect(effect: Effect, shared: bool) -> tuple[Effect, ...]:
     span = effect.time_span
     if shared and span is not None and on_shared_clock(np.array(span[0])):
         return (effect,)
@@ -49,20 +49,22 @@ def carried_warnings(effects: Sequence[Effect], rows: Observations) -> list[dict
     known = rows.t is not None and len(rows) > 0 and bool(on_shared_clock(rows.t).all())
     unknown = [e for e, span in spans.items() if not (known and on_shared_clock(np.array(span[0])))]
     other = [
-        e for e, span in spans.items() if e not in unknown and rows.t is not None and not reached(rows.t, *span).all()
+        e
+        for e, span in spans.items()
+        if e not in unknown and rows.t is not None and not applicable_time_mask(rows.t, *span).all()
     ]
     out = []
     if unknown:
-        said = "Nothing says when these rows were measured, as against those of the fit. " + _described(unknown)
+        said = "Nothing says when these rows were measured, as against those of the fit. " + _describe_laws(unknown)
         remedy = "Give both files time stamps with a date."
         out.append({"code": CLOCK_UNKNOWN, "effects": [e.id for e in unknown], "message": f"{said} {remedy}"})
     if other:
-        said = "These rows were measured on another day than those of the fit. " + _described(other)
+        said = "These rows were measured on another day than those of the fit. " + _describe_laws(other)
         out.append({"code": ANOTHER_DAY, "effects": [e.id for e in other], "message": said})
     return out
 
 
-def _described(effects: Sequence[Effect]) -> str:
+def _describe_laws(effects: Sequence[Effect]) -> str:
     """What becomes of the laws, in a sentence for each kind."""
     laws = _names([e for e in effects if not isinstance(e, Step)])
     steps = _names([e for e in effects if isinstance(e, Step)])

@@ -45,21 +45,21 @@ class OverRange(Effect):
                 effect=self.id,
             )
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Take the range of each joint from the rows.
 
         Raises:
             OptionError: a named joint cannot have such a curve or did not move, or ranges that are not those of the joints.
 
         """
-        possible = self.limited(robot, self.able(robot), self.unable)
+        possible = self.restrict_to_joints(robot, self.able(robot), self.unable)
         if self.centres is not None and self.halves is not None:
             return possible._with_ranges(robot)
         if rows is None or not len(rows):
             return possible
         low, high = rows.q.min(axis=0), rows.q.max(axis=0)
         moving = [j for j in self.able(robot) if high[j] > low[j]]
-        chosen = self.limited(robot, moving, "it did not move in these rows. Name joints that moved.")
+        chosen = self.restrict_to_joints(robot, moving, "it did not move in these rows. Name joints that moved.")
         joints = chosen.acting(robot.n_joints)
         centres = tuple(float(low[j] + high[j]) / 2.0 for j in joints)
         return replace(

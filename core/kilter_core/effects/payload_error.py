@@ -46,7 +46,7 @@ class PayloadError(Effect):
         "Compliance of each joint, rad/(N m), as identified before; empty: the effects beside it read the changed load.",
     )
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Check that every joint has a compliance, or none; without them one load alone shows nothing.
 
         Raises:

@@ -26,7 +26,7 @@ class PhysicalClass:
     went: str = ""
     clock: str = ""
 
-    def at(self, joints: Sequence[int] | None) -> str:
+    def label_for_joints(self, joints: Sequence[int] | None) -> str:
         """Label at joints (from 0)."""
         return self.label.format(joint=joint_numbers(joints) if joints else "the arm")
 

@@ -16,7 +16,7 @@ from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import STATION, Separator
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
-from kilter_core.observations.clock import on_shared_clock, reached
+from kilter_core.observations.clock import applicable_time_mask, on_shared_clock
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
 
@@ -62,11 +62,11 @@ class RandomWalk(Effect):
             raise OptionError("random_walk needs two or more knots_s, each later than the one before.", effect=self.id)
 
     @classmethod
-    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+    def candidate_configurations(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
         """In few pieces and in many."""
         return [{"pieces": n} for n in (*FEW_PIECES, PIECES)]
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Put the knots where the rows are."""
         if self.knots_s or rows is None or rows.t is None or not np.ptp(rows.t) > 0.0:
             return self
@@ -76,7 +76,7 @@ class RandomWalk(Effect):
         return replace(self, knots_s=tuple(float(t) for t in knots))
 
     @property
-    def told_by(self) -> float:
+    def informative_row_share(self) -> float:
         """Of many pieces a step is told by its own. Few are a bent line, which all rows tell as they do a rate of drift."""
         return 1.0 / max(len(self.knots_s) - 1, 1) if self.pieces >= PIECES else 1.0
 
@@ -111,7 +111,7 @@ class RandomWalk(Effect):
         """Twist of the base and its derivatives by the steps."""
         first, last = self.knots_s[0], self.knots_s[-1]
         t = np.asarray(self.column(batch, "t"), dtype=np.float64)
-        t = np.where(reached(t, first, last), t, first)
+        t = np.where(applicable_time_mask(t, first, last), t, first)
         done = [np.clip((t - begin) / (end - begin), 0.0, 1.0) for begin, end in pairwise(self.knots_s)]
         moved = [axis * part[:, None] for part in done for axis in np.eye(6)[:3]]
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])

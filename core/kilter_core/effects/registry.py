@@ -123,7 +123,7 @@ def make_effect(effect_id: str, joints: Iterable[int] | None = None, **config: A
 
     """
     chosen = None if joints is None else tuple(int(j) for j in joints)
-    return _class_of(effect_id).made(joints=chosen, **config)
+    return _effect_class(effect_id).from_options(joints=chosen, **config)
 
 
 def effect_from_document(document: Mapping[str, Any]) -> Effect:
@@ -133,10 +133,10 @@ def effect_from_document(document: Mapping[str, Any]) -> Effect:
         OptionError: no such effect, or an option it does not have.
 
     """
-    return _class_of(str(document.get("id"))).from_document(document)
+    return _effect_class(str(document.get("id"))).from_document(document)
 
 
-def _class_of(effect_id: str) -> type[Effect]:
+def _effect_class(effect_id: str) -> type[Effect]:
     known = EFFECTS.get(effect_id)
     if known is None:
         raise OptionError(f"There is no effect {effect_id!r}. There are: {', '.join(EFFECTS)}.", effect=effect_id)

@@ -30,7 +30,7 @@ class SecondHarmonic(JointCurve):
     aliases = ("eccentricity", "encoder_scale", "gravity_spring")
     remedy = "move the joint over more than 180 degrees: on a short range it looks like the first harmonic"
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on revolute joints."""
         return self.revolute(robot)
 

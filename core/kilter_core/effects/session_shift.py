@@ -46,7 +46,7 @@ class SessionShift(Effect):
         if len(self.sessions) == 1 or len(set(self.sessions)) < len(self.sessions):
             raise OptionError("session_shift needs two or more different sessions.", effect=self.id)
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Take the sessions from the rows, in ascending order."""
         if self.sessions or rows is None or rows.session is None:
             return self

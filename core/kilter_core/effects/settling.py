@@ -47,15 +47,15 @@ class Settling(LawOfTime):
             raise OptionError(f"settling has tau_s {self.tau_s!r}: give a time in s above 0.", effect=self.id)
 
     @classmethod
-    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+    def candidate_configurations(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
         """At several paces, where rows have a time."""
         if rows.t is None or not len(rows):
-            return super().tried(robot, rows)
+            return super().candidate_configurations(robot, rows)
         return [{"tau_s": tau} for tau in time_constants(float(np.ptp(rows.t)))]
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Start at the earliest row, with a time constant in proportion to the rows' time."""
-        law = super().on(robot, rows)
+        law = super().configure_for_robot(robot, rows)
         if law.tau_s is not None or rows is None or rows.t is None or not len(rows):
             return law
         first, last = span_of_clock(rows.t)
@@ -81,6 +81,6 @@ class Settling(LawOfTime):
         """Twist of the base and its derivatives by the amounts."""
         if self.tau_s is None:
             raise OptionError("settling needs tau_s: give its time constant in s.", effect=self.id)
-        settled = settled_share(self.elapsed(batch), self.tau_s)
+        settled = settled_share(self.elapsed_time(batch), self.tau_s)
         moved = np.eye(6)[:, None, :] * settled[:, None]
         return linear(batch, values, [Derivative(k, BASE, xi=xi) for k, xi in enumerate(moved)])

@@ -30,7 +30,7 @@ class Step(Effect):
     at_s: float | None = option(None, "When it happened, s on the clock of the rows.")
     at_row: int | None = option(None, "First row after it, counted from 1 as measured.")
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Put it in the middle of the rows where nothing says when it happened."""
         if rows is None or not len(rows) or self.at_s is not None or self.at_row is not None:
             return self

@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from kilter_core.arm.loads.wrenches import axial_loads, loads_of
+from kilter_core.arm.loads.wrenches import axial_loads, row_load_wrenches
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Effect, Local, option
@@ -51,13 +51,13 @@ class StrainWave(Effect):
             raise OptionError(f"strain_wave has knee_nm {self.knee_nm!r}: give N m above 0.", effect=self.id)
 
     @classmethod
-    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+    def candidate_configurations(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
         """Two knees at each revolute joint, within the loads that it bears in these rows."""
-        largest = np.max(np.abs(axial_loads(robot, loads_of(robot, rows))), axis=0, initial=0.0)
+        largest = np.max(np.abs(axial_loads(robot, row_load_wrenches(robot, rows))), axis=0, initial=0.0)
         bearing = [j for j, x in enumerate(robot.joints) if x.kind == "revolute" and largest[j] > LEAST_LOAD_NM]
         return [{"joints": (j,), "knee_nm": float(f"{part * largest[j]:.2g}")} for j in bearing for part in KNEES]
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on revolute joints."""
         return self.revolute(robot, "it is a gear")
 

@@ -47,10 +47,10 @@ class TelescopeBending(Effect):
         None, "Reading of each joint at which nothing stands out of its guide, m; null: the lower end of its travel."
     )
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on prismatic joints; nothing stands out at the lower end of their travel unless stated."""
         able = [j for j, joint in enumerate(robot.joints) if joint.kind == "prismatic"]
-        chosen = self.limited(robot, able, WHY)
+        chosen = self.restrict_to_joints(robot, able, WHY)
         joints = chosen.acting(robot.n_joints)
         roots = [robot.joints[j].lower for j in joints] if self.roots_m is None else list(self.roots_m)
         if len(roots) != len(joints):

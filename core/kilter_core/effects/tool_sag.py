@@ -48,7 +48,7 @@ class ToolSag(Effect):
         if self.axis is not None and (len(self.axis) != 3 or not np.linalg.norm(self.axis) > 0.0):
             raise OptionError(f"tool_sag has axis {self.axis!r}: give three numbers, not all 0.", effect=self.id)
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Find the tool's axis in the frame of the last joint."""
         if self.axis is not None:
             return self

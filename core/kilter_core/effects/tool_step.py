@@ -39,6 +39,6 @@ class ToolStep(Step):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist of the tool and its derivatives by how far it moved."""
-        before = -batch.before(self.at_s, self.at_row)
+        before = -batch.before_event_indicator(self.at_s, self.at_row)
         moved = np.eye(6)[:, None, :] * before[:, None]
         return linear(batch, values, [Derivative(k, TOOL, xi=xi) for k, xi in enumerate(moved)])

@@ -46,7 +46,7 @@ class UnknownField(Effect):
         if self.degree not in (1, 2, 3):
             raise OptionError(f"unknown_field has degree {self.degree!r}: give 1, 2 or 3.", effect=self.id)
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Measure the robot's reach: the sum of its links and tool."""
         if self.reach_m is not None:
             return self

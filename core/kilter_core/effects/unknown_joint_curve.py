@@ -47,7 +47,7 @@ class UnknownJointCurve(Effect):
             raise OptionError("unknown_joint_curve needs orders, a partner, or both.", effect=self.id)
 
     @classmethod
-    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+    def candidate_configurations(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
         """Order by order, and each product with a partner."""
         alone = [{"orders": (m,)} for m in cls().orders]
         return [*alone, *({"orders": (), "partner": p} for p in range(robot.n_joints))]
@@ -58,7 +58,7 @@ class UnknownJointCurve(Effect):
         waves = tuple(one for one in tried if one.orders)
         return [waves] if len(waves) > 1 else []
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Act on revolute joints, the partner aside."""
         if self.partner is None:
             return self.revolute(robot)

@@ -71,7 +71,7 @@ class UnknownResidual(Effect):
         if len(width) > 1:
             raise OptionError("unknown_residual needs one number per input joint in every centre.", effect=self.id)
 
-    def on(self, robot: Robot, rows: Observations | None = None) -> Self:
+    def configure_for_robot(self, robot: Robot, rows: Observations | None = None) -> Self:
         """Name the joints, take half the median distance of the poses as the length, and place the centres among them."""
         inputs = tuple(range(robot.n_joints)) if self.inputs is None else self.inputs
         self.refuse_unknown(robot, inputs)

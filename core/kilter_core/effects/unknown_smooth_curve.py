@@ -37,7 +37,7 @@ class UnknownSmoothCurve(JointCurve, OverRange):
     alone = False
 
     @classmethod
-    def tried(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
+    def candidate_configurations(cls, robot: Robot, rows: Observations) -> Sequence[Mapping[str, Any]]:
         """Order by order."""
         return [{"orders": (m,)} for m in cls().orders]
 

@@ -37,4 +37,4 @@ class ZeroDrift(LawOfTime):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by the rate."""
-        return self.joint_angle(batch, values, np.broadcast_to(self.elapsed(batch)[:, None], batch.q.shape))
+        return self.joint_angle(batch, values, np.broadcast_to(self.elapsed_time(batch)[:, None], batch.q.shape))

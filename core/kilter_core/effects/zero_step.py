@@ -33,7 +33,7 @@ class ZeroStep(Step):
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Joint correction and its derivative by the jump."""
-        before = -batch.before(self.at_s, self.at_row)
+        before = -batch.before_event_indicator(self.at_s, self.at_row)
         return self.joint_angle(batch, values, np.broadcast_to(before[:, None], batch.q.shape))
 
     def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:

@@ -1,5 +1,5 @@
 """How well a calibration predicts measurements, and ISO 9283's criteria."""
 
-from kilter_core.evaluate.prediction import evaluate, expected_of, mean_errors, rows_of
+from kilter_core.evaluate.prediction import errors_by_row, evaluate, expected_error_half_widths, mean_errors
 
-__all__ = ["evaluate", "expected_of", "mean_errors", "rows_of"]
+__all__ = ["errors_by_row", "evaluate", "expected_error_half_widths", "mean_errors"]

@@ -51,7 +51,7 @@ class Trial:
     t: Floats | None
 
     @staticmethod
-    def of(commanded: Prediction, observations: Observations) -> Trial:
+    def from_observations(commanded: Prediction, observations: Observations) -> Trial:
         """Pair what was commanded with what was measured.
 
         Raises:

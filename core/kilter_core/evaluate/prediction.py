@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.evaluate import far_off
 from kilter_core.identify.comparison.model_comparison import Difference, PoseErrors
 from kilter_core.identify.comparison.other_setups import elsewhere
-from kilter_core.identify.estimate import new_frames, refitted
+from kilter_core.identify.estimate import new_frames, refit_frames
 from kilter_core.identify.uncertainty.left_open import left_open
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.view_report import tell_less
@@ -48,18 +48,18 @@ def evaluate(
     anew = new_frames(refit, "refit")
     unknown = calibration.unknown_sides(observations)
     counted = ~unknown if unknown.mean() <= MOST_UNKNOWN else np.ones(len(unknown), dtype=bool)
-    measurement = Measurement.of(observations.select(counted), calibration.marker_points, held=True)
+    measurement = Measurement.from_observations(observations.select(counted), calibration.marker_points, held=True)
     nominal = Calibration.nominal(calibration.robot)
     stages = {
         "nominal": nominal,
-        "registration_only": refitted(nominal, measurement, ("base", "tool")),
-        "identified": refitted(calibration, measurement, anew),
+        "registration_only": refit_frames(nominal, measurement, ("base", "tool")),
+        "identified": refit_frames(calibration, measurement, anew),
     }
     rigid = calibration.with_effects([one for one in calibration.model.effects if one.stage == "measurement"])
     if len(rigid.model.effects) < len(calibration.model.effects):
-        stages["without_effects"] = refitted(rigid, measurement, anew)
-    errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
-    stages["without"] = refitted(nominal, measurement, tuple(refit))
+        stages["without_effects"] = refit_frames(rigid, measurement, anew)
+    errors = {name: Errors.from_calibration(stage, measurement) for name, stage in stages.items()}
+    stages["without"] = refit_frames(nominal, measurement, tuple(refit))
     if not measurement.observes_places:  # what a row misses by is known against the others only
         left, shown = _left_open(stages["identified"], measurement, known), errors["identified"].to_document()["rms_mm"]
         none = Rows(np.zeros((0, 3)), None, np.zeros(0, dtype=np.int64))
@@ -68,13 +68,13 @@ def evaluate(
             "within_u95": None, "left_open": left, "rows": none.to_document(),
             "warnings": [*_worse(stages, measurement), *tell_less({"pixels": {"left_open": left}}, shown, "By these views")],
         }  # fmt: skip
-    whole = Measurement.of(observations, calibration.marker_points, held=True)
-    table = rows_of(stages["identified"], whole, refit, known)
+    whole = Measurement.from_observations(observations, calibration.marker_points, held=True)
+    table = errors_by_row(stages["identified"], whole, refit, known)
     judged = replace(table, error=table.error[counted], u95=None if table.u95 is None else table.u95[counted])
     return {
         "n": len(errors["nominal"].points), "left_out": int(np.sum(~counted)),
         **{name: e.to_document() for name, e in errors.items()},
-        "within_u95": judged.within, "left_open": None, "rows": table.to_document(),
+        "within_u95": judged.interval_coverage, "left_open": None, "rows": table.to_document(),
         "warnings": _warnings(stages, measurement, refit, judged),
     }  # fmt: skip
 
@@ -93,13 +93,13 @@ def _warnings(
     """What speaks against the calibration here; nothing does in frames that are not those of the rows."""
     apart = list(elsewhere(stages["identified"], measurement, refit=refit))
     return apart or [
-        *_worse(stages, measurement), *_narrow(table.within), *far_off.warning(table.error, table.u95)
+        *_worse(stages, measurement), *_narrow(table.interval_coverage), *far_off.warning(table.error, table.u95)
     ]  # fmt: skip
 
 
 def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Iterator[dict[str, Any]]:
     """Warn where these rows are predicted worse than without the calibration, frames fitted alike, or than by frames alone."""
-    errors = PoseErrors.of(stages, measurement).stages
+    errors = PoseErrors.from_calibrations(stages, measurement).stages
     found = errors["identified"]
     words = {
         "without": ("worse_than_without", "the nominal robot in frames treated alike", "do not correct with it here."),
@@ -110,7 +110,7 @@ def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Itera
     }  # fmt: skip
     for stage, (code, simpler, advice) in words.items():
         plain = errors[stage]
-        if Difference.of(found, plain).worse:
+        if Difference.from_paired_errors(found, plain).worse:
             yield {
                 "code": code, "simpler_mm": mm(float(plain.mean())), "identified_mm": mm(float(found.mean())),
                 "message": f"These rows are predicted worse with it ({mm(found.mean()):.3g} mm, mean by pose) than with "
@@ -141,7 +141,7 @@ class Rows:
     pose: Ints
 
     @property
-    def within(self) -> float | None:
+    def interval_coverage(self) -> float | None:
         """Share of the coordinates whose error is within the interval."""
         seen = ~np.isnan(self.error)
         return None if self.u95 is None else float(np.mean((np.abs(self.error) <= self.u95)[seen]))
@@ -156,12 +156,12 @@ class Rows:
         return out | {f"u95_{axis}_mm": _numbers(u95[some, k]) for k, axis in enumerate("xyz")}
 
 
-def rows_of(
+def errors_by_row(
     calibration: Calibration, measurement: Measurement, refit: Sequence[str] = (), known: Predictive | None = None
 ) -> Rows:
     """Errors of every row of a measurement, with what was expected of them where their noise is known."""
     left = measurement.residual(calibration.predict(measurement.observations))
-    u95 = None if known is None else expected_of(calibration, measurement, refit, known)
+    u95 = None if known is None else expected_error_half_widths(calibration, measurement, refit, known)
     return Rows(mean_errors(left), u95, measurement.observations.pose_groups())
 
 
@@ -172,7 +172,7 @@ def mean_errors(left: Residual) -> Floats:
     return np.asarray(np.where(seen, left.points, 0.0).sum(axis=1) / count)
 
 
-def expected_of(
+def expected_error_half_widths(
     calibration: Calibration, measurement: Measurement, refit: Sequence[str], known: Predictive
 ) -> Floats | None:
     """Half widths (N, 3) m of the 95 % intervals in which ``known`` expects the errors; None where their noise is not known."""

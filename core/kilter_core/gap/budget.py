@@ -56,11 +56,11 @@ class Budget:
 
         """
 
-        def told() -> None:
+        def check_deadline() -> None:
             if self.over(share, what):
                 raise OutOfTimeError
 
-        return told
+        return check_deadline
 
     def ending(self, progress: Progress, share: float, what: str) -> Progress:
         """The same progress, which ends a stage whose ``share`` is over.
@@ -70,12 +70,12 @@ class Budget:
 
         """
 
-        def told(fraction: float, stage: str) -> None:
+        def report_and_check_deadline(fraction: float, stage: str) -> None:
             progress(fraction, stage)
             if self.over(share, what):
                 raise OutOfTimeError
 
-        return told if self.seconds is not None else progress
+        return report_and_check_deadline if self.seconds is not None else progress
 
     def warnings(self) -> tuple[dict[str, Any], ...]:
         """Say what there was no time for."""

@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.gap.evidence.held_out.holding_out import parted
+from kilter_core.gap.evidence.held_out.holding_out import split_held_out_rows
 from kilter_core.gap.evidence.replication import refuse_unfit
 from kilter_core.gap.evidence.similarity.testability import Testability, Visible, testability, untestable, visible
-from kilter_core.gap.expected import probe, timed
+from kilter_core.gap.expected import probe, run_and_time
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Library, Untestable
 from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.gap.search.start_model import beginning
-from kilter_core.identify.comparison.compare import poses_of, thinned
+from kilter_core.identify.comparison.compare import count_poses, thin_poses
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -61,32 +61,32 @@ def check_gap(
             if isinstance(rows, Observations):
                 refuse_unfit(robot, rows, confirmation)
         refuse_mixed_up(begin, confirmation)
-    searched, held = parted(observations, validation, options.seed)
+    searched, held = split_held_out_rows(observations, validation, options.seed)
     rows = _fewer(searched)
 
     def begun() -> Prepared:
         refuse_mixed_up(begin, observations)
         return prepare_data(begin, rows, options, unheard)
 
-    prepared, took = timed(begun)
+    prepared, took = run_and_time(begun)
     unseen = held is not None or confirmation is not None
     seen = testability(prepared.problem, prepared.library)
-    judged = _of_all(seen, prepared.library, len(rows) / len(searched))
+    judged = _extrapolate_to_all_rows(seen, prepared.library, len(rows) / len(searched))
     return GapCheck(
         tuple(visible(prepared.library, judged)),
         untestable(prepared.library, judged, prepared.problem, prepared.visits.observations),
-        poses_of(rows),
-        poses_of(searched),
+        count_poses(rows),
+        count_poses(searched),
         probe(prepared, seen, options, took, unseen).search(len(searched) / len(rows)),
     )
 
 
 def _fewer(rows: Observations) -> Observations:
     """At most ``MOST_POSES`` poses, evenly chosen, with their repeats; motions stay, a search averages them by itself."""
-    return rows if is_trajectory(rows) or poses_of(rows) <= MOST_POSES else thinned(rows, MOST_POSES)
+    return rows if is_trajectory(rows) or count_poses(rows) <= MOST_POSES else thin_poses(rows, MOST_POSES)
 
 
-def _of_all(judged: Testability, library: Library, share: float) -> Testability:
+def _extrapolate_to_all_rows(judged: Testability, library: Library, share: float) -> Testability:
     """What all rows would show, where a ``share`` of them was looked at: amplitudes fall with the root of the rows."""
     smallest = judged.smallest * np.sqrt(share)
     limit = np.array([max(abs(p.lower), abs(p.upper)) for p in library.parameters])

@@ -16,16 +16,16 @@ from typing import TypeVar
 import numpy as np
 
 from kilter_core.gap.evidence.fits.intervals import MOST_ROWS
-from kilter_core.gap.evidence.halves import half_of
+from kilter_core.gap.evidence.halves import restrict_to_visits
 from kilter_core.gap.evidence.similarity.testability import Testability, to_search
-from kilter_core.gap.evidence.stability import FEW, MANY, reweighted
+from kilter_core.gap.evidence.stability import FEW, MANY, reweight_problem
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import with_testable
 from kilter_core.gap.search.linear.gram import Gram
 from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.prepare import Prepared
 from kilter_core.gap.search.rows.outliers import outliers
-from kilter_core.gap.search.scan import Scorer, null_of
+from kilter_core.gap.search.scan import Scorer, null_distribution
 from kilter_core.gap.search.select import HIDING, Selector
 
 T = TypeVar("T")
@@ -72,34 +72,36 @@ def probe(prepared: Prepared, judged: Testability, options: GapOptions, begun: f
     problem, library = prepared.problem, prepared.library
     noise = problem.settings.noise
     candidates = with_testable(library, to_search(judged, library))
-    scorer = Scorer.of(candidates, problem.settings.trusted, noise.freedom if noise.absolute else np.inf)
+    scorer = Scorer.from_candidates(candidates, problem.settings.trusted, noise.freedom if noise.absolute else np.inf)
     limits = np.array([max(abs(p.lower), abs(p.upper)) for p in library.parameters])
     selector = Selector(scorer, problem.rows, limits * problem.size)
-    null, made = timed(lambda: null_of(problem, scorer, [], options.bootstraps, options.seed))
+    null, made = run_and_time(lambda: null_distribution(problem, scorer, [], options.bootstraps, options.seed))
 
     def select(gram: Gram, by: Selector, most: int) -> tuple[int, ...]:
-        return by.searched(gram, null.critical(options.alpha), most)
+        return by.select_candidates(gram, null.critical(options.alpha), most)
 
-    chosen, first = timed(lambda: select(problem.gram, selector, options.max_effects))
+    chosen, first = run_and_time(lambda: select(problem.gram, selector, options.max_effects))
     visits = np.arange(len(problem.settings.used))
     before = 2 * visits < len(visits)
-    sides = [half_of(problem, side) for side in (before, ~before)]
-    _, halves = timed(lambda: [select(half, replace(selector, rows=n), options.max_effects) for half, n in sides])
+    sides = [restrict_to_visits(problem, side) for side in (before, ~before)]
+    _, halves = run_and_time(
+        lambda: [select(half, replace(selector, rows=n), options.max_effects) for half, n in sides]
+    )
     drawn = np.random.default_rng(options.seed).exponential(size=len(visits))
     alone = replace(selector, pairs=scorer.absolute)
     many = problem.rows > MANY  # the candidates of a resample are those of the data
     other = problem.gram.with_data(problem.gram.c, problem.gram.yy)
     weight, most = drawn[problem.row_visit], selector.names(chosen) + 2
-    _, again = timed(lambda: select(other if many else reweighted(problem, weight), alone, most))
-    _, fit = timed(lambda: refit(problem.settings, problem.values, selector.columns(chosen)))
-    _, looked = timed(lambda: outliers(problem))
-    left = problem.gram.given(selector.columns(chosen))
+    _, again = run_and_time(lambda: select(other if many else reweight_problem(problem, weight), alone, most))
+    _, fit = run_and_time(lambda: refit(problem.settings, problem.values, selector.columns(chosen)))
+    _, looked = run_and_time(lambda: outliers(problem))
+    left = problem.gram.condition_on_columns(selector.columns(chosen))
     settled = unseen and scorer.absolute and left.yy < left.nu + HIDING * np.sqrt(2.0 * max(left.nu, 1.0))
     numbers = problem.settings.numbers
     return Probe(begun, made, first, halves, again, fit, looked, len(chosen), numbers, bool(settled))
 
 
-def timed(work: Callable[[], T]) -> tuple[T, float]:
+def run_and_time(work: Callable[[], T]) -> tuple[T, float]:
     """What some work makes, and how many seconds it takes."""
     began = clock()
     out = work()

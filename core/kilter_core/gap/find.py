@@ -14,23 +14,23 @@ from kilter_core.effects import EFFECTS
 from kilter_core.gap.budget import MEASURING, PLANNING, RESAMPLING, SEARCHING, SHUFFLING, Budget
 from kilter_core.gap.evidence.control import control_document, controls
 from kilter_core.gap.evidence.fits.intervals import Amplitude, amplitudes, seen_joints
-from kilter_core.gap.evidence.fits.sign_uncertainty import narrowed
-from kilter_core.gap.evidence.fits.widened import widened
+from kilter_core.gap.evidence.fits.sign_uncertainty import narrow_sign_uncertainty
+from kilter_core.gap.evidence.fits.widened import refit_with_wider_priors
 from kilter_core.gap.evidence.guarded import Guard
 from kilter_core.gap.evidence.halves import Halves, Sides, halves
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy, adequacy
 from kilter_core.gap.evidence.held_out.by_kind import by_kind
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator, gap_document, noise_document
-from kilter_core.gap.evidence.held_out.holding_out import held_out, parted
+from kilter_core.gap.evidence.held_out.holding_out import held_out, split_held_out_rows
 from kilter_core.gap.evidence.held_out.practical_size import Misfit, floor_mm, misfit, moves_mm, outweighing
 from kilter_core.gap.evidence.held_out.unseen import seen_only
 from kilter_core.gap.evidence.held_out.unseen_fit import unseen_fit
-from kilter_core.gap.evidence.held_out.when import event_warnings, events, said_once, settled
+from kilter_core.gap.evidence.held_out.when import event_warnings, events, refine_event_positions, said_once
 from kilter_core.gap.evidence.local_bump import local_bump_test
-from kilter_core.gap.evidence.rejected import refused
+from kilter_core.gap.evidence.rejected import rejected_candidates
 from kilter_core.gap.evidence.replication import Confirmation, Replication, refuse_unfit, replication
-from kilter_core.gap.evidence.separators import separated
-from kilter_core.gap.evidence.similarity.aliases import SAME, Alias, aliases_of
+from kilter_core.gap.evidence.separators import separating_evidence
+from kilter_core.gap.evidence.similarity.aliases import SAME, Alias, find_aliases
 from kilter_core.gap.evidence.similarity.testability import (
     Testability,
     alias_matrix,
@@ -44,11 +44,11 @@ from kilter_core.gap.evidence.stability import inclusion
 from kilter_core.gap.evidence.verdict import SURE, Evidence, Judged, is_settled, judge, run_verdict, sentence
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.aside import agreement_sentence, poses_again, rows_aside
-from kilter_core.gap.report.doubtful_poses import doubts_of
+from kilter_core.gap.report.doubtful_poses import version_doubts
 from kilter_core.gap.report.effect_curves import effect_curves, measured_range
 from kilter_core.gap.report.figures import figures
 from kilter_core.gap.report.localization import Place, localize, remains
-from kilter_core.gap.report.next_poses import rows_of, separate
+from kilter_core.gap.report.next_poses import proposal_rows, separate
 from kilter_core.gap.report.report import GapReport, Remains
 from kilter_core.gap.report.search_warnings import (
     at_ends,
@@ -57,18 +57,18 @@ from kilter_core.gap.report.search_warnings import (
     unloaded_warnings,
     unplanned_warnings,
 )
-from kilter_core.gap.report.stored import Stored, settled_search, stored
-from kilter_core.gap.report.told_apart import Proposed, never_told, told_apart
+from kilter_core.gap.report.stored import Stored, build_stored_version, settled_search
+from kilter_core.gap.report.told_apart import Proposed, are_never_separable, assess_separation
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
-from kilter_core.gap.search.events import numbered
+from kilter_core.gap.search.events import with_row_numbers
 from kilter_core.gap.search.finalize import chance, or_geometry_alone
 from kilter_core.gap.search.forward_selection import SearchResult, search
 from kilter_core.gap.search.linear.complete_form import incomplete_sentence, incomplete_warnings, missing_directions
 from kilter_core.gap.search.linear.in_space import fit_rms
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.prepare import Prepared, prepare_data
-from kilter_core.gap.search.re_evaluated_search import rejudged
-from kilter_core.gap.search.requested import wanted
+from kilter_core.gap.search.re_evaluated_search import re_evaluate_search
+from kilter_core.gap.search.requested import joints_by_effect
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.gap.search.start_model import beginning
 from kilter_core.identify.comparison.model_comparison import (
@@ -89,7 +89,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import clock_warnings
-from kilter_core.parameters import metres, reported
+from kilter_core.parameters import display_unit_and_scale, metres
 from kilter_core.types import Progress, unheard
 
 SEARCHES = 2  # the second where the noise of the first showed that more could be tested
@@ -120,7 +120,7 @@ def find_gap(
     """
     options, progress = options or GapOptions(), progress or unheard
     begin, budget = beginning(robot, start, observations, options), Budget(options.budget_s)
-    named = [EFFECTS[name] for name in wanted(options.effects)]
+    named = [EFFECTS[name] for name in joints_by_effect(options.effects)]
     given = as_inputs(named, begin, observations, validation, confirmation)
     (observations, validation, confirmation), by_views, odd = seen_poses(begin, *given)
     if confirmation is not None:
@@ -128,24 +128,24 @@ def find_gap(
             if isinstance(rows, Observations):
                 refuse_unfit(robot, rows, confirmation)
         refuse_mixed_up(begin, confirmation)
-    observations = numbered(observations)
+    observations = with_row_numbers(observations)
     remarks = (*refuse_mixed_up(begin, observations), *clock_warnings(observations), *odd)
     every, share = observations, validation
-    observations, validation = parted(observations, validation, options.seed)
-    prepared = prepare_data(begin, observations, options, _part(progress, 0.0, 0.15), budget)
+    observations, validation = split_held_out_rows(observations, validation, options.seed)
+    prepared = prepare_data(begin, observations, options, _map_progress(progress, 0.0, 0.15), budget)
     report = _Run(robot, begin, prepared, options, validation, confirmation, progress, every, budget, by_views).report()
     if not isinstance(share, Observations):
-        report = report.numbered(*held_out(every, share, options.seed))
+        report = report.with_row_numbers(*held_out(every, share, options.seed))
     return replace(report, warnings=(*budget.warnings(), *said_once(report.warnings, remarks)))
 
 
-def _part(progress: Progress, low: float, high: float) -> Progress:
+def _map_progress(progress: Progress, low: float, high: float) -> Progress:
     """Map a stage's own fraction into its share of the whole."""
     return lambda fraction, stage: progress(low + (high - low) * min(1.0, fraction), stage)
 
 
 def _stage(progress: Progress, low: float, high: float, words: str) -> Callable[[float], None]:
-    return lambda fraction: _part(progress, low, high)(fraction, words)
+    return lambda fraction: _map_progress(progress, low, high)(fraction, words)
 
 
 @dataclass(frozen=True)
@@ -168,9 +168,9 @@ class _Run:
         judged = testability(problem, prepared.library)
         for _ in range(SEARCHES):
             candidates = with_testable(prepared.library, to_search(judged, prepared.library))
-            found = self._searched(prepared.problem, candidates)
+            found = self._search_candidates(prepared.problem, candidates)
             found.problem.resting()
-            prepared = prepared.judged_by(found.problem)
+            prepared = prepared.update_noise_and_outliers(found.problem)
             # Without repeats the noise shrinks as effects enter, and what could not show in it may show now.
             again = testability(prepared.problem, prepared.library)
             more, judged = bool(np.any(again.able & ~judged.able)), again
@@ -178,41 +178,43 @@ class _Run:
                 break
         for rests in (problem, prepared.problem):
             rests.resting()
-        found, unseen = seen_only(narrowed(found))
+        found, unseen = seen_only(narrow_sign_uncertainty(found))
         judged = through_loads(judged, testability(found.problem, prepared.library), prepared.library)
-        prepared = prepared.judged_by(found.problem)
+        prepared = prepared.update_noise_and_outliers(found.problem)
         found = or_geometry_alone(found, prepared.problem)
         prepared.problem.resting()
-        found = settled(widened(found), self.validation)
-        report = replace(self, prepared=prepared)._reported(found, places, judged, candidates)
+        found = refine_event_positions(refit_with_wider_priors(found), self.validation)
+        report = replace(self, prepared=prepared)._build_report(found, places, judged, candidates)
         return report.with_unseen(unseen) if found.chosen else report
 
-    def _searched(self, problem: LinearizedProblem, candidates: tuple[Candidate, ...]) -> SearchResult:
+    def _search_candidates(self, problem: LinearizedProblem, candidates: tuple[Candidate, ...]) -> SearchResult:
         noise = problem.settings.noise
-        scorer = Scorer.of(candidates, problem.settings.trusted, noise.freedom if noise.absolute else np.inf)
+        scorer = Scorer.from_candidates(
+            candidates, problem.settings.trusted, noise.freedom if noise.absolute else np.inf
+        )
         limits = np.array([max(abs(p.lower), abs(p.upper)) for p in self.prepared.library.parameters])
         found = search(
-            problem.settings, problem, scorer, limits, self.options, _part(self.progress, 0.2, 0.5), self.budget
+            problem.settings, problem, scorer, limits, self.options, _map_progress(self.progress, 0.2, 0.5), self.budget
         )
-        return rejudged(found, self.options.alpha, limits, self.budget)
+        return re_evaluate_search(found, self.options.alpha, limits, self.budget)
 
-    def _reported(
+    def _build_report(
         self, found: SearchResult, places: tuple[Place, ...], judged: Testability, candidates: tuple[Candidate, ...]
     ) -> GapReport:
         """The report on what was found; the preparation is that with the noise and outliers of the last fit."""
         prepared, problem = self.prepared, self.prepared.problem
         rows = prepared.visits.observations
         fit = adequacy(found.problem, prepared.visits.condition, found.columns)
-        kept = stored(found, self.begin, prepared.rows, self.options, self.validation)
+        kept = build_stored_version(found, self.begin, prepared.rows, self.options, self.validation)
         left = misfit(found, fit, rows, self.options)
         held = HoldoutEvaluator(found, prepared, self.validation, kept.posterior)
         unseen = unseen_fit(held, floor_mm(rows, self.options))
-        whole = partial(is_settled, fit, left, unseen is not None and unseen.refuted)
+        whole = partial(is_settled, fit, left, unseen is not None and unseen.refutes_model)
         lacking = missing_directions(problem, found.columns)
-        effects, control = self._judged(found, fit, left, kept, held, whole, bool(lacking))
+        effects, control = self._judge_effects(found, fit, left, kept, held, whole, bool(lacking))
         of_version, seen = settled_search(found, effects), held
         if of_version is not found:
-            kept = stored(of_version, self.begin, prepared.rows, self.options, self.validation)
+            kept = build_stored_version(of_version, self.begin, prepared.rows, self.options, self.validation)
             seen = HoldoutEvaluator(of_version, prepared, self.validation, kept.posterior)
         kept = kept.without_correction([j.evidence.candidate.id for j in effects if not j.of_arm])
         verdict = run_verdict(effects, fit, left)
@@ -225,7 +227,7 @@ class _Run:
         poses, told = self._next_poses(found, effects)
         poses = [*(poses_again(prepared, self.validation, held.set_aside) if self.options.next_poses else ()), *poses]
         return GapReport(
-            stored=kept.with_doubts(doubts_of(held, verdict, unseen)),
+            stored=kept.with_doubts(version_doubts(held, verdict, unseen)),
             verdict=verdict, effects=effects, unseen=unseen, remains=rest,
             sentence=sentence(verdict, effects, fit, left, rest.words) + ("" if unseen is None else unseen.sentence())
             + incomplete_sentence(lacking) + agreement_sentence(prepared, self.validation, held.set_aside),
@@ -233,7 +235,7 @@ class _Run:
             gap=gap, measurements=by_kind(prepared, found, held, judging), adequacy=fit, misfit=left,
             predictive=judging.predictive,
             not_testable=untestable(prepared.library, judged, problem, rows),
-            smallest_detectable=smallest_rows(prepared.library, judged), refused=refused(found),
+            smallest_detectable=smallest_rows(prepared.library, judged), refused=rejected_candidates(found),
             next_poses=poses, told_apart=told, negative_control=control,
             alias_matrix=alias_matrix(problem, candidates, found.chosen), noise=noise_document(found.problem.settings),
             warnings=(
@@ -241,7 +243,7 @@ class _Run:
                 *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(),
                 *unloaded_warnings(prepared), *size_warnings(found), *self._worse(of_version, seen, kept),
                 *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
-                *left_out_warnings(effects), *kept.alike(), *(() if told is None else told.warnings()),
+                *left_out_warnings(effects), *kept.similar_pose_warnings(), *(() if told is None else told.warnings()),
                 *(unplanned_warnings(problem) if effects and self.options.next_poses else ()),
                 *event_warnings(
                     found, events(found, self.every, moves_mm(found)),
@@ -262,21 +264,21 @@ class _Run:
             out["held_aside"] = tuple(rows_aside(kept.calibration, self.validation, spikes, sigma))
         return {**out, "spikes": spikes}
 
-    def _judged(
+    def _judge_effects(
         self, found: SearchResult, fit: Adequacy, left: Misfit, kept: Stored, held: HoldoutEvaluator,
         whole: Callable[[float], bool], lacking: bool,
     ) -> tuple[tuple[Judged, ...], dict[str, Any]]:  # fmt: skip
         """Evidence for every chosen candidate, and the gates; ``whole(moves_mm)`` as :func:`is_settled`."""
-        aliases = {k: aliases_of(found, k) for k in found.chosen}
+        aliases = {k: find_aliases(found, k) for k in found.chosen}
         classes = {k: tuple(a.place for a in rivals) for k, rivals in aliases.items()}
         drafts = self._drafts(found, fit, left, kept, held, whole, aliases)
 
-        def judged(evidence: Evidence) -> Judged:
+        def judge_evidence(evidence: Evidence) -> Judged:
             settled = whole(evidence.moves_mm)
             level = judge(found, evidence, fit, self.prepared.library, settled, lacking, drafts.values())
             return replace(level, measured=measured_range(found, level))
 
-        rising = [k for k, evidence in drafts.items() if judged(evidence).verdict in SURE]
+        rising = [k for k, evidence in drafts.items() if judge_evidence(evidence).verdict in SURE]
         shares = inclusion(
             found, classes, rising, self.options.resamples, self.options.seed,
             _stage(self.progress, 0.65, 0.85, "selecting again on resamples"),
@@ -288,7 +290,7 @@ class _Run:
             lambda: self.budget.over(SHUFFLING, "shuffles of the negative control"),
         )  # fmt: skip
         tried = [replace(drafts[c.place], inclusion=shares.get(c.place), control=c) for c in shuffled]
-        out = sorted((judged(evidence) for evidence in tried), key=lambda j: -j.evidence.gain_mm)
+        out = sorted((judge_evidence(evidence) for evidence in tried), key=lambda j: -j.evidence.gain_mm)
         return tuple(out), control_document(found, shuffled, self.options.permutations, self.options.seed)
 
     def _drafts(
@@ -310,7 +312,7 @@ class _Run:
             found, _stage(self.progress, 0.6, 0.65, "profile intervals"),
             lambda: self.budget.over(MEASURING, "profile intervals"),
         )  # fmt: skip
-        out, left_mm = {}, fit_rms(found.problem) * reported(found.problem.settings.source.unit)[1]
+        out, left_mm = {}, fit_rms(found.problem) * display_unit_and_scale(found.problem.settings.source.unit)[1]
         for k, told in own.items():
             borne = None if told is None or not told.lasts else outweighing(found, k, told.joints, left)
             evidence, late = (
@@ -332,13 +334,13 @@ class _Run:
         """What the confirmation says of every chosen candidate."""
         if self.confirmation is None or not found.chosen:
             return {}
-        part = _part(self.progress, 0.58, 0.6)
+        part = _map_progress(self.progress, 0.58, 0.6)
         rows, robot = self.confirmation, self.robot
-        seen = Confirmation.of(
+        seen = Confirmation.from_observations(
             kept.calibration, kept.posterior, rows, self.options, lambda f, s: part(f, "confirmation")
         )
         candidates = found.selector.scorer.candidates
-        guard = Guard.of(found, self.begin, kept.calibration, rows)
+        guard = Guard.from_confirmation(found, self.begin, kept.calibration, rows)
         told = {k: replication(seen, robot, rows, candidates[k], seen_joints(found, k)[0]) for k in found.chosen}
         return {k: replace(one, guarded=guard.effect(k)) for k, one in told.items()}
 
@@ -346,15 +348,15 @@ class _Run:
         self, found: SearchResult, place: int, rivals: tuple[Alias, ...], sizes: dict[int, Amplitude], held: HoldoutEvaluator,
     ) -> Evidence:  # fmt: skip
         candidate = found.selector.scorer.candidates[place]
-        unit = reported(found.problem.settings.source.unit)[1]
+        unit = display_unit_and_scale(found.problem.settings.source.unit)[1]
         joints, any_ = seen_joints(found, place)
         return Evidence(
-            place, candidate, rivals, (1.0, 1.0), held.gain_of(place), None,
+            place, candidate, rivals, (1.0, 1.0), held.effect_gain(place), None,
             tuple(sizes[c] for c in candidate.columns),
             chance(found, place, self.options.alpha),
             held.taken_off(place) * unit,
             local_bump_test(found, place, self.prepared.visits.observations.q),
-            held.poses, joints, any_, separated=separated(found, place),
+            held.poses, joints, any_, separated=separating_evidence(found, place),
         )  # fmt: skip
 
     def _worse(self, found: SearchResult, held: HoldoutEvaluator, kept: Stored) -> Iterator[dict[str, Any]]:
@@ -362,23 +364,38 @@ class _Run:
         unit = "deg" if found.problem.settings.source.unit == "rad" else "mm"
         before_after = held.by_pose()
         if found.chosen and (told := grown(*before_after)) is not None:
-            certain = Difference.of(*reversed(before_after)).worse
+            certain = Difference.from_paired_errors(*reversed(before_after)).worse
             yield worse_warning(WORSE_THAN_GEOMETRY, "the geometry alone", told, certain, unit)
         if self.confirmation is not None:
-            yield from Guard.of(found, self.begin, kept.calibration, self.confirmation).warnings(kept.registered)
+            yield from Guard.from_confirmation(found, self.begin, kept.calibration, self.confirmation).warnings(
+                kept.registered
+            )
         if self.validation is None or kept.registered is None:
             return
         calibration, plain = kept.calibration, kept.registered
-        unseen = Measurement.of(self.validation, calibration.marker_points, held=True)
-        yield from PoseErrors.of({"registration_only": plain, "identified": calibration}, unseen).warnings()
+        unseen = Measurement.from_observations(self.validation, calibration.marker_points, held=True)
+        yield from PoseErrors.from_calibrations(
+            {"registration_only": plain, "identified": calibration}, unseen
+        ).warnings()
         yield from elsewhere(calibration, unseen, CONFIRM)
 
     def _next_poses(self, found: SearchResult, effects: tuple[Judged, ...]) -> Proposed:
         """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""
         if not effects or self.budget.over(PLANNING, "poses to measure next"):
             return [], None
-        open_ = [(j, [a for a in j.alias_set if a.correlation < SAME and not a.member
-                      and not never_told(j.evidence.candidate, a.candidate, self.robot)]) for j in effects]  # fmt: skip
+        open_ = [
+            (
+                j,
+                [
+                    a
+                    for a in j.alias_set
+                    if a.correlation < SAME
+                    and not a.member
+                    and not are_never_separable(j.evidence.candidate, a.candidate, self.robot)
+                ],
+            )
+            for j in effects
+        ]
         asked = next(((j, a) for j, a in open_ if a), None)
         weak = [(j, list[Alias]()) for j in effects if j.verdict not in SURE]
         if not (asked or weak):
@@ -390,7 +407,9 @@ class _Run:
         asked_for = (self.options.next_poses, self.options.seed, None, self.by_views)
         proposals = separate(found.problem, rows, target, [rival] if rival else [], others, values, *asked_for)
         names = target.label, rival.label if rival else "geometry"
-        return rows_of(proposals, names, self.robot), told_apart(proposals, target, rival, rows, self.robot)
+        return proposal_rows(proposals, names, self.robot), assess_separation(
+            proposals, target, rival, rows, self.robot
+        )
 
 
 __all__ = ["GapReport", "Library", "Testability", "find_gap"]

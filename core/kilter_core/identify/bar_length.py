@@ -39,7 +39,7 @@ def other_lengths(arm: Calibration, rows: Observations) -> list[tuple[int, float
     return out
 
 
-def scaled(rows: Observations, bar: int, factor: float) -> Observations:
+def scale_bar_readings(rows: Observations, bar: int, factor: float) -> Observations:
     """Rows whose readings of one bar are multiplied by a factor."""
     assert rows.bar is not None
     assert rows.bar_length is not None
@@ -51,7 +51,7 @@ def explains_better(other: Fit, fit: Fit) -> bool:
 
     Of two fits of which neither comes near the rows, as of one circle that tells an arm too little, none says a length.
     """
-    return _left(other) < LARGEST_M and _badness(other) < _badness(fit) - MARGIN
+    return _residual_rms(other) < LARGEST_M and _badness(other) < _badness(fit) - MARGIN
 
 
 def _badness(fit: Fit) -> float:
@@ -62,7 +62,7 @@ def _badness(fit: Fit) -> float:
     return rows * float(np.log(max(float(left @ left) / rows, SMALLEST_M**2))) + float(moved @ moved)
 
 
-def _left(fit: Fit) -> float:
+def _residual_rms(fit: Fit) -> float:
     """What a fit leaves of its rows, rms, m."""
     left = fit.residual.points[np.isfinite(fit.residual.points)]
     return float(np.sqrt(np.mean(left**2))) if len(left) else np.inf

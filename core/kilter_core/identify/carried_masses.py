@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.arm.loads.slopes import EACH, weighed
+from kilter_core.arm.loads.slopes import EACH, links_with_mass
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect
 from kilter_core.effects.load_error import LoadError
@@ -34,7 +34,7 @@ def with_masses(
         return effects
     if any(e.nuisance for e in effects):
         return tuple(_as_known(e, options) if isinstance(e, LoadError) else e for e in effects)
-    carried = _as_known(LoadError().on(robot, rows), options)
+    carried = _as_known(LoadError().configure_for_robot(robot, rows), options)
     return (*effects, carried) if carried.parameters(robot) else effects
 
 
@@ -45,7 +45,7 @@ def considered_masses(
     able = METHODS[options.method].minimum and not options.tilt_first and options.masses == "auto"
     if not able or not _with_signs(effects) or any(e.nuisance for e in effects):
         return None
-    errors = _as_known(LoadError().on(robot, rows), options)
+    errors = _as_known(LoadError().configure_for_robot(robot, rows), options)
     return errors if errors.parameters(robot) else None
 
 
@@ -83,7 +83,7 @@ def beside_masses(fit: Fit) -> tuple[Floats, tuple[str, ...], Floats]:
     return fit.J[:, kept], names, fit.problem.prior_sigma[kept]
 
 
-def masses_said(
+def describe_masses(
     robot: Robot, effects: tuple[Effect, ...], options: IdentifyOptions, considered: LoadError | None = None
 ) -> dict[str, Any] | None:
     """How masses were taken beside the effects of the model, with a sentence; None where no effect follows the load."""
@@ -123,7 +123,7 @@ def masses_said(
 def _widths(effect: LoadError, robot: Robot) -> str:
     """Standard deviations of the masses of links, in percent of each, and of centres, and those of the payload."""
     found = effect.parameters(robot)
-    links = [robot.links[k].mass for k in weighed(robot)]
+    links = [robot.links[k].mass for k in links_with_mass(robot)]
     of_links, of_payload = found[: EACH * len(links)], found[EACH * len(links) :]
     shares = [100.0 * p.prior_sigma / m for p, m in zip(of_links[::EACH], links, strict=True)]
     # A first moment is mass times centre; of the payload the place itself is known.

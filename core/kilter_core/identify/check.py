@@ -14,18 +14,18 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.identify.carried_masses import beside_masses, of_masses
-from kilter_core.identify.estimate import START_SIGMA_RAD, prepared
-from kilter_core.identify.fit.least_squares import Fit, Problem, Weights, fit_at
+from kilter_core.identify.estimate import START_SIGMA_RAD, prepare_problem
+from kilter_core.identify.fit.least_squares import Fit, Problem, Weights, build_fit
 from kilter_core.identify.fleet.asked import of_its_type
 from kilter_core.identify.fleet.versions import FleetVersion
 from kilter_core.identify.identifiable.identifiability import NullDirection, identifiable, null_directions
-from kilter_core.identify.learned import gated
+from kilter_core.identify.learned import select_learned_effects
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.report import known_of_fit, null_rows, still_joints
 from kilter_core.identify.rows.measurement_of_rows import measurement_for
 from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.setups import Frames, marginal, of_the_arm
-from kilter_core.identify.start_model import begin_with, refuse_missing_columns
+from kilter_core.identify.start_model import build_start_model, refuse_missing_columns
 from kilter_core.identify.uncertainty.workspace import MEASURED
 from kilter_core.identify.uncertainty.workspace_uncertainty import within_a_turn
 from kilter_core.identify.views.cameras import with_cameras
@@ -98,17 +98,17 @@ def check_identification(
         CoreError: what the identification would be refused with.
 
     """
-    begin = begin_with(robot, train, options, start)
+    begin = build_start_model(robot, train, options, start)
     refuse_missing_columns(begin, train)
-    frames = Frames.of(begin, train, options)
+    frames = Frames.from_observations(begin, train, options)
     if frames is not None:
         begin, train = frames.in_model(begin), frames.laid(train)
     begin = of_its_type(begin, train, options, fleet)[0]
     measurement = measurement_for(train, options, begin.marker_points)
-    begin = gated(with_cameras(begin, train, measurement), train, options, None)[0]
+    begin = select_learned_effects(with_cameras(begin, train, measurement), train, options, None)[0]
     noise, source = _noise(train, options)
-    problem, values = prepared(begin, measurement, replace(options, loss="linear", noise_mm=mm(noise)))
-    whole = fit_at(problem, values, problem.linearised(values))
+    problem, values = prepare_problem(begin, measurement, replace(options, loss="linear", noise_mm=mm(noise)))
+    whole = build_fit(problem, values, problem.linearise(values))
     fit = marginal(whole)
     names, prior = fit.names, fit.problem.prior_sigma
     directions = null_directions(*beside_masses(fit))
@@ -128,7 +128,7 @@ def check_identification(
 def _noise(train: Observations, options: IdentifyOptions) -> tuple[float, Literal["stated", "repeats", "assumed"]]:
     if options.noise_m is not None:
         return options.noise_m, "stated"
-    found = Repeats.of(train).between
+    found = Repeats.from_observations(train).between
     return (ASSUMED_M, "assumed") if found is None else (found, "repeats")
 
 
@@ -146,8 +146,8 @@ def _unknown(
     if known.all():
         return
     remedies, arm = list(_remedies(whole, options)), of_the_arm(whole)
-    tried = [(remedy, _told(information)[arm]) for remedy, information in remedies]
-    seen_at_all = _told(BOUNDLESS * np.sum([information for _, information in remedies], axis=0))[arm]
+    tried = [(remedy, _identifiable_mask(information)[arm]) for remedy, information in remedies]
+    seen_at_all = _identifiable_mask(BOUNDLESS * np.sum([information for _, information in remedies], axis=0))[arm]
     still = _of_still_joints(fit)
     effects = _effect_remedies(fit.problem.model)
     for k in np.flatnonzero(~known):
@@ -183,12 +183,12 @@ def _remedies(fit: Fit, options: IdentifyOptions) -> Iterator[tuple[str, Floats]
     """Remedies, the easiest first, and the information (F, F) that there would be with what each adds to the rows."""
     own = _information(fit.problem, fit.values)
     drawn = _drawn(fit)
-    spread = own + _information(_measured(fit, drawn, options, turned=False), fit.values)
+    spread = own + _information(_simulated_problem(fit, drawn, options, turned=False), fit.values)
     yield SPREAD, spread
     if not fit.problem.measurement.observes_orientation:
         here = fit.problem.measurement.observations
-        yield TURNED, own + _information(_measured(fit, here, options, turned=True), fit.values)
-        yield BOTH, spread + _information(_measured(fit, drawn, options, turned=True), fit.values)
+        yield TURNED, own + _information(_simulated_problem(fit, here, options, turned=True), fit.values)
+        yield BOTH, spread + _information(_simulated_problem(fit, drawn, options, turned=True), fit.values)
     yield from _conditions(fit, options, own)
     yield MORE, TENFOLD * own
 
@@ -199,21 +199,21 @@ def _conditions(fit: Fit, options: IdentifyOptions, own: Floats) -> Iterator[tup
     needs = fit.problem.model.needs
     if "moments" in needs:
         heavier = (np.zeros(len(rows)) if rows.payload_kg is None else rows.payload_kg) + SECOND_KG
-        loaded = _measured(fit, replace(rows, payload_kg=heavier), options, turned=False)
+        loaded = _simulated_problem(fit, replace(rows, payload_kg=heavier), options, turned=False)
         yield LOADED, own + _information(loaded, fit.values)
     if "direction" in needs:
         both = np.random.default_rng(0).choice([-1.0, 1.0], rows.q.shape)
-        sides = _measured(fit, replace(rows, direction=both), options, turned=False)
+        sides = _simulated_problem(fit, replace(rows, direction=both), options, turned=False)
         yield SIDES, own + _information(sides, fit.values)
 
 
 def _information(problem: Problem, values: Floats) -> Floats:
     """Information (F, F) of the rows of a problem, per prior sigma."""
-    scaled = problem.linearised(values).J * problem.prior_sigma
+    scaled = problem.linearise(values).J * problem.prior_sigma
     return np.asarray(scaled.T @ scaled)
 
 
-def _told(information: Floats) -> Bools:
+def _identifiable_mask(information: Floats) -> Bools:
     """Whether each parameter (F,) would be known; the prior is one sigma of each."""
     posterior = np.linalg.inv(information + np.eye(len(information)))
     return identifiable(np.sqrt(np.diag(posterior)), np.ones(len(posterior)))
@@ -229,7 +229,7 @@ def _drawn(fit: Fit) -> Observations:
     return replace(chosen, q=rng.uniform(low, high, (count, len(low))), pose_id=None, **MEASURED)
 
 
-def _measured(fit: Fit, rows: Observations, options: IdentifyOptions, *, turned: bool) -> Problem:
+def _simulated_problem(fit: Fit, rows: Observations, options: IdentifyOptions, *, turned: bool) -> Problem:
     """The problem with other rows, whose tool a tracker would see where the model puts it."""
     problem = fit.problem
     calibration = Calibration(problem.model, fit.values)
@@ -237,7 +237,7 @@ def _measured(fit: Fit, rows: Observations, options: IdentifyOptions, *, turned:
     predicted = calibration.predict(bare)
     turns = turned or problem.measurement.observes_orientation
     shown = replace(bare, position=predicted.position, rotation=predicted.rotation if turns else None)
-    measurement = measurement_for(shown, options) if options.base == "removed" else Measurement.of(shown)
+    measurement = measurement_for(shown, options) if options.base == "removed" else Measurement.from_observations(shown)
     weights = Weights(_common(problem.weights.points), START_SIGMA_RAD)
     return Problem(problem.model, measurement, problem.free, weights)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify.carried_masses import of_masses
-from kilter_core.identify.fit.least_squares import Fit, Problem, Weights, fit_at, freedom_by_group, solve
+from kilter_core.identify.fit.least_squares import Fit, Problem, Weights, build_fit, freedom_by_group, solve
 from kilter_core.identify.fit.tukey import redescend
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.views.cameras import with_rig
@@ -45,7 +45,8 @@ def registration_only(start: Calibration, measurement: Measurement, loss: str = 
     if measurement.tool.places_itself:
         return with_rig(start, measurement)
     options = IdentifyOptions(
-        loss=bounded(loss), fix=start.names[6 : start.model.n_geometric - 6] + start.names[start.model.n_geometric :]
+        loss=bounded_loss(loss),
+        fix=start.names[6 : start.model.n_geometric - 6] + start.names[start.model.n_geometric :],
     )
     return frames_alone(start, measurement, options)
 
@@ -70,7 +71,7 @@ def new_frames(frames: Sequence[str], option: str) -> tuple[Frame, ...]:
     return found
 
 
-def refitted(calibration: Calibration, measurement: Measurement, frames: Sequence[str]) -> Calibration:
+def refit_frames(calibration: Calibration, measurement: Measurement, frames: Sequence[str]) -> Calibration:
     """Fit frames, [], ["base"] or ["base", "tool"], anew to other rows, everything else held as it is."""
     if not frames:
         return calibration
@@ -94,7 +95,7 @@ def _further_off(found: Calibration, start: Calibration, measurement: Measuremen
     return True
 
 
-def bounded(loss: str) -> str:
+def bounded_loss(loss: str) -> str:
     """The loss for a model that need not be right: it lets no row go."""
     return "huber" if loss == "tukey" else loss
 
@@ -117,24 +118,24 @@ def estimate(
 
     """
     if options.loss == "tukey":
-        return _redescended(estimate(start, measurement, replace(options, loss="huber"), progress, anchor))
-    problem, values = prepared(start, measurement, options, anchor=anchor)
+        return _refit_with_tukey_loss(estimate(start, measurement, replace(options, loss="huber"), progress, anchor))
+    problem, values = prepare_problem(start, measurement, options, anchor=anchor)
     stated = options.noise_m
     still = problem.anchor if problem.anchor is not None else values[problem.free]
-    first = fit_at(problem, values, problem.linearised(values))
-    sigmas, held = _promised(first, stated)
+    first = build_fit(problem, values, problem.linearise(values))
+    sigmas, held = _predict_unheld_sigmas(first, stated)
     known: Residual | None = first.residual
     walked, rough = 0, True
     for step in range(WEIGHT_PASSES):
-        problem = problem.reweighted(_weights(measurement, sigmas), held if len(held) else None)
+        problem = problem.with_weights(_weights(measurement, sigmas), held if len(held) else None)
         fit = solve(problem, values, _iterations(progress, step), known, ROUGH if rough else 0.0)
         walked += fit.iterations
         values, known = fit.values, fit.residual
         left = scatter(fit)
-        unobservable = _promised(fit, stated)[1]
+        unobservable = _predict_unheld_sigmas(fit, stated)[1]
         if len(unobservable) > len(held) and step >= HOLDING_PASSES:
             unobservable = held
-        settled = all(near(left[g], sigmas[g]) for g in left) and len(unobservable) == len(held)
+        settled = all(has_sigma_settled(left[g], sigmas[g]) for g in left) and len(unobservable) == len(held)
         if settled and not rough:
             break
         rough = not settled and step < WEIGHT_PASSES - 2
@@ -143,21 +144,21 @@ def estimate(
         sigmas = _bounded_below(left, stated)
         if len(unobservable) != len(held):
             values, known, held = (
-                _returned(fit, unobservable, still),
+                _restore_unobservable(fit, unobservable, still),
                 None if len(unobservable) else known,
                 unobservable,
             )
     return replace(fit, iterations=walked)
 
 
-def _redescended(first: Fit) -> Fit:
+def _refit_with_tukey_loss(first: Fit) -> Fit:
     fit, found = redescend(first)
     left_out = int(np.count_nonzero(found.weight == 0.0))
     report = {**first.report, "rows_left_out": left_out}
     return replace(fit, iterations=first.iterations + fit.iterations, report=report)
 
 
-def _promised(fit: Fit, stated: float | None) -> tuple[Sigmas, Floats]:
+def _predict_unheld_sigmas(fit: Fit, stated: float | None) -> tuple[Sigmas, Floats]:
     """Sigmas by noise group that a step with nothing held promises, and the directions blind at that scatter.
 
     Directions are held from the start: along them base, tool and chain trade the same motion on a curved path that no
@@ -165,16 +166,16 @@ def _promised(fit: Fit, stated: float | None) -> tuple[Sigmas, Floats]:
     what is held would decide what is held.
     """
     problem, values = fit.problem, fit.values
-    here = problem.linearised(values, fit.residual)
+    here = problem.linearise(values, fit.residual)
     step = problem.whole_step(values, here)
-    moved = problem.moved(values, step)
-    left = scatter(fit_at(problem, moved, problem.beyond(here, moved, step)))
+    moved = problem.apply_step(values, step)
+    left = scatter(build_fit(problem, moved, problem.beyond(here, moved, step)))
     sigmas = _bounded_below(left, stated)
-    problem = problem.reweighted(_weights(problem.measurement, sigmas), None)
-    return sigmas, unobservable_directions(fit_at(problem, values, problem.linearised(values, fit.residual)))
+    problem = problem.with_weights(_weights(problem.measurement, sigmas), None)
+    return sigmas, unobservable_directions(build_fit(problem, values, problem.linearise(values, fit.residual)))
 
 
-def prepared(
+def prepare_problem(
     start: Calibration,
     measurement: Measurement,
     options: IdentifyOptions,
@@ -209,15 +210,17 @@ def _start_frames(
     model: RobotModel, values: Floats, measurement: Measurement, options: IdentifyOptions, free: Ints
 ) -> tuple[Floats, Floats]:
     """Base and tool (4, 4) to start from. Where the base has no place its registration still finds the tool."""
-    o, tool = measurement.observations, _any(model, free, "tool_")
+    o, tool = measurement.observations, _has_free_parameter(model, free, "tool_")
     if o.position is None and o.markers is None:
         return model.T_base, model.T_tool
     if not measurement.observes_base:
         return model.T_base, register(model, values, measurement, tool=tool)[1]
-    return register(model, values, measurement, base=options.base == "free" and _any(model, free, "base_"), tool=tool)
+    return register(
+        model, values, measurement, base=options.base == "free" and _has_free_parameter(model, free, "base_"), tool=tool
+    )
 
 
-def weights_of(fit: Fit, options: IdentifyOptions) -> Weights:
+def estimate_weights(fit: Fit, options: IdentifyOptions) -> Weights:
     """Weights that the residuals of a fit call for; ``noise_mm`` states that of the points."""
     stated = options.noise_m
     return _weights(fit.problem.measurement, _bounded_below(scatter(fit), stated))
@@ -242,7 +245,7 @@ def unobservable_directions(fit: Fit) -> Floats:
     alone rotated the wrist by degrees.) What a type tells is free: how parameters of an arm go together says what rows leave
     open, and held at its mean a zero was off by four of its standard deviations.
     """
-    own = np.flatnonzero(~_told(fit))
+    own = np.flatnonzero(~_type_prior_mask(fit))
     scaled = fit.J[:, own] * fit.problem.prior_sigma[own]
     if not len(own):
         return np.zeros((0, len(fit.names)))
@@ -259,13 +262,13 @@ def unobservable_directions(fit: Fit) -> Floats:
     return out
 
 
-def _told(fit: Fit) -> Bools:
+def _type_prior_mask(fit: Fit) -> Bools:
     """Which of the free parameters (F,) other arms of the type tell."""
     of_type = fit.problem.model.of_type
-    return np.isin(fit.names, () if of_type is None else of_type.told().names)
+    return np.isin(fit.names, () if of_type is None else of_type.restrict_to_identifiable().names)
 
 
-def _returned(fit: Fit, unobservable: Floats, anchor: Floats) -> Floats:
+def _restore_unobservable(fit: Fit, unobservable: Floats, anchor: Floats) -> Floats:
     """Values of the fit with the unobservable directions put back where they started."""
     values = fit.values.copy()
     moved = (values[fit.problem.free] - anchor) / fit.problem.prior_sigma
@@ -293,7 +296,7 @@ def refuse_too_few(model: RobotModel, measurement: Measurement, free: Ints) -> N
         )
 
 
-def _any(model: RobotModel, free: Ints, prefix: str) -> bool:
+def _has_free_parameter(model: RobotModel, free: Ints, prefix: str) -> bool:
     return any(model.names[k].startswith(prefix) for k in free)
 
 
@@ -323,13 +326,13 @@ def scatter(fit: Fit) -> Sigmas:
         if group != TURNS and problem.loss != "linear" and len(left):
             # The median of |residual| over that of a standard normal: outliers must not widen the sigma that bounds them.
             size = float(np.median(np.abs(left)) / 0.6745)
-        redundancy = problem.measurement.redundancy_of(group)
+        redundancy = problem.measurement.group_redundancy(group)
         own = math.sqrt(apart[group] * redundancy / len(left)) if group in apart and len(left) else freedom
         out[group] = size * math.sqrt(redundancy) / own
     return out
 
 
-def near(new: float, old: float) -> bool:
+def has_sigma_settled(new: float, old: float) -> bool:
     """Whether a standard deviation has settled to 5 %."""
     return new == 0.0 or abs(math.log(new / old)) < 0.05
 

@@ -18,7 +18,7 @@ from kilter_core.identify.scale_gauge import free_scale
 from kilter_core.identify.setups import of_the_arm
 from kilter_core.identify.views.cameras import unknown_rig
 from kilter_core.model.placed_rig import PlacedRig
-from kilter_core.observations.rig import called
+from kilter_core.observations.rig import format_part_name
 
 TRACKER = "a few points that a tracker or a measuring arm takes in the robot's own base"
 SETTLES = {
@@ -44,15 +44,17 @@ def gauges(fit: Fit) -> Iterator[dict[str, Any]]:
         yield from _of_ends(fit, rig, unknown)
     if free_scale(fit):
         boards = [f"board_{b.name}_scale" for b in rig.rig.boards]
-        yield _said("board_scale", boards, "The scale of the board", "all link lengths and the distance to the camera")
+        yield _gauge_warning(
+            "board_scale", boards, "The scale of the board", "all link lengths and the distance to the camera"
+        )
     for camera in rig.rig.cameras:
         focal = [f"camera_{camera.name}_{k}" for k in ("fx", "fy")]
         known = dict(zip(names, seen, strict=True))
         if any(not known.get(name, True) for name in focal):
-            yield _said(
+            yield _gauge_warning(
                 "focal_length",
                 focal,
-                f"The focal length of {called('camera', camera.name)}",
+                f"The focal length of {format_part_name('camera', camera.name)}",
                 "its distance to the board",
             )
 
@@ -61,7 +63,7 @@ def _of_ends(fit: Fit, rig: PlacedRig, unknown: set[str]) -> Iterator[dict[str, 
     robot = fit.problem.model.robot
     elements = robot.chain.elements
     joints = [k for k, e in enumerate(elements) if e.joint is not None]
-    room, tool = _parts(rig)
+    room, tool = _fixed_and_flange_parts(rig)
     for code, turns, found, what, other in (
         ("base_yaw", True, elements[: joints[0] + 1], "The zero of the first joint", f"how {room} is rotated"),
         ("axis_place", False, elements[: joints[1]], "The place of the first axis", f"where {room} stands"),
@@ -70,23 +72,23 @@ def _of_ends(fit: Fit, rig: PlacedRig, unknown: set[str]) -> Iterator[dict[str, 
     ):
         names = [str(e.name) for e in found if e.name in unknown and _is(e, turns)]
         if names:
-            yield _said(code, names, what, other)
+            yield _gauge_warning(code, names, what, other)
 
 
 def _is(element: Element, turns: bool) -> bool:
     return element.axis.rotates == turns
 
 
-def _parts(rig: PlacedRig) -> tuple[str, str]:
+def _fixed_and_flange_parts(rig: PlacedRig) -> tuple[str, str]:
     """What stands in the room and what is on the flange, in words."""
     parts = [("camera", c.name, c.mount) for c in rig.rig.cameras] + [
         ("board", b.name, b.mount) for b in rig.rig.boards
     ]
-    fixed = next(called(what, name) for what, name, mount in parts if mount == "fixed")
-    return fixed, next(called(what, name) for what, name, mount in parts if mount == "flange")
+    fixed = next(format_part_name(what, name) for what, name, mount in parts if mount == "fixed")
+    return fixed, next(format_part_name(what, name) for what, name, mount in parts if mount == "flange")
 
 
-def _said(gauge: str, names: list[str], what: str, other: str) -> dict[str, Any]:
+def _gauge_warning(gauge: str, names: list[str], what: str, other: str) -> dict[str, Any]:
     return {
         "code": "camera_gauge", "gauge": gauge, "parameters": names,
         "message": f"{what} ({', '.join(names)}) cannot be told from {other} by these pixels: it keeps what it was given. To "

@@ -19,7 +19,7 @@ from hashlib import blake2b
 import numpy as np
 
 from kilter_core.errors import OptionError, TooFewPosesError
-from kilter_core.measurement.contacts import held, placements
+from kilter_core.measurement.contacts import has_contacts, placements
 from kilter_core.observations import Observations
 from kilter_core.observations.motions import is_trajectory, segments
 from kilter_core.types import Floats, Ints
@@ -50,7 +50,7 @@ class _Units:
     few: bool = False
 
     @staticmethod
-    def of(observations: Observations, seed: int, parts: int | None = None) -> _Units:
+    def from_observations(observations: Observations, seed: int, parts: int | None = None) -> _Units:
         """Placements, motions, or poses; a single motion is cut into ``parts``, its samples when None."""
         placed = placements(observations) if observations.camera is None else None
         if placed is not None:
@@ -79,8 +79,8 @@ def split(observations: Observations, fraction: float, seed: int) -> tuple[Ints,
     views, contacts = _views_beside_contacts(observations)
     if len(contacts):
         shown, unseen = split(observations.select(views), fraction, seed)
-        return _fitted(views[shown], contacts), views[unseen]
-    units = _Units.of(observations, seed)
+        return _merge_rows(views[shown], contacts), views[unseen]
+    units = _Units.from_observations(observations, seed)
     if units.names and len(units.names) < FEWEST_PLACEMENTS:
         raise TooFewPosesError(
             f"All rows are held by {units.names[0]}, and held out are whole placements. {REMEDY}, or leave the fraction "
@@ -110,9 +110,9 @@ def fold_splits(observations: Observations, folds: int, seed: int) -> Iterator[t
     views, contacts = _views_beside_contacts(observations)
     if len(contacts):
         for shown, unseen in fold_splits(observations.select(views), folds, seed):
-            yield _fitted(views[shown], contacts), views[unseen]
+            yield _merge_rows(views[shown], contacts), views[unseen]
         return
-    units = _Units.of(observations, seed, folds)
+    units = _Units.from_observations(observations, seed, folds)
     if units.names and units.count < folds:
         fewer = f"give {units.count} folds or fewer, or m" if units.count >= FEWEST_PLACEMENTS else "m"
         raise TooFewPosesError(
@@ -129,7 +129,7 @@ def fold_splits(observations: Observations, folds: int, seed: int) -> Iterator[t
 
 def _views_beside_contacts(observations: Observations) -> tuple[Ints, Ints]:
     """Rows of views and instruments, and rows beside them that contacts held; none of these where there are no views."""
-    if observations.camera is None or not held(observations):
+    if observations.camera is None or not has_contacts(observations):
         return np.arange(len(observations)), np.zeros(0, dtype=np.int64)
     seen = observations.camera >= 0
     if observations.position is not None or observations.markers is not None:  # rows of an instrument are held out too
@@ -137,7 +137,7 @@ def _views_beside_contacts(observations: Observations) -> tuple[Ints, Ints]:
     return np.flatnonzero(seen), np.flatnonzero(~seen)
 
 
-def _fitted(views: Ints, contacts: Ints) -> Ints:
+def _merge_rows(views: Ints, contacts: Ints) -> Ints:
     return np.sort(np.concatenate([views, contacts]))
 
 
@@ -166,10 +166,10 @@ def _keys(observations: Observations, seed: int) -> list[Floats]:
     loads = (o.payload_kg, o.payload_com, o.link_mass, o.link_wrench)
     beside = (o.stated_direction, *loads, o.temperature_c, o.t, o.position, o.base_tilt_x, o.base_tilt_y)
     columns = [c.reshape(len(o), -1) for c in beside if c is not None]
-    return [_hashed(o.q, seed), _hashed(np.hstack([o.q, *columns]), seed)]
+    return [_hash_rows(o.q, seed), _hash_rows(np.hstack([o.q, *columns]), seed)]
 
 
-def _hashed(values: Floats, seed: int) -> Floats:
+def _hash_rows(values: Floats, seed: int) -> Floats:
     """A number in [0, 1) for each row (N, c), the same on every machine."""
     steps = np.floor(np.nan_to_num(values) / STEP + EDGE).astype("<i8")
     key = int(seed).to_bytes(8, "little")

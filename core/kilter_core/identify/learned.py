@@ -70,7 +70,7 @@ class Learned:
         return {"code": code, "message": text}
 
 
-def gated(
+def select_learned_effects(
     begin: Calibration, train: Observations, options: IdentifyOptions, prior: Prior | None = None
 ) -> tuple[Calibration, Learned | None]:
     """The model to fit, without its learned effects unless they lower the error of held-out poses; and the verdict.
@@ -94,12 +94,12 @@ def gated(
 
 def _held_out(begin: Calibration, train: Observations, options: IdentifyOptions, prior: Prior | None) -> Floats:
     """Mean error (G,) m of every pose, predicted by a fit that did not see it."""
-    shape = Measurement.of(train, begin.marker_points).marker_points
+    shape = Measurement.from_observations(train, begin.marker_points).marker_points
     error = np.empty(len(train))
     for inside, outside in fold_splits(train, FOLDS, options.seed):
-        unseen, found = Measurement.of(train.select(outside), shape), begin
+        unseen, found = Measurement.from_observations(train.select(outside), shape), begin
         if not _nothing_else(begin, options):
-            fit = fit_by_method(begin, Measurement.of(train.select(inside), shape), options, None, prior)
+            fit = fit_by_method(begin, Measurement.from_observations(train.select(inside), shape), options, None, prior)
             found = Calibration(fit.problem.model, fit.values, shape)
         points = unseen.residual(found.predict(unseen.observations)).points
         error[outside] = np.nanmean(np.linalg.norm(points, axis=2), axis=1)

@@ -14,7 +14,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.moved_parts import Moved, Step
 from kilter_core.identify.rows.measurement_of_rows import measurement_for
 from kilter_core.identify.uncertainty.by_views import by_views, view_scatter
-from kilter_core.identify.views.cameras import rig_at, with_cameras
+from kilter_core.identify.views.cameras import rig_from_values, with_cameras
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.transforms import inverse, rotation_log
@@ -34,7 +34,9 @@ class Apart:
     later: Bools
 
     @staticmethod
-    def of(begin: Calibration, train: Observations, options: IdentifyOptions, step: Step, later: Bools) -> Apart | None:
+    def fit_moved_part(
+        begin: Calibration, train: Observations, options: IdentifyOptions, step: Step, later: Bools
+    ) -> Apart | None:
         """Fit the rows anew, of which those ``later (N,)`` saw the part elsewhere; None where nothing comes of it."""
         assert train.rig is not None
         column, parts = ("camera", train.rig.cameras) if step.part.camera else ("board", train.rig.boards)
@@ -52,7 +54,7 @@ class Apart:
         except CoreError:
             return None
 
-    def moved(self) -> Moved:
+    def estimate_motion(self) -> Moved:
         """How far the part moved at the tool (m, rms over the later rows) and rotated (rad), with standard deviations."""
         names = [self.fit.problem.model.names[k] for k in self.fit.problem.free]
         mine = [k for k, name in enumerate(names) if name.startswith((self._prefix, f"{self._prefix[:-1]} after_"))]
@@ -70,7 +72,7 @@ class Apart:
 
     def _sizes(self, values: Floats) -> Floats:
         model = self.fit.problem.model
-        rig = rig_at(model, values)
+        rig = rig_from_values(model, values)
         assert rig is not None
         parts = rig.cameras if self.step.part.camera else rig.boards
         before, after = parts[self.place].pose, parts[self.other].pose

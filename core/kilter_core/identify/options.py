@@ -83,13 +83,13 @@ class IdentifyOptions:
         return {(int(a), int(b)): length * 1e-3 for (a, b), length in pairs}
 
     def __post_init__(self) -> None:
-        self._one_of("level", (None, 1, 2, 3))
+        self._check_choice("level", (None, 1, 2, 3))
         self._check_method()
-        self._one_of("base", ("free", "fixed", "removed"))
-        self._one_of("tool", ("free", "fixed"))
-        self._one_of("loss", ("linear", "huber", "tukey"))
-        self._one_of("intervals", (None, "bootstrap", "profile"))
-        self._one_of("reference", ("auto", "robot", "registration"))
+        self._check_choice("base", ("free", "fixed", "removed"))
+        self._check_choice("tool", ("free", "fixed"))
+        self._check_choice("loss", ("linear", "huber", "tukey"))
+        self._check_choice("intervals", (None, "bootstrap", "profile"))
+        self._check_choice("reference", ("auto", "robot", "registration"))
         self._check_masses()
         self._check_prior()
         if self.refit is not None and (set(self.refit) - {"base", "tool"} or len(set(self.refit)) < len(self.refit)):
@@ -118,7 +118,7 @@ class IdentifyOptions:
 
     def _check_masses(self) -> None:
         """Refuse widths that are none, and those of masses that count as exact."""
-        self._one_of("masses", ("auto", "uncertain", "as_stated"))
+        self._check_choice("masses", ("auto", "uncertain", "as_stated"))
         for name in ("mass_sigma_percent", "com_sigma_mm"):
             sigma = getattr(self, name)
             if sigma is not None and not sigma > 0:
@@ -131,7 +131,7 @@ class IdentifyOptions:
 
     def _check_prior(self) -> None:
         """Refuse a prior beside a method that knows none, or that continues from a version's own."""
-        self._one_of("prior", (None, "fleet"))
+        self._check_choice("prior", (None, "fleet"))
         if self.prior is not None and (self.method != "least_squares" or self.tilt_first):
             other = "tilt_first, which holds effects" if self.method == "least_squares" else f"method {self.method}"
             raise OptionError(
@@ -141,7 +141,7 @@ class IdentifyOptions:
 
     def _check_method(self) -> None:
         """Refuse a method that there is not, and what does not go with the one there is."""
-        self._one_of("method", tuple(METHODS))
+        self._check_choice("method", tuple(METHODS))
         method = METHODS[self.method]
         if self.intervals is not None and not method.minimum:
             raise OptionError(
@@ -185,12 +185,12 @@ class IdentifyOptions:
         )
         if not self.tilt_first:
             names |= set(model.names[model.n_geometric :])
-        names -= set(_matching(model.names, self.fix)) - self._seen(model)
+        names -= set(_matching(model.names, self.fix)) - self._instrument_parameters(model)
         if not names:
             raise OptionError("Nothing is left to identify: free a parameter, the base or the tool.", option="fix")
         return np.array([k for k, name in enumerate(model.names) if name in names], dtype=np.int64)
 
-    def _seen(self, model: RobotModel) -> set[str]:
+    def _instrument_parameters(self, model: RobotModel) -> set[str]:
         """What stands somewhere to measure: a pattern that does not begin with its name does not hold it."""
         seen = [e for e in model.effects if e.instrument is not None]
         names = {p.name for e in seen for p in e.parameters(model.robot)}
@@ -201,10 +201,10 @@ class IdentifyOptions:
         chain = model.robot.chain
         if self.free:
             return _matching(model.names, self.free)
-        wanted = [chain.elements[k] for k in chain.named]
+        wanted = [chain.elements[k] for k in chain.named_elements]
         return [str(e.name) for e in wanted if (e.joint is not None if self.level == 1 else not e.dependent)]
 
-    def _one_of(self, name: str, allowed: Sequence[Any]) -> None:
+    def _check_choice(self, name: str, allowed: Sequence[Any]) -> None:
         value = getattr(self, name)
         if value not in allowed:
             offered = ", ".join(str(a) for a in allowed if a is not None)

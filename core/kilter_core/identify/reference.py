@@ -27,7 +27,7 @@ SAME_RAD = np.radians(0.1)
 CONTRADICTED = 5.0  # times the registration's error that a held frame may leave, as with mixed-up rows
 
 
-def registered(start: Calibration, shown: Measurement, loss: str = "linear") -> Calibration:
+def register_nominal(start: Calibration, shown: Measurement, loss: str = "linear") -> Calibration:
     """The nominal robot of ``start`` in the base and tool frames that fit the measurement best.
 
     Raises:
@@ -45,11 +45,11 @@ def wanted_frames(
     ``start`` is what the fit began with, ``found`` the registered nominal robot. Wanted frames of a start are kept where
     the measurements were taken in its frames; ``continued`` says that they were.
     """
-    if options.reference == "auto" and (continued or _kept(start, shown, options)):
-        wanted = start.wanted().model
+    if options.reference == "auto" and (continued or _can_keep_start_frames(start, shown, options)):
+        wanted = start.nominal_in_wanted_frames().model
         return wanted.T_base, wanted.T_tool
-    base = _decided(start, found, "base", options.base, True, options.reference)
-    tool = _decided(start, found, "tool", options.tool, shown.observes_orientation, options.reference)
+    base = _choose_frame(start, found, "base", options.base, True, options.reference)
+    tool = _choose_frame(start, found, "tool", options.tool, shown.observes_orientation, options.reference)
     return base, tool
 
 
@@ -80,17 +80,17 @@ def refuse_contradicted(
     )
 
 
-def named(calibration: Calibration) -> dict[str, str]:
+def frame_sources(calibration: Calibration) -> dict[str, str]:
     """Where the wanted frames of a calibration come from: "robot" (its own) or "registration"."""
-    return {which: _named(calibration, which) for which in ("base", "tool")}
+    return {which: _frame_source(calibration, which) for which in ("base", "tool")}
 
 
-def _named(calibration: Calibration, which: str) -> str:
+def _frame_source(calibration: Calibration, which: str) -> str:
     wanted, own = getattr(calibration, f"wanted_{which}"), getattr(calibration.robot, f"T_{which}")
     return "robot" if wanted is None or np.array_equal(wanted, own) else "registration"
 
 
-def _kept(start: Calibration, shown: Measurement, options: IdentifyOptions) -> bool:
+def _can_keep_start_frames(start: Calibration, shown: Measurement, options: IdentifyOptions) -> bool:
     """Whether the start's wanted frames hold for these measurements: its frames are held, or found where they were."""
     if start.wanted_base is None or start.wanted_tool is None:
         return False
@@ -104,7 +104,9 @@ def _kept(start: Calibration, shown: Measurement, options: IdentifyOptions) -> b
     return bool(moved < SAME_M and (not shown.observes_orientation or angle < SAME_RAD))
 
 
-def _decided(start: Calibration, found: Calibration, which: str, state: str, turns: bool, reference: str) -> Floats:
+def _choose_frame(
+    start: Calibration, found: Calibration, which: str, state: str, turns: bool, reference: str
+) -> Floats:
     """One frame (4, 4): that of the start where it is held, the robot's own, or the registration's."""
     own: Floats = getattr(start.robot, f"T_{which}")
     fitted: Floats = getattr(found.model, f"T_{which}")
@@ -114,10 +116,10 @@ def _decided(start: Calibration, found: Calibration, which: str, state: str, tur
     if state != "free" and wanted is not None:
         return wanted
     stands = fitted if state == "free" else getattr(start.model, f"T_{which}")
-    return own if _near(own, stands, turns) else fitted
+    return own if _are_frames_close(own, stands, turns) else fitted
 
 
-def _near(own: Floats, stands: Floats, turns: bool) -> bool:
+def _are_frames_close(own: Floats, stands: Floats, turns: bool) -> bool:
     apart = np.linalg.norm(own[:3, 3] - stands[:3, 3])
     angle = float(np.linalg.norm(rotation_log((own[:3, :3].T @ stands[:3, :3])[None])))
     return bool(apart < NEAR_M and (not turns or angle < NEAR_RAD))

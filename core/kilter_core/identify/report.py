@@ -18,7 +18,7 @@ from kilter_core.identify.uncertainty.workspace_uncertainty import workspace_unc
 from kilter_core.measurement.marker_checks import bending
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.parameters import mm, reported
+from kilter_core.parameters import display_unit_and_scale, mm
 from kilter_core.transforms import xyz_rpy_from_pose
 from kilter_core.types import Bools, Floats
 
@@ -36,25 +36,27 @@ def parameter_rows(calibration: Calibration, fit: Fit, intervals: Intervals | No
     model = calibration.model
     unobservable = unobservable_names(fit.problem.model, fit.problem.measurement.observations)
     known = identifiable(fit.sigma, fit.problem.prior_sigma) & ~np.isin(fit.names, list(unobservable))
-    rows = rows_of(calibration, fit.names, fit.sigma, known)
+    rows = build_parameter_rows(calibration, fit.names, fit.sigma, known)
     if fit.problem.model.of_type is not None:
         rows = [{**row, "from_prior": bool(rests)} for row, rests in zip(rows, resting(fit), strict=True)]
     if intervals is not None:
         ends = zip(rows, intervals.lower, intervals.upper, intervals.stands_in, strict=True)
         for row, below, above, stands_in in ends:
-            scale = reported(model.parameter(row["name"]).unit)[1]
+            scale = display_unit_and_scale(model.parameter(row["name"]).unit)[1]
             row["lower"], row["upper"] = row["value"] + float(below) * scale, row["value"] + float(above) * scale
             row["interval_from"] = "sigma" if stands_in else intervals.kind
     return rows
 
 
-def rows_of(calibration: Calibration, names: Sequence[str], sigma: Floats, known: Bools) -> list[dict[str, Any]]:
+def build_parameter_rows(
+    calibration: Calibration, names: Sequence[str], sigma: Floats, known: Bools
+) -> list[dict[str, Any]]:
     """One row for each of the parameters ``names``, with its ``sigma (F,)`` SI and whether it is ``known (F,)``."""
     values, nominal = _absolute(calibration), _nominal(calibration)
     rows: list[dict[str, Any]] = []
     for name, spread, seen in zip(names, sigma, known, strict=True):
         parameter = calibration.model.parameter(name)
-        unit, scale = reported(parameter.unit)
+        unit, scale = display_unit_and_scale(parameter.unit)
         rows.append({
             "name": name,
             "value": values[name] * scale,
@@ -74,18 +76,18 @@ def _change(name: str, change: float) -> float:
     return math.remainder(change, 2.0 * math.pi) if turns else change
 
 
-def known_of(calibration: Calibration, names: Sequence[str], covariance: Floats, prior_sigma: Floats) -> Known:
+def known_parameters(calibration: Calibration, names: Sequence[str], covariance: Floats, prior_sigma: Floats) -> Known:
     """What is known of the free parameters ``names`` of a calibration, for the sums of :func:`null_rows`."""
     model, every = calibration.model, _absolute(calibration)
     values = np.array([every.get(name, np.nan) for name in names])
-    units = [reported(model.parameter(name).unit) for name in names]
+    units = [display_unit_and_scale(model.parameter(name).unit) for name in names]
     axes = {frame: T[:3, :3] for frame, T in (("base", model.T_base), ("tool", model.T_tool))}
     return Known(names, values, units, covariance, prior_sigma, axes)
 
 
 def known_of_fit(calibration: Calibration, fit: Fit) -> Known:
     """The same of all that was free in the fit of a calibration."""
-    return known_of(calibration, fit.names, fit.covariance, fit.problem.prior_sigma)
+    return known_parameters(calibration, fit.names, fit.covariance, fit.problem.prior_sigma)
 
 
 def null_rows(directions: Sequence[NullDirection], known: Known) -> list[dict[str, Any]]:
@@ -101,7 +103,7 @@ def null_rows(directions: Sequence[NullDirection], known: Known) -> list[dict[st
     return rows
 
 
-def warnings_of(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[dict[str, Any]]:
+def fit_warnings(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[dict[str, Any]]:
     """What a metrologist should know before trusting the result."""
     for j in still_joints(train):
         name = fit.problem.model.robot.joints[j].name

@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.effects.other_campaigns import placed_later
 from kilter_core.errors import OptionError
-from kilter_core.identify.carried_masses import beside_masses, considered_masses, masses_said
+from kilter_core.identify.carried_masses import beside_masses, considered_masses, describe_masses
 from kilter_core.identify.comparison.model_comparison import PoseErrors, geometry_alone
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fit.row_errors import RowErrors
@@ -26,7 +26,7 @@ from kilter_core.identify.holdout import Folds, split
 from kilter_core.identify.identifiable.identifiability import NullDirection, null_directions
 from kilter_core.identify.identifiable.load_model import far_from_stated, load_rows
 from kilter_core.identify.identifiable.observability import correlated_groups, observability
-from kilter_core.identify.learned import Learned, gated
+from kilter_core.identify.learned import Learned, select_learned_effects
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import IdentifyOptions
@@ -34,33 +34,33 @@ from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.astray_rows import of_held_out, unless_astray
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.identify.plausibility.views.flat_boards import bent_boards
-from kilter_core.identify.reference import named, refuse_contradicted, wanted_frames
+from kilter_core.identify.reference import frame_sources, refuse_contradicted, wanted_frames
 from kilter_core.identify.registry import METHODS
-from kilter_core.identify.report import known_of_fit, null_rows, parameter_rows, warnings_of
-from kilter_core.identify.rows.errors_by_kind import KindErrors, Shares, errors_of
-from kilter_core.identify.rows.influence import influence_of
+from kilter_core.identify.report import fit_warnings, known_of_fit, null_rows, parameter_rows
+from kilter_core.identify.rows.errors_by_kind import KindErrors, Shares, squared_errors_by_kind
+from kilter_core.identify.rows.influence import parameter_influence
 from kilter_core.identify.rows.measurement_of_rows import between_rows, measurement_for
 from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.rows.read_tilt import as_inputs
 from kilter_core.identify.scale_gauge import with_likeliest_scale
 from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
-from kilter_core.identify.start_model import begin_with, refuse_missing_columns
-from kilter_core.identify.uncertainty.by_views import place_beside
+from kilter_core.identify.start_model import build_start_model, refuse_missing_columns
+from kilter_core.identify.uncertainty.by_views import tool_sigma_from_views
 from kilter_core.identify.uncertainty.considered import beside_drawn_masses
 from kilter_core.identify.uncertainty.held_arm import beside_held_arm
 from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
-from kilter_core.identify.uncertainty.predictive import Predictive, left_of, predictive
+from kilter_core.identify.uncertainty.predictive import Predictive, predictive, residual_sigma
 from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.identify.view_report import (
     held_views,
-    predictive_of,
+    predictive_from_views_only,
     tell_less,
     too_large_to_deploy,
-    views_said,
+    views_document,
     with_control,
-    with_held,
     with_own_scatter,
+    with_validation_views,
     wrong,
 )
 from kilter_core.identify.views.cameras import with_cameras
@@ -72,7 +72,7 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.shared_rows import refuse_shared_rows
 from kilter_core.parameters import degrees, mm
-from kilter_core.types import Each, Floats, Ints, Progress, one_by_one, unheard
+from kilter_core.types import Each, Floats, Ints, Progress, run_sequentially, unheard
 
 Validation = Observations | float | Folds | None
 HeldOut = tuple[dict[str, Errors], PoseErrors | None, RowErrors | None, KindErrors]
@@ -147,7 +147,7 @@ class Identification:
             "noise_mm": None if by_views else mm(self.noise_m),
             "noise_source": None if by_views else self.noise_source,
             "noise": {
-                "residuals_mm": None if by_views else mm(left_of(self.fit)),
+                "residuals_mm": None if by_views else mm(residual_sigma(self.fit)),
                 "inadequacy_mm": mm(self.predictive.inadequacy),
                 **self.repeats.to_document(),
             },
@@ -165,7 +165,7 @@ class Identification:
                 f"{which}_refitted": [frame.to_document() for frame in self.own_frames if frame.which == which]
                 for which in ("base", "tool")
             },
-            "reference": named(self.calibration),
+            "reference": frame_sources(self.calibration),
             "prior": None if self.fleet is None else prior_document(self.fleet, self.fit),
             **self.views,
         }
@@ -179,7 +179,7 @@ def identify(
     start: Calibration | None = None,
     progress: Progress | None = None,
     prior: Prior | None = None,
-    each: Each = one_by_one,
+    each: Each = run_sequentially,
     fleet: Sequence[FleetVersion] | None = None,
 ) -> Identification:
     """Identify a robot from observations.
@@ -198,7 +198,7 @@ def identify(
     """
     options, progress = options or IdentifyOptions(), progress or unheard
     train, validation = as_inputs(options.make_effects(), start, train, validation)
-    begin, nominal = begin_with(robot, train, options, start), Calibration.nominal(robot)
+    begin, nominal = build_start_model(robot, train, options, start), Calibration.nominal(robot)
     odd = _belonging(begin, train, validation)
     begin, train, validation, frames = _in_one_frame(begin, train, validation, options)
     begin, of_type = of_its_type(begin, train, options, fleet)
@@ -207,39 +207,41 @@ def identify(
     if isinstance(validation, Folds):
         given = (nominal, begin, train, validation.folds, options, progress, prior, each)
         held, compared, by_row, kinds, views = cross_validated(*given)
-    train, validation, options, (inside, outside) = _parted(train, validation, options, begin)
-    begin, measurement = _seen(begin, train, options)
-    found, wanted = _registered(begin, measurement.of_tool(), options, prior)
-    begin, learned = gated(begin, train, options, prior)
+    train, validation, options, (inside, outside) = _split_rows(train, validation, options, begin)
+    begin, measurement = _model_and_measurement(begin, train, options)
+    found, wanted = _register_frames(begin, measurement.of_tool(), options, prior)
+    begin, learned = select_learned_effects(begin, train, options, prior)
     made = fit_by_method(begin, measurement, options, _section(progress, 0.5, 0.4), prior)
     fit = beside_held_arm(with_likeliest_scale(made))
     calibration = fit.calibration(*wanted)
     stages = _stages(found if measurement.tool.places_itself else nominal, found, calibration)
-    own = [] if frames is None else frames.fitted(calibration)
+    own = [] if frames is None else frames.fitted_frames(calibration)
     if isinstance(validation, Observations):
         apart = (stages, geometry_alone(begin, measurement, options), frames, validation, options, measurement)
         held, compared, by_row, kinds, own[len(own) :] = held_out(*apart)
-        by_row, views = by_row.numbered(outside), held_views(calibration, validation, measurement)
+        by_row, views = by_row.with_row_numbers(outside), held_views(calibration, validation, measurement)
     progress(0.95, "identifiability")
-    errors = {name: Errors.of(stage, measurement) for name, stage in stages.items()}
+    errors = {name: Errors.from_calibration(stage, measurement) for name, stage in stages.items()}
     refuse_contradicted(options, begin, found, errors["identified"].mean, errors["registration_only"].mean)
     told, last = metrics_document(errors, held), _section(progress, 0.95, 0.04)
-    result = _reported(without_frames(calibration), fit, train, told, options, last, each, learned)
+    result = _assemble_identification(without_frames(calibration), fit, train, told, options, last, each, learned)
     said = (*result.warnings, *wrong(fit, begin, options, inside, result.beyond), *odd, *_worse(compared, of_type, fit))
-    fitted = RowErrors.of(stages, measurement, np.arange(len(train))).numbered(inside)
+    fitted = RowErrors.from_stages(stages, measurement, np.arange(len(train))).with_row_numbers(inside)
     return replace(
         result, own_frames=tuple(own), inside=inside, fitted_rows=fitted, held_rows=by_row, held_kinds=kinds, fleet=of_type,
-        fitted_kinds=errors_of(stages, measurement), **_views(result, said, views, measurement, held, begin),
+        fitted_kinds=squared_errors_by_kind(stages, measurement), **_views(result, said, views, measurement, held, begin),
     )  # fmt: skip
 
 
-def _seen(begin: Calibration, train: Observations, options: IdentifyOptions) -> tuple[Calibration, Measurement]:
+def _model_and_measurement(
+    begin: Calibration, train: Observations, options: IdentifyOptions
+) -> tuple[Calibration, Measurement]:
     """The model to fit with its cameras, and what was measured."""
     measurement = measurement_for(train, options, begin.marker_points)
     return with_cameras(begin, train, measurement), measurement
 
 
-def _registered(
+def _register_frames(
     begin: Calibration, of_tool: Measurement, options: IdentifyOptions, prior: Prior | None
 ) -> tuple[Calibration, tuple[Floats, Floats]]:
     """The nominal robot in fitted frames, and the base and tool frames that a correction should work in."""
@@ -262,7 +264,7 @@ def _views(
     held: dict[str, Errors], begin: Calibration,
 ) -> dict[str, Any]:  # fmt: skip
     """What views say, of those held out and of shuffled joints too, and the warnings with theirs."""
-    views = with_held(with_control(result.views, begin, measurement.observations), unfitted)
+    views = with_validation_views(with_control(result.views, begin, measurement.observations), unfitted)
     shown = {name: errors.to_document()["rms_mm"] for name, errors in held.items()}
     said = *too_large_to_deploy(views, shown.get("registration_only")), *tell_less(views, shown.get("identified"))
     return {"views": views, "warnings": (*unless_astray(warnings), *said)}
@@ -273,7 +275,7 @@ def _in_one_frame(
 ) -> tuple[Calibration, Observations, Validation, Frames | None]:
     """The model with the frames of later set-ups, and rows given in the frame of the first."""
     refuse_missing_columns(begin, train)
-    frames = Frames.of(begin, train, options)
+    frames = Frames.from_observations(begin, train, options)
     if frames is None:
         return begin, train, validation, None
     seen = frames.laid(validation) if isinstance(validation, Observations) else validation
@@ -294,7 +296,7 @@ def _section(progress: Progress, start: float, share: float) -> Progress:
     return lambda fraction, stage: progress(start + share * fraction, stage)
 
 
-def _parted(
+def _split_rows(
     train: Observations, validation: Validation, options: IdentifyOptions, begin: Calibration
 ) -> tuple[Observations, Validation, IdentifyOptions, tuple[Ints | None, Ints | None]]:
     """Rows to fit and to hold out, the options for them, and which of the rows given they are of a fraction."""
@@ -313,7 +315,7 @@ def _parted(
     return fitted, train.select(outside), between_rows(options, fitted), (inside, outside)
 
 
-def _reported(
+def _assemble_identification(
     calibration: Calibration,
     fit: Fit,
     train: Observations,
@@ -324,12 +326,12 @@ def _reported(
     learned: Learned | None = None,
 ) -> Identification:
     """What was found, with all that is said about it."""
-    repeats = Repeats.of(train, fit.residual)
+    repeats = Repeats.from_observations(train, fit.residual)
     sigma = repeats.between
-    shares = Shares.of(fit, marginal(fit).names)
+    shares = Shares.from_fit(fit, marginal(fit).names)
     plain, (fit, scatter) = fit, with_own_scatter(fit)
-    views = views_said(calibration, fit, scatter)
-    beyond = BeyondNoise.of(fit, repeats, options.noise_m)
+    views = views_document(calibration, fit, scatter)
+    beyond = BeyondNoise.from_fit(fit, repeats, options.noise_m)
     masses = considered_masses(calibration.model.effects, calibration.robot, train, options)
     fit = predicted = fit if beyond is None else beyond.widen(fit)
     if masses is not None:
@@ -344,12 +346,14 @@ def _reported(
         noise_m=float(np.mean(fit.problem.weights.points)) if sigma is None else sigma,
         noise_source="residuals of the fit" if sigma is None else "repeats",
         repeats=repeats,
-        predictive=predictive_of(fit_of_all, scatter)
-        or predictive(marginal(predicted), repeats, options.noise_m, Structure.of(plain), place_beside(plain)),
+        predictive=predictive_from_views_only(fit_of_all, scatter)
+        or predictive(
+            marginal(predicted), repeats, options.noise_m, Structure.from_fit(plain), tool_sigma_from_views(plain)
+        ),
         null_directions=null_directions(*beside_masses(fit)),
-        masses=masses_said(calibration.robot, calibration.model.effects, options, masses),
+        masses=describe_masses(calibration.robot, calibration.model.effects, options, masses),
         warnings=(
-            *warnings_of(fit, train, repeats),
+            *fit_warnings(fit, train, repeats),
             *(() if learned is None else (learned.warning(),)),
             *another_arm(calibration),
             *gauges(fit_of_all),
@@ -358,7 +362,9 @@ def _reported(
             *far_from_stated(load_rows(calibration, fit.names, fit.sigma, fit.problem.prior_sigma)),
         ),
         method=options.method,
-        influence=influence_of(calibration, _shown(train, options), fit.names).to_document() if fit.names else [],
+        influence=parameter_influence(calibration, _influence_rows(train, options), fit.names).to_document()
+        if fit.names
+        else [],
         intervals=intervals,
         learned=learned,
         shares=shares,
@@ -367,7 +373,7 @@ def _reported(
     )
 
 
-def _shown(train: Observations, options: IdentifyOptions) -> Observations:
+def _influence_rows(train: Observations, options: IdentifyOptions) -> Observations:
     """Rows to say the influence at: all where the method weighs by it, else so many that it costs little beside the fit."""
     if METHODS[options.method].weighs_by_influence or len(train) <= INFLUENCE_ROWS:
         return train
@@ -381,9 +387,9 @@ def _intervals(
     if options.intervals is None:
         return None
     if options.intervals == "profile":
-        found = profile(plain, progress, each).widened(fit.sigma / plain.sigma)
+        found = profile(plain, progress, each).widen_by_factor(fit.sigma / plain.sigma)
     else:
-        found = bootstrap(plain, options.seed, progress).widened(wider)
+        found = bootstrap(plain, options.seed, progress).widen_by_factor(wider)
     arm = of_the_arm(fit)
     return replace(found, lower=found.lower[arm], upper=found.upper[arm], stands_in=found.stands_in[arm])
 

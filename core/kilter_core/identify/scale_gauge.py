@@ -16,7 +16,7 @@ from scipy.stats import norm
 
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.plausibility.views.unrelated_views import scale_sentence
-from kilter_core.identify.views.cameras import Cameras, rig_of, unknown_rig
+from kilter_core.identify.views.cameras import Cameras, rig_from_calibration, unknown_rig
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.transforms import inverse
 from kilter_core.types import QUANTILE, Floats
@@ -48,7 +48,7 @@ def _lengths_follow(fit: Fit) -> bool:
 
 def contradicted_scale(fit: Fit) -> Iterator[dict[str, Any]]:
     """The warning ``board_scale_differs``: boards as large as stated, and lengths as described, cannot both be."""
-    rig = rig_of(fit.calibration())
+    rig = rig_from_calibration(fit.calibration())
     if rig is None or not rig.boards or not _lengths_follow(fit):
         return
     scale = 1.0 + float(np.mean([place.values[0] for place in rig.boards]))
@@ -100,7 +100,7 @@ def with_likeliest_scale(fit: Fit) -> Fit:
         return fit
     problem = fit.problem
     model, values = problem.model, fit.values
-    rig = rig_of(fit.calibration())
+    rig = rig_from_calibration(fit.calibration())
     assert rig is not None
     lengths = [e.name for e in model.robot.chain.elements if e.name in fit.names and not e.axis.rotates]
     places = [model.names.index(str(name)) for name in lengths]
@@ -116,7 +116,7 @@ def with_likeliest_scale(fit: Fit) -> Fit:
     out[places] *= grown
     effect = Cameras(rig=_grown(rig, grown, model.T_base, model.T_tool))
     effects = tuple(effect if isinstance(e, Cameras) else e for e in model.effects)
-    at = next(where for e, where in model.placed if isinstance(e, Cameras))
+    at = next(where for e, where in model.effects_with_slices if isinstance(e, Cameras))
     assert effect.rig is not None
     out[at] = effect.rig.values
     return replace(fit, problem=replace(problem, model=replace(model, effects=effects)), values=out)
@@ -124,8 +124,8 @@ def with_likeliest_scale(fit: Fit) -> Fit:
 
 def _grown(rig: PlacedRig, by: float, T_base: Floats, T_tool: Floats) -> PlacedRig:
     """The rig with all distances from base and flange, and the boards themselves, ``by`` times as large."""
-    seen = rig.moved(base=inverse(T_base), tool=T_tool).settled()
+    seen = rig.transform_frames(base=inverse(T_base), tool=T_tool).with_folded_increments()
     for place in (*seen.cameras, *seen.boards):
         place.origin[:3, 3] *= by
     boards = tuple(replace(b, values=(1.0 + b.values) * by - 1.0) for b in seen.boards)
-    return replace(seen, boards=boards).moved(base=T_base, tool=inverse(T_tool)).settled()
+    return replace(seen, boards=boards).transform_frames(base=T_base, tool=inverse(T_tool)).with_folded_increments()

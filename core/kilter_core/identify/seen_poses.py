@@ -18,7 +18,7 @@ from kilter_core.identify.view_report import WRONG_VIEWS
 from kilter_core.identify.views.planned_views import PlannedViews
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.board_poses import board_poses
-from kilter_core.measurement.pose_weights import DEVIATIONS, scale_of, weights
+from kilter_core.measurement.pose_weights import DEVIATIONS, typical_deviations, weights
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
@@ -64,15 +64,15 @@ def seen_poses(
     if begin.rig is None or not begin.rig.has(rows.rig):
         result = identify(begin.robot, rows, None, IdentifyOptions(loss="huber", effects=()), begin)
         known, said = result.calibration, tuple(one for one in result.warnings if one["code"] in WRONG_VIEWS)
-    seen, covariance, found = _seen(known, rows)
-    scale = scale_of(covariance)
+    seen, covariance, found = _poses_from_views(known, rows)
+    scale = typical_deviations(covariance)
     made: list[Any] = [replace(seen, pose_weight=weights(covariance, scale))]
     for one in others:
         if isinstance(one, Observations) and one.pixels is not None:
-            more, covariance, _ = _seen(known, one)
+            more, covariance, _ = _poses_from_views(known, one)
             one = replace(more, pose_weight=weights(covariance, scale))
         made.append(one)
-    return tuple(made), PlannedViews.of(known, *found, scale), said
+    return tuple(made), PlannedViews.from_measured_views(known, *found, scale), said
 
 
 def _tracker_tells(rows: Observations) -> bool:
@@ -108,22 +108,24 @@ def as_seen_places(calibration: Calibration, rows: Observations, noise: float | 
             "the arm has moved. Check against a version that was identified with them.",
             code="camera_unknown",
         )
-    seen, covariance, _ = _seen(calibration, rows)
+    seen, covariance, _ = _poses_from_views(calibration, rows)
     if noise is not None:
         return replace(seen, sigma=None, rotation=None)
     return replace(seen, sigma=None, pose_weight=weights(covariance, DEVIATIONS))
 
 
-def _seen(known: Calibration, rows: Observations) -> tuple[Observations, Floats, tuple[PlacedRig, Observations, float]]:
+def _poses_from_views(
+    known: Calibration, rows: Observations
+) -> tuple[Observations, Floats, tuple[PlacedRig, Observations, float]]:
     """Rows with the poses of the tool that their views show, and the covariance (N, 6, 6) of each, m and rad; the rig, the
     views themselves, and the standard deviation of a corner, px.
     """
-    views = Measurement.of(rows, held=True).pixels
+    views = Measurement.from_observations(rows, held=True).pixels
     assert views is not None
     errors = views.tool_errors(known)
     scatter = errors.scatter()
     prediction = known.predict(rows)
-    rig = views.placed(prediction)
+    rig = views.resolve_rig(prediction)
     n = len(rows)
     p, R, told = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros(n, dtype=bool)
     for which, c, b in views.views(prediction).pairs():

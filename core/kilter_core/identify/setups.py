@@ -20,15 +20,15 @@ from kilter_core.effects.base import Derivative, linear
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify.comparison.model_comparison import PoseErrors
 from kilter_core.identify.comparison.other_setups import elsewhere
-from kilter_core.identify.estimate import bounded, frames_alone
+from kilter_core.identify.estimate import bounded_loss, frames_alone
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fit.row_errors import RowErrors
 from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
-from kilter_core.identify.rows.errors_by_kind import KindErrors, errors_of, pooled
+from kilter_core.identify.rows.errors_by_kind import KindErrors, pool_kind_errors, squared_errors_by_kind
 from kilter_core.identify.rows.measurement_of_rows import measurement_for
-from kilter_core.identify.views.cameras import Cameras, rig_of
+from kilter_core.identify.views.cameras import Cameras, rig_from_calibration
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.contacts import held
+from kilter_core.measurement.contacts import has_contacts
 from kilter_core.measurement.metrics import Errors
 from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration
@@ -131,7 +131,7 @@ class Frames:
     turns: bool = False
 
     @staticmethod
-    def of(begin: Calibration, train: Observations, options: IdentifyOptions) -> Frames | None:
+    def from_observations(begin: Calibration, train: Observations, options: IdentifyOptions) -> Frames | None:
         """Find where each set-up lies by the model to begin with; None where all rows are given in one frame.
 
         Raises:
@@ -140,7 +140,7 @@ class Frames:
         """
         own = tuple(which for which in options.refit or ("base",) if getattr(options, which) != "fixed")
         placed = train.position is not None or train.markers is not None
-        if train.setup is None or not own or held(train) or not placed:
+        if train.setup is None or not own or has_contacts(train) or not placed:
             return None
         codes = [int(code) for code in np.unique(train.setup[train.tool_seen])]
         if len(codes) > 1:
@@ -155,7 +155,7 @@ class Frames:
         """Rows of these set-ups, given in the frame of the first; others as they are."""
         for code, T in self.lays.items():
             if rows.setup is not None and np.any(rows.setup == code):
-                rows = _moved(rows, T, rows.setup == code)
+                rows = _transform_rows(rows, T, rows.setup == code)
         return rows
 
     def in_model(self, begin: Calibration) -> Calibration:
@@ -166,7 +166,7 @@ class Frames:
         made = {"base": SetupFrames(codes=codes), "tool": SetupTools(codes=codes, turns=self.turns)}
         return begin.with_effects([*begin.model.effects, *(made[which] for which in self.own)])
 
-    def fitted(self, calibration: Calibration) -> list[OwnFrame]:
+    def fitted_frames(self, calibration: Calibration) -> list[OwnFrame]:
         """Frames that a fit of several training set-ups found."""
         values = dict(zip(calibration.names, calibration.values, strict=True))
         return [*(self._bases(calibration, values) if "base" in self.own else ()), *self._tools(values)]
@@ -186,7 +186,7 @@ class Frames:
         T = calibration.model.absorb_frame_increments(calibration.values)[0].T_base
         for code, lay in list(self.lays.items())[1:]:
             six = np.array([values[f"setup_{code}_{name}"] for name in FRAME_NAMES])
-            out.append(_apart(code, "train", T, inverse(lay) @ T @ increment(six)))
+            out.append(_frame_shift(code, "train", T, inverse(lay) @ T @ increment(six)))
         return out
 
 
@@ -213,21 +213,21 @@ def _refuse(train: Observations, codes: list[int], options: IdentifyOptions) -> 
 def _lays(begin: Calibration, train: Observations, codes: list[int]) -> list[Floats]:
     """What takes each set-up into the frame of the first, by registering bases and the tool in turn."""
     model, values = begin.model.absorb_frame_increments(begin.values)
-    shape = Measurement.of(train, begin.marker_points).marker_points
+    shape = Measurement.from_observations(train, begin.marker_points).marker_points
     assert train.setup is not None
     lays = [np.eye(4) for _ in codes]
     for _ in range(ROUNDS if len(codes) > 1 else 0):
         bases = []
         for code in codes:
-            rows = Measurement.of(train.select(train.setup == code), shape)
+            rows = Measurement.from_observations(train.select(train.setup == code), shape)
             bases.append(register(model, values, rows, tool=False)[0])
         lays = [bases[0] @ inverse(T) for T in bases]
-        together = Measurement.of(Frames(dict(zip(codes, lays, strict=True))).laid(train), shape)
+        together = Measurement.from_observations(Frames(dict(zip(codes, lays, strict=True))).laid(train), shape)
         model = model.in_frames(model.T_base, register(model, values, together)[1])
     return lays
 
 
-def _moved(rows: Observations, T: Floats, which: Bools) -> Observations:
+def _transform_rows(rows: Observations, T: Floats, which: Bools) -> Observations:
     """Rows with what was measured in ``which`` of them moved by the pose T (4, 4)."""
     R, p = T[:3, :3], T[:3, 3]
     changes: dict[str, Any] = {}
@@ -256,7 +256,7 @@ def without_frames(calibration: Calibration) -> Calibration:
     effects = [effect for effect in calibration.model.effects if not isinstance(effect, OF_SETUPS)]
     if len(effects) == len(calibration.model.effects):
         return calibration
-    return replace(calibration.with_effects(effects), rig=rig_of(calibration))
+    return replace(calibration.with_effects(effects), rig=rig_from_calibration(calibration))
 
 
 def of_the_arm(fit: Fit) -> Bools:
@@ -300,25 +300,25 @@ def held_out(
     kinds: list[KindErrors] = []
     which = ("base",) if frames is None else frames.own
     for code in [None, *new]:
-        mask = np.ones(len(rows), bool) if rows.setup is None or not new else _of(rows.setup, code, new)
+        mask = np.ones(len(rows), bool) if rows.setup is None or not new else _setup_mask(rows.setup, code, new)
         if not mask.any():
             continue
         shown = measurement_for(rows.select(mask), options, train.marker_points, train)
         here = {
-            name: stage if code is None or name == "nominal" else with_own(stage, shown, options.loss, which)
+            name: stage if code is None or name == "nominal" else with_own_frames(stage, shown, options.loss, which)
             for name, stage in compared.items()
         }
         for name in compared:
-            parts[name].append(Errors.of(here[name], shown))
+            parts[name].append(Errors.from_calibration(here[name], shown))
         apart = elsewhere(here["identified"], shown) if frames is None else ()
-        poses.append(replace(PoseErrors.of(here, shown), remarks=tuple(apart)))
-        kinds.append(errors_of({name: here[name] for name in stages}, shown))
-        by_row.append(RowErrors.of({name: here[name] for name in stages}, shown, np.flatnonzero(mask)))
+        poses.append(replace(PoseErrors.from_calibrations(here, shown), remarks=tuple(apart)))
+        kinds.append(squared_errors_by_kind({name: here[name] for name in stages}, shown))
+        by_row.append(RowErrors.from_stages({name: here[name] for name in stages}, shown, np.flatnonzero(mask)))
         if code is not None:
             before, after = without_frames(stages["identified"]), here["identified"]
-            own += [_between(code, one, before, after) for one in which]
+            own += [_validation_frame_shift(code, one, before, after) for one in which]
     held = {name: Errors.concatenate(found) for name, found in parts.items()}
-    return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row), pooled(kinds), own
+    return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row), pool_kind_errors(kinds), own
 
 
 def _new_codes(frames: Frames | None, rows: Observations) -> list[int]:
@@ -327,11 +327,11 @@ def _new_codes(frames: Frames | None, rows: Observations) -> list[int]:
     return [int(code) for code in np.unique(rows.setup) if int(code) not in frames.lays]
 
 
-def _of(setup: Ints, code: int | None, new: list[int]) -> Bools:
+def _setup_mask(setup: Ints, code: int | None, new: list[int]) -> Bools:
     return ~np.isin(setup, new) if code is None else setup == code
 
 
-def with_own(
+def with_own_frames(
     calibration: Calibration, measurement: Measurement, loss: str, which: Sequence[str] = ("base",)
 ) -> Calibration:
     """The calibration with its base, its tool or both fitted to other rows, all else held."""
@@ -342,17 +342,17 @@ def with_own(
     fixed = [name for frame, names in held.items() if frame not in which for name in names]
     base, tool = ("free" if frame in which else "fixed" for frame in held)
     fix = (*model.names[6 : n - 6], *model.names[n:], *fixed)
-    options = IdentifyOptions(fix=fix, base=base, tool=tool, loss=bounded(loss))
+    options = IdentifyOptions(fix=fix, base=base, tool=tool, loss=bounded_loss(loss))
     return frames_alone(Calibration(model, values, measurement.marker_points), measurement, options)
 
 
-def _between(code: int, which: str, before: Calibration, after: Calibration) -> OwnFrame:
+def _validation_frame_shift(code: int, which: str, before: Calibration, after: Calibration) -> OwnFrame:
     """How far a frame of held-out rows is from that of the version."""
     frame = f"T_{which}"
-    return _apart(code, "validation", getattr(before.model, frame), getattr(after.model, frame), which)
+    return _frame_shift(code, "validation", getattr(before.model, frame), getattr(after.model, frame), which)
 
 
-def _apart(code: int, use: str, before: Floats, after: Floats, which: str = "base") -> OwnFrame:
+def _frame_shift(code: int, use: str, before: Floats, after: Floats, which: str = "base") -> OwnFrame:
     between = inverse(before) @ after
     turned = float(np.linalg.norm(rotation_log(between[None, :3, :3])))
     return OwnFrame(code, use, float(np.linalg.norm(between[:3, 3])), turned, which)

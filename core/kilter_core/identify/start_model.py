@@ -12,9 +12,11 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 
 
-def begin_with(robot: Robot, train: Observations, options: IdentifyOptions, start: Calibration | None) -> Calibration:
+def build_start_model(
+    robot: Robot, train: Observations, options: IdentifyOptions, start: Calibration | None
+) -> Calibration:
     """The model to fit at its starting values: the effects asked for, or with none asked those of the start."""
-    effects = tuple(effect.on(robot, train) for effect in options.make_effects())
+    effects = tuple(effect.configure_for_robot(robot, train) for effect in options.make_effects())
     if start is None:
         return Calibration.nominal(robot, with_masses(effects, robot, train, options))
     begin = replace(start, doubts=())  # of the fit before

@@ -15,8 +15,8 @@ from kilter_core.identify.plausibility.views.astray_views import astray, astray_
 from kilter_core.identify.plausibility.views.unrelated_views import shuffled_control
 from kilter_core.identify.plausibility.views.view_residuals import ViewResiduals
 from kilter_core.identify.scale_gauge import contradicted_scale
-from kilter_core.identify.uncertainty.by_views import by_views, predictive_of_views, sigmas_of, view_scatter
-from kilter_core.identify.uncertainty.clustered import clustered
+from kilter_core.identify.uncertainty.by_views import by_views, predictive_of_views, rig_sigmas, view_scatter
+from kilter_core.identify.uncertainty.clustered import with_clustered_covariance
 from kilter_core.identify.uncertainty.held_arm import by_held_arm, holds_arm
 from kilter_core.identify.uncertainty.left_open import left_open
 from kilter_core.identify.uncertainty.predictive import Predictive
@@ -32,21 +32,21 @@ from kilter_core.types import Ints
 def with_own_scatter(fit: Fit) -> tuple[Fit, ViewScatter | None]:
     """The fit with the covariance that its poses support, or its views where nothing else was measured of the tool."""
     if not fit.problem.measurement.tool.places_itself:
-        return clustered(fit), None
+        return with_clustered_covariance(fit), None
     found = view_scatter(fit)
     return by_held_arm(fit, found) if holds_arm(fit) else by_views(fit, found), found
 
 
-def predictive_of(fit: Fit, found: ViewScatter | None) -> Predictive | None:
+def predictive_from_views_only(fit: Fit, found: ViewScatter | None) -> Predictive | None:
     """What is known of the tool from views alone; None where there is a tracker."""
     return None if found is None else predictive_of_views(fit, found)
 
 
-def views_said(calibration: Calibration, fit: Fit, found: ViewScatter | None) -> dict[str, Any]:
+def views_document(calibration: Calibration, fit: Fit, found: ViewScatter | None) -> dict[str, Any]:
     """Cameras and boards of a result and, from views alone, ``pixels``; empty where no camera measured."""
     if fit.problem.measurement.pixels is None:
         return {}
-    said = cameras_document(calibration, sigmas_of(fit))
+    said = cameras_document(calibration, rig_sigmas(fit))
     if found is None:
         return said
     open_ = left_open(calibration, predictive_of_views(fit, found), fit.problem.measurement.observations)
@@ -106,11 +106,11 @@ def with_control(said: dict[str, Any], begin: Calibration, train: Observations) 
 
 def held_views(identified: Calibration, held: Observations, train: Measurement) -> ToolErrors | None:
     """Motions of the tool that explain views that were not fitted; None without views."""
-    views = Measurement.of(held, held=True, anchor=train).pixels
+    views = Measurement.from_observations(held, held=True, anchor=train).pixels
     return None if views is None else views.tool_errors(identified)
 
 
-def with_held(said: dict[str, Any], held: ToolErrors | None) -> dict[str, Any]:
+def with_validation_views(said: dict[str, Any], held: ToolErrors | None) -> dict[str, Any]:
     """The same with how far off the tool is in views that were not fitted, where there are such."""
     if "pixels" not in said or held is None:
         return said
@@ -124,16 +124,16 @@ def wrong_views(
 
     ``inside (N,)`` are the numbers of the fitted rows among the ones given; all when None.
     """
-    seen, train = ViewResiduals.of(fit), fit.problem.measurement.observations
+    seen, train = ViewResiduals.from_fit(fit), fit.problem.measurement.observations
     if seen is None:
         return
     numbers = np.arange(len(train)) if inside is None else inside
     far = astray(seen)
     yield from astray_views(seen, far, numbers)
-    found = Found.of(fit, seen.only(np.flatnonzero(~far)))
+    found = Found.from_fit(fit, seen.only(np.flatnonzero(~far)))
     if found is not None:
-        apart = Apart.of(begin, train, options, found.best, found.later(len(train)))
-        moved = None if apart is None else apart.moved()
+        apart = Apart.fit_moved_part(begin, train, options, found.best, found.later(len(train)))
+        moved = None if apart is None else apart.estimate_motion()
         if moved is None or moved.clear:
             yield camera_moved(found, moved, numbers)
     yield from contradicted_scale(fit)

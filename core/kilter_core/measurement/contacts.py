@@ -14,7 +14,7 @@ from typing import cast
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.measurement.kind import Block, Kind, Rows, anchor_of
+from kilter_core.measurement.kind import Block, Kind, Rows, find_anchor
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
@@ -61,21 +61,21 @@ class Contacts(Kind):
     anchor: Contacts | None = None
 
     @classmethod
-    def of(cls, rows: Rows) -> Contacts | None:
+    def from_rows(cls, rows: Rows) -> Contacts | None:
         """Rows that say what held them, beside views where cameras saw others."""
         o = rows.observations
-        if not held(o):
+        if not has_contacts(o):
             return None
         beside = o.pixels is not None and o.rig is not None
-        if beside and not contacts_of(o):
+        if beside and not group_contacts(o):
             return None
-        anchor = cast("Contacts | None", anchor_of(cls.name, rows))
+        anchor = cast("Contacts | None", find_anchor(cls.name, rows))
         return (ContactsBeside if beside else cls)(o, {} if anchor else dict(rows.socket_distances), anchor)
 
     @cached_property
     def contacts(self) -> tuple[Contact, ...]:
         """The rows grouped by what held them."""
-        return contacts_of(self.observations)
+        return group_contacts(self.observations)
 
     def check(self) -> None:
         """Refuse a contact with fewer rows than it has unknowns, a distance of a socket that has none, and stated sigmas."""
@@ -110,7 +110,7 @@ class Contacts(Kind):
         """Whether a length is known that a larger arm would contradict."""
         return bool(self.distances) or any(c.kind == "bar" for c in self.contacts)
 
-    def measured(self) -> Bools:
+    def measured_row_mask(self) -> Bools:
         """Rows that a contact held."""
         out = np.zeros(len(self.observations), dtype=bool)
         for c in self.contacts:
@@ -148,13 +148,15 @@ class Contacts(Kind):
         left, slopes, centres = [], [], {}
         for c in self.contacts:
             place = fitted_place(c, p[c.rows])
-            left.append(_left(c, p[c.rows], place))
+            left.append(_contact_residuals(c, p[c.rows], place))
             if c.kind == "socket":
                 centres[c.number] = c
             if J is not None:
-                slopes.append(_projected(*_moves(c, p[c.rows], place), _slope(c, p[c.rows], place, J[c.rows, :3])))
+                slopes.append(
+                    _project_out_place(*_moves(c, p[c.rows], place), _slope(c, p[c.rows], place, J[c.rows, :3]))
+                )
         for (a, b), known in self.distances.items():
-            r, slope = _between(centres[a].rows, centres[b].rows, known, p, J)
+            r, slope = _distance_residual(centres[a].rows, centres[b].rows, known, p, J)
             left.append(r)
             slopes += [] if slope is None else [slope]
         points = np.concatenate(left)[:, None, None]
@@ -168,7 +170,7 @@ class Contacts(Kind):
         for c in self.contacts:
             # A placement that the anchor does not have stands where it fits its own rows best.
             place = places[c.name] if c.name in places else fitted_place(c, p[c.rows])
-            r = _left(c, p[c.rows], place)
+            r = _contact_residuals(c, p[c.rows], place)
             out.append(np.linalg.norm(r.reshape(-1, 3), axis=1) if c.kind == "socket" else r)
         return np.concatenate(out)[:, None], None
 
@@ -208,7 +210,7 @@ class ContactsBeside(Contacts):
         return np.concatenate(rows), np.concatenate(slots)
 
 
-def held(observations: Observations) -> bool:
+def has_contacts(observations: Observations) -> bool:
     """Whether rows say what held them."""
     return any(getattr(observations, kind) is not None for kind in UNKNOWNS)
 
@@ -218,16 +220,16 @@ def placements(observations: Observations) -> tuple[Ints, tuple[str, ...]] | Non
 
     None where nothing held the tool.
     """
-    if not held(observations):
+    if not has_contacts(observations):
         return None
-    every = contacts_of(observations)
+    every = group_contacts(observations)
     numbers = np.zeros(len(observations), dtype=np.int64)
     for k, contact in enumerate(every):
         numbers[contact.rows] = k
     return numbers, tuple(contact.name for contact in every)
 
 
-def contacts_of(observations: Observations) -> tuple[Contact, ...]:
+def group_contacts(observations: Observations) -> tuple[Contact, ...]:
     """The rows grouped by what held them."""
     return tuple(_contacts(observations))
 
@@ -255,7 +257,7 @@ def _refuse_small(contacts: tuple[Contact, ...], anchor: Contacts | None) -> Non
             )
 
 
-def _left(c: Contact, p: Floats, place: Floats) -> Floats:
+def _contact_residuals(c: Contact, p: Floats, place: Floats) -> Floats:
     """Residuals (S,) of a contact's rows ``p (K, 3)``."""
     if c.kind == "socket":
         return np.asarray((place - p).reshape(-1))
@@ -291,7 +293,7 @@ def _slope(c: Contact, p: Floats, place: Floats, J: Floats) -> Floats:
     return np.asarray(np.einsum("ki,kip->kp", ray / np.linalg.norm(ray, axis=1)[:, None], J))
 
 
-def _projected(D: Floats, stiffness: Floats, slope: Floats) -> Floats:
+def _project_out_place(D: Floats, stiffness: Floats, slope: Floats) -> Floats:
     """The slope without what moves ``D`` of the place take up; moves that hardly show take up nothing."""
     return np.asarray(slope - D @ np.linalg.solve(D.T @ D + stiffness, D.T @ slope))
 
@@ -322,11 +324,11 @@ def _foot(p: Floats, length: Floats) -> Floats:
     foot = np.linalg.lstsq(A, np.sum(local**2, axis=1) - length**2, rcond=0.03)[0][:3]
     _, s, Vt = np.linalg.svd(local, full_matrices=False)
     if s[2] >= FLAT * s[1]:
-        return np.append(_settled(local, length, foot) + middle, 0.0)
+        return np.append(_solve_bar_base(local, length, foot) + middle, 0.0)
     return np.asarray(_near_plane(local, length, foot, Vt[2]) + np.append(middle, 0.0))
 
 
-def _settled(local: Floats, length: Floats, foot: Floats) -> Floats:
+def _solve_bar_base(local: Floats, length: Floats, foot: Floats) -> Floats:
     """Base by damped Gauss-Newton steps. What lengths hardly see hardly moves."""
     for _ in range(STEPS):
         ray = local - foot
@@ -360,7 +362,7 @@ def _stiffness(normal: Floats, rows: int) -> Floats:
     return np.asarray(rows * (ALMOST**2 * np.outer(height, height) + LEVEL**2 * np.diag([0.0, 0.0, 0.0, 1.0])))
 
 
-def _between(a: Ints, b: Ints, known: float, p: Floats, J: Floats | None) -> tuple[Floats, Floats | None]:
+def _distance_residual(a: Ints, b: Ints, known: float, p: Floats, J: Floats | None) -> tuple[Floats, Floats | None]:
     apart = p[a].mean(axis=0) - p[b].mean(axis=0)
     size = float(np.linalg.norm(apart))
     slope = None if J is None else (apart / size) @ (J[a, :3].mean(axis=0) - J[b, :3].mean(axis=0))

@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_core.errors import ObservationError, TooFewPosesError
 from kilter_core.measurement.kind import POINTS, Block, Kind, Rows
-from kilter_core.measurement.markers import left_of
+from kilter_core.measurement.markers import marker_residuals
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
@@ -37,7 +37,7 @@ class Distances(Kind):
     shape: Floats | None = None
 
     @classmethod
-    def of(cls, rows: Rows) -> Distances | None:
+    def from_rows(cls, rows: Rows) -> Distances | None:
         """Rows with positions or markers, where only their distances are to count."""
         o = rows.observations
         if not rows.relative or (o.position is None and o.markers is None):
@@ -53,12 +53,12 @@ class Distances(Kind):
                 poses=poses,
                 needed=FEWEST_POSES,
             )
-        if not self.measured().all():
+        if not self.measured_row_mask().all():
             raise ObservationError(
                 "Distances between poses need the tool measured in every row: leave the others out, or free the base."
             )
 
-    def measured(self) -> Bools:
+    def measured_row_mask(self) -> Bools:
         """Rows that have a point."""
         return np.asarray(~np.isnan(self._points).all(axis=(1, 2)))
 
@@ -94,7 +94,7 @@ class Distances(Kind):
 
     def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
         """Measured minus predicted distances (M, m, 1) m, scaled."""
-        points, d_points = self._predicted(prediction, J)
+        points, d_points = self._predict_points(prediction, J)
         a, b = self.pairs.T
         scale = 1.0 / math.sqrt(2.0 * self.redundancy)
         apart = points[a] - points[b]
@@ -122,11 +122,13 @@ class Distances(Kind):
         a, b = self.pairs.T
         return np.asarray(np.linalg.norm(self._points[a] - self._points[b], axis=2))
 
-    def _predicted(self, prediction: Prediction, J: Floats | None) -> tuple[Floats, Floats | None]:
+    def _predict_points(self, prediction: Prediction, J: Floats | None) -> tuple[Floats, Floats | None]:
         """Predicted points (N, m, 3) and their Jacobian (N, m, 3, P)."""
         if self.shape is None:
             return prediction.position[:, None, :], None if J is None else J[:, None, :3, :]
-        left, d_points = left_of(np.zeros((len(self.observations), *self.shape.shape)), self.shape, prediction, J)
+        left, d_points = marker_residuals(
+            np.zeros((len(self.observations), *self.shape.shape)), self.shape, prediction, J
+        )
         return -left, d_points
 
 

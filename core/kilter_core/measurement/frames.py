@@ -37,9 +37,9 @@ def best_frames(
     loss = _Loss(f, F, p, guess, turned)
     starts = _everywhere() if near is None else near.T[None]
     if near is None:
-        starts = starts[np.argsort(loss.at(starts))[:WALKED]]
-    turns = _walked(loss, starts, TOGETHER) if len(starts) > 1 else starts
-    turn = nearest_rotation(_walked(loss, turns[[int(np.argmin(loss.at(turns)))]], STEPS)[0])
+        starts = starts[np.argsort(loss.sum_of_squares(starts))[:WALKED]]
+    turns = _refine_rotations(loss, starts, TOGETHER) if len(starts) > 1 else starts
+    turn = nearest_rotation(_refine_rotations(loss, turns[[int(np.argmin(loss.sum_of_squares(turns)))]], STEPS)[0])
     shift, tool = loss.linear(turn)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = turn.T, turn.T @ shift + p.mean(axis=0)
@@ -67,7 +67,7 @@ class _Loss:
         R = np.asarray(np.linalg.qr(left, mode="r"))
         self.B, self.d = R[:, :9], R[:, 9]
 
-    def at(self, turns: Floats) -> Floats:
+    def sum_of_squares(self, turns: Floats) -> Floats:
         """Loss (K,) of rotations R' (K, 3, 3)."""
         return np.asarray(np.sum(self.residual(turns) ** 2, axis=1))
 
@@ -90,15 +90,15 @@ def _of_orientation(F: Floats, turned: Floats, lever: float) -> Floats:
     return np.asarray(lever * np.column_stack([left - Q @ (Q.T @ left), np.zeros(len(left))]))
 
 
-def _walked(loss: _Loss, turns: Floats, steps: int) -> Floats:
+def _refine_rotations(loss: _Loss, turns: Floats, steps: int) -> Floats:
     """Rotations R' (K, 3, 3) after damped Gauss-Newton steps on SO(3), each from its own start."""
     size = float(np.sum(loss.B**2)) or 1.0  # points that are all one tell no rotation from another
-    damping, now = np.full(len(turns), DAMPING * size), loss.at(turns)
+    damping, now = np.full(len(turns), DAMPING * size), loss.sum_of_squares(turns)
     for _ in range(steps):
         J = (turns[:, None] @ AXES).reshape(len(turns), 3, 9) @ loss.B.T
         H = J @ J.transpose(0, 2, 1) + damping[:, None, None] * np.eye(3)
         there = turns @ _rotations(-np.linalg.solve(H, J @ loss.residual(turns)[:, :, None])[:, :, 0])
-        then = loss.at(there)
+        then = loss.sum_of_squares(there)
         better = then < now
         gain = float((now - then).max())
         turns, now = np.where(better[:, None, None], there, turns), np.where(better, then, now)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.measurement.kind import Block
-from kilter_core.measurement.referenced import Channels, Referenced, referenced
+from kilter_core.measurement.referenced import Channels, Referenced, offset_free_blocks
 from kilter_core.model import Prediction
 from kilter_core.model.prediction import JOINT_ROWS, TOOL_ROWS, TURNED
 from kilter_core.types import Floats
@@ -34,7 +34,7 @@ class Inclination(Referenced):
         if J is not None:
             joints = J[:, TOOL_ROWS:].reshape(len(J), -1, JOINT_ROWS, J.shape[2])
             columns = joints[:, : self._places, TURNED].reshape(len(J), -1, J.shape[2])
-        return referenced(self.name, self._channels, self._raw(prediction), columns)
+        return offset_free_blocks(self.name, self._channels, self._raw(prediction), columns)
 
     @property
     def _places(self) -> int:
@@ -46,7 +46,7 @@ class Inclination(Referenced):
     def _channels(self) -> Channels:
         assert self.observations.tilt is not None
         flat = self.observations.tilt.reshape(len(self.observations), -1)
-        return Channels.of(~np.isnan(flat), self.observations.session)
+        return Channels.from_sessions(~np.isnan(flat), self.observations.session)
 
     def _raw(self, prediction: Prediction) -> Floats:
         tilt = self.observations.tilt

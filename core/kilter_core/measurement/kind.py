@@ -101,13 +101,13 @@ class Residual:
         return Residual(self.blocks[:1])
 
     @cached_property
-    def stacked(self) -> Floats:
+    def residuals_by_row(self) -> Floats:
         """All residuals (N, R) of each row, where every block has the same rows."""
         parts = [b.r.reshape(len(b.r), -1) for b in self.blocks]
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
     def derivatives(self, columns: int) -> Floats:
-        """Derivatives (N, R, columns) of the prediction, as :attr:`stacked` has the residuals."""
+        """Derivatives (N, R, columns) of the prediction, as :attr:`residuals_by_row` has the residuals."""
         made = [b.J.reshape(len(b.r), -1, columns) for b in self.blocks if b.J is not None]
         return made[0] if len(made) == 1 else np.concatenate(made, axis=1)
 
@@ -156,7 +156,7 @@ class Kind(ABC):
 
     @classmethod
     @abstractmethod
-    def of(cls, rows: Rows) -> Kind | None:
+    def from_rows(cls, rows: Rows) -> Kind | None:
         """Read the rows; None where they hold nothing of this kind."""
 
     @abstractmethod
@@ -188,7 +188,7 @@ class Kind(ABC):
         """
         return
 
-    def measured(self) -> Bools:
+    def measured_row_mask(self) -> Bools:
         """Rows (N,) in which it measured anything."""
         return np.ones(len(self.observations), dtype=bool)
 
@@ -239,7 +239,7 @@ class Kind(ABC):
     @property
     def poses(self) -> int:
         """Distinct poses in which it measured anything."""
-        return len(np.unique(self.observations.pose_groups()[self.measured()]))
+        return len(np.unique(self.observations.pose_groups()[self.measured_row_mask()]))
 
     @abstractmethod
     def scalars(self) -> int:
@@ -275,20 +275,20 @@ class ToolKind(Kind):
         """Three of the position; three more of the orientation, however many markers tell it."""
         return 6 if self.with_orientation else 3
 
-    def measured(self) -> Bools:
+    def measured_row_mask(self) -> Bools:
         """Rows that have any of it."""
-        return seen_in(self.column)
+        return seen_row_mask(self.column)
 
     def scalars(self) -> int:
         """Coordinates that were seen."""
         return int(np.count_nonzero(~np.isnan(self.column)))
 
 
-def anchor_of(name: str, rows: Rows) -> Kind | None:
+def find_anchor(name: str, rows: Rows) -> Kind | None:
     """The kind of this name among the rows that hold what it has of its own."""
     return next((kind for kind in rows.anchor if kind.name == name), None)
 
 
-def seen_in(values: Floats) -> Bools:
+def seen_row_mask(values: Floats) -> Bools:
     """Rows (N,) that have any of the values (N, ...)."""
     return np.asarray(~np.isnan(values).reshape(len(values), -1).all(axis=1))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.measurement.kind import Block
-from kilter_core.measurement.referenced import Channels, Referenced, referenced
+from kilter_core.measurement.referenced import Channels, Referenced, offset_free_blocks
 from kilter_core.model import Prediction
 from kilter_core.model.prediction import ABOUT, JOINT_ROWS, TOOL_ROWS
 from kilter_core.types import Bools, Floats
@@ -40,13 +40,13 @@ class LinkEncoders(Referenced):
         """Measured minus predicted angle (N, n, 1) rad of each joint, the mean of its session taken out; of prismatic
         joints apart, m.
         """
-        return referenced(self.name, self._channels, self._raw(prediction), _columns(J), prediction.slides)
+        return offset_free_blocks(self.name, self._channels, self._raw(prediction), _columns(J), prediction.slides)
 
     @property
     def _channels(self) -> Channels:
         link, session = self.observations.link_q, self.observations.session
         assert link is not None
-        return Channels.of(~np.isnan(link) & self.live, session)
+        return Channels.from_sessions(~np.isnan(link) & self.live, session)
 
     def _raw(self, prediction: Prediction) -> Floats:
         link = self.observations.link_q

@@ -82,7 +82,7 @@ def alike_orders(shape: Floats) -> list[tuple[Order, Floats]]:
     return out
 
 
-def exchanged(order: Order) -> str:
+def format_exchanged_markers(order: Order) -> str:
     """Say which markers an order exchanges."""
     moved = [k + 1 for k, at in enumerate(order) if at != k]
     return " and ".join(str(k) for k in moved) if len(moved) == 2 else ", ".join(str(k) for k in moved)
@@ -92,7 +92,7 @@ def _distances(markers: Floats) -> Floats:
     return np.asarray(np.linalg.norm(markers[:, :, None] - markers[:, None, :], axis=3))
 
 
-def _apart(distances: Floats, reference: Floats) -> Floats:
+def _largest_distance_change(distances: Floats, reference: Floats) -> Floats:
     """Largest difference (N,) of a row's distances from the reference; zero where nothing can be compared."""
     gap = np.abs(distances - reference)
     return np.asarray(np.max(np.where(np.isnan(gap), 0.0, gap), axis=(1, 2)))
@@ -118,20 +118,21 @@ def _best_order(distances: Floats, reference: Floats) -> tuple[Order, float] | N
     """The order of the markers in which rows fit the reference best, and their largest typical difference."""
     distances = distances[:: max(1, len(distances) // ENOUGH)]
     found = [
-        (order, float(np.median(_apart(distances[:, order][:, :, order], reference))))
+        (order, float(np.median(_largest_distance_change(distances[:, order][:, :, order], reference))))
         for order in _orders(len(reference))
     ]
     return min(found, key=lambda pair: pair[1]) if found else None
 
 
 def _refuse_other_order(distances: Floats, reference: Floats) -> None:
-    off = float(np.median(_apart(distances, reference)))
+    off = float(np.median(_largest_distance_change(distances, reference)))
     best = _best_order(distances, reference) if off > _limit(reference) else None
     if best is None or CLEARLY * best[1] > off:
         return
     odd = _is_odd(best[0])
     raise ObservationError(
-        f"Markers {exchanged(best[0])} are numbered {'the other way round' if odd else 'in another order'} than in the rows "
+        f"Markers {format_exchanged_markers(best[0])} are numbered "
+        f"{'the other way round' if odd else 'in another order'} than in the rows "
         "they are compared with: number them alike, or identify without a start.",
         code="markers_mirrored" if odd else "markers_swapped",
         order=[k + 1 for k in best[0]],
@@ -145,7 +146,9 @@ def _refuse_mirror_image(markers: Floats, known: Floats) -> None:
     seen = markers[~np.isnan(markers).any(axis=(1, 2))]
     if len(seen) == 0:
         return
-    as_is, mirrored = (float(np.median(_left(shape, seen))) for shape in (known, known * np.array([1.0, 1.0, -1.0])))
+    as_is, mirrored = (
+        float(np.median(_largest_shape_residual(shape, seen))) for shape in (known, known * np.array([1.0, 1.0, -1.0]))
+    )
     if as_is > _limit(_distances(known[None])[0]) and CLEARLY * mirrored < as_is:
         raise ObservationError(
             "The markers are the mirror image of the rows they are compared with: two coordinates are exchanged or one has "
@@ -154,7 +157,7 @@ def _refuse_mirror_image(markers: Floats, known: Floats) -> None:
         )
 
 
-def _left(shape: Floats, markers: Floats) -> Floats:
+def _largest_shape_residual(shape: Floats, markers: Floats) -> Floats:
     """Largest distance (N,) m of a row's markers from the shape laid over them."""
     position, rotation, _ = fit_poses(shape, markers)
     laid = position[:, None] + np.einsum("nij,mj->nmi", rotation, shape)
@@ -163,13 +166,18 @@ def _left(shape: Floats, markers: Floats) -> Floats:
 
 def _refuse_swaps(distances: Floats) -> None:
     reference = _median(distances[: max(1, min(5, len(distances) // 4))], _median(distances))
-    off = _apart(distances, reference) > _limit(reference)
+    off = _largest_distance_change(distances, reference) > _limit(reference)
     best = _best_order(distances[off], reference) if off.any() else None
-    if best is None or best[1] > _limit(reference) or CLEARLY * best[1] > np.median(_apart(distances[off], reference)):
+    if (
+        best is None
+        or best[1] > _limit(reference)
+        or CLEARLY * best[1] > np.median(_largest_distance_change(distances[off], reference))
+    ):
         return
     rows = np.flatnonzero(off)
     raise ObservationError(
-        f"From row {rows[0] + 1} on markers {exchanged(best[0])} have changed places ({len(rows)} of {len(off)} rows): number "
+        f"From row {rows[0] + 1} on markers {format_exchanged_markers(best[0])} have changed places ({len(rows)} of "
+        f"{len(off)} rows): number "
         "them as before, or use the rows before it only.",
         code="markers_swapped",
         row=int(rows[0]) + 1,

@@ -28,13 +28,13 @@ def marker_shape(markers: Floats, tip: Floats | None = None) -> Floats:
     """
     if markers.shape[1] < 3:
         raise ObservationError(f"{markers.shape[1]} markers do not fix a pose: three or more, not in line, are needed.")
-    shape = _linked(markers)
+    shape = _assemble_shape(markers)
     for _ in range(PASSES):
         shape = _own_frame(_mean_of_rows(shape, markers))
-    return shape if tip is None else shape - tip_in(shape, markers, tip)
+    return shape if tip is None else shape - locate_tip(shape, markers, tip)
 
 
-def tip_in(shape: Floats, markers: Floats, tip: Floats) -> Floats:
+def locate_tip(shape: Floats, markers: Floats, tip: Floats) -> Floats:
     """Place (3,) m of a digitised point in the shape's frame: the mean over the rows that have it; zero where none has."""
     position, rotation, usable = fit_poses(shape, markers)
     rows = usable & ~np.isnan(tip).any(axis=1)
@@ -57,7 +57,7 @@ def fit_poses(shape: Floats, markers: Floats) -> tuple[Floats, Floats, Bools]:
     position, rotation = np.full((rows, 3), np.nan), np.tile(np.eye(3), (rows, 1, 1))
     seen = np.asarray(~np.isnan(markers).any(axis=2)) & ~np.isnan(shape).any(axis=1)
     patterns, pattern = np.unique(seen, axis=0, return_inverse=True)
-    usable = np.array([span_of(shape[p]) >= FLAT for p in patterns])[pattern.reshape(-1)]
+    usable = np.array([span_ratio(shape[p]) >= FLAT for p in patterns])[pattern.reshape(-1)]
     for k, p in enumerate(patterns):
         rows_of = np.flatnonzero((pattern.reshape(-1) == k) & usable)
         if len(rows_of):
@@ -75,7 +75,7 @@ def _nearest_rotations(M: Floats) -> Floats:
     return np.asarray(U @ Vt)
 
 
-def span_of(points: Floats) -> float:
+def span_ratio(points: Floats) -> float:
     """How far points (k, 3) spread across their line, as a share of their spread along it; 0 for fewer than three."""
     if len(points) < 3:
         return 0.0
@@ -83,12 +83,12 @@ def span_of(points: Floats) -> float:
     return float(s[1] / s[0]) if s[0] > 0.0 else 0.0
 
 
-def _linked(markers: Floats) -> Floats:
+def _assemble_shape(markers: Floats) -> Floats:
     """A first shape: the row that shows most, and the unseen markers from rows that share three others with it."""
     seen = np.asarray(~np.isnan(markers).any(axis=2))
     first = int(np.argmax(seen.sum(axis=1)))
     shape = markers[first].copy()
-    if span_of(shape[seen[first]]) < FLAT:
+    if span_ratio(shape[seen[first]]) < FLAT:
         _refuse_line(markers, seen)
     while np.isnan(shape).any():
         known = int(np.isnan(shape).any(axis=1).sum())
@@ -135,7 +135,7 @@ def _mean_of_rows(shape: Floats, markers: Floats) -> Floats:
 
 
 def _own_frame(points: Floats) -> Floats:
-    if span_of(points) < FLAT:
+    if span_ratio(points) < FLAT:
         _refuse_line(points[None], np.ones((1, len(points)), dtype=bool))
     centred = points - points.mean(axis=0)
     a, b, c = _widest(centred)

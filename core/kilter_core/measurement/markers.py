@@ -15,7 +15,7 @@ from kilter_core.transforms import skew
 from kilter_core.types import Floats
 
 
-def shape_of(observations: Observations, known: Floats | None) -> Floats | None:
+def resolve_marker_shape(observations: Observations, known: Floats | None) -> Floats | None:
     """Places (m, 3) m of the markers in the tool frame: as ``known``, else as the rows show them; None without any.
 
     Raises:
@@ -41,7 +41,7 @@ class Markers(ToolKind):
     shape: Floats
 
     @classmethod
-    def of(cls, rows: Rows) -> Markers | None:
+    def from_rows(cls, rows: Rows) -> Markers | None:
         """Rows that have markers of a known shape."""
         if rows.relative or rows.observations.markers is None or rows.marker_points is None:
             return None
@@ -55,11 +55,13 @@ class Markers(ToolKind):
 
     def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
         """Measured minus predicted markers (N, m, 3) m, NaN where one was not seen."""
-        points, d_points = left_of(self.column, self.shape, prediction, J)
+        points, d_points = marker_residuals(self.column, self.shape, prediction, J)
         return (Block(POINTS, points, d_points),)
 
 
-def left_of(markers: Floats, shape: Floats, prediction: Prediction, J: Floats | None) -> tuple[Floats, Floats | None]:
+def marker_residuals(
+    markers: Floats, shape: Floats, prediction: Prediction, J: Floats | None
+) -> tuple[Floats, Floats | None]:
     """Residuals (N, m, 3) m of markers, and the derivative (N, m, 3, P) of the predicted ones."""
     arms = np.einsum("nij,mj->nmi", prediction.rotation, shape)
     points = markers - prediction.position[:, None, :] - arms

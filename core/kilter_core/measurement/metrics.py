@@ -24,7 +24,7 @@ class Errors:
     turns: Floats | None
 
     @staticmethod
-    def of(calibration: Calibration, measurement: Measurement) -> Errors:
+    def from_calibration(calibration: Calibration, measurement: Measurement) -> Errors:
         """Errors of a calibration; every seen marker counts as a point."""
         return Errors(*measurement.errors(calibration))
 

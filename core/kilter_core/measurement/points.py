@@ -19,7 +19,7 @@ class Points(ToolKind):
     observations: Observations
 
     @classmethod
-    def of(cls, rows: Rows) -> Points | None:
+    def from_rows(cls, rows: Rows) -> Points | None:
         """Rows that have a position."""
         o = rows.observations
         if rows.relative or o.position is None or o.rotation is not None or o.markers is not None:

@@ -17,9 +17,9 @@ Scale = tuple[float, float]
 DEVIATIONS: Scale = (1.0, 1.0)  # plain numbers, whose covariance is one
 
 
-def scale_of(covariance: Floats) -> Scale:
+def typical_deviations(covariance: Floats) -> Scale:
     """The typical deviations of poses with a covariance (N, 6, 6): m beside their rotation, and rad."""
-    beside, _, turn = _parted(covariance)
+    beside, _, turn = _split_covariance(covariance)
     m, rad = (float(np.sqrt(np.median(np.trace(C, axis1=1, axis2=2) / 3.0))) for C in (beside, turn))
     return m, rad
 
@@ -29,7 +29,7 @@ def weights(covariance: Floats, scale: Scale) -> Floats:
 
     The square of what they give is that of the errors by the inverse of their ``covariance (N, 6, 6)``.
     """
-    beside, lever, turn = _parted(covariance)
+    beside, lever, turn = _split_covariance(covariance)
     W = np.zeros_like(covariance)
     W[:, :3, :3] = scale[0] * _root_inverse(beside)
     W[:, :3, 3:] = -W[:, :3, :3] @ lever
@@ -43,7 +43,7 @@ def beside_rotation(weight: Floats) -> float:
     return float(np.sqrt(np.median(np.sum(root**2, axis=(1, 2)) / 3.0)))
 
 
-def _parted(covariance: Floats) -> tuple[Floats, Floats, Floats]:
+def _split_covariance(covariance: Floats) -> tuple[Floats, Floats, Floats]:
     """Covariance of the position beside the rotation, how it follows the rotation, and that of the rotation; (N, 3, 3) each."""
     P, Q, R = covariance[:, :3, :3], covariance[:, :3, 3:], covariance[:, 3:, 3:]
     lever = Q @ np.linalg.inv(R)

@@ -24,7 +24,7 @@ class Poses(ToolKind):
     observations: Observations
 
     @classmethod
-    def of(cls, rows: Rows) -> Poses | None:
+    def from_rows(cls, rows: Rows) -> Poses | None:
         """Rows that have both."""
         o = rows.observations
         if rows.relative or o.position is None or o.rotation is None or o.markers is not None:

@@ -11,7 +11,7 @@ from typing import ClassVar, Self, cast
 
 import numpy as np
 
-from kilter_core.measurement.kind import Block, Kind, Rows, anchor_of
+from kilter_core.measurement.kind import Block, Kind, Rows, find_anchor
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
@@ -25,7 +25,7 @@ class Channels:
     series: Ints
 
     @staticmethod
-    def of(seen: Bools, session: Ints | None) -> Channels:
+    def from_sessions(seen: Bools, session: Ints | None) -> Channels:
         """Sessions are series; rows without are of one."""
         return Channels(seen, np.zeros(len(seen), dtype=np.int64) if session is None else session)
 
@@ -34,7 +34,7 @@ class Channels:
         """Numbers seen, less one zero for each channel and series that has any."""
         return int(self.seen.sum() - sum(self.seen[self.series == s].any(axis=0).sum() for s in np.unique(self.series)))
 
-    def centred(self, values: Floats) -> Floats:
+    def subtract_series_means(self, values: Floats) -> Floats:
         """Values (N, C, ...) less the mean of their channel and series; NaN where nothing was seen."""
         return np.where(_wide(self.seen, values), values - self._means(values)[1][self._place], np.nan)
 
@@ -72,11 +72,11 @@ class Referenced(Kind):
     anchor: Self | None = None
 
     @classmethod
-    def of(cls, rows: Rows) -> Self | None:
+    def from_rows(cls, rows: Rows) -> Self | None:
         """Rows that have the column."""
         if getattr(rows.observations, cls.column) is None:
             return None
-        return cls(rows.observations, cast("Self | None", anchor_of(cls.name, rows)))
+        return cls(rows.observations, cast("Self | None", find_anchor(cls.name, rows)))
 
     @property
     @abstractmethod
@@ -92,7 +92,7 @@ class Referenced(Kind):
         """Yes."""
         return True
 
-    def measured(self) -> Bools:
+    def measured_row_mask(self) -> Bools:
         """Rows that have a reading."""
         return np.asarray(self._channels.seen.any(axis=1))
 
@@ -107,16 +107,16 @@ class Referenced(Kind):
             before = self.anchor._raw(calibration.predict(self.anchor.observations))
             left = self._channels.from_zeros(left, self.anchor._channels, before)
         else:
-            left = self._channels.centred(left)
+            left = self._channels.subtract_series_means(left)
         return left[np.isfinite(left)][:, None], None
 
 
-def referenced(
+def offset_free_blocks(
     group: str, channels: Channels, left: Floats, columns: Floats | None, lengths: Bools | None = None
 ) -> tuple[Block, ...]:
     """Blocks of residuals (N, C) and columns (N, C, P) whose zeros are taken out; channels of ``lengths (C,)`` m apart."""
-    r = channels.centred(left)[:, :, None]
-    J = None if columns is None else np.nan_to_num(channels.centred(columns))[:, :, None, :]
+    r = channels.subtract_series_means(left)[:, :, None]
+    J = None if columns is None else np.nan_to_num(channels.subtract_series_means(columns))[:, :, None, :]
     if lengths is None or not lengths.any():
         return (Block(group, r, J, "rad"),)
     parts = ((~lengths, group, "rad"), (lengths, f"{group}_m", "m"))

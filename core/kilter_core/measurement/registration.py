@@ -26,7 +26,7 @@ def register(
     """
     if not (base or tool):
         return model.T_base, model.T_tool
-    position, rotation, use = _measured(measurement)
+    position, rotation, use = _measured_poses(measurement)
     T_base, T_tool = model.T_base.copy(), model.T_tool.copy()
     flange = _flange(model, values, measurement)
     f, F, p = flange[use, :3, 3], flange[use, :3, :3], position[use]
@@ -45,12 +45,12 @@ def register(
     return T_base, T_tool
 
 
-def _measured(measurement: Measurement) -> tuple[Floats, Floats | None, Bools]:
+def _measured_poses(measurement: Measurement) -> tuple[Floats, Floats | None, Bools]:
     o = measurement.observations
     if measurement.marker_points is not None and o.markers_of_poses is not None:
         return fit_poses(measurement.marker_points, o.markers_of_poses)
     assert o.position is not None
-    return o.position, o.rotation, measurement.tool.measured()
+    return o.position, o.rotation, measurement.tool.measured_row_mask()
 
 
 def _flange(model: RobotModel, values: Floats, measurement: Measurement) -> Floats:

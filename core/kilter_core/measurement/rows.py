@@ -10,7 +10,7 @@ from typing import cast
 from kilter_core.errors import ObservationError
 from kilter_core.measurement.camera.pixels import Pixels
 from kilter_core.measurement.kind import Block, Kind, Residual, Rows
-from kilter_core.measurement.markers import shape_of
+from kilter_core.measurement.markers import resolve_marker_shape
 from kilter_core.measurement.registry import KINDS
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
@@ -34,7 +34,7 @@ class Measurement:
     beside: bool = True
 
     @staticmethod
-    def of(
+    def from_observations(
         observations: Observations,
         marker_points: Floats | None = None,
         *,
@@ -50,7 +50,7 @@ class Measurement:
             TooFewPosesError: distances between fewer than five poses.
 
         """
-        shape = shape_of(observations, marker_points)
+        shape = resolve_marker_shape(observations, marker_points)
         made = Measurement(observations, shape, relative, dict(socket_distances or {}), anchor)
         if not made.kinds or not (made.tool.observes_places or relative or (held and made.tool.observes_tool)):
             raise ObservationError(
@@ -65,7 +65,7 @@ class Measurement:
         """The kinds these rows have, that of the tool first."""
         anchor = () if self.anchor is None else self.anchor.kinds
         rows = Rows(self.observations, self.marker_points, self.relative, self.socket_distances, anchor)
-        found = [kind for kind in (made.of(rows) for made in KINDS) if kind is not None]
+        found = [kind for kind in (made.from_rows(rows) for made in KINDS) if kind is not None]
         tool = [kind for kind in found if kind.observes_tool][:1]
         return (*tool, *(kind for kind in found if not kind.observes_tool and self.beside))
 
@@ -81,7 +81,7 @@ class Measurement:
 
     def of_tool(self) -> Measurement:
         """The same of the tool alone, in the rows that measured it."""
-        seen = self.tool.measured()
+        seen = self.tool.measured_row_mask()
         alone = self if len(self.kinds) == 1 else replace(self, beside=False)
         return alone if seen.all() else replace(alone, observations=self.observations.select(seen))
 
@@ -125,7 +125,7 @@ class Measurement:
         """How many residuals of the tool there are for each number that is independent of the others."""
         return self.tool.redundancy
 
-    def redundancy_of(self, group: str) -> float:
+    def group_redundancy(self, group: str) -> float:
         """The same of a noise group."""
         return next((kind.redundancy for kind in self.kinds if kind.group == group), 1.0)
 

@@ -59,7 +59,7 @@ class Calibration:
 
     def predict(self, observations: Observations) -> Prediction:
         """Tool poses of the rows."""
-        return self.model.predict(observations, self.values).seen_by(self.rig)
+        return self.model.predict(observations, self.values).with_rig(self.rig)
 
     def with_effects(self, effects: Sequence[Effect]) -> Calibration:
         """The same values with another list of effects; parameters of new effects start at their prior mean."""
@@ -81,7 +81,7 @@ class Calibration:
                     unknown |= (rows.direction[:, effect.acting(rows.q.shape[1])] == 0.0).any(axis=1)
         return unknown
 
-    def wanted(self) -> Calibration:
+    def nominal_in_wanted_frames(self) -> Calibration:
         """The nominal chain in the wanted frames: where the tool should be."""
         base = self.robot.T_base if self.wanted_base is None else self.wanted_base
         tool = self.robot.T_tool if self.wanted_tool is None else self.wanted_tool

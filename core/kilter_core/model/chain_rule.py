@@ -65,7 +65,7 @@ class ToolColumns:
         """Add to columns of ``out`` what load errors move through the ``slopes``; ``errors`` are columns and load errors."""
         places, own = (np.array(k, dtype=np.int64) for k in zip(*errors, strict=True))
         for slope in slopes:
-            load = by.of(slope.name, slope.part)
+            load = by.component_slopes(slope.name, slope.part)
             for moved, j in self.by_loads(slope.local):
                 kernel.put_loads(out, places, np.ascontiguousarray(moved), load if j is None else load[..., j], own)
 
@@ -83,7 +83,7 @@ class Total:
     parts: tuple[tuple[int, Local], ...]
     frames: Floats
 
-    def turned(self) -> Floats:
+    def joint_rotations(self) -> Floats:
         """What each joint, and last the base, rotates by (N, n + 1, 4): its correction, then about the axes of its frame."""
         rows, n = self.dq.shape
         out = np.zeros((rows, n + 1, 4))
@@ -95,7 +95,9 @@ class Total:
         return out
 
     @staticmethod
-    def of(parts: tuple[tuple[int, Local], ...], moves: Sequence[bool], rows: int, frames: Floats) -> Total:
+    def from_local_corrections(
+        parts: tuple[tuple[int, Local], ...], moves: Sequence[bool], rows: int, frames: Floats
+    ) -> Total:
         """Sum the ``parts`` that have values (``moves``), each with the place of its first, over N ``rows``.
 
         ``frames`` are those of ToolColumns.

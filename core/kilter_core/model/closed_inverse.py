@@ -61,7 +61,7 @@ def postures(robot: Robot, T: Floats) -> list[Posture]:
         RobotError: the arm is of neither kind.
 
     """
-    return solutions(axes_of(robot), T)
+    return solutions(read_six_axes(robot), T)
 
 
 def solutions(axes: Axes, T: Floats) -> list[Posture]:
@@ -71,9 +71,11 @@ def solutions(axes: Axes, T: Floats) -> list[Posture]:
         RobotError: the arm is of neither kind.
 
     """
-    kind = kind_of(axes)
+    kind = closed_form_kind(axes)
     if kind is None:
-        raise _unsupported("the arm", "neither do its last three axes meet, nor are its axes 2, 3 and 4 parallel")
+        raise _no_closed_form_error(
+            "the arm", "neither do its last three axes meet, nor are its axes 2, 3 and 4 parallel"
+        )
     found = _with_wrist(axes, T) if kind == "wrist" else _with_parallels(axes, T)
     out: list[Posture] = []
     for angles, labels in found:
@@ -84,7 +86,7 @@ def solutions(axes: Axes, T: Floats) -> list[Posture]:
     return out
 
 
-def axes_of(robot: Robot) -> Axes:
+def read_six_axes(robot: Robot) -> Axes:
     """Read an arm as six axes; further axes of a joint that lie in one of these count with it.
 
     Raises:
@@ -92,7 +94,7 @@ def axes_of(robot: Robot) -> Axes:
 
     """
     if robot.n_joints != 6 or any(joint.kind != "revolute" for joint in robot.joints):
-        raise _unsupported(robot.name, "it has not six revolute joints")
+        raise _no_closed_form_error(robot.name, "it has not six revolute joints")
     T = np.eye(4)
     lines: list[tuple[Floats, Floats]] = []
     rows: list[Floats] = []
@@ -109,7 +111,7 @@ def axes_of(robot: Robot) -> Axes:
         T = T @ element.axis.motion(element.value)
     angles = np.array(rows)
     if angles.shape != (6, 6) or abs(np.linalg.det(angles)) < 0.1:
-        raise _unsupported(robot.name, "its joints do not move six axes")
+        raise _no_closed_form_error(robot.name, "its joints do not move six axes")
     return Axes(np.array([h for h, _ in lines]), np.array([p for _, p in lines]), T, np.asarray(np.linalg.inv(angles)))
 
 
@@ -122,13 +124,13 @@ def flange(robot: Robot, q: Floats) -> Floats:
     return T
 
 
-def _unsupported(name: str, why: str) -> RobotError:
+def _no_closed_form_error(name: str, why: str) -> RobotError:
     return RobotError(
         f"The joints of {name!r} for a pose have no closed form: {why}. Give joint targets.", robot=name, field="chain"
     )
 
 
-def kind_of(axes: Axes) -> str | None:
+def closed_form_kind(axes: Axes) -> str | None:
     """Return which closed form an arm has, "wrist" or "parallels", if any."""
     h = axes.h
     if _parallel(h[1], h[2]) and _meeting(axes, 3, 4) is not None:

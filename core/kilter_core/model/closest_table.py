@@ -91,16 +91,16 @@ class ZerosOfTable:
                 start[at, wanted[k]] = 1.0
         moved = start
         bare = calibration.with_effects([])
-        for arm in (bare, calibration.with_effects([e for e in calibration.model.effects if at_rest(e)])):
+        for arm in (bare, calibration.with_effects([e for e in calibration.model.effects if acts_at_rest(e)])):
             if arm is bare or arm.model.effects:
-                moved = self._moved(_arm_derivatives(calibration, arm, rows, names), moved)
+                moved = self._parameter_derivatives(_arm_derivatives(calibration, arm, rows, names), moved)
         return np.asarray(moved[self._own_zeros()])
 
-    def told(self) -> Bools:
+    def identifiable_zeros(self) -> Bools:
         """Which zeros (n,) follow from the arm and not from where the fit begins: others share what they are with a frame."""
         if self.follows:
             return np.ones(self.model.robot.n_joints, dtype=bool)
-        R = np.linalg.qr(self._stacked[0], mode="r")
+        R = np.linalg.qr(self._stacked_equations[0], mode="r")
         own = np.sum(np.linalg.inv(R) ** 2, axis=1)
         return np.asarray(1.0 - own[self._own_zeros()] >= TOLD)
 
@@ -110,7 +110,7 @@ class ZerosOfTable:
         return [named[name] for name in zero_names(self.model.robot)]
 
     @cached_property
-    def _stacked(self) -> tuple[Floats, Floats]:
+    def _stacked_equations(self) -> tuple[Floats, Floats]:
         """The equations of the fit (6 N + F, F) in units of ``scale (F,)``."""
         rows = Observations(workspace(self.model.robot).q)
         J = self.model.jacobian(rows, self.values, self.free)[1]
@@ -118,9 +118,9 @@ class ZerosOfTable:
         scale = _scale(A, len(rows), FIT_SIGMA_M)
         return np.vstack([A * scale, np.eye(len(self.free))]), scale
 
-    def _moved(self, dY: Floats, dstart: Floats) -> Floats:
+    def _parameter_derivatives(self, dY: Floats, dstart: Floats) -> Floats:
         """How the table's free parameters (F, K) follow the poses (6 N, K) and where the fit begins."""
-        stacked, scale = self._stacked
+        stacked, scale = self._stacked_equations
         weight = np.tile(_weights(FIT_SIGMA_M), len(dY) // 6)
         aimed = np.vstack([weight[:, None] * dY, dstart / scale[:, None]])
         return np.asarray(np.linalg.lstsq(stacked, aimed, rcond=None)[0] * scale[:, None])
@@ -145,16 +145,16 @@ def workspace(robot: Robot, count: int = 400, seed: int = 1) -> Observations:
     return Observations(q, direction=rng.choice([-1.0, 1.0], q.shape))
 
 
-def at_rest(effect: Effect) -> bool:
+def acts_at_rest(effect: Effect) -> bool:
     """Whether an effect moves an arm that rests without load."""
     return effect.stage != "measurement" and effect.needs <= AT_REST
 
 
 def arm_poses(calibration: Calibration, rows: Observations) -> Prediction:
     """Tool poses of the whole calibrated arm, at rest without load, seen from the wanted base."""
-    kept = calibration.with_effects([effect for effect in calibration.model.effects if at_rest(effect)])
+    kept = calibration.with_effects([effect for effect in calibration.model.effects if acts_at_rest(effect)])
     model, values = kept.model.absorb_frame_increments(kept.values)
-    seen_from = inverse(np.asarray(calibration.wanted().model.T_base))
+    seen_from = inverse(np.asarray(calibration.nominal_in_wanted_frames().model.T_base))
     return replace(model, T_base=seen_from @ np.asarray(model.T_base)).predict(rows, values)
 
 
@@ -195,11 +195,11 @@ def closest_table(calibration: Calibration, convention: str) -> ClosestTable:
     gravity = table.base[:3, :3].T @ frames[0][:3, :3] @ calibration.robot.gravity
     links = _links(calibration.robot, frames, table.rows, convention, table.base)
     here = (table.rows, table.base, table.tool, loss, links, gravity)
-    shared = _shared(_model(calibration.robot, nominal, convention), table.rows, plain, wanted, zeros)
+    shared = _shared_zeros(_model(calibration.robot, nominal, convention), table.rows, plain, wanted, zeros)
     return ClosestTable(*here, nominal.rows, nominal.base, nominal.tool, zeros, shared)
 
 
-def _shared(
+def _shared_zeros(
     nominal: RobotModel, rows: Sequence[Row], at: Observations, wanted: Prediction, zeros: ZerosOfTable | None
 ) -> Bools:
     """Zeros of the rows that a controller must not be given, for with them the nominal arm is farther from the real one.
@@ -210,34 +210,34 @@ def _shared(
     own = [nominal.names.index(name) for name in zero_names(nominal.robot)]
     offset = np.array([row.d or 0.0 if row.prismatic else row.theta_offset for row in rows]) - nominal.values0()[own]
     offset = np.where([row.prismatic for row in rows], offset, np.remainder(offset + np.pi, 2 * np.pi) - np.pi)
-    told = np.ones(len(offset), dtype=bool) if zeros is None else zeros.told()
+    told = np.ones(len(offset), dtype=bool) if zeros is None else zeros.identifiable_zeros()
 
-    def left(entered: Bools) -> float:
+    def pose_loss(entered: Bools) -> float:
         values = nominal.values0()
         values[own] += np.where(entered, offset, 0.0)
         found = nominal.predict(at, values)
         turn = LEVER_M * rotation_log(wanted.rotation.transpose(0, 2, 1) @ found.rotation)
         return float(np.sum((found.position - wanted.position) ** 2) + np.sum(turn**2))
 
-    most, joints = WORSE**2 * left(np.zeros_like(told)), np.arange(len(offset))
-    if zeros is None and left(told) > most:
+    most, joints = WORSE**2 * pose_loss(np.zeros_like(told)), np.arange(len(offset))
+    if zeros is None and pose_loss(told) > most:
         return told
     entered = told.copy()
-    while left(entered) > most:
-        entered[min(np.flatnonzero(entered), key=lambda k: left(entered & (joints != k)))] = False
+    while pose_loss(entered) > most:
+        entered[min(np.flatnonzero(entered), key=lambda k: pose_loss(entered & (joints != k)))] = False
     return np.asarray(told & ~entered)
 
 
 def _nominal_table(calibration: Calibration, convention: str) -> _Table:
     """The nominal arm's own rows where it is written in them, else those of its axes."""
-    wanted = calibration.wanted()
+    wanted = calibration.nominal_in_wanted_frames()
     rows = _own_rows(calibration.robot, convention)
     if rows is not None:
         return _Table(rows, np.eye(4), np.asarray(wanted.model.T_tool))
-    return _table_of(wanted, convention)
+    return _table_from_axes(wanted, convention)
 
 
-def _table_of(calibration: Calibration, convention: str) -> _Table:
+def _table_from_axes(calibration: Calibration, convention: str) -> _Table:
     """Table of the identified axes, by common normals."""
     table = link_table(arm_screws(calibration), hayati=convention == "mdh")
     rows, tool = (table.dh_rows(), table.tool) if convention == "dh" else (table.mdh_rows(), table.mdh_tool())
@@ -271,17 +271,17 @@ def _nearest(
     free = _free(model, nominal.rows)
     follows = _own_rows(calibration.robot, convention) is not None
     if follows:
-        base = inverse(np.asarray(calibration.wanted().model.T_base)) @ np.asarray(found[0].T_base)
+        base = inverse(np.asarray(calibration.nominal_in_wanted_frames().model.T_base)) @ np.asarray(found[0].T_base)
         model = replace(model, T_base=base, T_tool=np.asarray(found[0].T_tool))
         named = dict(zip(found[0].names, found[1].tolist(), strict=True))
         start = np.array([named[name] if k in free else 0.0 for k, name in enumerate(model.names)])
     lost = len(free) < len(start)
     T = arm_screws(calibration).poses(rows.q)
     geometry = Prediction(T[:, :3, 3], T[:, :3, :3])
-    values = _fitted(model, rows, geometry, start, free, FIT_SIGMA_M if lost else EXACT_SIGMA_M)
+    values = _fit_values(model, rows, geometry, start, free, FIT_SIGMA_M if lost else EXACT_SIGMA_M)
     loss = distance(wanted, model.predict(rows, values))
     if loss.max_m > NOTHING_M:
-        values = _fitted(model, rows, wanted, values, free, FIT_SIGMA_M)
+        values = _fit_values(model, rows, wanted, values, free, FIT_SIGMA_M)
         loss = distance(wanted, model.predict(rows, values))
     return _read(model, values, nominal.rows), loss, ZerosOfTable(model, values, free, follows)
 
@@ -293,7 +293,7 @@ def zero_names(robot: Robot) -> list[str]:
 
 def _arm_derivatives(calibration: Calibration, arm: Calibration, rows: Observations, names: Sequence[str]) -> Floats:
     """Derivatives (6 N, K) of the arm's tool poses by parameters, seen from the wanted base; 0 for those it does not have."""
-    turn = np.asarray(inverse(np.asarray(calibration.wanted().model.T_base)))[:3, :3]
+    turn = np.asarray(inverse(np.asarray(calibration.nominal_in_wanted_frames().model.T_base)))[:3, :3]
     known = [k for k, name in enumerate(names) if name in arm.names]
     free = np.array([arm.names.index(names[k]) for k in known], dtype=np.int64)
     J = arm.model.jacobian(rows, arm.values, free)[1]
@@ -306,10 +306,10 @@ def _other_rows(
     calibration: Calibration, convention: str, rows: Observations, wanted: Prediction
 ) -> tuple[_Table, Loss]:
     """Table by the identified axes' own common normals, fitted where it is not exact."""
-    table = _table_of(calibration, convention)
+    table = _table_from_axes(calibration, convention)
     model = _model(calibration.robot, table, convention)
     start = model.values0()
-    fitted = _fitted(model, rows, wanted, start, _free(model, table.rows), FIT_SIGMA_M)
+    fitted = _fit_values(model, rows, wanted, start, _free(model, table.rows), FIT_SIGMA_M)
     losses = [(distance(wanted, model.predict(rows, values)), values) for values in (start, fitted)]
     loss, values = min(losses, key=lambda one: one[0].rms_m)
     return _read(model, values, table.rows), loss
@@ -346,7 +346,7 @@ def _free(model: RobotModel, rows: Sequence[Row]) -> Ints:
     return np.array([k for k, name in enumerate(model.names) if name not in fixed], dtype=np.int64)
 
 
-def _fitted(
+def _fit_values(
     model: RobotModel, rows: Observations, wanted: Prediction, start: Floats, free: Ints, sigma: float
 ) -> Floats:
     """Gauss-Newton; what poses do not tell stays at ``start``, by what it would move at the tool."""

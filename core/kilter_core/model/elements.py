@@ -32,7 +32,7 @@ def model_program(chain: Chain) -> Program:
     for j, k in enumerate(chain.primary):
         slot[6 + k] = j
     slot[5], slot[-1] = chain.n_joints, chain.n_joints + 1
-    named = [6 + k for k in chain.named]
+    named = [6 + k for k in chain.named_elements]
     tool_at = 6 + len(chain.elements)
     return Program(
         axis=np.array([e.axis for e in elements], dtype=np.int64),

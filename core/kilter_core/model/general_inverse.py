@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eig
 
-from kilter_core.model.closed_inverse import Axes, Posture, about, angle_about, any_across, kind_of, solutions
+from kilter_core.model.closed_inverse import Axes, Posture, about, angle_about, any_across, closed_form_kind, solutions
 from kilter_core.transforms import inverse, rotations_about
 from kilter_core.types import Floats
 
@@ -49,7 +49,7 @@ class Found:
 
 def reaching(axes: Axes, T: Floats) -> tuple[list[Posture], bool]:
     """Return the postures that bring the flange to ``T (4, 4)``, and whether these are surely all: in closed form they are."""
-    if kind_of(axes) is not None:
+    if closed_form_kind(axes) is not None:
         return solutions(axes, T), True
     found = all_angles(axes, T)
     out = []
@@ -61,7 +61,7 @@ def reaching(axes: Axes, T: Floats) -> tuple[list[Posture], bool]:
 
 def all_angles(axes: Axes, T: Floats) -> Found:
     """Find the angles of six axes that bring the flange to ``T (4, 4)``, in the frame of the robot's root."""
-    scaled, moved = _scaled(axes, T @ inverse(axes.home))
+    scaled, moved = _scale_to_unit_size(axes, T @ inverse(axes.home))
     longest = float(np.linalg.norm(np.diff(scaled.p, axis=0), axis=1).sum())
     if np.linalg.norm(moved[:3, :3] @ scaled.p[5] + moved[:3, 3] - scaled.p[0]) > longest + REACHED:
         return Found(np.empty((0, 6)), (), certain=True)  # beyond all links in a line
@@ -72,7 +72,7 @@ def all_angles(axes: Axes, T: Floats) -> Found:
         certain = _solve(scaled, moved, one, mine) and certain
         counts.append(len(mine))
         for angles in mine:
-            if not any(_same(angles, other) for other in found):
+            if not any(_are_same_angles(angles, other) for other in found):
                 found.append(angles)
     singular = tuple(_singular(scaled, angles) for angles in found)
     certain = certain and counts == [len(found)] * 2 and not any(singular)
@@ -114,7 +114,7 @@ def _split(axes: Axes, moved: Floats, first: int, shifts: tuple[float, ...]) -> 
     return _Split(axes, first, np.array(shifts), A, min(rank, float(sizes[-1] / sizes[0])))
 
 
-def _scaled(axes: Axes, moved: Floats) -> tuple[Axes, Floats]:
+def _scale_to_unit_size(axes: Axes, moved: Floats) -> tuple[Axes, Floats]:
     """The arm about 1 long, with axis 3 through the origin: powers of lengths are of one size then."""
     origin = axes.p[2]
     scale = float(np.max(np.linalg.norm(axes.p - origin, axis=1))) or 1.0
@@ -167,12 +167,12 @@ def _solve(axes: Axes, moved: Floats, split: _Split, out: list[Floats]) -> bool:
         third = 2.0 * math.atan(x3) + float(split.shifts[0])
         some = False
         for guess in map(split.angles, _guesses(split, moved, x3)):
-            near = next((other for other in out if _same(guess, other, 1e-5)), None)
-            angles = _polished(axes, moved, guess) if near is None else near
+            near = next((other for other in out if _are_same_angles(guess, other, 1e-5)), None)
+            angles = _polish_angles(axes, moved, guess) if near is None else near
             if angles is not None:
                 off = math.remainder(float(angles[(split.first + 2) % 6]) - third, 2.0 * math.pi)
                 some = some or abs(off) < OWN_ROOT
-                if not any(_same(angles, other) for other in out):
+                if not any(_are_same_angles(angles, other) for other in out):
                     out.append(angles)
         explained = explained and some
     return explained
@@ -181,8 +181,8 @@ def _solve(axes: Axes, moved: Floats, split: _Split, out: list[Floats]) -> bool:
 def _guesses(split: _Split, moved: Floats, x3: float) -> list[Floats]:
     """Angles that nearly reach, for one tangent of the third; the nearest, where none does."""
     ranked = []
-    for x4, x5 in _others(split.A, x3):
-        for angles in _completed(split.axes, moved, *(2.0 * np.arctan([x3, x4, x5]) + split.shifts)):
+    for x4, x5 in _remaining_tangents(split.A, x3):
+        for angles in _complete_angles(split.axes, moved, *(2.0 * np.arctan([x3, x4, x5]) + split.shifts)):
             off = float(np.linalg.norm(_twist(moved @ inverse(_jacobian(split.axes, angles)[0]))))
             ranked.append((off, angles))
     ranked.sort(key=lambda one: one[0])
@@ -245,7 +245,7 @@ def _roots(A: Floats, rounded: float) -> list[float]:
     return found
 
 
-def _others(A: Floats, x3: float) -> Iterator[tuple[float, float]]:
+def _remaining_tangents(A: Floats, x3: float) -> Iterator[tuple[float, float]]:
     """Tangents of joints 4 and 5 for one of joint 3: of the vectors that the matrix brings to nothing."""
     M = A[0] + x3 * (A[1] + x3 * A[2])
     M = M / np.linalg.norm(M, axis=1, keepdims=True)
@@ -264,7 +264,7 @@ def _others(A: Floats, x3: float) -> Iterator[tuple[float, float]]:
             yield float(x4.real), float(x5.real)
 
 
-def _completed(axes: Axes, moved: Floats, third: float, fourth: float, fifth: float) -> Iterator[Floats]:
+def _complete_angles(axes: Axes, moved: Floats, third: float, fourth: float, fifth: float) -> Iterator[Floats]:
     """Angles of joints 1, 2 and 6 for those between: by the direction of axis 6, or where that says nothing by its point."""
     h, p = axes.h, axes.p
     bent = about(h[2], p[2], third) @ about(h[3], p[3], fourth) @ about(h[4], p[4], fifth)
@@ -305,7 +305,7 @@ def _to_height(h: Floats, n: Floats, v: Floats, height: float) -> Iterator[float
     yield middle - half
 
 
-def _polished(axes: Axes, moved: Floats, angles: Floats) -> Floats | None:
+def _polish_angles(axes: Axes, moved: Floats, angles: Floats) -> Floats | None:
     """Newton steps to the last digits; None: they lead nowhere."""
     q = angles.copy()
     for _ in range(STEPS):
@@ -345,5 +345,5 @@ def _singular(axes: Axes, q: Floats) -> bool:
     return bool(np.linalg.svd(_jacobian(axes, q)[1], compute_uv=False)[-1] < SINGULAR)
 
 
-def _same(one: Floats, other: Floats, within: float = SAME_RAD) -> bool:
+def _are_same_angles(one: Floats, other: Floats, within: float = SAME_RAD) -> bool:
     return bool(np.abs(np.remainder(one - other + math.pi, 2.0 * math.pi) - math.pi).max() < within)

@@ -27,31 +27,35 @@ def arm_screws(calibration: Calibration) -> Screws:
 
     What the wanted and the identified frames differ by is part of the arm's error, so it stays in the arm.
     """
-    model, constants = _folded(calibration)
-    return screws_of_chain(model.robot.chain, constants).moved(_before(calibration, model), np.asarray(model.T_tool))
+    model, constants = _absorb_frames(calibration)
+    return screws_of_chain(model.robot.chain, constants).compose_with_poses(
+        _base_in_wanted_frame(calibration, model), np.asarray(model.T_tool)
+    )
 
 
 def flange_screws(calibration: Calibration) -> Screws:
     """Base to flange: a drop-in for the nominal chain; with the controller's tool frame behind it, the tool is right."""
-    return arm_screws(calibration).moved(np.eye(4), inverse(wanted_tool(calibration)))
+    return arm_screws(calibration).compose_with_poses(np.eye(4), inverse(wanted_tool(calibration)))
 
 
 def flange_frames(calibration: Calibration) -> FlangeFrames:
     """The same arm, element by element."""
-    model, constants = _folded(calibration)
-    elements = _before(calibration, model) @ chain_frames(model.robot.chain, constants)
+    model, constants = _absorb_frames(calibration)
+    elements = _base_in_wanted_frame(calibration, model) @ chain_frames(model.robot.chain, constants)
     return FlangeFrames(elements, np.asarray(model.T_tool) @ inverse(wanted_tool(calibration)))
 
 
 def wanted_tool(calibration: Calibration) -> Floats:
     """The tool frame (4, 4) that the controller has."""
-    return np.asarray(calibration.wanted().model.T_tool)
+    return np.asarray(calibration.nominal_in_wanted_frames().model.T_tool)
 
 
-def _folded(calibration: Calibration) -> tuple[RobotModel, Floats]:
+def _absorb_frames(calibration: Calibration) -> tuple[RobotModel, Floats]:
     model, values = calibration.model.absorb_frame_increments(calibration.values)
     return model, values[6 : model.n_geometric - 6]
 
 
-def _before(calibration: Calibration, model: RobotModel) -> Floats:
-    return np.asarray(inverse(np.asarray(calibration.wanted().model.T_base)) @ np.asarray(model.T_base))
+def _base_in_wanted_frame(calibration: Calibration, model: RobotModel) -> Floats:
+    return np.asarray(
+        inverse(np.asarray(calibration.nominal_in_wanted_frames().model.T_base)) @ np.asarray(model.T_base)
+    )

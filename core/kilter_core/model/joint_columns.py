@@ -22,7 +22,7 @@ def joint_rows(reader: Reader, batch: Batch, total: Total, values: Floats, colum
     """
     free, first = columns
     place = {int(k): c for c, k in enumerate(free) if k >= first}
-    out = JointColumns.of(len(batch), batch.q.shape[1], len(free))
+    out = JointColumns.from_shape(len(batch), batch.q.shape[1], len(free))
     for start, local in total.parts:
         for d in local.derivatives:
             if start + d.parameter in place:
@@ -33,9 +33,9 @@ def joint_rows(reader: Reader, batch: Batch, total: Total, values: Floats, colum
     return out.rows
 
 
-def turns_of(found: Sequence[Derivative], rows: int, joints: int) -> Floats:
+def rotation_derivatives(found: Sequence[Derivative], rows: int, joints: int) -> Floats:
     """What each of the derivatives rotates (N, 4 n + 4, K)."""
-    out = JointColumns.of(rows, joints, len(found))
+    out = JointColumns.from_shape(rows, joints, len(found))
     for k, d in enumerate(found):
         out.put(k, d)
     return out.rows
@@ -59,7 +59,7 @@ class JointColumns:
     rows: Floats
 
     @staticmethod
-    def of(rows: int, joints: int, columns: int) -> JointColumns:
+    def from_shape(rows: int, joints: int, columns: int) -> JointColumns:
         """Zeros, to be added to."""
         return JointColumns(np.zeros((rows, 4 * (joints + 1), columns)))
 
@@ -77,7 +77,7 @@ class JointColumns:
     def put_loads(self, slopes: Iterable[Slope], by: LoadSlopes, errors: Sequence[tuple[int, int]]) -> None:
         """Add what load errors move through the ``slopes``; ``errors`` are columns and load errors."""
         for slope in slopes:
-            load = by.of(slope.name, slope.part)
+            load = by.component_slopes(slope.name, slope.part)
             for moved, joint in self._by_loads(slope.local):
                 at, own = self._place(joint), load if joint == BASE else load[..., joint]
                 for column, error in errors:

@@ -36,7 +36,7 @@ class Reader:
     def __iter__(self) -> Iterator[tuple[Effect, slice]]:
         return zip(self.effects, self.slices.values(), strict=True)
 
-    def loaded(self, batch: Batch, values: Floats) -> Batch:
+    def apply_load_errors(self, batch: Batch, values: Floats) -> Batch:
         """The batch with the loads that the load errors in ``values`` leave."""
         change = self._change(batch, values)
         return batch if change is None else batch.with_loads(change)
@@ -89,9 +89,9 @@ def _slopes(effect: Effect, batch: Batch, values: Floats) -> Iterator[Slope]:
             step = np.zeros_like(load)
             here = ... if name == "axial" else (..., part)
             step[here] = max(STEP * float(np.sqrt(np.mean(load[here] ** 2))) if load.size else 0.0, LEAST_NM)
-            ahead, behind = (effect.local(batch.stepped(name, way * step), values) for way in (1.0, -1.0))
+            ahead, behind = (effect.local(batch.add_to_load(name, way * step), values) for way in (1.0, -1.0))
             width = float(step[here].flat[0]) if load.size else 0.5
-            near = np.abs(batch.sided(name)[here]) <= width
+            near = np.abs(batch.side_deciding_load(name)[here]) <= width
             slope = _over(ahead, behind, 2.0 * width)
             yield Slope(name, part, slope if effect.smooth_over(width) else _without_steps(slope, near))
 
@@ -111,7 +111,7 @@ def _over(ahead: Local, behind: Local, width: float) -> Local:
     return Local(slope(ahead.dq, behind.dq), slope(ahead.xi, behind.xi), slope(ahead.base, behind.base))
 
 
-def blur_of(effects: Iterable[Effect], batch: Batch, covariance: Floats) -> Floats:
+def load_sign_blur(effects: Iterable[Effect], batch: Batch, covariance: Floats) -> Floats:
     """Standard deviation (n, 2) N·m of the load across and about each joint, in the rows where its sign is in doubt.
 
     ``covariance`` is that of the load errors of the one effect among ``effects`` that is a nuisance, SI; ``batch`` has the
@@ -124,16 +124,16 @@ def blur_of(effects: Iterable[Effect], batch: Batch, covariance: Floats) -> Floa
     kept = [columns[k] for k in known]
     C = covariance[np.ix_(known, known)]
 
-    def near(name: str, part: int, load: Floats) -> list[float]:
+    def doubtful_deviations(name: str, part: int, load: Floats) -> list[float]:
         """Deviations (n,) of one component, in the rows where its sign is in doubt."""
-        by = slopes.of(name, part)[kept]
+        by = slopes.component_slopes(name, part)[kept]
         sigma = np.sqrt(np.maximum(np.einsum("knj,knj->nj", by, np.tensordot(C, by, axes=1)), 0.0))
-        return [_where_near(load[:, j], sigma[:, j]) for j in range(load.shape[1])]
+        return [_median_sigma_near_zero(load[:, j], sigma[:, j]) for j in range(load.shape[1])]
 
-    across = [near("wrench", 3 + a, batch.sided_moment[:, :, a]) for a in range(2)]
-    return np.stack([np.max(across, axis=0), near("axial", 0, batch.sided_axial)], axis=1)
+    across = [doubtful_deviations("wrench", 3 + a, batch.sided_moment[:, :, a]) for a in range(2)]
+    return np.stack([np.max(across, axis=0), doubtful_deviations("axial", 0, batch.sided_axial)], axis=1)
 
 
-def _where_near(load: Floats, sigma: Floats) -> float:
+def _median_sigma_near_zero(load: Floats, sigma: Floats) -> float:
     near = np.abs(load) < NEAR * sigma
     return float(np.median(sigma[near])) if near.any() else 0.0

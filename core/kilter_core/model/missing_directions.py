@@ -24,7 +24,7 @@ def missing_directions(robot: Robot) -> Ints:
     """
     calibration = Calibration.nominal(robot)
     q = _scattered_joints(robot)
-    screws = arm_screws(calibration).moved(robot.T_base, np.eye(4))
+    screws = arm_screws(calibration).compose_with_poses(robot.T_base, np.eye(4))
     tool = screws.poses(q)[:, :3, 3]
     size = float(np.ptp(tool, axis=0).max()) or 1.0
     geometric = np.arange(calibration.model.n_geometric)

@@ -73,13 +73,13 @@ class PlacedRig:
     def at_poses(rig: Rig, cameras: Mapping[int, Floats], boards: Mapping[int, Floats]) -> PlacedRig:
         """Parts at these poses, as they are described; where none is given, at the origin."""
 
-        def placed(poses: Mapping[int, Floats], k: int, values: Any) -> Place:
+        def make_place(poses: Mapping[int, Floats], k: int, values: Any) -> Place:
             return Place(np.asarray(poses.get(k, np.eye(4))), np.zeros(6), np.array(values, dtype=np.float64))
 
         return PlacedRig(
             rig,
-            tuple(placed(cameras, k, c.values) for k, c in enumerate(rig.cameras)),
-            tuple(placed(boards, k, (0.0,)) for k in range(len(rig.boards))),
+            tuple(make_place(cameras, k, c.values) for k, c in enumerate(rig.cameras)),
+            tuple(make_place(boards, k, (0.0,)) for k in range(len(rig.boards))),
         )
 
     @cached_property
@@ -87,14 +87,14 @@ class PlacedRig:
         """What a fit may change, with names, units and priors; increments begin at zero, intrinsics at what is stated."""
         out: list[tuple[Unknown, Parameter]] = []
         for k, camera in enumerate(self.rig.cameras):
-            out += _pose_of("camera", camera.name, True, k)
+            out += _pose_unknowns("camera", camera.name, True, k)
             sigmas = _sigmas(camera)
             for i, (name, value) in enumerate(zip(camera.names, camera.values, strict=True) if sigmas else ()):
                 unit = "px" if i < 4 else "1"
                 parameter = Parameter(f"camera_{camera.name}_{name}", unit, value, sigmas[i])
                 out.append((Unknown(True, k, "intrinsics", i), parameter))
         for k, board in enumerate(self.rig.boards):
-            out += _pose_of("board", board.name, False, k)
+            out += _pose_unknowns("board", board.name, False, k)
             if board.scale_sigma > 0.0:
                 parameter = Parameter(f"board_{board.name}_scale", "1", 0.0, board.scale_sigma)
                 out.append((Unknown(False, k, "scale", 0), parameter))
@@ -114,7 +114,7 @@ class PlacedRig:
         place = (self.cameras if u.camera else self.boards)[u.place]
         return float(place.six[u.index] if u.what == "pose" else place.values[u.index])
 
-    def at(self, values: Floats) -> PlacedRig:
+    def with_values(self, values: Floats) -> PlacedRig:
         """The rig with ``values (K,)`` of its unknowns."""
         parts = {True: list(self.cameras), False: list(self.boards)}
         for (u, _), value in zip(self.unknowns, values, strict=True):
@@ -129,12 +129,14 @@ class PlacedRig:
         """Corners (M, 3) m of a board in its own frame, as large as it was found."""
         return np.asarray((1.0 + self.boards[k].values[0]) * np.array(self.rig.boards[k].corners))
 
-    def settled(self) -> PlacedRig:
+    def with_folded_increments(self) -> PlacedRig:
         """The same, the increments folded into the poses."""
-        cameras, boards = (tuple(_moved(p, np.eye(4)) for p in parts) for parts in (self.cameras, self.boards))
+        cameras, boards = (
+            tuple(_transform_place(p, np.eye(4)) for p in parts) for parts in (self.cameras, self.boards)
+        )
         return replace(self, cameras=cameras, boards=boards)
 
-    def described_by(self, rig: Rig) -> PlacedRig:
+    def with_description(self, rig: Rig) -> PlacedRig:
         """The same places of cameras and boards that are described otherwise."""
         return replace(self, rig=rig)
 
@@ -143,23 +145,23 @@ class PlacedRig:
         cameras, boards = {c.name for c in self.rig.cameras}, {b.name for b in self.rig.boards}
         return {c.name for c in rig.cameras} <= cameras and {b.name for b in rig.boards} <= boards
 
-    def of(self, rig: Rig) -> PlacedRig:
+    def select_parts(self, rig: Rig) -> PlacedRig:
         """The places of ``rig``'s parts, by their names, with the intrinsics and scales that were found here."""
         cameras = [self.cameras[[c.name for c in self.rig.cameras].index(one.name)] for one in rig.cameras]
         boards = [self.boards[[b.name for b in self.rig.boards].index(one.name)] for one in rig.boards]
         return PlacedRig(rig, tuple(cameras), tuple(boards))
 
-    def moved(self, base: Floats | None = None, tool: Floats | None = None) -> PlacedRig:
+    def transform_frames(self, base: Floats | None = None, tool: Floats | None = None) -> PlacedRig:
         """The rig seen in other frames (4, 4): ``base`` takes the old room into the new one, ``tool`` the old tool."""
 
         by = {"fixed": base, "flange": tool}
-        cameras = [_moved(p, by[c.mount]) for p, c in zip(self.cameras, self.rig.cameras, strict=True)]
-        boards = [_moved(p, by[b.mount]) for p, b in zip(self.boards, self.rig.boards, strict=True)]
+        cameras = [_transform_place(p, by[c.mount]) for p, c in zip(self.cameras, self.rig.cameras, strict=True)]
+        boards = [_transform_place(p, by[b.mount]) for p, b in zip(self.boards, self.rig.boards, strict=True)]
         return replace(self, cameras=tuple(cameras), boards=tuple(boards))
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able, SI."""
-        own = self.settled()
+        own = self.with_folded_increments()
         return {
             **self.rig.to_document(),
             "camera_poses": [p.origin.tolist() for p in own.cameras],
@@ -183,11 +185,11 @@ class PlacedRig:
         return PlacedRig(rig, tuple(cameras), tuple(boards))
 
 
-def _moved(place: Place, by: Floats | None) -> Place:
+def _transform_place(place: Place, by: Floats | None) -> Place:
     return place if by is None else replace(place, origin=by @ place.pose, six=np.zeros(6))
 
 
-def _pose_of(what: str, name: str, camera: bool, k: int) -> list[tuple[Unknown, Parameter]]:
+def _pose_unknowns(what: str, name: str, camera: bool, k: int) -> list[tuple[Unknown, Parameter]]:
     return [(Unknown(camera, k, "pose", i), one) for i, one in enumerate(frame_parameters(f"{what}_{name}"))]
 
 

@@ -26,14 +26,14 @@ class Instrument:
     columns: Ints
 
 
-def instrument_of(placed: Iterable[tuple[Effect, slice]], values: Floats, free: Ints = NOTHING) -> Instrument | None:
+def find_instrument(placed: Iterable[tuple[Effect, slice]], values: Floats, free: Ints = NOTHING) -> Instrument | None:
     """The cameras among effects and where their ``values`` are, and the columns they have in a Jacobian by ``free``."""
     for effect, at in placed:
         if effect.instrument is not None:
             columns = np.full(at.stop - at.start, -1, dtype=np.int64)
             own = np.flatnonzero((free >= at.start) & (free < at.stop))
             columns[free[own] - at.start] = own
-            return Instrument(effect.instrument.at(values[at]), columns)
+            return Instrument(effect.instrument.with_values(values[at]), columns)
     return None
 
 
@@ -51,7 +51,7 @@ class Prediction:
     slides: Bools | None = None
     instrument: Instrument | None = None
 
-    def seen_by(self, rig: PlacedRig | None) -> Prediction:
+    def with_rig(self, rig: PlacedRig | None) -> Prediction:
         """The same with cameras that stand as a ``rig`` says, unless the prediction has its own."""
         if rig is None or self.instrument is not None:
             return self
@@ -61,4 +61,4 @@ class Prediction:
     def joints(self) -> Floats:
         """What each joint, and last the base, rotates by beyond its command (N, n + 1, 4): see :data:`JOINT_ROWS`."""
         assert self.local is not None
-        return self.local.turned()
+        return self.local.joint_rotations()

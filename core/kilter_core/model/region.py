@@ -47,7 +47,7 @@ class Region:
     keep_out: Floats | None = None
 
     @staticmethod
-    def of(start: Calibration, driven: Floats | None = None) -> Region:
+    def from_calibration(start: Calibration, driven: Floats | None = None) -> Region:
         """Limits less a margin; with joint readings ``driven (N, n)`` also no farther than the arm was driven.
 
         Raises:
@@ -65,13 +65,15 @@ class Region:
         driven = driven[:: -(-len(driven) // MOST_POINTS)]
         low, high = np.maximum(low, driven.min(axis=0)), np.minimum(high, driven.max(axis=0))
         points = arm_points(robot, driven)
-        return Region(start, low, np.maximum(low, high), tuple(Hull.of(points[:, k]) for k in range(points.shape[1])))
+        return Region(
+            start, low, np.maximum(low, high), tuple(Hull.from_points(points[:, k]) for k in range(points.shape[1]))
+        )
 
     def above(self, floor: float | None) -> Region:
         """Return the region above a floor."""
         return replace(self, floor=floor)
 
-    def within(self, box: Floats | None) -> Region:
+    def restrict_to_box(self, box: Floats | None) -> Region:
         """Return the part of the region whose tool is in a box."""
         return replace(self, box=box)
 
@@ -160,7 +162,7 @@ class Hull:
     half: Floats  # (F, d + 1): normal and offset of each face, in the axes; a segment's are its ends
 
     @staticmethod
-    def of(points: Floats) -> Hull:
+    def from_points(points: Floats) -> Hull:
         """Hull of points (N, 3), which may lie in a plane, on a line, or be one."""
         centre = points.mean(axis=0)
         _, s, Vt = np.linalg.svd(points - centre, full_matrices=False)

@@ -13,15 +13,15 @@ from kilter_core.arm.kernels import kinematics
 from kilter_core.arm.loads.chain import LoadChain
 from kilter_core.arm.loads.deflection import HANGING_ROUNDS, SIDED_ROUNDS, Deflection
 from kilter_core.arm.loads.slopes import LoadSlopes, payload_sensitivity
-from kilter_core.arm.loads.wrenches import Loads, axial_loads, loads_of
+from kilter_core.arm.loads.wrenches import Loads, axial_loads, row_load_wrenches
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Batch, Effect
 from kilter_core.errors import ObservationError
 from kilter_core.model.chain_rule import ToolColumns, Total
 from kilter_core.model.elements import Program, model_program
-from kilter_core.model.joint_columns import joint_rows, own_turns, turns_of
+from kilter_core.model.joint_columns import joint_rows, own_turns, rotation_derivatives
 from kilter_core.model.load_errors import Reader
-from kilter_core.model.prediction import NOTHING, TOOL_ROWS, Prediction, instrument_of
+from kilter_core.model.prediction import NOTHING, TOOL_ROWS, Prediction, find_instrument
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter, TypePrior, indices, refuse_collisions
 from kilter_core.types import Bools, Floats, Ints
@@ -49,14 +49,14 @@ class RobotModel:
     def __post_init__(self) -> None:
         for name in [k for k in ("T_base", "T_tool") if getattr(self, k) is THE_ROBOTS_OWN]:
             object.__setattr__(self, name, getattr(self.robot, name))
-        object.__setattr__(self, "effects", tuple(effect.on(self.robot) for effect in self.effects))
+        object.__setattr__(self, "effects", tuple(effect.configure_for_robot(self.robot) for effect in self.effects))
         refuse_collisions([p.name for p in self.parameters])
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """All parameters, in order."""
         chain = self.robot.chain
-        made = frame_parameters("base") + [chain.elements[k].parameter() for k in chain.named]
+        made = frame_parameters("base") + [chain.elements[k].parameter() for k in chain.named_elements]
         made += frame_parameters("tool")
         for effect in self.effects:
             made += effect.parameters(self.robot)
@@ -74,7 +74,7 @@ class RobotModel:
     @cached_property
     def n_geometric(self) -> int:
         """Number of geometric parameters: base, chain and tool."""
-        return len(self.robot.chain.named) + 12
+        return len(self.robot.chain.named_elements) + 12
 
     def values0(self) -> Floats:
         """Nominal values (P,): the nominal robot, without any effect."""
@@ -85,7 +85,7 @@ class RobotModel:
         return dict(self._slices)
 
     @property
-    def placed(self) -> tuple[tuple[Effect, slice], ...]:
+    def effects_with_slices(self) -> tuple[tuple[Effect, slice], ...]:
         """Each effect and where its parameters are."""
         return tuple(zip(self.effects, self._slices.values(), strict=True))
 
@@ -116,7 +116,11 @@ class RobotModel:
                 f"The rows have {observations.q.shape[1]} joints, the robot {self.robot.name!r} has {self.robot.n_joints}."
             )
         o = observations.with_tilt_as_condition() if "base_tilt_x" in self.needs else observations
-        return self._hanging(o) if self.load_chain is not None and self.load_chain.effects else self._batch_at(o)
+        return (
+            self._hanging(o)
+            if self.load_chain is not None and self.load_chain.effects
+            else self._batch_for_deflection(o)
+        )
 
     def _hanging(self, o: Observations) -> Batch:
         """The rows with the loads of the arm where the effects of the load chain leave it.
@@ -128,16 +132,16 @@ class RobotModel:
         smooth, sided = (self._held_values(sides) for sides in (False, True))
         # A payload's sensitivity takes as long as the loads themselves: only rounds in which an effect reads it have it.
         payload = any("payload_kg" in e.needs and np.any((smooth + sided)[at]) for e, at in self._reader)
-        deflection, centre = None, self._batch_at(o, payload=payload)
+        deflection, centre = None, self._batch_for_deflection(o, payload=payload)
         for _ in range(HANGING_ROUNDS):
-            deflection = self._deflected(centre, smooth)
-            centre = self._batch_at(o, deflection, payload)
+            deflection = self._compute_deflection(centre, smooth)
+            centre = self._batch_for_deflection(o, deflection, payload)
         whole = centre
         if np.any(sided):
-            sides = self._deflected(centre, sided)
+            sides = self._compute_deflection(centre, sided)
             for _ in range(SIDED_ROUNDS):
-                deflection = self._deflected(whole, smooth) + sides
-                whole = self._batch_at(o, deflection, payload)
+                deflection = self._compute_deflection(whole, smooth) + sides
+                whole = self._batch_for_deflection(o, deflection, payload)
             whole = replace(whole, centre_wrench=centre.wrench, centre_axial=centre.axial)
         return whole if payload else replace(whole, payload_axial=self._payload_axial(o, deflection))
 
@@ -151,11 +155,13 @@ class RobotModel:
                 values[at] = [held.get(name, 0.0) for name in self.names[at]]
         return values
 
-    def _deflected(self, batch: Batch, values: Floats) -> Deflection:
+    def _compute_deflection(self, batch: Batch, values: Floats) -> Deflection:
         total, _ = self._local(batch, values)
         return Deflection(total.dq, total.xi[:, : self.robot.n_joints])
 
-    def _batch_at(self, o: Observations, deflection: Deflection | None = None, payload: bool = True) -> Batch:
+    def _batch_for_deflection(
+        self, o: Observations, deflection: Deflection | None = None, payload: bool = True
+    ) -> Batch:
         robot = self.load_robot
         loads = self._loads(o, deflection)
         return Batch(
@@ -172,7 +178,7 @@ class RobotModel:
     @cached_property
     def load_robot(self) -> Robot:
         """The robot that loads are computed from: the nominal one on the load chain."""
-        return self.robot if self.load_chain is None else self.load_chain.of(self.robot)
+        return self.robot if self.load_chain is None else self.load_chain.apply_to_robot(self.robot)
 
     @cached_property
     def _reader(self) -> Reader:
@@ -185,7 +191,7 @@ class RobotModel:
 
     def _loads(self, o: Observations, deflection: Deflection | None) -> Loads:
         if self.effects:
-            return loads_of(self.load_robot, o, deflection)
+            return row_load_wrenches(self.load_robot, o, deflection)
         none = np.zeros((*o.q.shape, 6))
         return Loads(none, none, np.zeros((len(o), 6)), np.zeros((len(o), 3)))
 
@@ -203,7 +209,7 @@ class RobotModel:
             batch.q, total.dq, total.xi, position, rotation,
         )  # fmt: skip
         position = position if total.stretch is None else position * total.stretch
-        return Prediction(position, rotation, total, self._slides, instrument_of(self.placed, values))
+        return Prediction(position, rotation, total, self._slides, find_instrument(self.effects_with_slices, values))
 
     def jacobian(
         self,
@@ -231,9 +237,9 @@ class RobotModel:
             [J, joint_rows(self._reader, here, total, values, (free, self.n_geometric))]
         ) if joints else J
 
-    def loaded(self, batch: Batch, values: Floats) -> Batch:
+    def apply_load_errors(self, batch: Batch, values: Floats) -> Batch:
         """The rows with the loads that load errors among the effects leave."""
-        return self._reader.loaded(batch, values)
+        return self._reader.apply_load_errors(batch, values)
 
     def doubts(
         self, observations: Observations | Batch, values: Floats, joints: bool = False
@@ -247,7 +253,9 @@ class RobotModel:
         out = np.zeros((*columns.JQ.shape[:2], len(found)))
         for k, d in enumerate(found):
             columns.put(out, k, d)
-        return prediction, np.hstack([out, turns_of(found, len(out), self.robot.n_joints)]) if joints else out
+        return prediction, np.hstack(
+            [out, rotation_derivatives(found, len(out), self.robot.n_joints)]
+        ) if joints else out
 
     def joint_jacobian(
         self, observations: Observations | Batch, values: Floats, joints: bool = False
@@ -284,12 +292,13 @@ class RobotModel:
         flat[:6] = flat[n - 6 : n] = 0.0
         return self.in_frames(T_base, T_tool), flat
 
-    def loads_at(self, values: Floats) -> RobotModel:
+    def with_loads_at_values(self, values: Floats) -> RobotModel:
         """Return the same model with its loads on the chain, under the tool, where the arm hangs as ``values (P,)`` say."""
         n = self.n_geometric
         T_tool = self.T_tool @ increment(values[n - 6 : n])
         return replace(
-            self, load_chain=LoadChain.fitted(self.robot, values[6 : n - 6], T_tool, self._deflecting(values))
+            self,
+            load_chain=LoadChain.from_fitted_values(self.robot, values[6 : n - 6], T_tool, self._deflecting(values)),
         )
 
     def hanging_as(self, values: Floats) -> RobotModel:
@@ -331,7 +340,7 @@ class RobotModel:
         batch = self._reader.read(batch, values, [e for e, _ in live])
         parts = tuple((at.start, effect.local(batch, values[at])) for effect, at in live)
         moves = [bool(np.any(values[at])) for _, at in live]
-        return Total.of(parts, moves, len(batch), self.robot.chain.program.joint_frame), batch
+        return Total.from_local_corrections(parts, moves, len(batch), self.robot.chain.program.joint_frame), batch
 
     def _screws(
         self, batch: Batch, values: Floats, total: Total, free: Ints, each: int = 6
@@ -349,7 +358,9 @@ class RobotModel:
             p.axis, p.joint, p.ratio, self._element_values(values), p.slot, p.tool_at, self.T_base, self.T_tool,
             batch.q, total.dq, total.xi, column, position, rotation, J, JQ, JX,
         )  # fmt: skip
-        made = Prediction(position, rotation, total, self._slides, instrument_of(self.placed, values, free))
+        made = Prediction(
+            position, rotation, total, self._slides, find_instrument(self.effects_with_slices, values, free)
+        )
         return made, J, ToolColumns(self.robot.chain.program.joint_frame, JQ, JX)
 
     @cached_property

@@ -44,7 +44,7 @@ def on_shared_clock(t: Floats | Ints) -> Bools:
     return np.asarray(t > SINCE_1970_S)
 
 
-def reached(t: Floats, begin_s: float, end_s: float | None) -> Bools:
+def applicable_time_mask(t: Floats, begin_s: float, end_s: float | None) -> Bools:
     """Return which times are on the clock of a law of time, and within half a day of the rows that it was fitted to."""
     same: Bools = on_shared_clock(t) == bool(on_shared_clock(np.array(begin_s)))
     return same if end_s is None else same & (t >= begin_s - CARRIED_S) & (t <= end_s + CARRIED_S)
@@ -62,7 +62,7 @@ class Clock:
     fell: int | None = None
 
 
-def clock_of(rows: Timed) -> Clock:
+def read_clock(rows: Timed) -> Clock:
     """Order of the rows by session and time; the order given where there is no clock, or one that was set back."""
     given = np.arange(len(rows), dtype=np.int64)
     if rows.t is None or len(rows) < 2:
@@ -79,7 +79,7 @@ def clock_of(rows: Timed) -> Clock:
 
 def clock_warnings(rows: Timed) -> Iterator[dict[str, Any]]:
     """Say where the clock of the rows runs backwards, and what was done instead."""
-    clock = clock_of(rows)
+    clock = read_clock(rows)
     if clock.fell is None:
         return
     done = "times are counted backwards" if clock.trusted else "the order of the rows replaces the time"

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.observations.clock import clock_of
+from kilter_core.observations.clock import read_clock
 from kilter_core.observations.motions import is_trajectory
 from kilter_core.observations.rows import Observations
 from kilter_core.types import Bools, Floats, Ints
@@ -22,7 +22,7 @@ def with_directions(rows: Observations) -> Observations:
     """
     if rows.direction is not None or len(rows) < 2 or is_trajectory(rows):
         return rows
-    order = clock_of(rows).order
+    order = read_clock(rows).order
     found = np.empty_like(rows.q)
     found[order] = last_motion(rows.q[order], _new_session(rows, order), _same_pose(rows, order))
     return replace(rows, direction=found, directions_derived=True) if found.any() else rows

@@ -9,7 +9,7 @@ import numpy as np
 from kilter_core.types import Bools, Floats, Ints
 
 
-def centred(values: Floats, group: Ints, kept: Bools | None = None) -> Floats:
+def subtract_group_means(values: Floats, group: Ints, kept: Bools | None = None) -> Floats:
     """Values (V, ...) less the mean of their group (V,), taken over those ``kept (V,)``, all of them when None."""
     flat = values.reshape(len(values), math.prod(values.shape[1:]))
     rows, groups = (flat, group) if kept is None else (flat[kept], group[kept])
@@ -19,11 +19,11 @@ def centred(values: Floats, group: Ints, kept: Bools | None = None) -> Floats:
     return np.asarray((flat - means[group]).reshape(values.shape))
 
 
-def unbiased(values: Floats, group: Ints, kept: Bools) -> tuple[Floats, Floats]:
+def unbiased_deviations(values: Floats, group: Ints, kept: Bools) -> tuple[Floats, Floats]:
     """Values (V, m) less the mean that those ``kept (V,)`` have in their group, and the factor (V, 1) they grow by.
 
     A mean of n values is pulled towards each of them: deviations times the factor have the variance of the values.
     """
     count = np.bincount(group[kept], minlength=int(group.max(initial=-1)) + 1)
     factor = np.sqrt(np.maximum(count, 2) / np.maximum(count - 1, 1))[group][:, None]
-    return centred(values, group, kept) * factor, factor
+    return subtract_group_means(values, group, kept) * factor, factor

@@ -50,7 +50,7 @@ def numbered_poses(q: Floats) -> Ints:
     if not len(q):
         return np.zeros(0, dtype=np.int64)
     steps = rounded_poses(q)
-    group = _linked(q)
+    group = _group_near_rows(q)
     count = int(group.max()) + 1
     order = np.argsort(group, kind="stable")
     start = np.searchsorted(group[order], np.arange(count))
@@ -76,11 +76,11 @@ def group_means(values: Floats, group: Ints) -> Floats:
     return np.asarray(mean.reshape(len(sums), *values.shape[1:]))
 
 
-def _linked(q: Floats) -> Ints:
+def _group_near_rows(q: Floats) -> Ints:
     """Components (N,) of the rows linked to their neighbours; rows of one cell of a grid are linked without a search."""
     from kilter_core.observations.kernels import neighbours  # compiled: not at the start of the API process
 
-    cell = _hashed(np.floor(q / NEAR).astype(np.int64))
+    cell = _number_equal_rows(np.floor(q / NEAR).astype(np.int64))
     count = np.bincount(cell)
     middle = np.stack([np.bincount(cell, weights=column) for column in q.T], axis=1) / count[:, None]
     # Rows that lie near each other lie near each other along any direction; a random one has no ties.
@@ -88,11 +88,11 @@ def _linked(q: Floats) -> Ints:
     order = np.argsort(middle @ along, kind="stable")
     ordered = np.ascontiguousarray(middle[order])
     group = np.empty(len(count), dtype=np.int64)
-    group[order] = neighbours.linked(ordered, ordered @ along, NEAR, NEAR * float(np.abs(along).sum()))
+    group[order] = neighbours.label_components(ordered, ordered @ along, NEAR, NEAR * float(np.abs(along).sum()))
     return np.asarray(group[cell])
 
 
-def _hashed(keys: Ints) -> Ints:
+def _number_equal_rows(keys: Ints) -> Ints:
     """Number the rows (N, n), equal ones with the same number, in no order: one sort of a hash instead of a sort of rows."""
     odd = np.random.default_rng(1).integers(0, 2**62, keys.shape[1]) * 2 + 1
     with np.errstate(over="ignore"):

@@ -35,24 +35,30 @@ class Camera:
 
     def __post_init__(self) -> None:
         if self.mount not in MOUNTS:
-            raise _odd("camera", self.name, f"mount is {self.mount!r}: give {' or '.join(MOUNTS)}.")
+            raise _invalid_part_error("camera", self.name, f"mount is {self.mount!r}: give {' or '.join(MOUNTS)}.")
         if self.model not in DISTORTIONS:
-            raise _odd("camera", self.name, f"distortion_model is {self.model!r}: give {', '.join(DISTORTIONS)}.")
+            raise _invalid_part_error(
+                "camera", self.name, f"distortion_model is {self.model!r}: give {', '.join(DISTORTIONS)}."
+            )
         counts = DISTORTIONS[self.model]
         if len(self.distortion) not in counts:
             wanted = " or ".join(map(str, counts))
-            raise _odd(
+            raise _invalid_part_error(
                 "camera", self.name, f"distortion has {len(self.distortion)} numbers, {self.model} has {wanted}."
             )
         if self.intrinsics not in INTRINSICS:
-            raise _odd("camera", self.name, f"intrinsics is {self.intrinsics!r}: give {', '.join(INTRINSICS)}.")
+            raise _invalid_part_error(
+                "camera", self.name, f"intrinsics is {self.intrinsics!r}: give {', '.join(INTRINSICS)}."
+            )
         if self.intrinsics == "prior" and (self.sigmas is None or len(self.sigmas) != 4 + len(self.distortion)):
-            raise _odd(
+            raise _invalid_part_error(
                 "camera", self.name,
                 f"intrinsics prior needs sigmas_px with {4 + len(self.distortion)} numbers: fx, fy, cx, cy and the distortion.",
             )  # fmt: skip
         if min(*self.focal, *self.size) <= 0:
-            raise _odd("camera", self.name, "focal length and size must be above 0: give them in pixels.")
+            raise _invalid_part_error(
+                "camera", self.name, "focal length and size must be above 0: give them in pixels."
+            )
 
     @property
     def values(self) -> tuple[float, ...]:
@@ -78,19 +84,23 @@ class Board:
 
     def __post_init__(self) -> None:
         if self.mount not in MOUNTS:
-            raise _odd("board", self.name, f"mount is {self.mount!r}: give {' or '.join(MOUNTS)}.")
+            raise _invalid_part_error("board", self.name, f"mount is {self.mount!r}: give {' or '.join(MOUNTS)}.")
         if len(self.corners) < FEWEST_CORNERS:
-            raise _odd("board", self.name, f"{len(self.corners)} corners are too few: give {FEWEST_CORNERS} or more.")
+            raise _invalid_part_error(
+                "board", self.name, f"{len(self.corners)} corners are too few: give {FEWEST_CORNERS} or more."
+            )
         if not self.scale_sigma >= 0.0:
-            raise _odd("board", self.name, "the sigma of its scale must be 0 or more: it is a standard deviation.")
+            raise _invalid_part_error(
+                "board", self.name, "the sigma of its scale must be 0 or more: it is a standard deviation."
+            )
 
 
-def called(what: str, name: str) -> str:
+def format_part_name(what: str, name: str) -> str:
     """A camera or board in a sentence: *camera head*, and *the camera* where that is its name."""
     return f"the {what}" if name == what else f"{what} {name}"
 
 
-def _odd(what: str, name: str, why: str) -> ObservationError:
+def _invalid_part_error(what: str, name: str, why: str) -> ObservationError:
     return ObservationError(f"{what.capitalize()} {name!r}: {why}", code=f"{what}_invalid", **{what: name})
 
 
@@ -109,28 +119,28 @@ class Rig:
             names = [part.name for part in parts]
             for name in names:
                 if names.count(name) > 1:
-                    raise _odd(what, name, "two have this name: give each its own.")
+                    raise _invalid_part_error(what, name, "two have this name: give each its own.")
 
     @property
     def most_corners(self) -> int:
         """Corners of the largest board."""
         return max(len(board.corners) for board in self.boards)
 
-    def held(self) -> Rig:
+    def with_fixed_parameters(self) -> Rig:
         """The same with intrinsics and scales that count as exact."""
         cameras = tuple(replace(c, intrinsics="fixed", sigmas=None) for c in self.cameras)
         return Rig(cameras, tuple(replace(b, scale_sigma=0.0) for b in self.boards))
 
     @staticmethod
-    def merged(rigs: Iterable[Rig]) -> Rig:
+    def from_rigs(rigs: Iterable[Rig]) -> Rig:
         """All cameras and boards of several campaigns; one name stands for one camera, and one place of it."""
         cameras: dict[str, Camera] = {}
         boards: dict[str, Board] = {}
         for rig in rigs:
             for camera in rig.cameras:
-                _one(cameras, camera, "camera")
+                _add_part(cameras, camera, "camera")
             for board in rig.boards:
-                _one(boards, board, "board")
+                _add_part(boards, board, "board")
         return Rig(tuple(cameras.values()), tuple(boards.values()))
 
     def to_document(self) -> dict[str, Any]:
@@ -145,9 +155,9 @@ class Rig:
         return Rig(tuple(cameras), tuple(boards))
 
 
-def _one(known: dict[str, Part], part: Part, what: str) -> None:
+def _add_part(known: dict[str, Part], part: Part, what: str) -> None:
     if known.setdefault(part.name, part) != part:
-        raise _odd(
+        raise _invalid_part_error(
             what, part.name,
             f"campaigns describe it differently. Describe one {what} alike everywhere, or give another its own name.",
         )  # fmt: skip

@@ -25,7 +25,7 @@ def reading_steps(q: Floats, slides: Sequence[bool] | Bools) -> Floats:
 
     Joints of too few different readings have the step of the others where it fits them.
     """
-    steps = np.array([_step(column, _known(bool(slid))) for column, slid in zip(q.T, slides, strict=True)])
+    steps = np.array([_step(column, _common_step_sizes(bool(slid))) for column, slid in zip(q.T, slides, strict=True)])
     for j, slid in enumerate(slides):
         others = [s for k, s in enumerate(steps) if s > 0.0 and bool(slides[k]) == bool(slid)]
         if len(np.unique(q[:, j])) < FEWEST_LEVELS:
@@ -34,7 +34,7 @@ def reading_steps(q: Floats, slides: Sequence[bool] | Bools) -> Floats:
     return steps
 
 
-def _known(slides: bool) -> Floats:
+def _common_step_sizes(slides: bool) -> Floats:
     """Steps that controllers and encoders have, the largest first."""
     decimals = np.array(DECIMALS)
     if slides:

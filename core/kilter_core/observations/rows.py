@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError
-from kilter_core.observations.clock import came_back, clock_of
+from kilter_core.observations.clock import came_back, read_clock
 from kilter_core.observations.repeats import group_means, numbered_poses, numbered_rows
 from kilter_core.observations.rig import Rig
 from kilter_core.observations.same_columns import CONTACTS, INSTRUMENT, with_same_columns
@@ -273,7 +273,7 @@ class Observations(Conditions):
         A visit ends only where the arm moved in between: where another pose or condition was measured, or joint readings
         show that it left and came back. No pause parts shots, however long: without motion they share how the arm settled.
         """
-        clock = clock_of(self)
+        clock = read_clock(self)
         condition = self.conditions()[clock.order]
         new = np.ones(len(self), dtype=bool)
         new[1:] = (condition[1:] != condition[:-1]) | came_back(self, clock, condition)

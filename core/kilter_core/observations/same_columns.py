@@ -24,10 +24,10 @@ def with_same_columns(parts: Sequence[Rows]) -> Sequence[Rows]:
 
     Campaigns that measured the tool in different ways still differ.
     """
-    return _with_same_conditions(_beside(_with_one_rig(parts)))
+    return _with_same_conditions(_align_columns(_with_one_rig(parts)))
 
 
-def _beside(parts: Sequence[Rows]) -> Sequence[Rows]:
+def _align_columns(parts: Sequence[Rows]) -> Sequence[Rows]:
     """Campaigns side by side that measured different things: readings of sensors that others lack are empty there.
 
     Where one did not measure the tool at all, its place is empty too. Campaigns that measured the tool differently differ.
@@ -36,18 +36,18 @@ def _beside(parts: Sequence[Rows]) -> Sequence[Rows]:
     for name in ("link_q", "command", "tilt"):
         shapes = [getattr(part, name).shape[1:] for part in parts if getattr(part, name) is not None]
         if shapes:
-            parts = [_filled(part, name, max(shapes)) for part in parts]  # the longest has the base too
+            parts = [_pad_column(part, name, max(shapes)) for part in parts]  # the longest has the base too
     # Beside views all have the columns of contacts: there an instrument alone says who measured the tool.
     told = TOOL if all(part.pixels is None for part in parts) else INSTRUMENT
-    first = next((part for part in parts if _measured(part, told)), None)
+    first = next((part for part in parts if _has_any_column(part, told)), None)
     if first is None:
         return parts
-    others = [not _measured(part, told) for part in parts]
+    others = [not _has_any_column(part, told) for part in parts]
     for name in ("position", "rotation", "markers"):
         value = getattr(first, name)
         if value is not None:
             parts = [
-                _filled(part, name, value.shape[1:]) if other else part
+                _pad_column(part, name, value.shape[1:]) if other else part
                 for part, other in zip(parts, others, strict=True)
             ]
     return parts
@@ -84,11 +84,11 @@ def _unheld(part: Rows, name: str) -> Rows:
     return replace(part, **changes)
 
 
-def _measured(part: Rows, columns: Sequence[str]) -> bool:
+def _has_any_column(part: Rows, columns: Sequence[str]) -> bool:
     return any(getattr(part, name) is not None for name in columns)
 
 
-def _filled(part: Rows, name: str, shape: tuple[int, ...]) -> Rows:
+def _pad_column(part: Rows, name: str, shape: tuple[int, ...]) -> Rows:
     """The rows with a column of this shape: empty where it is missing, or where it ends before its last places."""
     own = getattr(part, name)
     if own is not None and own.shape[1:] == shape:
@@ -104,10 +104,10 @@ def _with_one_rig(parts: Sequence[Rows]) -> Sequence[Rows]:
     """Campaigns with all cameras and boards described once; rows that no camera measured have no pixels."""
     if all(part.rig is None for part in parts):
         return parts
-    rig = Rig.merged(part.rig for part in parts if part.rig is not None)
+    rig = Rig.from_rigs(part.rig for part in parts if part.rig is not None)
     parts = _with_pose_numbers(parts)
     codes = {name: next((c[0] for p in parts if (c := getattr(p, name)) is not None), None) for name in SET_UP}
-    return [_seen_by(part, rig, parts, codes) for part in parts]
+    return [_with_shared_rig(part, rig, parts, codes) for part in parts]
 
 
 def _with_pose_numbers(parts: Sequence[Rows]) -> Sequence[Rows]:
@@ -124,7 +124,7 @@ def _with_pose_numbers(parts: Sequence[Rows]) -> Sequence[Rows]:
     return out
 
 
-def _seen_by(part: Rows, rig: Rig, parts: Sequence[Rows], codes: dict[str, Any]) -> Rows:
+def _with_shared_rig(part: Rows, rig: Rig, parts: Sequence[Rows], codes: dict[str, Any]) -> Rows:
     """One of the campaigns with the cameras and boards of all, and of the set-up of the first tracker where it has none."""
     own = part.rig or Rig((), ())
     changes: dict[str, Any] = {"rig": rig}
@@ -132,9 +132,9 @@ def _seen_by(part: Rows, rig: Rig, parts: Sequence[Rows], codes: dict[str, Any])
         places = np.array([[a.name for a in after].index(b.name) for b in before] + [-1], dtype=np.int64)
         column = getattr(part, name)
         changes[name] = places[np.full(len(part), -1) if column is None else column]
-    part = _filled(replace(part, **changes), "pixels", (rig.most_corners, 2))
+    part = _pad_column(replace(part, **changes), "pixels", (rig.most_corners, 2))
     if any(one.pixel_sigma is not None for one in parts):
-        part = _filled(part, "pixel_sigma", (rig.most_corners, 2))
+        part = _pad_column(part, "pixel_sigma", (rig.most_corners, 2))
     missing: dict[str, Any] = {
         k: np.full(len(part), c) for k, c in codes.items() if c is not None and getattr(part, k) is None
     }

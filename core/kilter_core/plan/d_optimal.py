@@ -52,19 +52,23 @@ def d_optimal_poses(
     rng = np.random.default_rng(seed)
     whole, values, free = looked_for(start, effects)
     needs = whole.needs
-    pool = conditions((region or Region.of(start)).draw(max(POOL, 3 * count), rng), needs, payloads_kg, rng)
-    pool = loaded(pool, needs, start.robot, payload_com)
+    pool = conditions(
+        (region or Region.from_calibration(start)).draw(max(POOL, 3 * count), rng), needs, payloads_kg, rng
+    )
+    pool = with_loads(pool, needs, start.robot, payload_com)
     J = whole.jacobian(with_neutral_conditions(pool, needs), values, free)[1][:, :3]
-    sigma, known = _before(whole, free, fleet)
+    sigma, known = _prior_widths_and_correlation(whole, free, fleet)
     chosen = pool.select(most_informative(J * sigma / noise, count, progress, known))
     return chosen.select(driving_order(chosen.q, joint_ranges(start.robot)))
 
 
-def _before(model: RobotModel, free: Ints, fleet: Sequence[FleetVersion] | None) -> tuple[Floats, Floats | None]:
+def _prior_widths_and_correlation(
+    model: RobotModel, free: Ints, fleet: Sequence[FleetVersion] | None
+) -> tuple[Floats, Floats | None]:
     """Widths (P,) of the priors, and their covariance (P, P) in these where other robots of the type say it."""
     parameters = [model.parameters[k] for k in free]
     of_type = None if fleet is None else fleet_prior(model, [p.name for p in parameters], fleet).prior
-    prior = Prior.of(parameters, of_type)
+    prior = Prior.from_parameters(parameters, of_type)
     return prior.sigma, prior.correlation
 
 
@@ -75,7 +79,7 @@ def random_poses(robot: Robot, count: int, rng: np.random.Generator) -> Floats:
         RobotError: joint limits are missing.
 
     """
-    return Region.of(Calibration.nominal(robot)).draw(count, rng)
+    return Region.from_calibration(Calibration.nominal(robot)).draw(count, rng)
 
 
 def conditions(
@@ -90,7 +94,7 @@ def conditions(
     )
 
 
-def loaded(rows: Observations, needs: frozenset[str], robot: Robot, payload_com: Sequence[float]) -> Observations:
+def with_loads(rows: Observations, needs: frozenset[str], robot: Robot, payload_com: Sequence[float]) -> Observations:
     """Rows with their loads where they hang, or under the robot's default load where loads matter and none is at hand."""
     if rows.payload_kg is not None and len(payload_com):
         return replace(rows, payload_com=np.tile(np.asarray(payload_com, dtype=np.float64), (len(rows), 1)))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.measurement.camera.camera_model import normalised, project
+from kilter_core.measurement.camera.camera_model import project, undistort_pixels
 from kilter_core.model import Prediction
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.transforms import inverse, inverses
@@ -46,7 +46,7 @@ class Pair:
         """Corners (N, M, 2) px; NaN those out of sight, and all where the board is not seen well."""
         p, R = self.poses(tool)
         out = np.full((len(p), len(self.corners), 2), np.nan)
-        turned = self._turned(p, R)
+        turned = self._facing_corners(p, R)
         some = np.flatnonzero(turned.sum(axis=1) >= min(FEWEST_CORNERS, len(self.corners)))
         points = self.corners @ R[some].transpose(0, 2, 1) + p[some, None]
         camera = self.rig.rig.cameras[self.c]
@@ -61,13 +61,13 @@ class Pair:
         inside = ((seen >= rim) & (seen <= np.array(camera.size) - 1 - rim)).all(axis=2)
         ok = (inside | ~turned[some]).all(axis=1)
         some, points, seen = some[ok], points[ok], seen[ok]
-        back = normalised(camera.model, values, seen) - points[..., :2] / points[..., 2:]
+        back = undistort_pixels(camera.model, values, seen) - points[..., :2] / points[..., 2:]
         own = turned[some]
         good = (np.isfinite(back).all(axis=2) & (np.abs(back) < BACK).all(axis=2) | ~own).all(axis=1)
         out[some[good]] = np.where(own[good][..., None], seen[good], np.nan)
         return out
 
-    def _turned(self, p: Floats, R: Floats) -> Bools:
+    def _facing_corners(self, p: Floats, R: Floats) -> Bools:
         """Corners (N, M) whose surface looks at the camera; of a solid those on the side towards it."""
         corners = self.corners
         middle = corners.mean(axis=0)
@@ -91,10 +91,10 @@ def pairs(rig: PlacedRig, driven: Prediction | None = None) -> tuple[Pair, ...]:
         for b, board in enumerate(rig.rig.boards)
         if camera.mount != board.mount
     ]
-    return tuple(one if driven is None else _printed(one, driven) for one in found)
+    return tuple(one if driven is None else _choose_printed_side(one, driven) for one in found)
 
 
-def _printed(pair: Pair, driven: Prediction) -> Pair:
+def _choose_printed_side(pair: Pair, driven: Prediction) -> Pair:
     sides = [Pair(pair.rig, pair.c, pair.b, side) for side in (1.0, -1.0)]
     front, back = (int((~np.isnan(one.pixels(driven)[..., 0])).any(axis=1).sum()) for one in sides)
     return sides[0] if front >= back else sides[1]

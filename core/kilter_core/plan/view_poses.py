@@ -19,7 +19,7 @@ from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
 from kilter_core.observations.neutral import with_neutral_conditions
-from kilter_core.plan.d_optimal import POOL, conditions, loaded, looked_for
+from kilter_core.plan.d_optimal import POOL, conditions, looked_for, with_loads
 from kilter_core.plan.greedy import most_informative
 from kilter_core.plan.in_sight import Pair, pairs
 from kilter_core.types import Floats, Ints
@@ -48,7 +48,7 @@ def placed_by_views(start: Calibration, rows: Observations | None) -> Calibratio
             )
         return start
     seen = replace(rows.select(rows.camera >= 0), position=None, rotation=None, markers=None, sigma=None)
-    return without_frames(with_cameras(start, seen, Measurement.of(seen, held=True)))
+    return without_frames(with_cameras(start, seen, Measurement.from_observations(seen, held=True)))
 
 
 def view_poses(
@@ -77,10 +77,14 @@ def view_poses(
     model, values, free = _looked_for(start, effects)
     needs = model.needs
     assert start.rig is not None
-    before = None if driven is None or len(driven) < FEWEST_DRIVEN else _bare(start).predict(_at(driven))
+    before = (
+        None
+        if driven is None or len(driven) < FEWEST_DRIVEN
+        else _bare(start).predict(_observations_from_joints(driven))
+    )
     looking = pairs(start.rig, before)
-    q = _seen_joints(_bare(start), region or Region.of(start), looking, count, rng, told)
-    pool = loaded(conditions(q, needs, payloads_kg, rng), needs, start.robot, payload_com)
+    q = _seen_joints(_bare(start), region or Region.from_calibration(start), looking, count, rng, told)
+    pool = with_loads(conditions(q, needs, payloads_kg, rng), needs, start.robot, payload_com)
     H = _information(model, values, free, with_neutral_conditions(pool, needs), looking, _bare(start))
     sigma = np.array([model.parameters[k].prior_sigma for k in free]) / noise
     chosen = pool.select(most_informative(_roots(H * np.outer(sigma, sigma)), count, told))
@@ -92,14 +96,14 @@ def _bare(start: Calibration) -> Calibration:
     return start.with_effects(())
 
 
-def _at(q: Floats) -> Observations:
+def _observations_from_joints(q: Floats) -> Observations:
     return Observations(np.asarray(q, dtype=np.float64))
 
 
 def _looked_for(start: Calibration, effects: Sequence[Effect]) -> tuple[RobotModel, Floats, Ints]:
     """The model with the effects it lacks and its cameras, its values, and what an identification by views would free."""
     assert start.rig is not None
-    rig = start.rig.settled()
+    rig = start.rig.with_folded_increments()
     whole, values, _ = looked_for(start, effects)
     whole = replace(whole, effects=(*whole.effects, Cameras(rig=rig)))
     free = IdentifyOptions(tool="fixed").free_parameters(whole, observes_orientation=True, observes_base=False)
@@ -115,7 +119,7 @@ def _seen_joints(
         told(0.0)
         q = region.draw(BATCH, rng)
         tried += len(q)
-        tool = arm.predict(_at(q))
+        tool = arm.predict(_observations_from_joints(q))
         seen = np.any([(~np.isnan(pair.pixels(tool)[..., 0])).any(axis=1) for pair in looking], axis=0)
         found = np.concatenate([found, q[seen]])
         if len(found) >= wanted:
@@ -134,7 +138,7 @@ def _information(
 ) -> Floats:
     """Information (N, P, P) per m² of noise in what all cameras see at each pose."""
     rig = looking[0].rig.rig
-    tool, H = arm.predict(_at(pool.q)), np.zeros((len(pool), len(free), len(free)))
+    tool, H = arm.predict(_observations_from_joints(pool.q)), np.zeros((len(pool), len(free), len(free)))
     for pair in looking:
         pixels = np.full((len(pool), rig.most_corners, 2), np.nan)
         pixels[:, : len(pair.corners)] = pair.pixels(tool)
@@ -164,7 +168,7 @@ def _of_views(model: RobotModel, values: Floats, free: Ints, views: Observations
 
 
 def _pixels(views: Observations) -> Pixels:
-    found = Measurement.of(views, held=True).pixels
+    found = Measurement.from_observations(views, held=True).pixels
     assert found is not None
     return found
 

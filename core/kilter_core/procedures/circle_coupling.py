@@ -69,11 +69,11 @@ def leader_point(angle: Floats, middle: Floats, direction: Floats, centre: Float
     The middle of all points (N, 3) at readings ``angle`` goes round ``centre`` as ``elbow``, a point on the follower's axis
     while the leader was at ``at``, goes round the axis.
     """
-    rotated = np.array([_rotated(direction, at - a, p - centre) for a, p in zip(angle, middle, strict=True)])
+    rotated = np.array([_rotate_about_axis(direction, at - a, p - centre) for a, p in zip(angle, middle, strict=True)])
     arm = rotated.mean(axis=0)
     return np.asarray(elbow - (arm - direction * (direction @ arm)))
 
 
-def _rotated(z: Floats, angle: float, v: Floats) -> Floats:
+def _rotate_about_axis(z: Floats, angle: float, v: Floats) -> Floats:
     c, s = math.cos(angle), math.sin(angle)
     return np.asarray(c * v + s * np.cross(z, v) + (1.0 - c) * (z @ v) * z)

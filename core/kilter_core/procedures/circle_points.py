@@ -21,7 +21,7 @@ from kilter_core.measurement.marker_shape import fit_poses, marker_shape
 from kilter_core.parameters import DEG, MM, mm
 from kilter_core.procedures.circle_coupling import PARALLEL as COUPLED
 from kilter_core.procedures.circle_coupling import checked_follows, keeps_direction, leader_point, refuse_coupled
-from kilter_core.transforms import aligned, inverse, nearest_rotation, rotations_about
+from kilter_core.transforms import align_z_axis, inverse, nearest_rotation, rotations_about
 from kilter_core.types import Bools, Floats, Ints
 
 LEAST_ROWS = 5
@@ -89,11 +89,11 @@ def robot_from_circles(
     seen = [middle if j in pairs.values() else points for j in range(q.shape[1])]
     fits = [_axis_or_pair(q, seen[j], j, prismatic) for j in range(q.shape[1])]
     for follower, leader in pairs.items():
-        fits[leader] = _led(q, middle, fits[leader], fits[follower], (leader, follower))
+        fits[leader] = _locate_leader_axis(q, middle, fits[leader], fits[follower], (leader, follower))
     screws = _at_zero(fits, pairs)
     home, rms = _home(screws, q, points, tip)
     base = np.eye(4) if frame == "device" else _on_first_axis(screws)
-    placed = screws.moved(inverse(base), np.eye(4))
+    placed = screws.compose_with_poses(inverse(base), np.eye(4))
     axes = [
         {
             "joint": f"j{placed.joint[k] + 1}",
@@ -130,7 +130,7 @@ def _axis_or_pair(q: Floats, points: Floats, j: int, prismatic: Bools) -> AxisFi
         raise
 
 
-def _led(q: Floats, middle: Floats, fit: AxisFit, follower: AxisFit, pair: tuple[int, int]) -> AxisFit:
+def _locate_leader_axis(q: Floats, middle: Floats, fit: AxisFit, follower: AxisFit, pair: tuple[int, int]) -> AxisFit:
     """The leader's axis: its circle's middle is off by as much as the points are off the follower's axis."""
     leader, last = pair
     before = [k for k in range(last) if k != leader]
@@ -211,19 +211,19 @@ def _revolute_fit(angle: Floats, points: Floats, others: Floats, j: int) -> Axis
     flat = points.reshape(len(angle), -1)
     centre, cosine, sine = np.linalg.lstsq(A, flat, rcond=None)[0].reshape(3, -1, 3)
     z0, P0 = _circle_start(centre, cosine, sine)
-    u, v = aligned(np.eye(3), z0)[:, :2].T
+    u, v = align_z_axis(np.eye(3), z0)[:, :2].T
 
     def place(x: Floats) -> tuple[Floats, Floats]:
         z = z0 + x[0] * u + x[1] * v
         return z / np.linalg.norm(z), P0 + x[2] * u + x[3] * v
 
-    def left(x: Floats) -> Floats:
+    def body_residuals(x: Floats) -> Floats:
         z, P = place(x)
         back = rotations_about(z, -angle)
         local = np.einsum("kij,kmj->kmi", back, points - P)
         return np.asarray((local - local.mean(axis=0)).ravel())
 
-    found = scipy.optimize.least_squares(left, np.zeros(4), x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    found = scipy.optimize.least_squares(body_residuals, np.zeros(4), x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
     z, P = place(found.x)
     arms = points - P
     radius = float(np.linalg.norm(arms - (arms @ z)[..., None] * z, axis=2).max())
@@ -296,12 +296,14 @@ def _at_zero(fits: Sequence[AxisFit], pairs: Mapping[int, int]) -> Screws:
         direction, point = back[:3, :3] @ fit.direction, back[:3, :3] @ fit.point + back[:3, 3]
         if i in pairs:
             sense = math.copysign(1.0, fit.direction @ fits[pairs[i]].direction)
-            out = _with(out, direction, point, fit.prismatic, pairs[i], -sense)
-        out = _with(out, direction, point, fit.prismatic, i, 1.0)
+            out = _append_screw(out, direction, point, fit.prismatic, pairs[i], -sense)
+        out = _append_screw(out, direction, point, fit.prismatic, i, 1.0)
     return out
 
 
-def _with(screws: Screws, direction: Floats, point: Floats, prismatic: bool, joint: int, ratio: float) -> Screws:
+def _append_screw(
+    screws: Screws, direction: Floats, point: Floats, prismatic: bool, joint: int, ratio: float
+) -> Screws:
     return Screws(
         np.vstack([screws.direction, direction]),
         np.vstack([screws.point, point]),
@@ -332,7 +334,7 @@ def _on_first_axis(screws: Screws) -> Floats:
     if screws.prismatic[0]:
         return base
     z, p = screws.direction[0], screws.point[0]
-    base[:3, :3] = aligned(np.eye(3), z)
+    base[:3, :3] = align_z_axis(np.eye(3), z)
     towards = screws.home[:3, 3]
     if len(screws) > 1 and not screws.prismatic[1]:
         a = screws.direction[1]

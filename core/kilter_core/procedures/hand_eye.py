@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.measurement.camera.rig_fit import fit_rig_beside_arm, placed_by, tool_errors
+from kilter_core.measurement.camera.rig_fit import estimate_start_rig, fit_rig_beside_arm, tool_errors
 from kilter_core.measurement.camera.view_scatter import ViewScatter
 from kilter_core.measurement.camera.views import Views, sight
 from kilter_core.model.placed_rig import PlacedRig
@@ -53,7 +53,7 @@ def hand_eye(
     """
     first = np.zeros(len(position), dtype=np.int64)
     views = Views(first if camera is None else camera, first if board is None else board, position, rotation)
-    start = placed_by(rig, views, pixels)
+    start = estimate_start_rig(rig, views, pixels)
     fitted = fit_rig_beside_arm(start, views, pixels, sigma)
     r = pixels - sight(fitted.rig, views, pixels.shape[1])
     scatter = tool_errors(fitted.rig, views, pixels, sigma).scatter(6.0 * (len(rig.cameras) + len(rig.boards)))

@@ -18,7 +18,7 @@ from kilter_core.errors import ObservationError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.parameters import degrees
-from kilter_core.procedures.joint_fit import JointParameter, LinearFit, left_beside
+from kilter_core.procedures.joint_fit import JointParameter, LinearFit, residual_norm
 from kilter_core.types import Bools, Floats, Ints
 
 EFFECTS = ("clearance_tilt", "backlash_load", "axial_compliance")
@@ -50,7 +50,7 @@ class Log:
     payload_com: Floats | None = None
 
     @staticmethod
-    def of(rows: Observations, resolution: float) -> Log:
+    def from_observations(rows: Observations, resolution: float) -> Log:
         """Every reading of a joint; sessions are series, a payload that is not said is none.
 
         Raises:
@@ -156,8 +156,8 @@ def _of_joint(robot: Robot, j: int, log: Log, columns: Floats, mine: Bools) -> t
     """Least squares of one joint over C, b, c and its offsets; and the scatter left."""
     kinds = np.unique(np.stack([log.axis[mine], log.series[mine]], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
     offsets = np.eye(int(kinds.max()) + 1)[kinds]
-    told = [k for k in range(3) if _apart(columns, k, offsets)]
-    fit = LinearFit.of(columns, told, offsets, log.reading[mine])
+    told = [k for k in range(3) if _is_independent_column(columns, k, offsets)]
+    fit = LinearFit.from_columns(columns, told, offsets, log.reading[mine])
     scatter = float(np.sqrt(np.sum(fit.left**2) / max(len(fit.A) - fit.A.shape[1], 1)))
     # Rounding to the resolution is uniform noise; few readings can look better than that by luck.
     noise = max(scatter, log.resolution / math.sqrt(12.0))
@@ -204,14 +204,14 @@ def _negative(robot: Robot, parameters: list[JointParameter]) -> list[dict[str, 
     }]  # fmt: skip
 
 
-def _apart(columns: Floats, k: int, offsets: Floats) -> bool:
+def _is_independent_column(columns: Floats, k: int, offsets: Floats) -> bool:
     """Whether a column is more than a combination of the others and the offsets."""
     size = float(np.linalg.norm(columns[:, k]))
     if size < (LEAST_MOMENT_NM if k == 2 else 0.1):
         return False
     scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
     others = np.hstack([np.delete(columns / scale, k, axis=1), offsets])
-    return left_beside(columns[:, k], others) > APART * size
+    return residual_norm(columns[:, k], others) > APART * size
 
 
 def _reason(k: int, columns: Floats) -> str:

@@ -33,7 +33,7 @@ class LinearFit:
     told: tuple[int, ...]
 
     @staticmethod
-    def of(columns: Floats, told: Sequence[int], offsets: Floats, y: Floats) -> LinearFit:
+    def from_columns(columns: Floats, told: Sequence[int], offsets: Floats, y: Floats) -> LinearFit:
         """Fit these of the columns (N, C), and every offset (N, S)."""
         A = np.hstack([columns[:, list(told)], offsets])
         solution = np.asarray(np.linalg.lstsq(A, y, rcond=None)[0])
@@ -52,6 +52,6 @@ class LinearFit:
         return out
 
 
-def left_beside(column: Floats, others: Floats) -> float:
+def residual_norm(column: Floats, others: Floats) -> float:
     """Length of what of a column (N,) no combination of others (N, K) makes up."""
     return float(np.linalg.norm(column - others @ np.linalg.lstsq(others, column, rcond=None)[0]))

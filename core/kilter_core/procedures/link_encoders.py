@@ -17,7 +17,7 @@ from kilter_core.effects import make_effect
 from kilter_core.errors import ObservationError, TooFewPosesError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.procedures.joint_fit import JointParameter, LinearFit, left_beside
+from kilter_core.procedures.joint_fit import JointParameter, LinearFit, residual_norm
 from kilter_core.types import Bools, Floats, Ints
 
 NAMES = (("compliance", "rad/(N m)"), ("backlash", "rad"), ("encoder_delay", "s"))
@@ -79,7 +79,7 @@ def link_joints(robot: Robot, train: Sequence[Observations], held: Sequence[Obse
         raise TooFewPosesError(
             f"{sum(map(len, train))} rows are not a motion: {FEWEST_ROWS} are needed, some thousands are better."
         )
-    trained, unseen = ([_Motion.of(robot, rows) for rows in part] for part in (train, held))
+    trained, unseen = ([_Motion.from_observations(robot, rows) for rows in part] for part in (train, held))
     return [_of_joint(robot, j, trained, unseen) for j in range(robot.n_joints)]
 
 
@@ -103,7 +103,7 @@ class _Motion:
     alive: Bools
 
     @staticmethod
-    def of(robot: Robot, rows: Observations) -> _Motion:
+    def from_observations(robot: Robot, rows: Observations) -> _Motion:
         assert rows.link_q is not None
         load = (
             -rows.tau
@@ -121,21 +121,21 @@ def _of_joint(robot: Robot, j: int, train: list[_Motion], held: list[_Motion]) -
     name = robot.joints[j].name
     moved = [m for m in train if m.moved[j]]
     if not moved:
-        return _without(j, train, f"joint {name} never moves: move it in both directions")
+        return _unfitted_joint(j, train, f"joint {name} never moves: move it in both directions")
     if not all(m.alive[j] for m in moved):
-        return _without(
+        return _unfitted_joint(
             j, train, f"the link-side encoder of joint {name} is constant while the joint moves: a dead channel"
         )
     columns = np.concatenate([m.columns[:, j] for m in moved])
     owner = np.repeat(np.arange(len(moved)), [len(m.apart) for m in moved])
     offsets = np.eye(len(moved))[owner]
     y = np.concatenate([m.apart[:, j] for m in moved])
-    told, reasons = _told(columns, offsets), list(REASONS)
-    fit = LinearFit.of(columns, told, offsets, y)
+    told, reasons = _identifiable_columns(columns, offsets), list(REASONS)
+    fit = LinearFit.from_columns(columns, told, offsets, y)
     sigma = _sigma(fit, owner)
     if 0 in told and fit.solution[0] < 0.0:  # told is in order: compliance comes first
         reasons[0] = NEGATIVE.format(fit.solution[0], sigma[0])
-        fit = LinearFit.of(columns, told[1:], offsets, y)
+        fit = LinearFit.from_columns(columns, told[1:], offsets, y)
         sigma = _sigma(fit, owner)
     values = np.zeros(3)
     values[list(fit.told)] = fit.solution[: len(fit.told)]
@@ -144,7 +144,7 @@ def _of_joint(robot: Robot, j: int, train: list[_Motion], held: list[_Motion]) -
     return LinkJoint(j, parameters, tuple(spreads[0]), tuple(spreads[1]))
 
 
-def _without(j: int, train: list[_Motion], why: str) -> LinkJoint:
+def _unfitted_joint(j: int, train: list[_Motion], why: str) -> LinkJoint:
     rows = sum(len(m.apart) for m in train)
     none = tuple(JointParameter(f"{s}_{j + 1}", j, u, None, None, rows, why) for s, u in NAMES)
     return LinkJoint(j, none, dead=why)
@@ -162,7 +162,7 @@ def _ways(speed: Floats) -> Floats:
     return np.where(np.abs(speed) > RESTING * np.max(np.abs(speed), axis=0, initial=0.0), np.sign(speed), 0.0)
 
 
-def _told(columns: Floats, offsets: Floats) -> list[int]:
+def _identifiable_columns(columns: Floats, offsets: Floats) -> list[int]:
     """Columns that change, apart from the offsets, as no combination of the others does."""
     counts = offsets.sum(axis=0)
     change = columns - offsets @ ((offsets.T @ columns) / counts[:, None])
@@ -172,7 +172,7 @@ def _told(columns: Floats, offsets: Floats) -> list[int]:
     for k in moving:
         others = [c for c in moving if c != k]
         B = change[:, others] / size[others]
-        if left_beside(change[:, k], B) > APART * size[k]:
+        if residual_norm(change[:, k], B) > APART * size[k]:
             told.append(k)
     return told
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.measurement.marker_shape import FLAT, span_of
+from kilter_core.measurement.marker_shape import FLAT, span_ratio
 from kilter_core.parameters import mm
 from kilter_core.transforms import nearest_rotation
 from kilter_core.types import Floats
@@ -95,7 +95,7 @@ def _along(line: Floats) -> Floats:
 
 
 def _refuse_line(points: Floats, what: str) -> None:
-    if span_of(points) < FLAT:
+    if span_ratio(points) < FLAT:
         raise ObservationError(
             f"The {len(points)} {what} points lie in one line or are fewer than three: they make no frame. Digitise three or "
             "more that span an area.",

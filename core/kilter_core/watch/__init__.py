@@ -2,7 +2,7 @@
 
 from kilter_core.watch.check import Check, check
 from kilter_core.watch.conditions import UNSTATED_K, Conditions
-from kilter_core.watch.history import Chart, chart, limit_of
+from kilter_core.watch.history import Chart, chart, cusum_limit
 from kilter_core.watch.poses import CheckPlan, check_poses
 from kilter_core.watch.rezero import Rezeroed, rezero
 from kilter_core.watch.setup_scatter import learned_setup
@@ -17,7 +17,7 @@ __all__ = [
     "chart",
     "check",
     "check_poses",
+    "cusum_limit",
     "learned_setup",
-    "limit_of",
     "rezero",
 ]

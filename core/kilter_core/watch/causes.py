@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from kilter_core.arm.frames import increment
-from kilter_core.arm.loads.wrenches import axial_loads, loads_of
+from kilter_core.arm.loads.wrenches import axial_loads, row_load_wrenches
 from kilter_core.identify.estimate import Frame
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
@@ -56,7 +56,7 @@ class Column:
     span: Floats
 
     @property
-    def seen(self) -> bool:
+    def is_visible(self) -> bool:
         """Whether these rows show the cause at all."""
         return bool(self.span.shape[1] > 0)
 
@@ -66,7 +66,7 @@ class Column:
 
     def deviations(self) -> Floats:
         """Standard deviation (K,) of each number of the change; infinite of a number that moves no measured point."""
-        return np.where(self._told, np.linalg.norm(self._inverse, axis=1), np.inf)
+        return np.where(self._identifiable_mask, np.linalg.norm(self._inverse, axis=1), np.inf)
 
     def size_deviations(self, change: Floats) -> Floats:
         """Standard deviation (2,) of how long a frame's shift and rotation are, of the numbers that are shown; else (0,)."""
@@ -74,13 +74,13 @@ class Column:
             return np.zeros(0)
         out = []
         for part in (slice(0, 3), slice(3, 6)):
-            shown = np.where(self._told[part], change[part], 0.0)
+            shown = np.where(self._identifiable_mask[part], change[part], 0.0)
             size = float(np.linalg.norm(shown))
             out.append(float(np.linalg.norm(shown @ self._inverse[part])) / size if size else np.inf)
         return np.array(out)
 
     @cached_property
-    def _told(self) -> Bools:
+    def _identifiable_mask(self) -> Bools:
         """Which numbers (K,) the rows tell apart from the others."""
         return np.asarray(np.einsum("kr,rk->k", self._inverse, self.white) > TOLD)
 
@@ -92,7 +92,7 @@ class Column:
         return np.asarray(np.linalg.pinv(self.white, rcond=SEEN))
 
 
-def columns_of(
+def cause_columns(
     innovation: Innovation, calibration: Calibration, new_setup: tuple[Frame, ...] = ()
 ) -> tuple[Floats, list[Column]]:
     """What frames that were set up anew take up, an orthonormal basis (R, r), and the other causes beside it."""
@@ -116,7 +116,7 @@ def _blind(made: Sequence[tuple[Cause, Floats]]) -> list[int]:
     return [joint for joint, size in moves.items() if joint is not None and size <= SEEN * max(moves.values())]
 
 
-def after(
+def apply_cause(
     calibration: Calibration, rows: Observations, cause: Cause, change: Floats
 ) -> tuple[Calibration, Observations, float]:
     """Arm, joint angles and unit of length after a change (K,) of a cause, however large.
@@ -165,7 +165,7 @@ def _loads(calibration: Calibration, rows: Observations) -> Floats:
     robot = calibration.model.load_robot
     if not robot.has_masses and rows.payload_kg is None:
         return np.zeros_like(rows.q)
-    return axial_loads(robot, loads_of(robot, rows))
+    return axial_loads(robot, row_load_wrenches(robot, rows))
 
 
 def _twists(axes: Floats, arm: Floats) -> Floats:

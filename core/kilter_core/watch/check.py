@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import chdtrc, chdtri, chndtrinc, fdtrc, fdtri
 
 from kilter_core.errors import ObservationError
-from kilter_core.identify.estimate import Frame, new_frames, refitted
+from kilter_core.identify.estimate import Frame, new_frames, refit_frames
 from kilter_core.identify.plausibility.believable import reach
 from kilter_core.identify.seen_poses import as_seen_places
 from kilter_core.identify.uncertainty.predictive import Predictive
@@ -22,11 +22,11 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import mm
 from kilter_core.types import QUANTILE, Floats
-from kilter_core.watch.causes import Cause, Column, after, columns_of
+from kilter_core.watch.causes import Cause, Column, apply_cause, cause_columns
 from kilter_core.watch.conditions import STATED, Conditions
 from kilter_core.watch.day_noise import CHANCE, DayNoise
 from kilter_core.watch.innovation import Innovation
-from kilter_core.watch.sockets import Measured, held_by_sockets, noise_of_seating, placed
+from kilter_core.watch.sockets import Measured, held_by_sockets, noise_of_seating, place_rows_in_sockets
 
 FALSE_ALARM = 1e-3  # chance that an arm that has not moved is said to have
 POWER = 0.95  # with which the smallest change is seen
@@ -119,10 +119,10 @@ class _Linear:
     scatter_freedom: float = np.inf  # of the noise where the day's own rows tell it
 
     @staticmethod
-    def of(innovation: Innovation, calibration: Calibration, anew: tuple[Frame, ...]) -> _Linear:
-        nuisance, columns = columns_of(innovation, calibration, anew)
+    def from_innovation(innovation: Innovation, calibration: Calibration, anew: tuple[Frame, ...]) -> _Linear:
+        nuisance, columns = cause_columns(innovation, calibration, anew)
         r = innovation.r - nuisance @ (nuisance.T @ innovation.r)
-        seen, hidden = ([one for one in columns if one.seen is which] for which in (True, False))
+        seen, hidden = ([one for one in columns if one.is_visible is which] for which in (True, False))
         return _Linear(r, len(r) - nuisance.shape[1], tuple(seen), tuple(hidden), innovation.freedom)
 
     def about(self, cause: Cause, change: Floats) -> _Linear:
@@ -142,9 +142,9 @@ class _Linear:
         """The noise of the day by these rows."""
         total = float(self.r @ self.r)
         if not self.columns:
-            return DayNoise.of(innovation, total, self.numbers, 0.0, 0)
+            return DayNoise.from_innovation(innovation, total, self.numbers, 0.0, 0)
         best = self.columns[int(np.argmin(_bic(self)))]
-        return DayNoise.of(innovation, total, self.numbers, _gain(self.r, best.span), best.span.shape[1])
+        return DayNoise.from_innovation(innovation, total, self.numbers, _gain(self.r, best.span), best.span.shape[1])
 
     def chance(self, chi_square: float, numbers: int, beside_scatter: bool = False) -> float:
         """Chance of as much from so many numbers of an arm that has not moved; of F, as far as the scale was estimated.
@@ -184,20 +184,20 @@ def check(
 
     """
     anew = new_frames(new_setup, "new_setup")
-    calibration = absorbed(calibration)
+    calibration = absorb_frame_increments(calibration)
     given, rows, counts = rows, as_seen_places(calibration, rows, noise), Measured()
     if rows is not given:
         calibration = replace(calibration, marker_points=None)  # views tell the tool point itself
     if held_by_sockets(rows):
-        rows, counts = placed(calibration, rows)
+        rows, counts = place_rows_in_sockets(calibration, rows)
         noise = noise_of_seating(known) if noise is None else noise
     conditions = conditions.of_rows(calibration, rows, fitted_c, placed=not counts.alone and not anew)
-    innovation = Innovation.of(calibration, rows, known, noise, fitted_c, counts, conditions)
+    innovation = Innovation.from_observations(calibration, rows, known, noise, fitted_c, counts, conditions)
     # In a socket it makes no difference where base and instrument stand; a new tool is projected off.
     if anew and not counts.alone:
-        calibration = absorbed(refitted(calibration, innovation.measurement, anew))
-        innovation = Innovation.of(calibration, rows, known, noise, fitted_c, conditions=conditions)
-    linear = _Linear.of(innovation, calibration, anew)
+        calibration = absorb_frame_increments(refit_frames(calibration, innovation.measurement, anew))
+        innovation = Innovation.from_observations(calibration, rows, known, noise, fitted_c, conditions=conditions)
+    linear = _Linear.from_innovation(innovation, calibration, anew)
     p_value, smallest = _p_value(linear), _smallest(linear, conditions)
     if p_value <= FALSE_ALARM and not conditions.noise_known:
         p_value = _p_value_of_day(linear, innovation, p_value)
@@ -207,11 +207,11 @@ def check(
         _refuse_foreign(calibration, misfit, left)
     day = DayNoise(1.0, np.inf) if conditions.noise_known else linear.day_noise(innovation)
     chi_square, linear = float(linear.r @ linear.r), linear.scattering(day)
-    judged = _judged(linear)
+    judged = _judge_causes(linear)
     if innovation.allows and p_value > FALSE_ALARM:
-        plain = _Linear.of(Innovation.of(calibration, rows, known, noise, counts=counts), calibration, anew)
-        judged = _summed(judged, plain)
-    causes = _unrefuted(linear, judged) if p_value <= FALSE_ALARM else ()
+        plain = Innovation.from_observations(calibration, rows, known, noise, counts=counts)
+        judged = _with_summed_changes(judged, _Linear.from_innovation(plain, calibration, anew))
+    causes = _possible_causes(linear, judged) if p_value <= FALSE_ALARM else ()
     return Check(
         _verdict(p_value, causes), causes, judged, p_value, chi_square, linear.numbers,
         innovation.poses, misfit, innovation.noise, smallest, tuple(one.cause for one in linear.hidden), anew, counts.alone,
@@ -219,7 +219,7 @@ def check(
     )  # fmt: skip
 
 
-def absorbed(calibration: Calibration) -> Calibration:
+def absorb_frame_increments(calibration: Calibration) -> Calibration:
     """The same calibration with the increments of its frames in the frames."""
     model, values = calibration.model.absorb_frame_increments(calibration.values)
     return replace(calibration, model=model, values=values)
@@ -241,12 +241,12 @@ def _about_the_best(
             break
         best = linear.columns[int(np.argmin(_bic(linear)))]
         change = best.change(linear.r)
-        at, rows, factor = after(calibration, innovation.measurement.observations, best.cause, change)
-        moved = innovation.after(at, rows, factor)
+        at, rows, factor = apply_cause(calibration, innovation.measurement.observations, best.cause, change)
+        moved = innovation.with_new_prediction(at, rows, factor)
         if moved.misfit > left:  # further than derivatives reach: the step before stands
             break
         left = moved.misfit
-        linear = _Linear.of(moved, at, anew).about(best.cause, change)
+        linear = _Linear.from_innovation(moved, at, anew).about(best.cause, change)
     return linear, left
 
 
@@ -290,7 +290,7 @@ def _bic(linear: _Linear) -> list[float]:
     return [total - _gain(linear.r, one.span) + one.span.shape[1] * price for one in linear.columns]
 
 
-def _judged(linear: _Linear) -> tuple[Judged, ...]:
+def _judge_causes(linear: _Linear) -> tuple[Judged, ...]:
     """All causes, best first."""
     if not linear.columns:
         return ()
@@ -298,7 +298,7 @@ def _judged(linear: _Linear) -> tuple[Judged, ...]:
     best = linear.columns[int(np.argmin(bic))]
     found = []
     for one, value in zip(linear.columns, bic, strict=True):
-        change, refuted = one.change(r), _refuted(linear, one, best, REFUTED / len(linear.columns))
+        change, refuted = one.change(r), _is_cause_refuted(linear, one, best, REFUTED / len(linear.columns))
         sizes = one.size_deviations(change)
         gain = _gain(r, one.span)
         sigma = one.deviations()
@@ -306,7 +306,7 @@ def _judged(linear: _Linear) -> tuple[Judged, ...]:
     return tuple(sorted(found, key=lambda one: (one.bic, one.cause.name)))
 
 
-def _summed(judged: Sequence[Judged], plain: _Linear) -> tuple[Judged, ...]:
+def _with_summed_changes(judged: Sequence[Judged], plain: _Linear) -> tuple[Judged, ...]:
     """All causes with their changes as ``plain``, the problem without an allowance for expansion, has them."""
     by_cause = {one.cause: (one.change(plain.r), one.deviations()) for one in plain.columns}
     return tuple(
@@ -316,7 +316,7 @@ def _summed(judged: Sequence[Judged], plain: _Linear) -> tuple[Judged, ...]:
     )
 
 
-def _refuted(linear: _Linear, column: Column, best: Column, chance: float) -> bool:
+def _is_cause_refuted(linear: _Linear, column: Column, best: Column, chance: float) -> bool:
     """Whether the best cause explains what this one leaves, more than chance does; one that contains it never is.
 
     The best is the best of all, so that each has its share of the chance.
@@ -327,7 +327,7 @@ def _refuted(linear: _Linear, column: Column, best: Column, chance: float) -> bo
     return bool(more.shape[1] and linear.chance(_gain(linear.r, more), more.shape[1], True) < chance)
 
 
-def _unrefuted(linear: _Linear, judged: Sequence[Judged]) -> tuple[Judged, ...]:
+def _possible_causes(linear: _Linear, judged: Sequence[Judged]) -> tuple[Judged, ...]:
     """Causes that may be it; none where even these leave more than chance does, for then there are several or another."""
     total = float(linear.r @ linear.r)
     kept = []
@@ -346,14 +346,14 @@ def _smallest(linear: _Linear, conditions: Conditions) -> dict[str, float]:
         least = float(np.linalg.svd(shown, compute_uv=False)[-1])
         if least > SEEN_LEAST * float(np.linalg.norm(shown)):
             rank, count = one.span.shape[1], len(linear.columns)
-            power = needed(rank, count, linear.freedom)
+            power = required_noncentrality(rank, count, linear.freedom)
             if not conditions.noise_known:  # against what is left, too
-                power = max(power, needed(rank, count, max(linear.numbers - rank, 1.0), CHANCE))
+                power = max(power, required_noncentrality(rank, count, max(linear.numbers - rank, 1.0), CHANCE))
             out[one.cause.name] = float(np.sqrt(power)) / least
     return out
 
 
-def needed(rank: int, causes: int, freedom: float = np.inf, false_alarm: float = FALSE_ALARM) -> float:
+def required_noncentrality(rank: int, causes: int, freedom: float = np.inf, false_alarm: float = FALSE_ALARM) -> float:
     """Noncentrality with which the likelihood ratio of a cause of some rank is seen, one of so many."""
     chance = false_alarm / (2.0 * causes)
     threshold = chdtri(rank, chance) if freedom > EXACT else rank * fdtri(rank, freedom, 1.0 - chance)

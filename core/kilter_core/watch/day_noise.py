@@ -32,9 +32,9 @@ class DayNoise:
     shots: float = 0.0
 
     @staticmethod
-    def of(innovation: Innovation, chi_square: float, numbers: int, gain: float, rank: int) -> DayNoise:
+    def from_innovation(innovation: Innovation, chi_square: float, numbers: int, gain: float, rank: int) -> DayNoise:
         """Of rows with so much chi-square in so many numbers, of which the best cause takes ``gain`` by ``rank``."""
-        within, shots = innovation.within()
+        within, shots = innovation.within_pose_scatter()
         if shots >= FEWEST:
             return DayNoise(float(np.clip(within / shots, 1.0, MOST)), shots, within, shots)
         # Numbers that the version, the temperature or the set-up may move scatter by no more where the noise is larger.

@@ -50,15 +50,15 @@ class Chart:
         return self.since is not None
 
 
-def limit_of(charts: int, run_length: float = RUN_LENGTH) -> float:
+def cusum_limit(charts: int, run_length: float = RUN_LENGTH) -> float:
     """Limit of two-sided sums of which so many together alarm once in so many checks."""
     one_sided = 2.0 * charts * run_length
 
-    def apart(h: float) -> float:
+    def run_length_error(h: float) -> float:
         b = 2.0 * ALLOWANCE * (h + CORRECTION)
         return float(np.log((np.exp(b) - b - 1.0) / (2.0 * ALLOWANCE**2)) - np.log(one_sided))
 
-    return float(brentq(apart, 0.1, 60.0))
+    return float(brentq(run_length_error, 0.1, 60.0))
 
 
 def alarm_limit(charts: int, checks: float = RUN_LENGTH) -> float:
@@ -67,7 +67,7 @@ def alarm_limit(charts: int, checks: float = RUN_LENGTH) -> float:
     Siegmund's run length counts from one alarm to the next of sums that are then set to zero. These go on: a sum that is
     beyond its limit falls below and rises again, and each time is an alarm that somebody reads.
     """
-    return limit_of(charts, RECROSSED * checks)
+    return cusum_limit(charts, RECROSSED * checks)
 
 
 def chart(values: Floats, limit: float, temperature_c: Floats | None = None, deviations: Floats | None = None) -> Chart:
@@ -76,7 +76,7 @@ def chart(values: Floats, limit: float, temperature_c: Floats | None = None, dev
     What is beyond the limit is compared with the ``KNOWN`` checks or more before it, and not learned from: an arm that has
     moved and stays there would be as it always was after some hundred checks.
     """
-    X, own = _weighted(values, temperature_c, deviations)
+    X, own = _weighted_design_and_values(values, temperature_c, deviations)
     before, z = _Before(X.shape[1]), np.full(len(own), np.nan)
     up, down = np.full(len(own), np.nan), np.full(len(own), np.nan)
     high = low = 0.0
@@ -89,32 +89,34 @@ def chart(values: Floats, limit: float, temperature_c: Floats | None = None, dev
                 begun[True] = k
             if low == 0.0:
                 begun[False] = k
-            high, low = (_summed(before_it, step, limit) for before_it, step in ((high, z[k]), (low, -z[k])))
+            high, low = (_step_cusum(before_it, step, limit) for before_it, step in ((high, z[k]), (low, -z[k])))
             up[k], down[k] = high, low
-            since = _changed_at(z[: k + 1], begun[high >= low]) if max(high, low) > limit else None
+            since = _locate_change(z[: k + 1], begun[high >= low]) if max(high, low) > limit else None
         if since is None or before.count < KNOWN:
             before.learn(x, value, residual)
     scatter = float(np.std(values, ddof=1)) if len(values) > SCATTER else float("nan")
     return Chart(up, down, limit, since, scatter)
 
 
-def _summed(sum_: float, step: float, limit: float) -> float:
+def _step_cusum(sum_: float, step: float, limit: float) -> float:
     return float(min(HIGHEST * limit, max(0.0, sum_ + step - ALLOWANCE)))
 
 
-def _changed_at(z: Floats, begun: int) -> int:
+def _locate_change(z: Floats, begun: int) -> int:
     """The likeliest check since a sum was zero with which a step began that lasts."""
     tail = z[begun:][::-1]
     together = np.abs(np.cumsum(tail)) / np.sqrt(np.arange(1, len(tail) + 1))
     return begun + len(tail) - 1 - int(together.argmax())
 
 
-def standardised(values: Floats, temperature_c: Floats | None = None, deviations: Floats | None = None) -> Floats:
+def recursive_residuals(
+    values: Floats, temperature_c: Floats | None = None, deviations: Floats | None = None
+) -> Floats:
     """Each value (N,) against those before it as a standard normal number; NaN as long as they do not tell their scatter.
 
     A check by a coarser instrument or of fewer poses scatters by more: how much more, ``deviations (N,)`` say.
     """
-    X, own = _weighted(values, temperature_c, deviations)
+    X, own = _weighted_design_and_values(values, temperature_c, deviations)
     before, out = _Before(X.shape[1]), np.full(len(own), np.nan)
     for n, (x, value) in enumerate(zip(X, own, strict=True)):
         out[n], residual = before.step(x, value)
@@ -147,7 +149,9 @@ class _Before:
         self._G, self._b, self.count = self._G + np.outer(x, x), self._b + x * value, self.count + 1
 
 
-def _weighted(values: Floats, temperature_c: Floats | None, deviations: Floats | None) -> tuple[Floats, Floats]:
+def _weighted_design_and_values(
+    values: Floats, temperature_c: Floats | None, deviations: Floats | None
+) -> tuple[Floats, Floats]:
     """Columns (N, p) and values (N,) that scatter alike."""
     scale = _scales(len(values), deviations)
     return _design(len(values), temperature_c) / scale[:, None], values / scale

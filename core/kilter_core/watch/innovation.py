@@ -13,7 +13,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.pose_weights import beside_rotation
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
-from kilter_core.observations.groups import centred
+from kilter_core.observations.groups import subtract_group_means
 from kilter_core.observations.spread import evenly
 from kilter_core.types import Bools, Floats, Ints
 from kilter_core.watch.conditions import STATED, Conditions, allowance, refuse_another_tool
@@ -48,7 +48,7 @@ class Innovation:
     allows: bool
 
     @staticmethod
-    def of(
+    def from_observations(
         calibration: Calibration,
         rows: Observations,
         known: Predictive,
@@ -70,9 +70,9 @@ class Innovation:
 
         """
         refuse_another_tool(calibration, rows)
-        measurement = Measurement.of(rows, calibration.marker_points).of_tool()
+        measurement = Measurement.from_observations(rows, calibration.marker_points).of_tool()
         _refuse_few(measurement)
-        measurement = _some(measurement)
+        measurement = _thin_poses(measurement)
         at = [k for k, name in enumerate(calibration.names) if name in known.names]
         places = [known.names.index(calibration.names[k]) for k in at]
         prediction, J = calibration.model.jacobian(
@@ -88,25 +88,25 @@ class Innovation:
             covariance += _lacking(weight, measurement.observations.pose_groups(), known) + np.eye(len(covariance))
         else:
             own = _noise(known, measurement) if noise is None else noise
-            covariance += _own(measurement, seen, known.inadequacy, own)
+            covariance += _noise_and_model_covariance(measurement, seen, known.inadequacy, own)
         allowed = allowance(calibration, measurement.observations, fitted_c, conditions)
         if allowed is not None:
             more = _numbers(measurement, prediction, allowed)[1][seen]
             covariance += more @ more.T
         counts = counts or Measured()
         lower = np.asarray(np.linalg.cholesky(counts.covariance(covariance)), dtype=np.float64)
-        r = solve_triangular(lower, counts.of(left[seen]), lower=True)
+        r = solve_triangular(lower, counts.observable_part(left[seen]), lower=True)
         freedom = _freedom(lower, known.freedom, noise)
         return Innovation(
             measurement, prediction, r, lower, seen, measurement.poses, freedom, own, counts, allowed is not None
         )
 
-    def after(self, calibration: Calibration, rows: Observations, factor: float) -> Innovation:
+    def with_new_prediction(self, calibration: Calibration, rows: Observations, factor: float) -> Innovation:
         """The innovation against the same rows predicted otherwise; what was to be expected stays as it is."""
         measurement, found = replace(self.measurement, observations=rows), calibration.predict(rows)
         prediction = replace(found, position=factor * found.position)
         left = _numbers(measurement, prediction)[0][self.seen]
-        r = solve_triangular(self.lower, self.counts.of(left), lower=True)
+        r = solve_triangular(self.lower, self.counts.observable_part(left), lower=True)
         return replace(self, measurement=measurement, prediction=prediction, r=r)
 
     @property
@@ -117,7 +117,7 @@ class Innovation:
             apart = self.measurement.residual(self.prediction).points[:, 0]
             beside = np.linalg.solve(weight[:, :3, :3], apart[:, :, None])
             return float(np.sqrt(np.mean(np.sum(beside**2, axis=(1, 2)))))
-        left = self.counts.of(self.measurement.residual(self.prediction).points[self.seen])
+        left = self.counts.observable_part(self.measurement.residual(self.prediction).points[self.seen])
         return float(np.sqrt(3.0 * np.mean(left**2)))
 
     @property
@@ -127,15 +127,15 @@ class Innovation:
         inverse = solve_triangular(self.lower, np.eye(len(self.lower)), lower=True)
         return min(float(len(self.r)), unit**2 * float(np.sum(inverse**2)))
 
-    def within(self) -> tuple[float, float]:
+    def within_pose_scatter(self) -> tuple[float, float]:
         """Sum of squares of the shots of each pose about their mean, in units of the noise, and how many numbers it has."""
         alone = self.counts.alone or self.noise <= 0.0
         if alone or self.seen.sum() != len(self.r):
             return 0.0, 0.0
         left = self.lower @ self.r
-        _, group = np.unique(_alike(self.measurement, self.seen), return_inverse=True)
+        _, group = np.unique(_number_coordinates(self.measurement, self.seen), return_inverse=True)
         unit = self.noise if self.measurement.observations.pose_weight is None else 1.0
-        away = centred(left[:, None], group)
+        away = subtract_group_means(left[:, None], group)
         return float(np.sum(away**2)) / unit**2, float(len(left) - group.max() - 1)
 
     def white(self, J: Floats) -> Floats:
@@ -187,7 +187,7 @@ def _refuse_few(measurement: Measurement) -> None:
         )  # fmt: skip
 
 
-def _some(measurement: Measurement) -> Measurement:
+def _thin_poses(measurement: Measurement) -> Measurement:
     """Rows of so many poses, evenly chosen, that their coordinates can be looked at together."""
     rows = measurement.observations
     a_row = measurement.tool.scalars() / len(rows)
@@ -201,7 +201,7 @@ def _some(measurement: Measurement) -> Measurement:
     chosen = poses[evenly(len(poses), share)]
     for pose in chosen:  # of a pose that was repeated without end, the first rows
         kept[np.flatnonzero(groups == pose)[: max(1, most // len(chosen))]] = True
-    return Measurement.of(rows.select(kept), measurement.marker_points).of_tool()
+    return Measurement.from_observations(rows.select(kept), measurement.marker_points).of_tool()
 
 
 def _noise(known: Predictive, measurement: Measurement) -> float:
@@ -215,19 +215,19 @@ def _noise(known: Predictive, measurement: Measurement) -> float:
     return judging.noise
 
 
-def _own(measurement: Measurement, seen: Bools, inadequacy: float, noise: float) -> Floats:
+def _noise_and_model_covariance(measurement: Measurement, seen: Bools, inadequacy: float, noise: float) -> Floats:
     """Covariance (R, R) of noise, each coordinate's own, and of what the model lacks, which repeats of a pose share."""
     if not (np.isfinite(noise) and noise >= 0.0) or noise**2 + inadequacy**2 == 0.0:
         raise OptionError(
             "The noise of the instrument is not known: state it, larger than zero, per coordinate.", option="noise"
         )
-    place = _alike(measurement, seen)
+    place = _number_coordinates(measurement, seen)
     alike = place[:, None] == place[None, :]
     least = (LEAST * inadequacy) ** 2  # of a version that says no noise apart: repeats would be one number
     return np.asarray(inadequacy**2 * alike + max(noise**2, least) * np.eye(len(place)))
 
 
-def _alike(measurement: Measurement, seen: Bools) -> Ints:
+def _number_coordinates(measurement: Measurement, seen: Bools) -> Ints:
     """Number the measured coordinates (R,): the same one of the same pose has the same number."""
     count = np.arange(seen.shape[1] * 3).reshape(1, seen.shape[1], 3)
     return np.asarray((measurement.observations.pose_groups()[:, None, None] * count.size + count)[seen])

@@ -24,7 +24,7 @@ from kilter_core.observations.neutral import with_neutral_conditions
 from kilter_core.parameters import degrees, mm
 from kilter_core.types import Floats, Ints, Progress
 from kilter_core.watch.causes import Cause, derivatives
-from kilter_core.watch.check import Check, check, needed
+from kilter_core.watch.check import Check, check, required_noncentrality
 
 POOL = 400
 STARTS = 3
@@ -88,18 +88,18 @@ def check_poses(
 
     """
     rng = np.random.default_rng(seed)
-    pool = _imagined(calibration, region.draw(POOL, rng))
+    pool = _simulate_rows(calibration, region.draw(POOL, rng))
     sigma = float(np.hypot(known.noise if noise is None else noise, known.inadequacy))
-    shown = _Shown.of(calibration, pool, sigma, without)
+    shown = _Shown.from_pool(calibration, pool, sigma, without)
     _refuse_on_axis(calibration, pool, sigma, count, without)
     best, power = np.arange(count), -np.inf
     for start in range(STARTS):
-        picked, found = _exchanged(shown, rng.choice(len(pool), count, replace=False))
+        picked, found = _exchange_poses(shown, rng.choice(len(pool), count, replace=False))
         best, power = (picked, found) if found > power else (best, power)
         if progress is not None:
             progress((start + 1) / STARTS, "choosing poses")
     q = pool.q[best]
-    rows = _imagined(calibration, q[driving_order(q, joint_ranges(calibration.robot))])
+    rows = _simulate_rows(calibration, q[driving_order(q, joint_ranges(calibration.robot))])
     shows = check(calibration, rows, known, noise=noise)
     return CheckPlan(rows.q, shows, _faint(calibration, pool, shows))
 
@@ -116,9 +116,9 @@ class _Shown:
     enough: float
 
     @staticmethod
-    def of(calibration: Calibration, pool: Observations, sigma: float, without: Sequence[int]) -> _Shown:
+    def from_pool(calibration: Calibration, pool: Observations, sigma: float, without: Sequence[int]) -> _Shown:
         prediction = calibration.predict(pool)
-        measurement = Measurement.of(pool, calibration.marker_points).of_tool()
+        measurement = Measurement.from_observations(pool, calibration.marker_points).of_tool()
         causes, parts, places, at = [], [], [], 0
         for cause, J in derivatives(calibration, pool, prediction):
             d = measurement.residual(prediction, J).d_points
@@ -130,7 +130,7 @@ class _Shown:
             at += J.shape[2]
         X = np.concatenate(parts, axis=2)
         gram = np.einsum("prk,prl->pkl", X, X)
-        every = _Shown(gram, tuple(places), (), needed(1, len(causes)))
+        every = _Shown(gram, tuple(places), (), required_noncentrality(1, len(causes)))
         wanted = [k for k, cause in enumerate(causes) if not (cause.kind == "zero" and cause.joint in without)]
         return replace(every, pairs=every._tellable(wanted))
 
@@ -190,7 +190,7 @@ def _size(cause: Cause, J: Floats) -> float:
     return step / max(moved, 1e-300)
 
 
-def _exchanged(shown: _Shown, picked: Ints) -> tuple[Ints, float]:
+def _exchange_poses(shown: _Shown, picked: Ints) -> tuple[Ints, float]:
     """Exchange one pose after the other for the best of the pool, until none is better."""
     picked = picked.copy()
     power = float(shown.score(shown.gram[picked].sum(axis=0)[None])[0])
@@ -208,7 +208,7 @@ def _exchanged(shown: _Shown, picked: Ints) -> tuple[Ints, float]:
     return picked, power
 
 
-def _imagined(calibration: Calibration, q: Floats) -> Observations:
+def _simulate_rows(calibration: Calibration, q: Floats) -> Observations:
     """Rows in which an arm that has not moved, and drives to them in this order, is seen exactly where it is."""
     rows = Observations(q, direction=last_motion(q))
     load = calibration.robot.load
@@ -225,7 +225,7 @@ def _refuse_on_axis(
     calibration: Calibration, pool: Observations, sigma: float, count: int, without: Sequence[int]
 ) -> None:
     """Refuse a measured point so near the axis of a joint that no pose shows a coarse change of its zero."""
-    far = float(np.sqrt(needed(1, 2 * len(calibration.robot.joints)) / count)) * sigma / COARSE
+    far = float(np.sqrt(required_noncentrality(1, 2 * len(calibration.robot.joints)) / count)) * sigma / COARSE
     levers = _levers(calibration, pool)
     for k, joint in enumerate(calibration.robot.joints):
         if joint.kind != "revolute" or k + 1 in without or levers[k] >= far:
@@ -260,7 +260,7 @@ def _faint(calibration: Calibration, pool: Observations, found: Check) -> tuple[
 
 def _levers(calibration: Calibration, pool: Observations) -> Floats:
     """Largest distance (n,) m of what is measured from the axis of each revolute joint, root mean square over the points."""
-    measurement = Measurement.of(pool, calibration.marker_points).of_tool()
+    measurement = Measurement.from_observations(pool, calibration.marker_points).of_tool()
     prediction, motions = calibration.model.joint_jacobian(pool, calibration.values)
     d = measurement.residual(prediction, motions).d_points
     assert d is not None

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.errors import CoreError, ObservationError, OptionError
-from kilter_core.identify.estimate import Frame, new_frames, refitted
+from kilter_core.identify.estimate import Frame, new_frames, refit_frames
 from kilter_core.identify.seen_poses import as_seen_places
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.model import Calibration
@@ -21,7 +21,7 @@ from kilter_core.observations import Observations
 from kilter_core.parameters import mm
 from kilter_core.types import QUANTILE, Floats, Ints
 from kilter_core.watch.causes import Cause
-from kilter_core.watch.check import Check, Judged, absorbed, check
+from kilter_core.watch.check import Check, Judged, absorb_frame_increments, check
 from kilter_core.watch.conditions import STATED, Conditions
 from kilter_core.watch.innovation import Innovation
 from kilter_core.watch.sockets import held_by_sockets
@@ -51,7 +51,7 @@ class Rezeroed:
     after: Check
 
     @property
-    def changed(self) -> tuple[Judged, ...]:
+    def changed_causes(self) -> tuple[Judged, ...]:
         """Each cause with what changed in the version; a check looks at each alone, where it takes up what the others did."""
         judged = {one.cause: one for one in self.before.judged}
         if len(self.causes) == 1:
@@ -90,7 +90,7 @@ def rezero(
 
     """
     anew = new_frames(new_setup, "new_setup")
-    calibration = absorbed(calibration)
+    calibration = absorb_frame_increments(calibration)
     if held_by_sockets(rows):
         raise ObservationError(
             "A ball in sockets shows that an arm has moved, and by how much only beside what it does not see: re-zero from "
@@ -101,8 +101,8 @@ def rezero(
     before = check(calibration, rows, known, noise=noise, new_setup=anew, fitted_c=fitted_c, conditions=conditions)
     chosen = _chosen(before, causes)
     names = [name for cause in chosen for name in _parameters(calibration, cause)]
-    known = _with(known, names)
-    at, change, together, covariance = _estimated(calibration, rows, known, names, noise, anew, fitted_c)
+    known = _extend_with_exact_names(known, names)
+    at, change, together, covariance = _estimate_change(calibration, rows, known, names, noise, anew, fitted_c)
     sigma = np.sqrt(np.diag(together))
     for cause in chosen:
         _refuse_unchanged(cause, *(part[[names.index(n) for n in _parameters(calibration, cause)]]
@@ -112,10 +112,11 @@ def rezero(
     if after.verdict != "ok":
         raise CoreError(
             f"After the change the rows still miss the arm by {mm(after.misfit):.3g} mm, more than chance explains (p = "
-            f"{after.p_value:.1g}): more has changed than {_listed(chosen)}. Measure a campaign and identify a version anew.",
+            f"{after.p_value:.1g}): more has changed than {_join_cause_names(chosen)}. Measure a campaign and "
+            "identify a version anew.",
             code=CODE, causes=[one.name for one in chosen],
         )  # fmt: skip
-    return Rezeroed(absorbed(at), now, tuple(names), change, sigma, together, chosen, before, after)
+    return Rezeroed(absorb_frame_increments(at), now, tuple(names), change, sigma, together, chosen, before, after)
 
 
 def _chosen(found: Check, wanted: Sequence[str]) -> tuple[Cause, ...]:
@@ -176,7 +177,7 @@ def _frame_parameters(calibration: Calibration, frame: str) -> list[str]:
     return list(calibration.names[:6] if frame == "base" else calibration.names[n - 6 : n])
 
 
-def _with(known: Predictive, names: Sequence[str]) -> Predictive:
+def _extend_with_exact_names(known: Predictive, names: Sequence[str]) -> Predictive:
     """The same with more names, which count as known exactly so far."""
     more = [name for name in names if name not in known.names]
     C = np.zeros((len(known.names) + len(more),) * 2)
@@ -184,7 +185,7 @@ def _with(known: Predictive, names: Sequence[str]) -> Predictive:
     return replace(known, names=(*known.names, *more), covariance=C)
 
 
-def _estimated(
+def _estimate_change(
     calibration: Calibration, rows: Observations, known: Predictive, names: Sequence[str], noise: float | None,
     anew: Sequence[Frame], fitted_c: tuple[float, float] | None,
 ) -> tuple[Calibration, Floats, Floats, Floats]:  # fmt: skip
@@ -193,9 +194,11 @@ def _estimated(
     places = np.array([calibration.names.index(name) for name in (*names, *frames)], dtype=np.int64)
     at, change = calibration, np.zeros(len(places))
     if anew:  # an instrument that was set up elsewhere is metres away: derivatives reach from near it only
-        at = absorbed(refitted(at, Innovation.of(at, rows, known, noise, fitted_c).measurement, anew))
+        at = absorb_frame_increments(
+            refit_frames(at, Innovation.from_observations(at, rows, known, noise, fitted_c).measurement, anew)
+        )
     for _ in range(PASSES):
-        innovation = Innovation.of(at, rows, known, noise, fitted_c)
+        innovation = Innovation.from_observations(at, rows, known, noise, fitted_c)
         W = _derivatives(innovation, at, places)
         P = _inverse(W)
         step = P @ innovation.r
@@ -206,19 +209,19 @@ def _estimated(
         if np.all(np.abs(step) <= SETTLED * np.where(sigma > 0, sigma, np.inf)):
             break
     P, change = P[: len(names)], change[: len(names)]
-    covariance = _covariance(known, names, P, _derivatives(innovation, at, _of(at, known)), at)
+    covariance = _covariance(known, names, P, _derivatives(innovation, at, _known_parameter_indices(at, known)), at)
     values = calibration.values.copy()
     values[places[: len(names)]] += change
     return replace(calibration, values=values), change, P @ P.T, covariance
 
 
-def _of(calibration: Calibration, known: Predictive) -> Ints:
+def _known_parameter_indices(calibration: Calibration, known: Predictive) -> Ints:
     return np.array([k for k, name in enumerate(calibration.names) if name in known.names], dtype=np.int64)
 
 
 def _covariance(known: Predictive, names: Sequence[str], P: Floats, J: Floats, at: Calibration) -> Floats:
     """Covariance (K, K) after parameters took on an estimate with weights ``P (F, R)``; ``J (R, G)`` by those known."""
-    ours = [known.names.index(at.names[k]) for k in _of(at, known)]
+    ours = [known.names.index(at.names[k]) for k in _known_parameter_indices(at, known)]
     E = np.zeros((len(known.names), len(names)))
     E[[known.names.index(name) for name in names], range(len(names))] = 1.0
     A = np.eye(len(known.names))
@@ -274,5 +277,5 @@ def _of_sizes(change: Floats, covariance: Floats) -> Floats:
     return np.array(out)
 
 
-def _listed(causes: Sequence[Cause]) -> str:
+def _join_cause_names(causes: Sequence[Cause]) -> str:
     return " and ".join(one.name for one in causes)

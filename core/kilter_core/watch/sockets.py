@@ -29,7 +29,7 @@ def held_by_sockets(rows: Observations) -> bool:
     return rows.socket is not None and rows.position is None and rows.markers is None and rows.pixels is None
 
 
-def placed(calibration: Calibration, rows: Observations) -> tuple[Observations, Seated]:
+def place_rows_in_sockets(calibration: Calibration, rows: Observations) -> tuple[Observations, Seated]:
     """Rows of sockets as if their tool point had been measured where the version puts their sockets, and what of them counts.
 
     Rows that no socket held, or one that held no other, are left out.
@@ -88,7 +88,7 @@ class Measured:
 
     alone = False  # whether a joint log says it all
 
-    def of(self, coordinates: Floats) -> Floats:
+    def observable_part(self, coordinates: Floats) -> Floats:
         """What counts (R,) or (R, K) of measured ``coordinates``, their columns or derivatives."""
         return coordinates
 
@@ -97,7 +97,7 @@ class Measured:
         return of_coordinates
 
     def columns(self, coordinates: Floats) -> Floats:
-        """As :meth:`of`, with zeros for a derivative of which only rounding is left."""
+        """As :meth:`observable_part`, with zeros for a derivative of which only rounding is left."""
         return coordinates
 
     def places(self, predicted: Floats) -> Floats:
@@ -117,7 +117,7 @@ class Seated(Measured):
 
     sockets: Ints
 
-    def of(self, coordinates: Floats) -> Floats:
+    def observable_part(self, coordinates: Floats) -> Floats:
         """Differences."""
         return np.asarray(self._contrasts @ coordinates)
 
@@ -127,7 +127,7 @@ class Seated(Measured):
 
     def columns(self, coordinates: Floats) -> Floats:
         """Differences; what moves all rows of a socket alike leaves none."""
-        out = self.of(coordinates)
+        out = self.observable_part(coordinates)
         out[:, np.linalg.norm(out, axis=0) <= ALIKE * np.linalg.norm(coordinates, axis=0)] = 0.0
         return out
 

@@ -48,7 +48,7 @@ class Belonging:
         self._seen = 0
         self._asked = any(has(columns, quantity) for quantity in SEEN)
 
-    def take(self, table: pa.Table) -> None:
+    def add_rows(self, table: pa.Table) -> None:
         """Keep what is needed of the next rows: blocks of them, so that the row above a row is there too."""
         for first in range(0, table.num_rows, BLOCK) if self._asked else ():
             if self._seen % self._every == 0:
@@ -61,7 +61,7 @@ class Belonging:
                 self._every *= 2
         self._before += table.num_rows
 
-    def found(self) -> Judged:
+    def check_collected_rows(self) -> Judged:
         """What looks mixed up.
 
         Rows of which a job could make nothing (markers that are not rigid, too few of them) are left to the job.
@@ -71,12 +71,12 @@ class Belonging:
             return Judged()
         index = np.concatenate([np.arange(first, first + block.num_rows) for first, block in blocks])
         rows = observations(pa.concat_tables([block for _, block in blocks]), self._columns, self._unchecked)
-        found = judged(self._robot, rows)
+        found = check_rows_match_robot(self._robot, rows)
         clock = core_clock.clock_warnings(rows) if self._every == 1 else ()
-        return replace(found, warnings=(*astray_rows.renumbered(found.warnings, index), *clock))
+        return replace(found, warnings=(*astray_rows.renumber_warnings(found.warnings, index), *clock))
 
 
-def judged(robot: Robot, rows: Observations) -> Judged:
+def check_rows_match_robot(robot: Robot, rows: Observations) -> Judged:
     """What looks mixed up in rows of a robot.
 
     Sessions are judged one by one: the instrument or the tool may have moved between them, and a job says how it takes that.
@@ -87,7 +87,7 @@ def judged(robot: Robot, rows: Observations) -> Judged:
         code = None if part.session is None else part.session[0]
         index = np.arange(len(rows)) if code is None else np.flatnonzero(rows.session == code)
         try:
-            found = astray_rows.renumbered(belonging.refuse_mixed_up(begin, part), index)
+            found = astray_rows.renumber_warnings(belonging.refuse_mixed_up(begin, part), index)
             warnings += [one for one in found if one not in warnings]
         except ObservationError as error:
             if error.code in MIXED_UP:
@@ -102,5 +102,5 @@ def judged_whole(
 ) -> Judged:
     """What looks mixed up in all rows of a campaign that came in parts."""
     whole = Belonging(columns, robot, conditions)
-    whole.take(table)
-    return whole.found()
+    whole.add_rows(table)
+    return whole.check_collected_rows()

@@ -142,7 +142,7 @@ def _points(seen: Observations) -> Floats | None:
 UNITS: Mapping[str, tuple[str, float]] = {"rad": ("deg", float(to_deg(1.0))), "m": ("mm", to_mm(1.0))}
 
 
-def unit_of(column: Column) -> tuple[str, float]:
+def display_unit_and_factor(column: Column) -> tuple[str, float]:
     """Return the unit in which people read a column, and the factor to it."""
     stem = f"{column.quantity}{'' if column.number is None else column.number + 1}"
     stated = column.name.rpartition("_")[2] if "_" in column.name else ""
@@ -160,7 +160,7 @@ def unit_of(column: Column) -> tuple[str, float]:
 
 def _column(column: Column, table: Any) -> ColumnFacts:
     cells = table.column(column.name)
-    unit, factor = unit_of(column)
+    unit, factor = display_unit_and_factor(column)
     ends = pc.min_max(cells).as_py()
     low, high = ends["min"], ends["max"]
     return ColumnFacts(

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from kilter_service.campaigns import store
 from kilter_service.campaigns.records import CampaignRecord
-from kilter_service.campaigns.service import shown
+from kilter_service.campaigns.service import load_campaign
 from kilter_service.campaigns.servo_zeros import refuse_other_servos
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.ground.db import Database, Session
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.references import store as references
 from kilter_service.ground.references.records import TombstoneRecord
 from kilter_service.ground.references.wire import tombstone
 from kilter_service.robots import store as robots
-from kilter_service.robots.resolved import sha256_of
+from kilter_service.robots.resolved import hash_canonical_json
 
 
 def change(database: Database, campaign_id: str, wanted: Change) -> Campaign:
@@ -32,14 +32,14 @@ def change(database: Database, campaign_id: str, wanted: Change) -> Campaign:
                 raise ServiceError("A campaign needs a name: give one.", code="name_invalid")
             references.check_name(session, "campaign", campaign.robot_id, wanted.name, campaign.id)
         references.change(session, "campaign", campaign_id, wanted.name, wanted.notes)
-        return shown(session, campaign_id)
+        return load_campaign(session, campaign_id)
 
 
 def retire(database: Database, campaign_id: str, actor: str) -> Campaign:
     """Take a campaign out of use: no list shows it and no job uses it; what cites it stays as it is."""
     with database.transaction() as session:
         references.retire(session, "campaign", store.whole(session, campaign_id).id, actor)
-        return shown(session, campaign_id)
+        return load_campaign(session, campaign_id)
 
 
 def restore(database: Database, campaign_id: str) -> Campaign:
@@ -52,7 +52,7 @@ def restore(database: Database, campaign_id: str) -> Campaign:
     with database.transaction() as session:
         refuse_other_servos(session, campaign_id)
         references.restore(session, "campaign", store.whole(session, campaign_id).id)
-        return shown(session, campaign_id)
+        return load_campaign(session, campaign_id)
 
 
 def purge(database: Database, campaign_id: str, actor: str) -> Tombstone:
@@ -70,9 +70,9 @@ def purge(database: Database, campaign_id: str, actor: str) -> Tombstone:
             kind="campaign",
             robot=robots.by_id(session, campaign.robot_id).name,
             name=campaign.name,
-            sha256=sha256_of([upload.sha256 for upload in store.uploads_of(session, campaign_id)]),
+            sha256=hash_canonical_json([upload.sha256 for upload in store.uploads_of_campaign(session, campaign_id)]),
             by=actor,
-            at=now(),
+            at=utc_now(),
         )
         references.add_tombstone(session, left)
         store.delete_whole(session, campaign_id)

@@ -19,12 +19,14 @@ MOST_FACTS = 24
 _facts = Recent["Facts"](MOST_FACTS)
 
 
-def key_of(campaign: Campaign) -> tuple[str, ...]:
+def campaign_cache_key(campaign: Campaign) -> tuple[str, ...]:
     """Return what tells the rows of a campaign from all others, and from its own with other files."""
     return campaign.id, str(campaign.conditions), *(upload.sha256 for upload in campaign.uploads)
 
 
-def facts_of(database: Database, campaign: Campaign, reading: Callable[[Rows], None] | None = None) -> Facts:
+def cached_campaign_facts(
+    database: Database, campaign: Campaign, reading: Callable[[Rows], None] | None = None
+) -> Facts:
     """Return the facts of a campaign; ``reading`` gets its rows where they had to be read.
 
     Raises:
@@ -33,10 +35,10 @@ def facts_of(database: Database, campaign: Campaign, reading: Callable[[Rows], N
     """
 
     def read() -> Facts:
-        rows = looking.stored(database, campaign.id)
+        rows = looking.load_campaign_rows(database, campaign.id)
         found = facts(rows)
         if reading is not None:
             reading(rows)
         return found
 
-    return _facts.get(key_of(campaign), read)
+    return _facts.get(campaign_cache_key(campaign), read)

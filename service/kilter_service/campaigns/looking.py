@@ -31,7 +31,7 @@ class Rows:
     conditions: dict[str, Any]
 
 
-def stored(database: Database, campaign_id: str) -> Rows:
+def load_campaign_rows(database: Database, campaign_id: str) -> Rows:
     """Return the rows of a campaign.
 
     Raises:
@@ -51,7 +51,7 @@ def columns(database: Database, campaign_id: str) -> tuple[Column, ...]:
     """Return what the columns of a campaign mean, without reading its rows; none where nothing was uploaded yet."""
     with database.reading() as session:
         robot = robots.core_robot(session, store.whole(session, campaign_id).robot_id)
-        uploads = store.uploads_of(session, campaign_id)
+        uploads = store.uploads_of_campaign(session, campaign_id)
     return read_columns(uploads[0].columns, [joint.kind for joint in robot.joints]) if uploads else ()
 
 
@@ -77,13 +77,13 @@ def of_file(
         belong = Judged(None, service.checked_chunks(path, media, names, core, conditions)[1])
     except ObservationError as error:
         refusal, belong = error.message, Judged(error) if error.code in MIXED_UP else None
-    table = pa.concat_tables(list(reading.tables(path, media, Names.stated(conditions)))).select(names)
+    table = pa.concat_tables(list(reading.tables(path, media, Names.from_conditions(conditions)))).select(names)
     return Rows(table, columns, core, conditions or {}), refusal, belong
 
 
 def spans(database: Database, campaign_id: str) -> dict[int, tuple[float, float]]:
     """Return from where to where each joint (from 0) was measured, in deg or mm."""
-    rows = stored(database, campaign_id)
+    rows = load_campaign_rows(database, campaign_id)
     out = {}
     for column in rows.columns:
         if column.quantity == "q" and column.number is not None:

@@ -49,7 +49,7 @@ def repeats(pose: Ints, under: Ints, visit: Ints, points: Floats | None) -> Repe
     freedom, far, distance, sigmas = 0, np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
     seen = np.zeros(len(pose), dtype=bool) if points is None else ~np.asarray(np.isnan(points).any(axis=1))
     if points is not None and seen.any():
-        far, distance, sigmas = _far(_compact(under[seen]), points[seen])
+        far, distance, sigmas = _find_pose_outliers(_compact(under[seen]), points[seen])
         far = np.flatnonzero(seen)[far]
         seen[far] = False
         within, _ = _scatter(visit[seen], points[seen])
@@ -74,7 +74,7 @@ def _with_other_conditions(pose: Ints, under: Ints, points: Floats, named: Far) 
     rows = np.flatnonzero(left)
     if not len(rows):
         return named
-    far, distance, sigmas = _far(_compact(pose[rows]), points[rows])
+    far, distance, sigmas = _find_pose_outliers(_compact(pose[rows]), points[rows])
     found = [np.concatenate(pair) for pair in zip(named, (rows[far], distance, sigmas), strict=True)]
     order = np.argsort(found[0], kind="stable")
     return found[0][order].astype(np.int64), found[1][order], found[2][order]
@@ -103,7 +103,7 @@ def _scatter(group: Ints, points: Floats) -> tuple[float | None, int]:
     return float(np.sqrt((left**2).sum() / (3 * freedom))), 3 * freedom
 
 
-def _far(group: Ints, points: Floats) -> Far:
+def _find_pose_outliers(group: Ints, points: Floats) -> Far:
     """Rows much farther from the middle of their pose than rows usually are, how far, and in what is usual."""
     count = np.bincount(group)
     judged = count[group] >= FEWEST_REPEATS

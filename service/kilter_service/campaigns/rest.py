@@ -8,12 +8,12 @@ WHOLE = re.compile(r"Campaign (cmp_[0-9a-f]{16}) \(")
 READ = 32  # characters of the notes that tell
 
 
-def said(campaign: str, name: str, without: str, actor: str) -> str:
+def format_origin_note(campaign: str, name: str, without: str, actor: str) -> str:
     """Return the sentence with which the notes of the rest begin."""
     return f"Campaign {campaign} ({name}) without rows {without}, set aside by {actor} on the page."
 
 
-def whole_of(notes: str) -> str | None:
+def parse_origin_campaign(notes: str) -> str | None:
     """Return the campaign that a campaign is the rest of, by the beginning of its notes; None: it is one of its own."""
     found = WHOLE.match(notes)
     return None if found is None else found[1]

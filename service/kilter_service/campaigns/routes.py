@@ -15,13 +15,13 @@ from kilter_service.contract.references import Change, Tombstone
 from kilter_service.ground.files.digests import check_digest
 from kilter_service.ground.tables import reading
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.bodies import parsed, spool_upload
+from kilter_service.web.bodies import parse_json, spool_upload
 from kilter_service.web.concurrency import compute
 from kilter_service.web.conditional import ConditionalRoute
 from kilter_service.web.forms import FORM, is_form, spool_form
 from kilter_service.web.idempotency.key import OnceOnly
 from kilter_service.web.page_query import PageOfList
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, scratch_of
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
 
 router = APIRouter(prefix="/v1", tags=["campaigns"], route_class=ConditionalRoute)
 
@@ -78,21 +78,21 @@ async def check(
     Rows alone are checked as those of a new campaign of which nothing is stated, with `?campaign=` as those of that
     campaign. A form of the parts `campaign` and `rows` is checked as that campaign would be added, and these rows to it.
     """
-    with scratch_of(request).folder_for("check") as folder:
+    with get_scratch(request).folder_for("check") as folder:
         path = folder / "body"
         into: NewCampaign | str | None = campaign
         if is_form(request):
             limits = settings.max_document_mb, settings.max_upload_mb
             document, kind, sha256 = await spool_form(request, path, PARTS, limits)
-            into, media = _campaign_of(await parsed(document)), reading.media_type(kind)
+            into, media = _parse_new_campaign(await parse_json(document)), reading.media_type(kind)
         else:
             media = reading.media_type(request.headers.get("content-type"))
             sha256 = await spool_upload(request, path, settings.max_upload_mb)
         check_digest(request.headers, sha256)
-        return await compute(request, service.checked, database, robot, path, media, into, sha256)
+        return await compute(request, service.check_upload, database, robot, path, media, into, sha256)
 
 
-def _campaign_of(document: object) -> NewCampaign:
+def _parse_new_campaign(document: object) -> NewCampaign:
     try:
         return NewCampaign.model_validate(document)
     except ValidationError as error:
@@ -175,7 +175,7 @@ async def upload(
     """Add observations: CSV, Parquet, or JSON columns. A digest of the body (`Content-Digest`, RFC 9530) is checked."""
     media = reading.media_type(request.headers.get("content-type"))
     await run_in_threadpool(service.get, database, campaign)
-    with scratch_of(request).folder_for("upload") as folder:
+    with get_scratch(request).folder_for("upload") as folder:
         path = folder / "body"
         sha256 = await spool_upload(request, path, settings.max_upload_mb)
         check_digest(request.headers, sha256)

@@ -29,11 +29,11 @@ from kilter_service.ground.references import retired
 from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.columns import has, read_columns
 from kilter_service.ground.tables.names import Names
-from kilter_service.ground.tables.views import rig_of
+from kilter_service.ground.tables.views import rig_from_conditions
 from kilter_service.ground.tables.writing import write_table
 from kilter_service.robots import store as robots
 from kilter_service.robots.instruments import store as instruments
-from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_of
+from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_document
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
@@ -54,9 +54,9 @@ def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_
             another calibration than the robot's other campaigns.
 
     """
-    body = hash_of(campaign)
+    body = hash_document(campaign)
     with database.transaction() as session:
-        known = once.first(session, body, CAMPAIGN)
+        known = once.first_answer(session, body, CAMPAIGN)
         if known is not None:
             return known
         robot_id = robots.usable(session, robot).id
@@ -65,13 +65,13 @@ def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_
             store.discard(session, forgotten)
         campaign_id = store.add(session, robot_id, campaign)
         session.flush()
-        return once.keep(session, body, shown(session, campaign_id))
+        return once.keep(session, body, load_campaign(session, campaign_id))
 
 
 def _refuse_unfit(session: Session, robot_id: int, robot: str, campaign: NewCampaign) -> None:
     """Refuse a campaign that cannot be made, whatever its name and its rows."""
     _refuse_future(campaign)
-    rig_of(campaign.conditions.model_dump(mode="json", exclude_none=True))
+    rig_from_conditions(campaign.conditions.model_dump(mode="json", exclude_none=True))
     if campaign.instrument is not None:
         instruments.get(session, campaign.instrument)
     refuse_other_zeros(session, robot_id, robot, campaign.name, campaign.conditions.model_dump())
@@ -91,7 +91,7 @@ def _refuse_future(campaign: NewCampaign) -> None:
 def get(database: Database, campaign_id: str) -> Campaign:
     """Return a campaign."""
     with database.reading() as session:
-        return shown(session, campaign_id)
+        return load_campaign(session, campaign_id)
 
 
 def rows(database: Database, campaign_id: str, media: str) -> bytes:
@@ -102,7 +102,7 @@ def rows(database: Database, campaign_id: str, media: str) -> bytes:
 
     """
     with database.reading() as session:
-        shown(session, campaign_id)
+        load_campaign(session, campaign_id)
         table = store.table(session, campaign_id)
     return write_table(table, media)
 
@@ -118,7 +118,7 @@ def commit(database: Database, campaign_id: str, parts: Parts) -> Campaign:
     _refuse_mixed_up(database, campaign_id, parts)
     with database.transaction() as session:
         store.get(session, campaign_id)
-        there, named = {upload.sha256 for upload in store.uploads_of(session, campaign_id)}, set(parts.sha256)
+        there, named = {upload.sha256 for upload in store.uploads_of_campaign(session, campaign_id)}, set(parts.sha256)
         if there != named:
             raise ServiceError(
                 f"Campaign {campaign_id} lacks {len(named - there)} of {len(named)} parts and has {len(there - named)} "
@@ -131,7 +131,7 @@ def commit(database: Database, campaign_id: str, parts: Parts) -> Campaign:
         store.commit(session, campaign_id)
         date_by_stamps(session, campaign_id)
         session.flush()
-        return shown(session, campaign_id)
+        return load_campaign(session, campaign_id)
 
 
 def discard(database: Database, campaign_id: str) -> None:
@@ -175,7 +175,7 @@ def upload(
     """
     names = reading.column_names(path, media)
     with database.reading() as session:
-        known = once.first(session, sha256, UPLOADED) or _uploaded(session, campaign_id, sha256, new=False)
+        known = once.first_answer(session, sha256, UPLOADED) or _upload_by_hash(session, campaign_id, sha256, new=False)
         if known:
             return known
         _same_columns(session, campaign_id, names)
@@ -184,7 +184,7 @@ def upload(
     chunks, warnings = checked_chunks(path, media, names, robot, campaign.conditions)
     # Parsed outside, so that this transaction is short: SQLite has one writer at a time.
     with database.transaction() as session:
-        known = once.first(session, sha256, UPLOADED) or _uploaded(session, campaign_id, sha256, new=False)
+        known = once.first_answer(session, sha256, UPLOADED) or _upload_by_hash(session, campaign_id, sha256, new=False)
         if known:
             return known
         _same_columns(session, campaign_id, names)
@@ -192,13 +192,13 @@ def upload(
         store.add_upload(session, campaign_id, sha256, media, names, chunks)
         if not campaign.staged:
             date_by_stamps(session, campaign_id, before)
-        done = _uploaded(session, campaign_id, sha256, new=True)
+        done = _upload_by_hash(session, campaign_id, sha256, new=True)
         assert done is not None
-        said = [*shown(session, campaign_id).warnings, *_remarks(warnings)]
+        said = [*load_campaign(session, campaign_id).warnings, *_remarks(warnings)]
         return once.keep(session, sha256, done.model_copy(update={"warnings": said}))
 
 
-def checked(
+def check_upload(
     database: Database, robot: str, path: Path, media: str, into: NewCampaign | str | None = None, sha256: str = ""
 ) -> CheckedRows:
     """Check a file as an upload to a campaign of the robot would; nothing is stored.
@@ -215,9 +215,9 @@ def checked(
     with database.reading() as session:
         robot_id = robots.usable(session, robot).id
         core = robots.core_robot(session, robot_id)
-        conditions = _conditions_of(session, robot_id, robot, into)
+        conditions = _campaign_conditions(session, robot_id, robot, into)
         if isinstance(into, str):
-            known = _uploaded(session, into, sha256, new=False)
+            known = _upload_by_hash(session, into, sha256, new=False)
             if known:
                 return CheckedRows(rows=known.rows, columns=names, warnings=known.warnings)
             _same_columns(session, into, names)
@@ -225,7 +225,7 @@ def checked(
     return CheckedRows(rows=sum(chunk.rows for chunk in chunks), columns=names, warnings=_remarks(warnings))
 
 
-def _conditions_of(
+def _campaign_conditions(
     session: Session, robot_id: int, robot: str, into: NewCampaign | str | None
 ) -> dict[str, Any] | None:
     """The conditions of a campaign that may be made, or may be added to; None where none is named."""
@@ -258,21 +258,21 @@ def checked_chunks(
         )
     rules = RowRules(columns, robot, views_rules(columns, conditions), conditions)
     chunks = []
-    for number, table in enumerate(reading.tables(path, media, Names.stated(conditions))):
+    for number, table in enumerate(reading.tables(path, media, Names.from_conditions(conditions))):
         rules.check(table)
         chunks.append(write_chunk(table, path.with_name(f"chunk-{number}")))
     stated = payload_warning(robot, float((conditions or {}).get("payload_kg") or 0.0), "The payload of the campaign")
     return chunks, (*rules.finish(), *([stated] if stated else ()))
 
 
-def shown(session: Session, campaign_id: str) -> Campaign:
+def load_campaign(session: Session, campaign_id: str) -> Campaign:
     """Return a campaign as it is shown."""
     record = store.get(session, campaign_id)
-    robot, uploads = robots.by_id(session, record.robot_id).name, store.uploads_of(session, campaign_id)
-    return wire.campaign(record, robot, uploads, instruments.of_names(session, _named(record)))
+    robot, uploads = robots.by_id(session, record.robot_id).name, store.uploads_of_campaign(session, campaign_id)
+    return wire.campaign(record, robot, uploads, instruments.of_names(session, _instrument_names(record)))
 
 
-def _named(record: CampaignRecord) -> list[str]:
+def _instrument_names(record: CampaignRecord) -> list[str]:
     return [] if record.instrument is None else [record.instrument]
 
 
@@ -282,7 +282,7 @@ def _refuse_mixed_up(database: Database, campaign_id: str, parts: Parts) -> None
         return
     with database.reading() as session:
         campaign = store.get(session, campaign_id)
-        there = {upload.sha256 for upload in store.uploads_of(session, campaign_id)}
+        there = {upload.sha256 for upload in store.uploads_of_campaign(session, campaign_id)}
         if not campaign.staged or there != set(parts.sha256):
             return
         robot = robots.core_robot(session, campaign.robot_id)
@@ -297,18 +297,18 @@ def _remarks(warnings: Sequence[dict[str, Any]]) -> list[Remark]:
     return [Remark(**one) for one in warnings]
 
 
-def _uploaded(session: Session, campaign_id: str, sha256: str, *, new: bool) -> Uploaded | None:
+def _upload_by_hash(session: Session, campaign_id: str, sha256: str, *, new: bool) -> Uploaded | None:
     retired.refuse("campaign", campaign_id, store.get(session, campaign_id).retired_at)
-    uploads = store.uploads_of(session, campaign_id)
+    uploads = store.uploads_of_campaign(session, campaign_id)
     total = sum(upload.rows for upload in uploads)
     for upload in uploads:
         if upload.sha256 == sha256:
-            return wire.uploaded(campaign_id, upload, total, new=new)
+            return wire.upload_result(campaign_id, upload, total, new=new)
     return None
 
 
 def _same_columns(session: Session, campaign_id: str, names: Sequence[str]) -> None:
-    for before in store.uploads_of(session, campaign_id):
+    for before in store.uploads_of_campaign(session, campaign_id):
         odd = sorted(set(names) ^ set(before.columns))
         if odd:
             raise ObservationError(

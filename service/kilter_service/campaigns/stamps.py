@@ -14,7 +14,7 @@ TIME = "t_s"
 
 def last_stamp(session: Session, campaign_id: str) -> datetime | None:
     """Return when the last row of a campaign was measured; None where its times do not count from 1970."""
-    if not any(TIME in upload.columns for upload in store.uploads_of(session, campaign_id)):
+    if not any(TIME in upload.columns for upload in store.uploads_of_campaign(session, campaign_id)):
         return None
     latest = pc.max(store.table(session, campaign_id).column(TIME)).as_py()
     if latest is None or latest < SINCE_1970_S:

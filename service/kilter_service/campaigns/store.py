@@ -203,7 +203,7 @@ def campaigns_on_page(
     if page.moment is not None:
         moment, key = page.moment
         query = query.where(or_(row.created_at > moment, and_(row.created_at == moment, row.id > key)))
-    return [_record(found) for found in session.execute(query.limit(page.fetched)).scalars()]
+    return [_record(found) for found in session.execute(query.limit(page.fetch_limit)).scalars()]
 
 
 def ids_of_robot(session: Session, robot_id: int) -> list[str]:
@@ -233,7 +233,7 @@ def ids_until(session: Session, robot_id: int, moment: datetime) -> list[str]:
     return list(session.execute(select(row.id).where(row.robot_id == robot_id, at < moment)).scalars())
 
 
-def uploads_of(session: Session, campaign_id: str) -> list[UploadRecord]:
+def uploads_of_campaign(session: Session, campaign_id: str) -> list[UploadRecord]:
     """Return the uploads of a campaign, oldest first."""
     return uploads_of_all(session, [campaign_id])[campaign_id]
 
@@ -293,7 +293,9 @@ def observations(
         raise ObservationError(f"Campaign {campaign_id} has no observations: upload some.", campaign=campaign_id)
     columns = read_columns(uploads[0].columns, [joint.kind for joint in robot.joints])
     tables = [
-        _thinned(table.select(uploads[0].columns), every) for upload in uploads for table in _tables(session, upload.id)
+        _thin_rows(table.select(uploads[0].columns), every)
+        for upload in uploads
+        for table in _tables(session, upload.id)
     ]
     return with_directions(with_default_load(assemble(pa.concat_tables(tables), columns, row.conditions), robot))
 
@@ -318,10 +320,10 @@ def states_a_load(session: Session, campaign_id: str) -> bool:
     """Whether a campaign says what hung on the tool, in its conditions or in its columns."""
     if whole(session, campaign_id).conditions.get("payload_kg") is not None:
         return True
-    return any("payload_kg" in upload.columns for upload in uploads_of(session, campaign_id))
+    return any("payload_kg" in upload.columns for upload in uploads_of_campaign(session, campaign_id))
 
 
-def _thinned(table: pa.Table, every: int) -> pa.Table:
+def _thin_rows(table: pa.Table, every: int) -> pa.Table:
     if every == 1:
         return table
     some = [np.arange(0, len(table), every)]
@@ -344,7 +346,7 @@ def driven(session: Session, robot_id: int, robot: Robot, most: int = 20_000) ->
     return whole[:: -(-len(whole) // most)] if len(whole) else None
 
 
-def numbered(parts: Iterable[Observations]) -> list[Observations]:
+def renumber_poses_and_sessions(parts: Iterable[Observations]) -> list[Observations]:
     """Give the poses and sessions of several campaigns numbers of their own: pose 1 of one is not pose 1 of another.
 
     Sessions that have names are the same in all of them.

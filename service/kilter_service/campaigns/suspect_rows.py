@@ -52,23 +52,23 @@ def doubtful(robot: Robot, seen: Observations, points: Floats | None, repeats: R
     """Name rows outside the limits, apart from their repeats, stuck at a reading, or far from where the arm would be."""
     found: dict[int, list[Doubt]] = {}
 
-    def take(row: int, why: str, away: float | None = None, sigma: float | None = None) -> None:
+    def add_doubt(row: int, why: str, away: float | None = None, sigma: float | None = None) -> None:
         mm = None if away is None else float(to_mm(away))
         found.setdefault(row + 1, []).append(Doubt(row + 1, why, mm, sigma))
 
-    _beyond(robot, seen, take)
+    _beyond(robot, seen, add_doubt)
     for row, distance, sigma in zip(repeats.far, repeats.distance, repeats.sigmas, strict=True):
         why = f"{to_mm(float(distance)):.3g} mm from the other rows of its pose"
-        take(int(row), why, float(distance), float(sigma) if np.isfinite(sigma) else None)
+        add_doubt(int(row), why, float(distance), float(sigma) if np.isfinite(sigma) else None)
     if points is not None:
         for row in _stuck(seen.q, points):
-            take(int(row), "the same position as the row before to the last digit, though joints moved")
-        for row, distance, sigma in _misplaced(robot, seen, points):
+            add_doubt(int(row), "the same position as the row before to the last digit, though joints moved")
+        for row, distance, sigma in _find_misplaced_rows(robot, seen, points):
             why = f"{to_mm(distance):.3g} mm from where the nominal arm would be, far more than other rows"
-            take(row, why, distance, sigma)
+            add_doubt(row, why, distance, sigma)
     for row, distance in _of_other_pictures(robot, seen):
         why = "its picture shows the board far from where its joints would have it"
-        take(row, why, distance if np.isfinite(distance) else None)
+        add_doubt(row, why, distance if np.isfinite(distance) else None)
     named = sorted(found.items())[:MOST]
     return Doubtful(tuple(_together(doubts) for _, doubts in named), len(found))
 
@@ -95,13 +95,13 @@ def _stuck(q: Floats, points: Floats) -> NDArray[np.int64]:
     return np.flatnonzero(same & moved).astype(np.int64) + 1
 
 
-def _misplaced(robot: Robot, seen: Observations, points: Floats) -> list[tuple[int, float, float]]:
+def _find_misplaced_rows(robot: Robot, seen: Observations, points: Floats) -> list[tuple[int, float, float]]:
     """Rows far from the nominal arm, base and tool point fitted to the others: m, and robust standard deviations."""
     there = np.flatnonzero(~np.isnan(points).any(axis=1))
     there = there[:: max(1, len(there) // MOST_PLACED)]
     if len(there) < FEWEST_SUSPECT_ROWS or (seen.session is not None and len(np.unique(seen.session)) > 1):
         return []
-    left = _left(robot, seen.q[there], points[there])
+    left = _distances_from_nominal(robot, seen.q[there], points[there])
     middle = float(np.median(left))
     usual = max(MAD * float(np.median(np.abs(left - middle))), LEAST_M / FAR)
     far = np.flatnonzero(left - middle > FAR * usual)
@@ -118,7 +118,7 @@ def _of_other_pictures(robot: Robot, seen: Observations) -> list[tuple[int, floa
         return []  # what is wrong with all of them a job says
 
 
-def _left(robot: Robot, q: Floats, points: Floats) -> Floats:
+def _distances_from_nominal(robot: Robot, q: Floats, points: Floats) -> Floats:
     """How far (m) each point is from the nominal arm; base and tool point are fitted to the nearer half in turn."""
     model = core_model.Calibration.nominal(robot).model
     pose = model.in_frames(np.eye(4), np.eye(4)).predict(Seen(q), model.values0())

@@ -36,7 +36,7 @@ def campaign(
     )
 
 
-def uploaded(campaign_id: str, record: UploadRecord, total: int, *, new: bool) -> Uploaded:
+def upload_result(campaign_id: str, record: UploadRecord, total: int, *, new: bool) -> Uploaded:
     """Say what an upload became."""
     return Uploaded(campaign_id=campaign_id, total_rows=total, new=new, **_file(record))
 

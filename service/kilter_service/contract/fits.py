@@ -133,7 +133,7 @@ class Parameter(Stored):
     )
 
 
-def stayed(unknown: Iterable[Parameter]) -> tuple[list[Parameter], list[Parameter]]:
+def split_nominal_and_moved(unknown: Iterable[Parameter]) -> tuple[list[Parameter], list[Parameter]]:
     """Tell parameters that the data could not see apart: those that are nominal, and those whose value is another guess."""
     nominal: list[Parameter] = []
     moved: list[Parameter] = []

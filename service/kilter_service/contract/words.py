@@ -9,16 +9,16 @@ SYMBOLS = {"um": "micrometres", "degC": "°C"}
 PLAIN = {"boolean": "true or false", "string": "text", "object": "an object"}
 
 
-def allowed(schema: Mapping[str, Any] | None) -> str:
+def describe_schema(schema: Mapping[str, Any] | None) -> str:
     """Say what a schema allows besides null; empty when there is nothing short to say."""
     if schema is None:
         return ""
     parts = [part for part in schema.get("anyOf", [schema]) if part.get("type") != "null"]
-    said = [_one(part) for part in parts]
+    said = [_describe_schema_part(part) for part in parts]
     return " or ".join(one for one in said if one)
 
 
-def _one(part: Mapping[str, Any]) -> str:
+def _describe_schema_part(part: Mapping[str, Any]) -> str:
     if "enum" in part or "const" in part:
         values = [str(value) for value in part.get("enum", [part.get("const")])]
         return values[0] if len(values) == 1 else f"{', '.join(values[:-1])} or {values[-1]}"
@@ -26,7 +26,7 @@ def _one(part: Mapping[str, Any]) -> str:
     if sort in ("integer", "number"):
         return f"a {'whole number' if sort == 'integer' else 'number'}{_range(part)}"
     if sort == "array":
-        inner = allowed(part.get("items"))
+        inner = describe_schema(part.get("items"))
         return f"a list of {inner}" if inner else "a list"
     return PLAIN.get(str(sort), "")
 

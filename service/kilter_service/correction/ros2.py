@@ -38,7 +38,7 @@ def joint_trajectory(
 
 
 def _refuse_gaps(found: Outcome) -> None:
-    bad = np.flatnonzero(~found.answered)
+    bad = np.flatnonzero(~found.answered_rows)
     if len(bad):
         word = found.words[int(bad[0])]
         raise ObservationError(
@@ -53,7 +53,7 @@ def _lines(names: Sequence[str], t: NDArray[np.float64], found: Outcome) -> Iter
     yield "header:\n  stamp: {sec: 0, nanosec: 0}\n  frame_id: ''\njoint_names:\n"
     yield from (f"- '{name.replace(chr(39), chr(39) * 2)}'\n" for name in names)
     yield "points:\n"
-    times, left = np.round(t * NANO).astype(np.int64).tolist(), to_mm(found.left).tolist()
+    times, left = np.round(t * NANO).astype(np.int64).tolist(), to_mm(found.remaining_errors).tolist()
     for time, row, word, kept in zip(times, found.done.q.tolist(), found.words, left, strict=True):
         remark = "" if word == OK else f"  # {word}: {kept:.3g} mm left"
         yield f"- positions: [{', '.join(_yaml(value) for value in row)}]{remark}\n"

@@ -20,7 +20,7 @@ from kilter_service.ground.tables import reading
 from kilter_service.web.bodies import spool_upload
 from kilter_service.web.concurrency import compute
 from kilter_service.web.routing import GuardedRoute
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, scratch_of
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
 
 router = APIRouter(prefix="/v1/robots", tags=["correction"], route_class=GuardedRoute)
 
@@ -107,13 +107,13 @@ async def correct(
     version is unsure. ``Kilter-U95`` says what ``u95`` is of: poses or a path, relative to the instrument.
     """
     media = reading.media_type(request.headers.get("content-type"))
-    with scratch_of(request).folder_for("correct") as folder:
+    with get_scratch(request).folder_for("correct") as folder:
         path = folder / "body"
         await spool_upload(request, path, settings.max_upload_mb)
         carried = Carried(payload_kg, _point(payload_com_mm))
         wanted = service.Wanted(version, format, task, strict, at_limit, None if hold is None else tuple(hold))
         file, left_out, notes, u95 = await compute(
-            request, _corrected, database, robot, path, media, wanted, settings.temperature_c, carried
+            request, _correct_to_temp_file, database, robot, path, media, wanted, settings.temperature_c, carried
         )
     headers = {"Content-Length": str(file.seek(0, 2))} | ({NOT_CORRECTED: ", ".join(left_out)} if left_out else {})
     headers |= {U95: u95} | ({NOTES: " | ".join(notes)} if notes else {})
@@ -138,7 +138,7 @@ def _point(text: str | None) -> tuple[float, float, float] | None:
     return x, y, z
 
 
-def _corrected(
+def _correct_to_temp_file(
     database: Database, robot: str, path: Path, *rest: Any
 ) -> tuple[IO[bytes], tuple[str, ...], tuple[str, ...], str]:
     """Correct into a file without a name: a client that reads slowly holds no memory, and leaves nothing when it goes."""

@@ -15,7 +15,7 @@ from kilter_service.correction.formats import read_trajectory
 from kilter_service.correction.ros2 import joint_trajectory
 from kilter_service.correction.wire import cells, with_verdict
 from kilter_service.ground import correction_outcome as outcome
-from kilter_service.ground.correction_limits import options_of
+from kilter_service.ground.correction_limits import correction_options
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.left_out import where_sentences
@@ -93,8 +93,8 @@ def correct(
     """
     with database.reading() as session:
         row, options = _version(session, robot, wanted, temperature_c)
-        calibration, known = versions.calibration(session, row.id), versions.known(session, row.id)
-        compensated = compensation.sentence(robot, robots.compensation_of(session, row.robot_id))
+        calibration, known = versions.calibration(session, row.id), versions.load_predictive(session, row.id)
+        compensated = compensation.sentence(robot, robots.get_compensation(session, row.robot_id))
     kinds = [joint.kind for joint in calibration.robot.joints]
     table, columns = read_trajectory(path, media, kinds, MAX_ROS2_ROWS if wanted.form == ROS2 else MAX_TRAJECTORY_ROWS)
     stated = observations(table, columns, {})
@@ -130,7 +130,7 @@ def _refuse_what_is_left(found: outcome.Outcome) -> None:
         return
     counts = ", ".join(f"{word} {count}" for word, count in Counter(words[rows].tolist()).items())
     named = ", ".join(str(row + 1) for row in rows[:MOST_NAMED].tolist())
-    known = found.left[rows]
+    known = found.remaining_errors[rows]
     worst = None if np.isnan(known).all() else to_mm(float(np.nanmax(known)))
     raise ServiceError(
         f"{len(rows)} of {len(words)} rows are not corrected to within what is stated ({counts}), the first of them row "
@@ -160,4 +160,4 @@ def _version(
     if row.robot_id != stored.id:
         raise ServiceError(f"Version {version} is not of robot {robot!r}.", code="option_invalid", version=version)
     limits, rules = CorrectionLimits(**row.limits), versions.rules_of(session, version)
-    return row, options_of(limits, temperature_c, wanted.task, wanted.at_limit, wanted.hold, rules)
+    return row, correction_options(limits, temperature_c, wanted.task, wanted.at_limit, wanted.hold, rules)

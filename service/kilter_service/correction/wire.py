@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 def with_verdict(table: pa.Table, found: Outcome) -> pa.Table:
     """Add to a trajectory what was removed of the error, what is left, half the interval that holds it, and the status."""
     done = found.done
-    columns = _along("d", done.error_removed) | {"left_mm": cells(to_mm(found.left))} | _along("left_", done.left)
+    columns = (
+        _along("d", done.error_removed) | {"left_mm": cells(to_mm(found.remaining_errors))} | _along("left_", done.left)
+    )
     if found.turns:
         columns["left_deg"] = cells(to_deg(done.left_rad))
     columns |= _along("u95_", found.u95)

@@ -25,7 +25,7 @@ class Made(Protocol):
     created_at: datetime
 
 
-def called(made: Made) -> str:
+def display_name(made: Made) -> str:
     """Return what people call it; to the second, so that two of a minute differ."""
     if made.name:
         return made.name

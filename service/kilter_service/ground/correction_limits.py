@@ -26,7 +26,7 @@ def rules_today() -> dict[str, Any]:
     return {name: value for name, value in options.items() if name not in NO_RULES}
 
 
-def options_of(
+def correction_options(
     limits: CorrectionLimits,
     temperature_c: float | None,
     task: str | None = None,

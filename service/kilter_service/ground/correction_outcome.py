@@ -54,13 +54,13 @@ class Outcome:
     oriented: bool
 
     @property
-    def answered(self) -> Bools:
+    def answered_rows(self) -> Bools:
         """Rows (N,) that have numbers."""
         found: Bools = self.done.status == Status.OK
         return found
 
     @property
-    def left(self) -> Floats:
+    def remaining_errors(self) -> Floats:
         """Largest distance (N,) m of the corrected tool from where it should be by the version; NaN where refused."""
         found: Floats = np.linalg.norm(np.abs(self.done.left) + self.sides, axis=1)
         return found
@@ -68,7 +68,7 @@ class Outcome:
     @property
     def words(self) -> Sequence[str]:
         """The verdict on each row: OK, DAMPED, LIMITED, UNSURE, or why it was refused."""
-        within = self._within()
+        within = self._rows_within_stated_error()
         held = ((self.done.flags & HELD) != 0) | self.sides.any(axis=1)
         word = np.where(within, np.where(self.done.flags & Flag.UNSURE, UNSURE, OK), np.where(held, LIMITED, DAMPED))
         return [
@@ -86,10 +86,12 @@ class Outcome:
         """What ``u95`` is of: neighbouring rows of a path share their error, and none is known beyond the instrument."""
         return f"{'along a path' if self.done.follow_one_another else 'for poses'}, relative to the instrument"
 
-    def _within(self) -> Bools:
+    def _rows_within_stated_error(self) -> Bools:
         """Rows whose remaining error is within what is stated, along each axis, and small; refused ones are not."""
         stated = np.maximum(np.where(np.isnan(self.stated), STATED_M, self.stated), REACHED_M)
-        good: Bools = np.all(np.abs(self.done.left) + self.sides <= stated, axis=1) & (self.left <= MOST_OK_M)
+        good: Bools = np.all(np.abs(self.done.left) + self.sides <= stated, axis=1) & (
+            self.remaining_errors <= MOST_OK_M
+        )
         if self.oriented:
             good = good & (self.done.left_rad <= STATED_RAD)
         return good
@@ -116,7 +118,7 @@ def summary(found: Outcome) -> tuple[str, ...]:
     """Say where the version is unsure, how many rows keep more of their error than is stated, and how much at worst."""
     words = np.array(found.words)
     kept = (
-        _kept(word.lower(), np.flatnonzero(words == word), found.left)
+        _describe_rows_with_status(word.lower(), np.flatnonzero(words == word), found.remaining_errors)
         for word in (DAMPED, LIMITED)
         if (words == word).any()
     )
@@ -125,7 +127,7 @@ def summary(found: Outcome) -> tuple[str, ...]:
 
 def _unsure(found: Outcome) -> Iterator[str]:
     """Say what the version doubts of itself, each reason once with its rows; of a whole version without them."""
-    q, count = found.done.wanted.q, len(found.left)
+    q, count = found.done.wanted.q, len(found.remaining_errors)
     for reason in dict.fromkeys(doubt.reason for doubt in found.doubts):
         own = [doubt for doubt in found.doubts if doubt.reason == reason]
         rows = int(np.sum([doubt.holds(q) for doubt in own], axis=0).astype(bool).sum())
@@ -141,13 +143,14 @@ def _unknown_sides(found: Outcome) -> Iterator[str]:
     if len(unknown):
         worst = float(np.linalg.norm(found.sides, axis=1).max())
         yield (
-            f"From which side joints with backlash come is not known in {len(unknown)} of {len(found.left)} rows, the first "
+            f"From which side joints with backlash come is not known in {len(unknown)} of "
+            f"{len(found.remaining_errors)} rows, the first "
             f"of them row {int(unknown[0]) + 1}: up to {to_mm(worst):.2g} mm. Begin with a short move of these joints, or "
             "state dir1 ... in every row."
         )
 
 
-def _kept(word: str, rows: Ints, left: Floats) -> str:
+def _describe_rows_with_status(word: str, rows: Ints, left: Floats) -> str:
     worst = rows[int(np.argmax(left[rows]))]
     many = len(rows) > 1
     return (

@@ -40,7 +40,7 @@ def from_parameters(
     if known is None or not good.any():
         return out
     arm, there = _as_corrected(calibration, done, temperature_c)
-    out[good] = known.of_the_tool(arm, there.select(good), arm.wanted().model.T_base[:3, :3])
+    out[good] = known.of_the_tool(arm, there.select(good), arm.nominal_in_wanted_frames().model.T_base[:3, :3])
     return out
 
 
@@ -59,7 +59,7 @@ def from_unknown_sides(
     arm = arm.with_effects(
         [e for e in arm.model.effects if all(getattr(there, name, 0) is not None for name in e.needs)]
     )
-    axes = arm.wanted().model.T_base[:3, :3]
+    axes = arm.nominal_in_wanted_frames().model.T_base[:3, :3]
     unknown = (done.direction == 0.0) & (done.status == Status.OK)[:, None]
     for joint in np.flatnonzero(unknown.any(axis=0)):
         rows = there.select(unknown[:, joint])

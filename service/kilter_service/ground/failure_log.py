@@ -26,12 +26,12 @@ class Failing:
         self._log, self._message, self._arguments = log, message, arguments
         self._known = False
 
-    def failed(self, error: Exception) -> None:
+    def report_failure(self, error: Exception) -> None:
         """Say that it failed, and why."""
         if not self._known:
             self._known = True
             log_failure(self._log, error, self._message, *self._arguments)
 
-    def worked(self) -> None:
+    def report_success(self) -> None:
         """Note that it works."""
         self._known = False

@@ -13,7 +13,7 @@ def where_sentences(where_stated: Mapping[str, Sequence[str]]) -> tuple[str, ...
     names: dict[tuple[str, ...], list[str]] = {}
     for name, asked in where_stated.items():
         names.setdefault(tuple(asked), []).append(name)
-    return tuple(_where(asked, who) for asked, who in names.items())
+    return tuple(_describe_correction_scope(asked, who) for asked, who in names.items())
 
 
 def sentence(unsupported: Sequence[str], where_stated: Mapping[str, Sequence[str]], by: str = "at run time") -> str:
@@ -32,7 +32,7 @@ def fields(unsupported: Sequence[str], where_stated: Mapping[str, Sequence[str]]
     }
 
 
-def _where(asked: Sequence[str], names: Sequence[str]) -> str:
+def _describe_correction_scope(asked: Sequence[str], names: Sequence[str]) -> str:
     columns = " and ".join(COLUMNS[one] for one in asked)
     where = f"in files and paths, whose rows must state {columns}"
     if tuple(asked) == ("temperature_c",):

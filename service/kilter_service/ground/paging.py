@@ -65,7 +65,7 @@ class Page(NamedTuple):
         return None if name is None else int(name)
 
     @property
-    def fetched(self) -> int | None:
+    def fetch_limit(self) -> int | None:
         """How many entries to read: one more than are shown, to know whether there are more."""
         return None if self.limit is None else self.limit + 1
 
@@ -89,7 +89,7 @@ def _cursor(key: tuple[str, ...]) -> str:
     return base64.urlsafe_b64encode(json.dumps(key).encode()).decode().rstrip("=")
 
 
-def key_of(cursor: str) -> tuple[str, ...]:
+def decode_cursor(cursor: str) -> tuple[str, ...]:
     """Return the key that a cursor stands for.
 
     Raises:

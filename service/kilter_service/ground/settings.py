@@ -33,7 +33,7 @@ def default_data() -> Path:
     return Path.home() / ".kilter"
 
 
-def names_in(text: str) -> list[str]:
+def parse_name_list(text: str) -> list[str]:
     """Return the names of a list with commas between them."""
     return [part.strip().lower() for part in text.split(",") if part.strip()]
 
@@ -116,7 +116,7 @@ class Settings(BaseSettings):
         return token
 
     @model_validator(mode="after")
-    def _signed(self) -> Settings:
+    def _require_webhook_secret(self) -> Settings:
         if self.webhook_url is None:
             return self
         url = urlsplit(self.webhook_url)
@@ -132,7 +132,7 @@ class Settings(BaseSettings):
     @field_validator("proxy")
     @classmethod
     def _networks(cls, text: str) -> str:
-        for part in names_in(text):
+        for part in parse_name_list(text):
             ipaddress.ip_network(part, strict=False)  # its own error says which part is not one
         return text
 
@@ -143,7 +143,7 @@ class Settings(BaseSettings):
         except ValueError:
             return False
         found = getattr(found, "ipv4_mapped", None) or found
-        return any(found in ipaddress.ip_network(part, strict=False) for part in names_in(self.proxy))
+        return any(found in ipaddress.ip_network(part, strict=False) for part in parse_name_list(self.proxy))
 
     @property
     def database(self) -> str:

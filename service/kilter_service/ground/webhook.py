@@ -19,7 +19,7 @@ from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import secret_in
+from kilter_service.ground.files.private_files import read_secret_file
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.version import code_version
 
@@ -49,7 +49,7 @@ class Webhook:
         threading.Thread(target=self._work, name="webhook", daemon=True).start()
 
     @staticmethod
-    def of(settings: Settings) -> Webhook | None:
+    def from_settings(settings: Settings) -> Webhook | None:
         """The one that is configured; None: none is.
 
         Raises:
@@ -58,14 +58,14 @@ class Webhook:
         """
         if settings.webhook_url is None or settings.webhook_secret is None:
             return None
-        return Webhook(settings.webhook_url, _secret_in(settings.webhook_secret), settings.webhook_timeout_s)
+        return Webhook(settings.webhook_url, _read_webhook_secret(settings.webhook_secret), settings.webhook_timeout_s)
 
-    def tell(self, delivery: str, message: Mapping[str, Any]) -> None:
+    def enqueue_message(self, delivery: str, message: Mapping[str, Any]) -> None:
         """Post a message as soon as those before it are done; never waits and never fails."""
         try:
             self._waiting.put_nowait((delivery, message))
         except queue.Full:
-            self._failed(delivery, f"{MOST_WAITING} others wait")
+            self._record_failure(delivery, f"{MOST_WAITING} others wait")
 
     def settle(self, seconds: float) -> None:
         """Wait until all are done, and no longer than so many seconds."""
@@ -79,7 +79,7 @@ class Webhook:
             try:
                 self._deliver(delivery, json.dumps(message, allow_nan=False).encode())
             except Exception as error:  # one message must not end the thread
-                self._failed(delivery, type(error).__name__)
+                self._record_failure(delivery, type(error).__name__)
             self._waiting.task_done()
 
     def _deliver(self, delivery: str, body: bytes) -> None:
@@ -90,7 +90,7 @@ class Webhook:
             if not wrong:
                 self.counts["sent"] += 1
                 return
-        self._failed(delivery, wrong)
+        self._record_failure(delivery, wrong)
 
     def _attempt(self, delivery: str, body: bytes) -> str:
         """Post once; return what was wrong, empty where it was taken. A redirection is wrong: nobody follows it."""
@@ -116,7 +116,7 @@ class Webhook:
             return f"status {answer.status}, and a redirection is not followed"
         return "" if 200 <= answer.status < 300 else f"status {answer.status}"
 
-    def _failed(self, delivery: str, why: str) -> None:
+    def _record_failure(self, delivery: str, why: str) -> None:
         self.counts["failed"] += 1
         log.warning("the verdict of job %s was not taken by KILTER_WEBHOOK_URL: %s", delivery, why)
 
@@ -151,8 +151,8 @@ def _target(url: SplitResult) -> str:
     return (url.path or "/") + (f"?{url.query}" if url.query else "")
 
 
-def _secret_in(file: Path) -> bytes:
-    return secret_in(file, "secret", LEAST_SECRET, 0o007, _unusable)
+def _read_webhook_secret(file: Path) -> bytes:
+    return read_secret_file(file, "secret", LEAST_SECRET, 0o007, _unusable)
 
 
 def _unusable(what: str) -> ServiceError:

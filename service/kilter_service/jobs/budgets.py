@@ -22,7 +22,7 @@ MOST_ROWS = 2000  # of which a budget is taken, evenly chosen
 Instruments = Mapping[str, "Instrument"]
 
 
-def budget_of(
+def uncertainty_budget(
     calibration: Calibration,
     known: Predictive | None,
     rows: Observations,
@@ -34,8 +34,8 @@ def budget_of(
         return None
     if len(rows) > MOST_ROWS and not refit:  # frames are known by all rows that they were fitted to
         rows = rows.select(evenly(len(rows), MOST_ROWS))
-    measurement = core_measurement.Measurement.of(rows, calibration.marker_points, held=True)
-    found = core_uncertainty.Budget.of(calibration, known, measurement, permissible(instrument), refit)
+    measurement = core_measurement.Measurement.from_observations(rows, calibration.marker_points, held=True)
+    found = core_uncertainty.Budget.from_measurement(calibration, known, measurement, permissible(instrument), refit)
     return None if found is None else {"instrument": instrument and instrument.name, **found.to_document()}
 
 
@@ -61,4 +61,4 @@ def add_to_metrics(
     for name, rows, of in blocks:
         if metrics.get(name):
             used = coarsest(instruments, of)
-            metrics[name]["budget"] = budget_of(found.calibration, found.predictive, rows, used)
+            metrics[name]["budget"] = uncertainty_budget(found.calibration, found.predictive, rows, used)

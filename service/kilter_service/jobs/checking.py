@@ -14,11 +14,11 @@ from kilter_service.contract.jobs.job import NewJob
 from kilter_service.ground.db import Database, Session
 from kilter_service.jobs import service, store, wire
 from kilter_service.jobs.durations import PastRun, duration
-from kilter_service.jobs.inputs.default_load import unstated
-from kilter_service.jobs.job_preview import JobPreview, Lack, poses_of
+from kilter_service.jobs.inputs.default_load import unstated_load_warning
+from kilter_service.jobs.job_preview import JobPreview, Lack, count_poses
 from kilter_service.jobs.kind import JobInput, JobKind
 from kilter_service.jobs.records import JobRequest
-from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.registry import get_job_kind
 
 MOST_ROWS = 100_000  # read of all campaigns together; what takes more is thinned
 
@@ -45,9 +45,9 @@ def check(database: Database, job: NewJob) -> JobCheck:
         ServiceError, CoreError: what posting it would be refused with.
 
     """
-    kind, request = kind_of(job.kind), JobRequest.of(job.model_dump(mode="json"))
+    kind, request = get_job_kind(job.kind), JobRequest.from_document(job.model_dump(mode="json"))
     with database.reading() as session:
-        service.checked(session, job, kind)
+        service.validate_job(session, job, kind)
     kind.check(job.options)  # may import the core and take its time: outside
     with _ONE_AT_A_TIME:
         with database.reading() as session:
@@ -59,18 +59,18 @@ def check(database: Database, job: NewJob) -> JobCheck:
 
 
 def _load(session: Session, job: NewJob, kind: JobKind, request: JobRequest) -> _Loaded:
-    robot_id = service.checked(session, job, kind)
-    used = store.used_in(session, request)
+    robot_id = service.validate_job(session, job, kind)
+    used = store.campaigns_used_by_request(session, request)
     every = max(1, math.ceil(sum(one.rows for one in used) / MOST_ROWS))
     given, why = None, None
     try:
-        given = store.input_of(session, robot_id, job.kind, request, every)
+        given = store.load_job_input(session, robot_id, job.kind, request, every)
     except CoreError as error:
         why = error
     rows = {} if given is None else given.rows_by_campaign
     return _Loaded(
         robot_id,
-        store.start_of(session, robot_id, kind, request),
+        store.starting_version(session, robot_id, kind, request),
         [
             CheckedCampaign(
                 id=one.id,
@@ -79,7 +79,7 @@ def _load(session: Session, job: NewJob, kind: JobKind, request: JobRequest) -> 
                 use=one.use,
                 device=campaigns.device(session, one.id),
                 rows=one.rows,
-                poses=poses_of(rows[one.id]) if one.id in rows else None,
+                poses=count_poses(rows[one.id]) if one.id in rows else None,
             )
             for one in used
         ],
@@ -101,11 +101,11 @@ def _preview(kind: JobKind, loaded: _Loaded) -> JobPreview:
         found.problems.append(loaded.why)
     elif loaded.given is not None and kind.preview_job is not None:
         kind.preview_job(loaded.given, found)
-        remark = unstated(kind.name, loaded.given)
+        remark = unstated_load_warning(kind.name, loaded.given)
         if remark is not None:
             found.missing.append(
                 Lack("payload_kg", remark["message"].split(" Say ")[0], REMEDY.format(whole="campaign"))
             )
     elif loaded.given is not None:
-        found.learn_from(*loaded.given.campaigns.values())
+        found.count_fitted_rows(*loaded.given.campaigns.values())
     return found

@@ -12,13 +12,13 @@ SIDES = {1.0: "after motion +", -1.0: "after motion −", 0.0: "not moved"}
 
 def title(curve: EffectCurve) -> str:
     """Return what is drawn over what."""
-    said = f"{_at(curve.id, [curve.joint])} over {quantity(curve)}"
+    said = f"{_format_effect_at_joints(curve.id, [curve.joint])} over {quantity(curve)}"
     return said[0].upper() + said[1:]
 
 
-def named(effect: AtJoints) -> str:
+def format_effect_name(effect: AtJoints) -> str:
     """Return what an effect is called, with its joints."""
-    return _at(effect.id, effect.joints or [])
+    return _format_effect_at_joints(effect.id, effect.joints or [])
 
 
 def across(curve: EffectCurve) -> str:
@@ -49,19 +49,19 @@ def unit_of_x(curve: EffectCurve) -> str:
 
 def model(direction: float | None) -> str:
     """Return what a curve of the model is called in a legend."""
-    return f"model{_after(direction)}, 95 % band"
+    return f"model{_direction_suffix(direction)}, 95 % band"
 
 
 def visit(direction: float | None) -> str:
     """Return what the visits of a direction are called in a legend."""
-    return f"visit{_after(direction)}, 95 % interval"
+    return f"visit{_direction_suffix(direction)}, 95 % interval"
 
 
-def _at(effect: str, joints: Sequence[int]) -> str:
+def _format_effect_at_joints(effect: str, joints: Sequence[int]) -> str:
     *others, last = [str(joint) for joint in joints] or [""]
     where = f" of joints {', '.join(others)} and {last}" if others else f" of joint {last}" if last else ""
     return f"{effect.replace('_', ' ')}{where}"
 
 
-def _after(direction: float | None) -> str:
+def _direction_suffix(direction: float | None) -> str:
     return "" if direction is None else f", {SIDES[direction]}"

@@ -44,23 +44,23 @@ def duration(
 
     ``begun`` is what the beginning of the job says, in seconds, where it was made: it knows these rows and this machine.
     """
-    same = [run for run in past if _asked(run.request) == _asked(request)]
+    same = [run for run in past if _duration_relevant_options(run.request) == _duration_relevant_options(request)]
     if begun is not None and not same:
-        return _within(
+        return _cap_by_budget(
             _duration(begun, begun / BEGUN, begun * BEGUN, "the beginning of this job, made and timed here"), request
         )
     chosen = same or list(past)
     if not chosen:
-        return _within(_by_rule(kind, rows, request), request)
+        return _cap_by_budget(_by_rule(kind, rows, request), request)
     took = [run.seconds * _work(rows, request) / _work(run.rows, run.request) for run in chosen]
     wide = 1.0 + (WIDEST - 1.0) / len(took) ** 0.5
     wide *= 1.0 if same else WIDEST
     which = "with the same options" if same else "with other options"
     jobs = f"{len(took)} earlier {kind} {'job' if len(took) == 1 else 'jobs'} {which}, by the number of rows"
-    return _within(_duration(median(took), min(took) / wide, max(took) * wide, jobs), request)
+    return _cap_by_budget(_duration(median(took), min(took) / wide, max(took) * wide, jobs), request)
 
 
-def _within(found: Duration, request: JobRequest) -> Duration:
+def _cap_by_budget(found: Duration, request: JobRequest) -> Duration:
     """The same under a budget that was asked for: what is cut short ends soon after it."""
     budget = request.options.get("budget_s")
     if budget is None or found.high <= budget:
@@ -73,7 +73,7 @@ def _within(found: Duration, request: JobRequest) -> Duration:
 
 def _by_rule(kind: str, rows: int, request: JobRequest) -> Duration:
     expected, low, high = RULES.get(kind, OTHER)
-    more = max(1.0, _work(rows, request) / _work(RULE_ROWS, JobRequest.of({"robot": ""})))
+    more = max(1.0, _work(rows, request) / _work(RULE_ROWS, JobRequest.from_document({"robot": ""})))
     basis = f"a rule for {kind} jobs of this size: no earlier one of this server tells it"
     return _duration(expected * more, low, high * more, basis)
 
@@ -87,7 +87,7 @@ def _work(rows: int, request: JobRequest) -> float:
     return float(rows + START_ROWS) * (1 + (request.folds or 0))
 
 
-def _asked(request: JobRequest) -> tuple[Any, ...]:
+def _duration_relevant_options(request: JobRequest) -> tuple[Any, ...]:
     """What of the options makes a job long."""
     options = request.options
     effects = options.get("effects")

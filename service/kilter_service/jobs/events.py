@@ -53,13 +53,13 @@ class Followed:
         self.latest: News | None = None
         self._told = asyncio.Event()
 
-    def tell(self, news: News) -> None:
+    def publish_news(self, news: News) -> None:
         """Wake all that wait."""
         self.latest = news
         self._told.set()
         self._told = asyncio.Event()
 
-    async def next(self, known: str | None) -> News | None:
+    async def wait_for_news(self, known: str | None) -> News | None:
         """Wait for news with another id than ``known``; None: there were none for some time."""
         if self.latest is None or self.latest.id == known:
             try:
@@ -84,7 +84,7 @@ class Followers:
         """Yield the events of a job from now to its end; ``known`` is the id of the last that was received."""
         with self._following(job_id) as job:
             while True:
-                news = await job.next(known)
+                news = await job.wait_for_news(known)
                 if news is None:
                     yield ": still here\n\n"
                     continue
@@ -113,28 +113,28 @@ class Followers:
     async def _watch(self) -> None:
         while self._jobs:
             self._joined.clear()
-            await self._look()
+            await self._poll_jobs()
             try:
                 async with asyncio.timeout(POLL_S):
                     await self._joined.wait()
             except TimeoutError:
                 continue
 
-    async def _look(self) -> None:
+    async def _poll_jobs(self) -> None:
         known = {job_id: job.progress for job_id, job in self._jobs.items()}
         try:
-            found = await run_in_threadpool(_changed, self._database, known)
+            found = await run_in_threadpool(_load_changed_jobs, self._database, known)
         except Exception as error:  # the database may be away for a while; the followers stay
-            self._looking.failed(error)
+            self._looking.report_failure(error)
             return
-        self._looking.worked()
+        self._looking.report_success()
         for job_id, (progress, news) in found.items():
             if job_id in self._jobs:
                 self._jobs[job_id].progress = progress
-                self._jobs[job_id].tell(news)
+                self._jobs[job_id].publish_news(news)
 
 
-def _changed(database: Database, known: Mapping[str, str]) -> dict[str, tuple[str, News]]:
+def _load_changed_jobs(database: Database, known: Mapping[str, str]) -> dict[str, tuple[str, News]]:
     """Return the progress and the news of the jobs whose progress is another than the one that is known."""
     with database.reading() as session:
         found = {job.id: (job.state, wire.progress_json(job)) for job in store.progress(session, list(known))}
@@ -144,20 +144,20 @@ def _changed(database: Database, known: Mapping[str, str]) -> dict[str, tuple[st
 
 def _news(database: Database, job_id: str, state: str, said: str) -> News:
     if state in FINAL:
-        return _end(service.get(database, job_id))
+        return _end_event(service.get(database, job_id))
     return News("progress", said)
 
 
-def _end(job: Job) -> News:
+def _end_event(job: Job) -> News:
     return News("end", job.model_dump_json())
 
 
-def ended(job: Job, known: str | None) -> bool:
+def has_received_end(job: Job, known: str | None) -> bool:
     """Whether a job is over, and whoever knows the event ``known`` was told so."""
-    return known is not None and job.state in FINAL and _end(job).id == known
+    return known is not None and job.state in FINAL and _end_event(job).id == known
 
 
-def followers_of(app: FastAPI) -> Followers:
+def get_job_followers(app: FastAPI) -> Followers:
     """Return the followers of an application's jobs."""
     if not hasattr(app.state, "followers"):
         app.state.followers = Followers(app.state.database)

@@ -15,23 +15,26 @@ from kilter_service.versions.drift import store as drift
 from kilter_service.versions.predictions.unfitted_rows import Archive
 
 
-def fit_of(session: Session, version: str, named: Sequence[str]) -> FitOfVersion:
+def load_version_fit(session: Session, version: str, named: Sequence[str]) -> FitOfVersion:
     """Return what a version, and those that it continues, were fitted to, against the campaigns that a job names."""
     trained = [one for training in versions.trainings(session, version) for one in training.campaigns]
     hashes = {sha256 for _, each in trained for sha256 in each}
     robot = versions.get(session, version).robot_id
     archive = Archive(session, robot)
-    fitted = {c: archive.copied(version, c) for c in named}
-    files = {c for c in named if any(upload.sha256 in hashes for upload in campaigns.uploads_of(session, c))}
+    fitted = {c: archive.count_fitted_rows(version, c) for c in named}
+    files = {c for c in named if any(upload.sha256 in hashes for upload in campaigns.uploads_of_campaign(session, c))}
     shared = [c for c in named if c in files or fitted[c]]
     seen = [value for campaign in {one for one, _ in trained} for value in _temperatures(session, campaign)]
     made = drift.of_version(session, robot, version, named)
-    repaired = repairs.last(session, robot)  # since then the arm is another one: no check agreed with it yet
+    repaired = repairs.last_repair(session, robot)  # since then the arm is another one: no check agreed with it yet
     good = [one for one in made if one.result.get("verdict") == "ok" and (repaired is None or one.at >= repaired.at)]
     dates = Dates(
-        max(drift.measured(session, named)[0].values(), default=None),
+        max(drift.measurement_times_and_digests(session, named)[0].values(), default=None),
         max((one.at for one in made), default=None),
-        max((at for at in (_stated(session, one) for one, _ in trained) if at is not None), default=None),
+        max(
+            (at for at in (_stated_measurement_time(session, one) for one, _ in trained) if at is not None),
+            default=None,
+        ),
     )
     agreeing = tuple(one for one in good if dates.rows is None or one.at <= dates.rows)
     temperatures = (min(seen), max(seen)) if seen else None
@@ -39,7 +42,7 @@ def fit_of(session: Session, version: str, named: Sequence[str]) -> FitOfVersion
     return FitOfVersion(temperatures, tuple(shared), agreeing, fitted, dates, used)
 
 
-def _stated(session: Session, campaign: str) -> datetime | None:
+def _stated_measurement_time(session: Session, campaign: str) -> datetime | None:
     """When a campaign was measured, as somebody stated; None: nobody did, or it was purged."""
     try:
         return campaigns.get(session, campaign).measured_at
@@ -61,7 +64,7 @@ def _temperatures(session: Session, campaign: str) -> Iterator[float]:
         stated = campaigns.get(session, campaign).conditions.get("temperature_c")
     except ServiceError:
         return
-    if any("temperature_c" in upload.columns for upload in campaigns.uploads_of(session, campaign)):
+    if any("temperature_c" in upload.columns for upload in campaigns.uploads_of_campaign(session, campaign)):
         column = campaigns.table(session, campaign).column("temperature_c").to_numpy(zero_copy_only=False)
         yield from (float(column.min()), float(column.max()))
     elif stated is not None:

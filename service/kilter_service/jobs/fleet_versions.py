@@ -32,7 +32,7 @@ def fleet_versions(
         made = _of_robot(session, other.id)
         if made is not None:
             calibration, covariance = versions.calibration(session, made.id), versions.covariance(session, made.id)
-            found.append(core_versions.FleetVersion.of(other.name, made.id, calibration, covariance))
+            found.append(core_versions.FleetVersion.from_calibration(other.name, made.id, calibration, covariance))
     return tuple(found)
 
 

@@ -50,16 +50,16 @@ class JobPreview:
         except CoreError as error:
             self.problems.append(error)
 
-    def learn_from(self, *parts: Observations) -> None:
+    def count_fitted_rows(self, *parts: Observations) -> None:
         """Count the rows that are fitted, split or compared; of parts that are taken one by one, poses of each."""
-        self.rows, self.poses = sum(len(rows) for rows in parts), sum(poses_of(rows) for rows in parts)
+        self.rows, self.poses = sum(len(rows) for rows in parts), sum(count_poses(rows) for rows in parts)
 
     def hold(self, how: How, *parts: Observations) -> None:
         """Count what is held out."""
         self.how = how
-        self.held_rows, self.held_poses = sum(len(rows) for rows in parts), sum(poses_of(rows) for rows in parts)
+        self.held_rows, self.held_poses = sum(len(rows) for rows in parts), sum(count_poses(rows) for rows in parts)
 
 
-def poses_of(rows: Observations) -> int:
+def count_poses(rows: Observations) -> int:
     """Count distinct poses."""
     return int(rows.pose_groups().max()) + 1 if len(rows) else 0

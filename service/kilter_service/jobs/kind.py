@@ -154,18 +154,18 @@ class JobOutput:
     result: dict[str, Any]
     version: VersionContent | None = None
 
-    def warned(self, *remarks: dict[str, Any]) -> JobOutput:
+    def with_warnings(self, *remarks: dict[str, Any]) -> JobOutput:
         """The same with more warnings in result and version; what has warnings of a code already gets none of that code."""
         if not remarks:
             return self
         version = self.version
         return JobOutput(
-            _warned(self.result, remarks),
-            None if version is None else replace(version, report=_warned(version.report, remarks)),
+            _add_warnings(self.result, remarks),
+            None if version is None else replace(version, report=_add_warnings(version.report, remarks)),
         )
 
 
-def _warned(document: dict[str, Any], remarks: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _add_warnings(document: dict[str, Any], remarks: Sequence[dict[str, Any]]) -> dict[str, Any]:
     said = document.get("warnings") or []
     known = {one.get("code") for one in said}
     new = [one for one in remarks if one["code"] not in known]

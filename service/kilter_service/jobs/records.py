@@ -19,7 +19,7 @@ class JobRequest:
     options: dict[str, Any]
 
     @staticmethod
-    def of(document: dict[str, Any]) -> JobRequest:
+    def from_document(document: dict[str, Any]) -> JobRequest:
         """Read a stored request; jobs of earlier releases have no confirmation."""
         return JobRequest(
             document["robot"],
@@ -30,14 +30,14 @@ class JobRequest:
         )
 
     @property
-    def held(self) -> list[str]:
+    def held_out_campaigns(self) -> list[str]:
         """Campaigns that are held out."""
         return self.validation if isinstance(self.validation, list) else []
 
     @property
-    def learned_from(self) -> list[str]:
+    def input_campaigns(self) -> list[str]:
         """Campaigns that are fitted or searched, and held out of."""
-        return [*self.campaigns, *self.held]
+        return [*self.campaigns, *self.held_out_campaigns]
 
     @property
     def folds(self) -> int | None:

@@ -11,8 +11,8 @@ from pydantic import ValidationError
 
 from kilter_core.errors import CoreError, OptionError
 from kilter_service.contract.units import Asked
-from kilter_service.contract.words import allowed
-from kilter_service.jobs.registry import KINDS, kind_of
+from kilter_service.contract.words import describe_schema
+from kilter_service.jobs.registry import KINDS, get_job_kind
 
 OptionsT = TypeVar("OptionsT", bound=Asked)
 Problem = Mapping[str, Any]
@@ -29,10 +29,10 @@ def read_options(kind: str, document: Mapping[str, Any]) -> Asked:
 
     """
     try:
-        return kind_of(kind).options.model_validate(document)
+        return get_job_kind(kind).options.model_validate(document)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        raise _refused(kind, first, document, tuple(first["loc"])) from error
+        raise _option_error(kind, first, document, tuple(first["loc"])) from error
 
 
 def refusal(errors: Sequence[Problem], body: object) -> CoreError | None:
@@ -41,13 +41,13 @@ def refusal(errors: Sequence[Problem], body: object) -> CoreError | None:
     if not isinstance(kind, str):
         return None
     try:
-        kind_of(kind)
+        get_job_kind(kind)
     except CoreError as error:
         return error
     for problem in errors:
         place = tuple(part for part in problem["loc"] if part not in ("body", kind))
         if place[:1] == ("options",) and isinstance(body, dict):
-            return _refused(kind, problem, body.get("options"), place[1:])
+            return _option_error(kind, problem, body.get("options"), place[1:])
     return None
 
 
@@ -59,17 +59,17 @@ def without_kind(errors: Sequence[Problem], body: object) -> list[dict[str, Any]
     ]
 
 
-def _refused(kind: str, problem: Problem, options: object, loc: tuple[Any, ...]) -> OptionError:
+def _option_error(kind: str, problem: Problem, options: object, loc: tuple[Any, ...]) -> OptionError:
     if not loc:
-        return OptionError(f"options of {kind}: {_needed(kind, problem, options)}", option="options")
+        return OptionError(f"options of {kind}: {_describe_options_problem(kind, problem, options)}", option="options")
     where = ".".join(str(part) for part in ("options", *_in_body(loc, options)))
     return OptionError(f"{where}{_complaint(kind, problem, loc, options)}", option=str(loc[0]))
 
 
-def _needed(kind: str, problem: Problem, options: object) -> str:
+def _describe_options_problem(kind: str, problem: Problem, options: object) -> str:
     if problem["type"] == "missing":
-        return f"{', '.join(_required(kind))} is missing. There are: {', '.join(_names(kind))}."
-    return f"they are {_shown(options)}. Give an object with {', '.join(_names(kind))}."
+        return f"{', '.join(_required_option_names(kind))} is missing. There are: {', '.join(_names(kind))}."
+    return f"they are {_short_repr(options)}. Give an object with {', '.join(_names(kind))}."
 
 
 def _complaint(kind: str, problem: Problem, loc: tuple[Any, ...], options: object) -> str:
@@ -77,15 +77,16 @@ def _complaint(kind: str, problem: Problem, loc: tuple[Any, ...], options: objec
     value, sort = problem.get("input"), problem["type"]
     if sort == "extra_forbidden":
         return f": {_unknown(kind, loc)}"
-    schema = _schema_at(kind, loc)
+    schema = _option_schema(kind, loc)
     if sort == "missing":
-        return f" is missing: {kind} needs it. {f'Give {allowed(schema)}.' if schema else _described(kind, loc)}"
+        remedy = f"Give {describe_schema(schema)}." if schema else _option_description(kind, loc)
+        return f" is missing: {kind} needs it. {remedy}"
     if loc[0] == "effects" and len(loc) > 1 and (sort.startswith("union_tag") or sort == "literal_error"):
         return _unknown_effect(kind, value, problem)
     if sort == "value_error":
-        return f" is {_shown(value)}: {problem['ctx']['error']}, for a job of kind {kind}."
-    words = f"give {allowed(schema)}" if schema else f"{problem['msg'][0].lower()}{problem['msg'][1:]}"
-    return f" is {_shown(value)}: {words}, for a job of kind {kind}."
+        return f" is {_short_repr(value)}: {problem['ctx']['error']}, for a job of kind {kind}."
+    words = f"give {describe_schema(schema)}" if schema else f"{problem['msg'][0].lower()}{problem['msg'][1:]}"
+    return f" is {_short_repr(value)}: {words}, for a job of kind {kind}."
 
 
 def _unknown(kind: str, loc: tuple[Any, ...]) -> str:
@@ -107,9 +108,7 @@ def _unknown_effect(kind: str, value: object, problem: Problem) -> str:
     given = value.get("id") if isinstance(value, dict) else value
     known = ", ".join(_effects())
     if problem["type"] == "union_tag_not_found" or not isinstance(given, str):
-        return (
-            f" is {_shown(value)}: give an id, or an object with its id, for a job of kind {kind}. There are: {known}."
-        )
+        return f" is {_short_repr(value)}: give an id, or an object with its id, for a job of kind {kind}. There are: {known}."
     return f": there is no effect {given!r}. There are: {known}."
 
 
@@ -128,16 +127,16 @@ def _in_body(loc: Sequence[Any], options: object) -> list[Any]:
 
 
 def _names(kind: str) -> list[str]:
-    return sorted(kind_of(kind).options.model_fields)
+    return sorted(get_job_kind(kind).options.model_fields)
 
 
-def _required(kind: str) -> list[str]:
-    return [name for name, field in kind_of(kind).options.model_fields.items() if field.is_required()]
+def _required_option_names(kind: str) -> list[str]:
+    return [name for name, field in get_job_kind(kind).options.model_fields.items() if field.is_required()]
 
 
 @cache
 def _schema(kind: str) -> dict[str, Any]:
-    return kind_of(kind).options.model_json_schema()
+    return get_job_kind(kind).options.model_json_schema()
 
 
 @cache
@@ -166,16 +165,16 @@ def _fields_inside(kind: str, option: str) -> list[str]:
     return []
 
 
-def _described(kind: str, loc: tuple[Any, ...]) -> str:
+def _option_description(kind: str, loc: tuple[Any, ...]) -> str:
     return str(_schema(kind)["properties"].get(loc[0], {}).get("description", ""))
 
 
-def _schema_at(kind: str, loc: tuple[Any, ...]) -> dict[str, Any] | None:
+def _option_schema(kind: str, loc: tuple[Any, ...]) -> dict[str, Any] | None:
     """The schema of an option; None deeper inside, where pydantic's own words are kept."""
     found: dict[str, Any] | None = _schema(kind)["properties"].get(loc[0]) if len(loc) == 1 else None
     return found
 
 
-def _shown(value: object) -> str:
+def _short_repr(value: object) -> str:
     text = repr(value)
     return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."

@@ -20,7 +20,7 @@ KINDS: Mapping[str, JobKind] = MappingProxyType(
 )
 
 
-def kind_of(name: str) -> JobKind:
+def get_job_kind(name: str) -> JobKind:
     """Return the kind of a name.
 
     Raises:

@@ -12,9 +12,9 @@ from kilter_service.web.conditional import ConditionalRoute
 class JobRoute(ConditionalRoute):
     """A route that takes jobs."""
 
-    async def _checked(self, request: Request, body: bytes) -> Request:
+    async def _parse_request_body(self, request: Request, body: bytes) -> Request:
         try:
-            return await super()._checked(request, body)
+            return await super()._parse_request_body(request, body)
         except RequestValidationError as error:
             found, document = error.errors(), error.body
             refused = refusal(found, document)

@@ -11,10 +11,10 @@ from fastapi.responses import StreamingResponse
 from kilter_service.contract.jobs.check import JobCheck
 from kilter_service.contract.jobs.job import FINAL, Job, JobList, NewJob
 from kilter_service.jobs import checking, service
-from kilter_service.jobs.events import ended, followers_of
+from kilter_service.jobs.events import get_job_followers, has_received_end
 from kilter_service.jobs.request import JobRoute
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.auth.following import followed
+from kilter_service.web.auth.following import limit_event_stream
 from kilter_service.web.conditional import FOR_GOOD
 from kilter_service.web.idempotency.key import OnceOnly
 from kilter_service.web.page_query import PageOfJobs
@@ -70,10 +70,10 @@ async def follow(
 ) -> Response:
     """Follow a job as server-sent events."""
     found = await run_in_threadpool(service.get, database, job)
-    if ended(found, last_event_id):
+    if has_received_end(found, last_event_id):
         return Response(status_code=204)
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    news = followed(request, followers_of(request.app).events(job, last_event_id))
+    news = limit_event_stream(request, get_job_followers(request.app).events(job, last_event_id))
     return StreamingResponse(news, media_type="text/event-stream", headers=headers)
 
 

@@ -13,10 +13,10 @@ from kilter_service.ground.references import store as references
 from kilter_service.jobs import store, wire
 from kilter_service.jobs.kind import JobKind
 from kilter_service.jobs.records import Asked, Place, WantedJobs
-from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.registry import get_job_kind
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
-from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_of
+from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_document
 from kilter_service.web.observability import logs, tracing
 
 JOB: TypeAdapter[Job] = TypeAdapter(Job)
@@ -30,25 +30,25 @@ def submit(database: Database, job: NewJob, once: Once = NOT_REPEATED) -> Job:
         CoreError: options the kind does not have.
 
     """
-    kind = kind_of(job.kind)
-    body = hash_of(job)
+    kind = get_job_kind(job.kind)
+    body = hash_document(job)
     with database.reading() as session:
-        known = once.first(session, body, JOB)
+        known = once.first_answer(session, body, JOB)
         if known is not None:
             return known
-        checked(session, job, kind)
+        validate_job(session, job, kind)
     kind.check(job.options)  # may import the core and take its time: outside
     with database.transaction() as session:
-        known = once.first(session, body, JOB)
+        known = once.first_answer(session, body, JOB)
         if known is not None:
             return known
         asked = Asked(logs.request_id(), tracing.traceparent())
-        job_id = store.add(session, checked(session, job, kind), job, asked)  # robot and campaigns are still there
+        job_id = store.add(session, validate_job(session, job, kind), job, asked)  # robot and campaigns are still there
         queued = once.keep(session, body, wire.job(store.get(session, job_id)))
     return queued
 
 
-def checked(session: Session, job: NewJob, kind: JobKind) -> int:
+def validate_job(session: Session, job: NewJob, kind: JobKind) -> int:
     """Return the key of a job's robot, whose campaigns and version exist and fit.
 
     Raises:
@@ -130,7 +130,7 @@ def _refuse_shared(session: Session, ids: list[str], others: list[str], use: str
 
 
 def _hashes(session: Session, ids: list[str]) -> dict[str, str]:
-    return {upload.sha256: campaign for campaign in ids for upload in campaigns.uploads_of(session, campaign)}
+    return {upload.sha256: campaign for campaign in ids for upload in campaigns.uploads_of_campaign(session, campaign)}
 
 
 def _check_version(session: Session, robot_id: int, version: str) -> None:
@@ -165,10 +165,10 @@ def find_jobs(
     return [wire.summary(job) for job in found], at, count, total
 
 
-def evaluations_of(database: Database, version_id: str) -> list[str]:
+def succeeded_evaluations(database: Database, version_id: str) -> list[str]:
     """Return the ids of the evaluations of a version that succeeded, newest first, however many jobs came after them."""
     with database.reading() as session:
-        return store.evaluations_of(session, version_id)
+        return store.succeeded_evaluations(session, version_id)
 
 
 def open_of_robots(database: Database) -> dict[str, int]:

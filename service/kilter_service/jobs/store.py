@@ -15,17 +15,17 @@ from kilter_service.contract.jobs.job import FINAL, NewJob
 from kilter_service.contract.versions import Objection
 from kilter_service.ground.caller import allowed_robots, as_document
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import NOT_OVER, JobRow, RobotRow, VersionRow
 from kilter_service.ground.ended_jobs import store as ended
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.ground.version import code_version
 from kilter_service.jobs.durations import PastRun
-from kilter_service.jobs.fit_of_version import fit_of
+from kilter_service.jobs.fit_of_version import load_version_fit
 from kilter_service.jobs.fleet_versions import fleet_versions
 from kilter_service.jobs.kind import FitOfVersion, JobInput, JobKind, VersionContent
-from kilter_service.jobs.plotly_figures.layout import captioned
+from kilter_service.jobs.plotly_figures.layout import add_captions
 from kilter_service.jobs.records import (
     Asked,
     JobRecord,
@@ -37,7 +37,7 @@ from kilter_service.jobs.records import (
     WantedJobs,
 )
 from kilter_service.jobs.refusals import read_options
-from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.registry import get_job_kind
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 from kilter_service.versions.store import NewVersion
@@ -101,7 +101,7 @@ def places(session: Session) -> dict[str, Place]:
     waiting: Counter[str] = Counter()
     found = {}
     for job, kind, state, worker in session.execute(query.limit(MOST_PLACES)):
-        queue = kind_of(kind).queue
+        queue = get_job_kind(kind).queue
         found[job] = Place(0, worker) if state == "running" else Place(waiting[queue], "")
         waiting[queue] += state == "queued"
     return found
@@ -110,7 +110,7 @@ def places(session: Session) -> dict[str, Place]:
 def newest_jobs(session: Session, robot: str | None, page: Page) -> list[ListedJob]:
     """Return the newest jobs, of one robot or of all, one more than the page shows; results are large and stay unread."""
     row = JobRow
-    query = select(*_listed()).order_by(row.created_at.desc(), row.id)
+    query = select(*_job_list_columns()).order_by(row.created_at.desc(), row.id)
     if allowed_robots() is not None:
         query = robots.visible(query.join(RobotRow, RobotRow.id == row.robot_id))
     if robot is not None:
@@ -118,10 +118,10 @@ def newest_jobs(session: Session, robot: str | None, page: Page) -> list[ListedJ
     if page.moment is not None:
         moment, key = page.moment  # said so that the range of an index is read, not all of it
         query = query.where(row.created_at <= moment, or_(row.created_at < moment, row.id > key))
-    return _jobs(session, query.limit(page.fetched))
+    return _jobs(session, query.limit(page.fetch_limit))
 
 
-def _listed() -> tuple[Any, ...]:
+def _job_list_columns() -> tuple[Any, ...]:
     row = JobRow
     return (
         row.id, row.kind, row.robot_id, row.name, row.state, row.fraction, row.stage, row.error,
@@ -138,7 +138,10 @@ def _jobs(session: Session, query: Select[Any]) -> list[ListedJob]:
 def count_jobs(session: Session, wanted: WantedJobs) -> tuple[int, int]:
     """Return how many jobs are as wanted, and how many there are of the robot, or of all."""
     of_robot = WantedJobs(wanted.robot)
-    counts = [session.execute(_wanted(session, select(func.count()), one)).scalar_one() for one in (wanted, of_robot)]
+    counts = [
+        session.execute(_filter_wanted_jobs(session, select(func.count()), one)).scalar_one()
+        for one in (wanted, of_robot)
+    ]
     return counts[0], counts[1]
 
 
@@ -152,12 +155,12 @@ def wanted_jobs(session: Session, wanted: WantedJobs, offset: int, limit: int) -
         "state": case({state: k for k, state in enumerate(wanted.states)}, value=row.state, else_=len(wanted.states)),
         "asked": row.created_at,
     }[wanted.order]
-    query = _wanted(session, select(*_listed()), wanted)
+    query = _filter_wanted_jobs(session, select(*_job_list_columns()), wanted)
     query = query.order_by(by.desc() if wanted.falling else by, row.created_at.desc(), row.id)
     return _jobs(session, query.offset(offset).limit(limit))
 
 
-def _wanted(session: Session, query: Select[Any], wanted: WantedJobs) -> Select[Any]:
+def _filter_wanted_jobs(session: Session, query: Select[Any], wanted: WantedJobs) -> Select[Any]:
     row = JobRow
     query = robots.visible(query.select_from(JobRow).join(RobotRow, RobotRow.id == row.robot_id))
     if wanted.robot is not None:
@@ -175,7 +178,7 @@ def _wanted(session: Session, query: Select[Any], wanted: WantedJobs) -> Select[
     return query
 
 
-def evaluations_of(session: Session, version_id: str) -> list[str]:
+def succeeded_evaluations(session: Session, version_id: str) -> list[str]:
     """Return the ids of the evaluations of a version that succeeded, newest first."""
     row = JobRow
     made = versions.get(session, version_id)
@@ -207,7 +210,7 @@ def _record(session: Session, row: JobRow) -> JobRecord:
         created_at=row.created_at,
         started_at=row.started_at,
         finished_at=row.finished_at,
-        request=JobRequest.of(row.request),
+        request=JobRequest.from_document(row.request),
         attempts=row.attempts,
         result=row.result,
         asked=Asked(row.request_id, row.traceparent),
@@ -218,10 +221,12 @@ def _record(session: Session, row: JobRow) -> JobRecord:
 def load(session: Session, job_id: str) -> JobInput:
     """Load all a job needs."""
     row = _row(session, job_id)
-    return input_of(session, row.robot_id, row.kind, JobRequest.of(row.request), allowed=row.asked_by.get("robots"))
+    return load_job_input(
+        session, row.robot_id, row.kind, JobRequest.from_document(row.request), allowed=row.asked_by.get("robots")
+    )
 
 
-def input_of(
+def load_job_input(
     session: Session,
     robot_id: int,
     kind_name: str,
@@ -230,33 +235,35 @@ def input_of(
     allowed: Collection[str] | None = None,
 ) -> JobInput:
     """Load all that a request needs; of the rows of each campaign one in ``every``, of other robots those ``allowed``."""
-    kind, robot = kind_of(kind_name), robots.core_robot(session, robot_id)
-    named = start_of(session, robot_id, kind, request)
+    kind, robot = get_job_kind(kind_name), robots.core_robot(session, robot_id)
+    named = starting_version(session, robot_id, kind, request)
 
-    def rows_of(ids: Sequence[str]) -> dict[str, Observations]:
+    def load_rows(ids: Sequence[str]) -> dict[str, Observations]:
         return {c: campaigns.observations(session, c, robot, every=every) for c in ids}
 
-    held, unstated = request.validation, _unstated(session, request)
+    held, unstated = request.validation, _campaigns_without_load(session, request)
     return JobInput(
         robot=robot,
-        campaigns=rows_of(request.campaigns),
-        validation=request.folds if isinstance(held, dict) else rows_of(held) if isinstance(held, list) else held,
+        campaigns=load_rows(request.campaigns),
+        validation=request.folds if isinstance(held, dict) else load_rows(held) if isinstance(held, list) else held,
         options=read_options(kind_name, request.options),
         version_id=named,
         calibration=None if named is None else versions.calibration(session, named),
         covariance=None if named is None else versions.covariance(session, named),
         report=None if named is None else dict(versions.get(session, named).report),
-        names={c: campaigns.get(session, c).name for c in (*request.campaigns, *request.held)},
-        devices={c: campaigns.device(session, c) for c in (*request.campaigns, *request.held)},
-        instruments=campaigns.instruments(session, (*request.campaigns, *request.held)),
-        certificates=campaigns.certificates(session, (*request.campaigns, *request.held, *request.confirmation)),
+        names={c: campaigns.get(session, c).name for c in (*request.campaigns, *request.held_out_campaigns)},
+        devices={c: campaigns.device(session, c) for c in (*request.campaigns, *request.held_out_campaigns)},
+        instruments=campaigns.instruments(session, (*request.campaigns, *request.held_out_campaigns)),
+        certificates=campaigns.certificates(
+            session, (*request.campaigns, *request.held_out_campaigns, *request.confirmation)
+        ),
         driven=campaigns.driven(session, robot_id, robot) if kind.history else None,
         origin=_origin(session, named) if kind.history and named is not None else None,
         fit=FitOfVersion() if named is None else _fit(session, named, kind, request),
-        confirmation=rows_of(request.confirmation),
+        confirmation=load_rows(request.confirmation),
         default_load=() if robot.load is None else unstated,
         no_load=unstated if robot.load is None else (),
-        made_from=frozenset() if named is None else versions.made_from(session, named),
+        made_from=frozenset() if named is None else versions.training_campaign_ids(session, named),
         fleet=fleet_versions(session, robot_id, allowed) if request.options.get("prior") == "fleet" else (),
     )
 
@@ -264,18 +271,18 @@ def input_of(
 def _fit(session: Session, version: str, kind: JobKind, request: JobRequest) -> FitOfVersion:
     """Return what a job's version was fitted to: against the rows that are judged, or those that judge what continues it."""
     if kind.against_fit:
-        return fit_of(session, version, request.campaigns)
-    judging = [*request.held, *request.confirmation]
-    return fit_of(session, version, judging) if judging else FitOfVersion()
+        return load_version_fit(session, version, request.campaigns)
+    judging = [*request.held_out_campaigns, *request.confirmation]
+    return load_version_fit(session, version, judging) if judging else FitOfVersion()
 
 
-def _unstated(session: Session, request: JobRequest) -> tuple[str, ...]:
+def _campaigns_without_load(session: Session, request: JobRequest) -> tuple[str, ...]:
     """Campaigns of a job that state no payload, so that the robot's default load counts, or none."""
-    named = dict.fromkeys((*request.campaigns, *request.held, *request.confirmation))
+    named = dict.fromkeys((*request.campaigns, *request.held_out_campaigns, *request.confirmation))
     return tuple(c for c in named if not campaigns.states_a_load(session, c))
 
 
-def start_of(session: Session, robot_id: int, kind: JobKind, request: JobRequest) -> str | None:
+def starting_version(session: Session, robot_id: int, kind: JobKind, request: JobRequest) -> str | None:
     """Return the version a job starts from: the one its options name, and for some kinds else the active one."""
     named = request.options.get(kind.version_option) if kind.version_option else None
     if named is None and kind.version_option == "version":
@@ -297,8 +304,8 @@ def _past(session: Session, kind: str, where: ColumnElement[bool]) -> list[PastR
     )
     out = []
     for started, finished, document in session.execute(query.order_by(row.created_at.desc()).limit(MOST_PAST)):
-        request = JobRequest.of(document)
-        rows = sum(upload.rows for c in request.learned_from for upload in campaigns.uploads_of(session, c))
+        request = JobRequest.from_document(document)
+        rows = sum(upload.rows for c in request.input_campaigns for upload in campaigns.uploads_of_campaign(session, c))
         out.append(PastRun((finished - started).total_seconds(), rows, request))
     return out
 
@@ -310,7 +317,7 @@ def _origin(session: Session, version_id: str) -> dict[str, Any] | None:
     return None if job is None else job.result
 
 
-def asked_by(session: Session, job_id: str) -> dict[str, str]:
+def job_requester(session: Session, job_id: str) -> dict[str, str]:
     """Return who asked for a job; empty for jobs of earlier releases."""
     return dict(_row(session, job_id).asked_by)
 
@@ -332,12 +339,12 @@ def succeed(
     if row.state in FINAL:
         return
     if content is not None:
-        used = used_by(session, job_id) if used is None else used
+        used = campaigns_used_by_job(session, job_id) if used is None else used
         version_id = versions.add(session, row.robot_id, job_id, _version(row, content, used))
         result = {**result, "version_id": version_id, "objections": [one.model_dump() for one in objections]}
         if "figures" in result:
             robot = session.get_one(RobotRow, row.robot_id).name
-            result["figures"] = captioned(result["figures"], robot, [c.name or c.id for c in used], version_id)
+            result["figures"] = add_captions(result["figures"], robot, [c.name or c.id for c in used], version_id)
     row.result = result
     _finish(session, row, "succeeded", "done", 1.0)
 
@@ -360,25 +367,25 @@ def cancel(session: Session, job_id: str) -> None:
 
 def _finish(session: Session, row: JobRow, state: str, stage: str, fraction: float) -> None:
     row.state, row.stage, row.fraction = state, stage, fraction
-    row.finished_at = max(now(), row.started_at or now())  # the clock may have been set back
+    row.finished_at = max(utc_now(), row.started_at or utc_now())  # the clock may have been set back
     ended.count(session, row)
 
 
-def used_by(session: Session, job_id: str) -> list[UsedRecord]:
+def campaigns_used_by_job(session: Session, job_id: str) -> list[UsedRecord]:
     """Return the campaigns a job uses, with the hashes of what was uploaded so far."""
-    return used_in(session, JobRequest.of(_row(session, job_id).request))
+    return campaigns_used_by_request(session, JobRequest.from_document(_row(session, job_id).request))
 
 
-def used_in(session: Session, request: JobRequest) -> list[UsedRecord]:
+def campaigns_used_by_request(session: Session, request: JobRequest) -> list[UsedRecord]:
     """Return the campaigns a request names, with the hashes of what was uploaded so far."""
     named = {
-        "train": request.campaigns, "validation": request.held, "confirmation": request.confirmation,
+        "train": request.campaigns, "validation": request.held_out_campaigns, "confirmation": request.confirmation,
     }  # fmt: skip
-    return [_used(session, campaign, use) for use, campaigns_ in named.items() for campaign in campaigns_]
+    return [_used_record(session, campaign, use) for use, campaigns_ in named.items() for campaign in campaigns_]
 
 
 def _version(row: JobRow, content: VersionContent, used: Sequence[UsedRecord]) -> NewVersion:
-    request, kind = JobRequest.of(row.request), kind_of(row.kind)
+    request, kind = JobRequest.from_document(row.request), get_job_kind(row.kind)
     fields = {key: value for key, value in asdict(content).items() if key not in ("limits", "parent_id")}
     named = request.options.get(kind.version_option) if kind.version_option else None
     return NewVersion(
@@ -391,7 +398,7 @@ def _version(row: JobRow, content: VersionContent, used: Sequence[UsedRecord]) -
     )
 
 
-def _used(session: Session, campaign_id: str, use: str) -> UsedRecord:
-    campaign, uploads = campaigns.get(session, campaign_id), campaigns.uploads_of(session, campaign_id)
+def _used_record(session: Session, campaign_id: str, use: str) -> UsedRecord:
+    campaign, uploads = campaigns.get(session, campaign_id), campaigns.uploads_of_campaign(session, campaign_id)
     rows, hashes = sum(upload.rows for upload in uploads), [upload.sha256 for upload in uploads]
     return UsedRecord(campaign.id, campaign.name, campaign.role, use, rows, hashes)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
-from kilter_core.parameters import reported
+from kilter_core.parameters import display_unit_and_scale
 from kilter_service.contract.fits import NullDirection
 from kilter_service.contract.gap_details import Detectable, Untestable
 from kilter_service.contract.jobs.check import (
@@ -52,7 +52,7 @@ from kilter_service.contract.written import as_written
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.records import JobRecord, ListedJob, ProgressRecord
-from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.registry import get_job_kind
 
 if TYPE_CHECKING:
     from kilter_core.gap.check import GapCheck as FoundByCheck
@@ -89,7 +89,7 @@ def progress_json(record: ProgressRecord) -> str:
 def job(record: JobRecord) -> Job:
     """Say all of a job; what an earlier release wrote in another form is left out."""
     answer, result = ANSWERS[record.kind]
-    options: Asked = as_written(kind_of(record.kind).options, record.request.options)
+    options: Asked = as_written(get_job_kind(record.kind).options, record.request.options)
     return answer(
         **_summary_fields(record),
         campaigns=record.request.campaigns,
@@ -163,7 +163,7 @@ def _identifiability(found: IdentificationCheck) -> Identifiability:
 def _testability(found: FoundByCheck) -> Testability:
     testable = []
     for one in found.testable:
-        unit, scale = reported(one.unit)
+        unit, scale = display_unit_and_scale(one.unit)
         testable.append(
             Detectable(
                 id=one.id,

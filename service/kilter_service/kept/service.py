@@ -32,24 +32,24 @@ def resolve(database: Database, kind: Kind, reference: str, robot: str | None) -
         robot_id = None if robot is None else robots.get(session, robot).id
         if reference == LATEST:
             found = store.newest(session, kind, robot_id)
-            return _one(session, kind, reference, robot, robot_id, found, "latest")
-        named = store.called(session, kind, robot_id, reference)
+            return _resolve_single(session, kind, reference, robot, robot_id, found, "latest")
+        named = store.find_by_name(session, kind, robot_id, reference)
         if named:
             newest_job = named[:1] if kind == "job" else named
-            return _one(session, kind, reference, robot, robot_id, _preferred(newest_job), "name")
+            return _resolve_single(session, kind, reference, robot, robot_id, _prefer_in_use(newest_job), "name")
         text = reference.removeprefix(PREFIXES[kind])
         is_prefix = HEXADECIMAL.fullmatch(text) and (text != reference or len(text) >= LEAST)
-        found = store.beginning_with(session, kind, robot_id, reference) if is_prefix else []
+        found = store.find_by_id_prefix(session, kind, robot_id, reference) if is_prefix else []
         exact = [one for one in found if one.id == reference]
         by: By = "id" if exact else "prefix"
-        return _one(session, kind, reference, robot, robot_id, exact or found, by)
+        return _resolve_single(session, kind, reference, robot, robot_id, exact or found, by)
 
 
-def _preferred(found: Sequence[Found]) -> Sequence[Found]:
+def _prefer_in_use(found: Sequence[Found]) -> Sequence[Found]:
     return [one for one in found if one.in_use] or found
 
 
-def _one(
+def _resolve_single(
     session: Session,
     kind: Kind,
     reference: str,
@@ -73,13 +73,13 @@ def _nothing(session: Session, kind: Kind, reference: str, robot: str | None, ro
     text += store.gone(session, kind, reference)
     if other is not None:
         text += f" That is an id of a {other}."
-    listed = ", ".join(_named(one, robot is None) for one in there[:MOST_NAMED])
+    listed = ", ".join(_describe_match(one, robot is None) for one in there[:MOST_NAMED])
     text += f" There are: {listed}." if listed else ""
     return ServiceError(text, code=f"{kind}_not_found", **{kind: reference})
 
 
 def _several(kind: Kind, reference: str, found: Sequence[Found], by: str) -> ServiceError:
-    listed = ", ".join(_named(one, True) for one in found[:MOST_NAMED])
+    listed = ", ".join(_describe_match(one, True) for one in found[:MOST_NAMED])
     more = f" and {len(found) - MOST_NAMED} more" if len(found) > MOST_NAMED else ""
     several_robots = len({one.robot for one in found}) > 1
     remedy = "name its robot (--robot)" if by == "latest" or (by == "name" and several_robots) else "type more of it"
@@ -93,7 +93,7 @@ def _several(kind: Kind, reference: str, found: Sequence[Found], by: str) -> Ser
     )
 
 
-def _named(one: Found, with_robot: bool) -> str:
+def _describe_match(one: Found, with_robot: bool) -> str:
     name = f" {one.name!r}" if one.name else ""
     return f"{one.id}{name}" + (f" of robot {one.robot!r}" if with_robot else "")
 

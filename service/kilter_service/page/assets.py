@@ -37,7 +37,7 @@ def manifest() -> Manifest:
     return Manifest(**json.loads((files("kilter_service.page") / FOLDER / "manifest.json").read_text(encoding="utf-8")))
 
 
-def hashed(name: str) -> str:
+def hashed_file_name(name: str) -> str:
     """Return the file that a name (``page.js``) stands for."""
     return manifest().files[name]
 

@@ -16,7 +16,7 @@ PACKED = ("text/", "application/json", "image/svg")
 MOST_PADDING = 100  # bytes
 
 
-def packed(request: Request, response: Response) -> Response:
+def compress_response(request: Request, response: Response) -> Response:
     """Compress a text in place where the browser takes gzip; streams, files, short and empty answers stay as they are."""
     media = response.headers.get("content-type", "")
     if isinstance(response, StreamingResponse) or not media.startswith(PACKED):

@@ -15,8 +15,8 @@ from kilter_core.errors import CoreError
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import PROBLEMS, ServiceError
 from kilter_service.page.figures import room
-from kilter_service.page.packing import packed
-from kilter_service.page.shell import HEADERS, is_part, redirect, render, root_of
+from kilter_service.page.packing import compress_response
+from kilter_service.page.shell import HEADERS, get_root_path, is_part, redirect, render
 from kilter_service.web.audit import refusals
 from kilter_service.web.problems import headers_of
 from kilter_service.web.routing import GuardedRoute
@@ -42,17 +42,17 @@ class PageRoute(GuardedRoute):
             try:
                 response = await answer(request)
             except (CoreError, RequestValidationError) as error:
-                response = refused(request, error)
+                response = render_refusal(request, error)
             except Exception as error:
-                response = refused(request, in_words(error) or _failed(request))
+                response = render_refusal(request, in_words(error) or _internal_error(request))
             for name, value in HEADERS.items():
                 response.headers.setdefault(name, value)
-            return packed(request, response)
+            return compress_response(request, response)
 
         return handle
 
 
-def _failed(request: Request) -> CoreError:
+def _internal_error(request: Request) -> CoreError:
     """Log what nobody foresaw; whoever asked for it reads a sentence, not JSON, and the rest of the page goes on."""
     named = getattr(request.state, "request_id", "")
     log.exception("request %s %s %s failed", named, request.method, request.url.path)
@@ -63,7 +63,7 @@ def _failed(request: Request) -> CoreError:
     )
 
 
-def refused(request: Request, error: CoreError | RequestValidationError) -> Response:
+def render_refusal(request: Request, error: CoreError | RequestValidationError) -> Response:
     """Say what is wrong: instead of the part that was asked for, or as a page. Who is not logged in is sent there."""
     if isinstance(error, RequestValidationError):
         code, message, context = "payload_invalid", "; ".join(_place(item) for item in error.errors()[:20]), {}
@@ -86,6 +86,6 @@ def _place(item: dict[str, Any]) -> str:
 
 def _to_login(request: Request) -> Response:
     if is_part(request) or request.method != "GET":
-        return redirect(request, f"{root_of(request)}/login")
+        return redirect(request, f"{get_root_path(request)}/login")
     back = quote(f"{request.url.path}{'?' + request.url.query if request.url.query else ''}", safe="")
-    return RedirectResponse(f"{root_of(request)}/login?then={back}", 303)
+    return RedirectResponse(f"{get_root_path(request)}/login?then={back}", 303)

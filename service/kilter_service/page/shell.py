@@ -34,7 +34,7 @@ def render(request: Request, template: str, status: int = 200, **shown: Any) -> 
     """Fill a template, which extends ``base.html`` or is a part of a page; a part that is opened alone becomes a page."""
     alone = _is_part_of_a_page(template) and not is_part(request)
     filled = environment().get_template("alone.html" if alone else template)
-    text = filled.render(**shared(request), **shown, **({"part": template} if alone else {}))
+    text = filled.render(**shared_context(request), **shown, **({"part": template} if alone else {}))
     return HTMLResponse(text, status, HEADERS)
 
 
@@ -44,18 +44,18 @@ def _is_part_of_a_page(template: str) -> bool:
     return loader is not None and not loader.get_source(environment(), template)[0].lstrip().startswith(WHOLE)
 
 
-def shared(request: Request) -> dict[str, Any]:
+def shared_context(request: Request) -> dict[str, Any]:
     """Return what every template may use."""
     kept = request.cookies.get(logins.COOKIE, "")
     caller = CALLER.get()
     return {
-        "root": root_of(request),
+        "root": get_root_path(request),
         "path": request.url.path,
-        "asset": lambda name: f"{root_of(request)}/assets/{assets.hashed(name)}",
+        "asset": lambda name: f"{get_root_path(request)}/assets/{assets.hashed_file_name(name)}",
         "actor": "" if caller is None or caller.actor == ANYBODY else caller.actor,
         "role": "" if caller is None else caller.role,
         "may": may,
-        "csrf": logins.csrf_of(kept) if kept else "",
+        "csrf": logins.csrf_token(kept) if kept else "",
         "version_of_kilter": code_version(),
     }
 
@@ -82,7 +82,7 @@ def source(name: str) -> str:
     return (files("kilter_service.page") / "sources" / name).read_text(encoding="utf-8")
 
 
-def root_of(request: Request) -> str:
+def get_root_path(request: Request) -> str:
     """Return the path under which a proxy shows this server, empty without one."""
     return str(request.scope.get("root_path", "")).rstrip("/")
 

@@ -12,9 +12,9 @@ from markupsafe import Markup, escape
 
 from kilter_files.look.unusual import why_unusual
 from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths, unit_of_length
-from kilter_service.contract.fits import Parameter, stayed
-from kilter_service.ground.called import called
-from kilter_service.ground.db.row import now
+from kilter_service.contract.fits import Parameter, split_nominal_and_moved
+from kilter_service.ground.called import display_name
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.texts import plural
 
 NONE = "–"
@@ -37,7 +37,7 @@ def number(value: float | None, digits: int = DIGITS) -> str:
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
-def measured(value: float | None, sigma: float | None, unit: str = "") -> str:
+def format_with_uncertainty(value: float | None, sigma: float | None, unit: str = "") -> str:
     """Write ``value ± sigma unit``, to the second digit of the uncertainty."""
     if value is None or not math.isfinite(value):
         return NONE
@@ -47,15 +47,15 @@ def measured(value: float | None, sigma: float | None, unit: str = "") -> str:
     decimals = 1 - math.floor(math.log10(sigma))
     if decimals > 9:
         return f"{value:.3e} ± {sigma:.1e}{after}"
-    return f"{_rounded(value, decimals)} ± {_rounded(sigma, decimals)}{after}"
+    return f"{_format_fixed(value, decimals)} ± {_format_fixed(sigma, decimals)}{after}"
 
 
 def fine(value: float | None, sigma: float | None) -> str:
     """Write a value as finely as its uncertainty allows, without it."""
-    return measured(value, sigma).partition(" ±")[0]
+    return format_with_uncertainty(value, sigma).partition(" ±")[0]
 
 
-def between(low: float | None, high: float | None, unit: str = "") -> str:
+def format_interval(low: float | None, high: float | None, unit: str = "") -> str:
     """Write an interval, to the second digit of its width."""
     if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
         return NONE
@@ -63,10 +63,10 @@ def between(low: float | None, high: float | None, unit: str = "") -> str:
     decimals = 1 - math.floor(math.log10(high - low)) if high > low else DIGITS
     if decimals > 9:
         return f"{low:.3e} to {high:.3e}{after}"
-    return f"{_rounded(low, decimals)} to {_rounded(high, decimals)}{after}"
+    return f"{_format_fixed(low, decimals)} to {_format_fixed(high, decimals)}{after}"
 
 
-def _rounded(value: float, decimals: int) -> str:
+def _format_fixed(value: float, decimals: int) -> str:
     return f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"  # no -0.0
 
 
@@ -79,14 +79,14 @@ def mm(value: float | None) -> str:
     return f"{number(value)} mm"
 
 
-def like(value: float | None, largest: float | None) -> str:
+def format_in_shared_unit(value: float | None, largest: float | None) -> str:
     """Write a length in mm in the unit of another one: numbers that are compared share it."""
     if value is None or not math.isfinite(value) or largest is None or not math.isfinite(largest):
         return NONE
     return said_of_lengths(largest, value)[0]
 
 
-def beside(value: float | None, largest: float | None) -> str:
+def format_in_largest_unit(value: float | None, largest: float | None) -> str:
     """Write a length in mm in the unit of the largest one it stands beside, with digits of its own."""
     if value is None or not math.isfinite(value) or largest is None or not math.isfinite(largest):
         return mm(value)
@@ -101,7 +101,7 @@ def unit(largest: float | None) -> str:
 
 def bare(value: float | None, largest: float | None) -> str:
     """Write a length in mm below a head that names the unit."""
-    return beside(value, largest).partition(" ")[0]
+    return format_in_largest_unit(value, largest).partition(" ")[0]
 
 
 def largest(lengths: Iterable[float | None]) -> float | None:
@@ -112,7 +112,7 @@ def largest(lengths: Iterable[float | None]) -> float | None:
 def in_one_unit(rows: Sequence[Sequence[float | None]]) -> list[list[str]]:
     """Write a table of lengths in mm, all in the unit of the largest of them."""
     most = largest(one for row in rows for one in row)
-    return [[beside(one, most) for one in row] for row in rows]
+    return [[format_in_largest_unit(one, most) for one in row] for row in rows]
 
 
 def in_columns(rows: Sequence[Sequence[float | None]]) -> tuple[str, list[list[str]]]:
@@ -121,7 +121,7 @@ def in_columns(rows: Sequence[Sequence[float | None]]) -> tuple[str, list[list[s
     return unit(most), [[bare(one, most) for one in row] for row in rows]
 
 
-def sigma_of(found: Parameter) -> float | None:
+def parameter_sigma(found: Parameter) -> float | None:
     """Return the standard deviation that belongs to the interval of a parameter: of a profile or a bootstrap, by its width."""
     if found.lower is None or found.upper is None or found.interval_from == "sigma":
         return found.sigma
@@ -133,13 +133,13 @@ def chance(value: float) -> str:
     return said_of_chance(value)
 
 
-def within(value: float, low: float | None, high: float | None, most: float | None = None) -> str:
+def format_value_with_interval(value: float, low: float | None, high: float | None, most: float | None = None) -> str:
     """Write a length in mm with its interval to the second digit of its width, in the unit of ``most`` or of their largest."""
     if low is None or high is None or not high > low:
-        return beside(value, most)
+        return format_in_largest_unit(value, most)
     unit, scale = unit_of_length(max(abs(value), abs(low), abs(high)) if most is None else most)
     decimals = max(1 - math.floor(math.log10(scale * (high - low))), 0)
-    one, first, last = (_rounded(scale * end, decimals) for end in (value, low, high))
+    one, first, last = (_format_fixed(scale * end, decimals) for end in (value, low, high))
     return f"{one} {unit} ({first} to {last})"
 
 
@@ -147,7 +147,7 @@ def age(moment: datetime | None) -> str:
     """Write how long ago something was."""
     if moment is None:
         return NONE
-    seconds = (now() - moment).total_seconds()
+    seconds = (utc_now() - moment).total_seconds()
     for size, name in ((DAY, "day"), (HOUR, "hour"), (MINUTE, "minute")):
         if seconds >= size:
             return f"{plural(int(seconds // size), name)} ago"
@@ -181,7 +181,7 @@ def left_out(rows: int | None) -> str:
     return "" if rows is None else "no row left out" if rows == 0 else f"{plural(rows, 'row')} left out"
 
 
-def ticked(text: str) -> Markup:
+def render_backticks_as_code(text: str) -> Markup:
     """Show what stands between backticks as code."""
     return Markup(TICKED.sub(r"<code>\1</code>", str(escape(text))))  # noqa: S704 (escaped before)
 
@@ -203,10 +203,28 @@ def list_effects(ids: Sequence[str], none: str = "geometry only") -> str:
 
 
 FILTERS: Mapping[str, Callable[..., Any]] = {
-    "number": number, "mm": mm, "within": within, "like": like, "beside": beside, "unit": unit, "bare": bare,
+    "number": number,
+    "mm": mm,
+    "within": format_value_with_interval,
+    "like": format_in_shared_unit,
+    "beside": format_in_largest_unit,
+    "unit": unit,
+    "bare": bare,
     "largest": largest,
-    "sigma_of": sigma_of, "chance": chance, "age": age, "moment": moment, "percent": percent, "count": count,
+    "sigma_of": parameter_sigma,
+    "chance": chance,
+    "age": age,
+    "moment": moment,
+    "percent": percent,
+    "count": count,
     "why_unusual": why_unusual,
-    "measured": measured, "fine": fine, "between": between, "duration": duration, "ticked": ticked, "stayed": stayed,
-    "left_out": left_out, "called": called, "list_effects": list_effects,
-}  # fmt: skip
+    "measured": format_with_uncertainty,
+    "fine": fine,
+    "between": format_interval,
+    "duration": duration,
+    "ticked": render_backticks_as_code,
+    "stayed": split_nominal_and_moved,
+    "left_out": left_out,
+    "called": display_name,
+    "list_effects": list_effects,
+}

@@ -40,7 +40,7 @@ def check(document: RobotDocument) -> RobotCheck:
     robot = core_documents.robot_from_document(understood.document)
     screws = core_geometry.arm_screws(core_model.Calibration.nominal(robot))
     base = robot.T_base
-    placed = screws.moved(base, np.eye(4))
+    placed = screws.compose_with_poses(base, np.eye(4))
     reach = _reach(robot, placed)
     return RobotCheck(
         name=robot.name,
@@ -58,7 +58,7 @@ def _axes(robot: Robot, screws: Screws) -> list[AxisReport]:
     out = []
     for k in range(len(screws)):
         z, p = screws.direction[k], screws.point[k]
-        angle, distance = (None, None) if k == 0 else _between(screws, k)
+        angle, distance = (None, None) if k == 0 else _angle_and_distance(screws, k)
         out.append(
             AxisReport(
                 joint=robot.joints[screws.joint[k]].name,
@@ -66,7 +66,7 @@ def _axes(robot: Robot, screws: Screws) -> list[AxisReport]:
                 ratio=float(screws.ratio[k]),
                 drive=robot.chain.elements[robot.chain.driven[k]].drive,
                 point_mm=_mm(p),
-                direction=_plain(z),
+                direction=_round_vector(z),
                 angle_to_previous_deg=angle,
                 distance_to_previous_mm=distance,
             )
@@ -74,7 +74,7 @@ def _axes(robot: Robot, screws: Screws) -> list[AxisReport]:
     return out
 
 
-def _between(screws: Screws, k: int) -> tuple[float, float]:
+def _angle_and_distance(screws: Screws, k: int) -> tuple[float, float]:
     """Angle (deg) and shortest distance (mm) between an axis and the one before."""
     a, b = screws.direction[k - 1], screws.direction[k]
     gap, normal = screws.point[k] - screws.point[k - 1], np.cross(a, b)
@@ -88,7 +88,7 @@ def _zero(robot: Robot, screws: Screws) -> Zero:
     flange = robot.T_base @ core_conversions.screws_of_chain(robot.chain).home
     points = [robot.T_base[:3, 3], *screws.point, flange[:3, 3], screws.home[:3, 3]]
     xyz, rpy = transforms.xyz_rpy_from_pose(screws.home)
-    millimetres, degrees = _mm(xyz), _plain(to_deg(rpy))
+    millimetres, degrees = _mm(xyz), _round_vector(to_deg(rpy))
     tool = Pose(
         x_mm=millimetres[0], y_mm=millimetres[1], z_mm=millimetres[2],
         rx_deg=degrees[0], ry_deg=degrees[1], rz_deg=degrees[2],
@@ -111,10 +111,10 @@ def _reach(robot: Robot, screws: Screws) -> float:
 
 
 def _mm(values: Floats) -> tuple[float, float, float]:
-    return _plain(to_mm(values))
+    return _round_vector(to_mm(values))
 
 
-def _plain(values: Floats) -> tuple[float, float, float]:
+def _round_vector(values: Floats) -> tuple[float, float, float]:
     """Three numbers without the noise of the last digits."""
     x, y, z = (round(float(value), 9) + 0.0 for value in values)
     return x, y, z

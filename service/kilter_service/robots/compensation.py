@@ -23,7 +23,7 @@ _REMEDY = {
 }
 
 
-def compensation_in(text: str) -> ControllerCompensation:
+def parse_compensation(text: str) -> ControllerCompensation:
     """Read what is stored; what a later release wrote is unknown here."""
     return next((value for value in VALUES if value == text), "unknown")
 

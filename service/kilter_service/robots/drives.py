@@ -24,7 +24,7 @@ def said_of_drives(robot: Robot) -> list[str]:
     for element, number, joint, own, ratio in _followers(robot):
         drive = robot.chain.elements[element].drive
         if drive == "linkage":
-            share = f"{robot.chain.carried(element):+.6g} times that on axis {number}"
+            share = f"{robot.chain.linkage_load_ratio(element):+.6g} times that on axis {number}"
             out.append(
                 f"Axis {number} follows {joint} (ratio {ratio:g}) by a linkage: the gear of {joint} carries the load on axis "
                 f"{own} and {share}."

@@ -41,14 +41,14 @@ def inverse(database: Database, name: str, wanted: Flanges) -> Postures:
         OptionError: more poses than one request computes of an arm without a closed form.
 
     """
-    axes = closed_inverse.axes_of(service.arm(database, name))
-    if closed_inverse.kind_of(axes) is None and len(wanted.flanges) > MOST_WITHOUT_FORM:
+    axes = closed_inverse.read_six_axes(service.arm(database, name))
+    if closed_inverse.closed_form_kind(axes) is None and len(wanted.flanges) > MOST_WITHOUT_FORM:
         raise OptionError(
             f"{name!r} has no closed form, and its joints are found for {MOST_WITHOUT_FORM} poses at a time, "
             f"not {len(wanted.flanges)}. Send them in parts.",
             option="flanges",
         )
-    rows = [general_inverse.reaching(axes, core_parts.pose_of(pose.model_dump())) for pose in wanted.flanges]
+    rows = [general_inverse.reaching(axes, core_parts.parse_pose(pose.model_dump())) for pose in wanted.flanges]
     return Postures(
         postures=[
             [

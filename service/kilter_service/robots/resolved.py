@@ -28,16 +28,16 @@ def resolve(posted: dict[str, Any]) -> Resolved:
     """
     understood = core_document(posted)
     chain = core_resolved.resolved_document(core_documents.robot_from_document(understood.document))
-    return Resolved(chain, sha256_of(chain), source_sha256(posted), understood.notes)
+    return Resolved(chain, hash_canonical_json(chain), source_sha256(posted), understood.notes)
 
 
 def source_sha256(posted: dict[str, Any]) -> str:
     """Hash what was posted: the text of a URDF, else the document."""
     if posted.get("convention") == "urdf":
         return hashlib.sha256(posted["urdf"].encode()).hexdigest()
-    return sha256_of(posted)
+    return hash_canonical_json(posted)
 
 
-def sha256_of(document: Any) -> str:
+def hash_canonical_json(document: Any) -> str:
     """Hash a document by its canonical JSON: sorted keys, no spaces, numbers with all their digits."""
     return hashlib.sha256(json.dumps(document, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

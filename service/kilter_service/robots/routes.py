@@ -23,7 +23,7 @@ from kilter_service.web.bodies import spool_upload
 from kilter_service.web.concurrency import compute
 from kilter_service.web.conditional import ConditionalRoute
 from kilter_service.web.page_query import PageOfList
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, scratch_of
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)
 
@@ -72,13 +72,13 @@ async def from_circles(
 ) -> FoundRobot:
     """Find a robot from points measured while one joint moved at a time (CSV, Parquet or JSON columns); none is added."""
     media = reading.media_type(request.headers.get("content-type"))
-    with scratch_of(request).folder_for("circles") as folder:
+    with get_scratch(request).folder_for("circles") as folder:
         path = folder / "body"
         await spool_upload(request, path, min(settings.max_upload_mb, MAX_CIRCLE_MB))
-        return await compute(request, _found, path, media, name, to, base, follows or [])
+        return await compute(request, _robot_from_circles, path, media, name, to, base, follows or [])
 
 
-def _found(path: Path, media: str, name: str, to: Target, base: str, follows: list[str]) -> FoundRobot:
+def _robot_from_circles(path: Path, media: str, name: str, to: Target, base: str, follows: list[str]) -> FoundRobot:
     return circles.found_robot(path, media, name, to, base, follows)
 
 

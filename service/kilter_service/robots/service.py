@@ -8,7 +8,7 @@ from kilter_service.contract.references import RobotChange, Tombstone
 from kilter_service.contract.robot_reports import RobotList, RobotReport
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.ground.db import Database
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.paging import Page
 from kilter_service.ground.references import store as references
 from kilter_service.ground.references.records import TombstoneRecord
@@ -103,6 +103,6 @@ def purge(database: Database, name: str, actor: str) -> Tombstone:
     with database.transaction() as session:
         stored = store.get(session, name)
         store.remove(session, name)
-        left = TombstoneRecord(name, "robot", name, name, stored.sha256, actor, now())
+        left = TombstoneRecord(name, "robot", name, name, stored.sha256, actor, utc_now())
         references.add_tombstone(session, left)
     return tombstone(left)

@@ -14,7 +14,7 @@ from kilter_service.ground.db.tables import ActivationRow, CampaignRow, RobotRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.ground.references import retired
-from kilter_service.robots.compensation import compensation_in
+from kilter_service.robots.compensation import parse_compensation
 from kilter_service.robots.records import RobotRecord
 from kilter_service.robots.resolved import Resolved
 
@@ -98,10 +98,10 @@ def find(session: Session, name: str) -> StoredRobot | None:
     if not may_see(name):
         return None
     row = session.execute(select(RobotRow).where(RobotRow.name == name)).scalar_one_or_none()
-    return None if row is None else _stored(row)
+    return None if row is None else _robot_from_row(row)
 
 
-def _stored(row: RobotRow) -> StoredRobot:
+def _robot_from_row(row: RobotRow) -> StoredRobot:
     return StoredRobot(
         row.id, row.name, row.document, row.chain, row.sha256, row.source_sha256, [str(note) for note in row.left_out],
         row.controller_compensation,
@@ -177,12 +177,12 @@ def compensate(session: Session, name: str, compensation: str) -> None:
     _row(session, name).controller_compensation = compensation
 
 
-def compensation_of(session: Session, robot_id: int) -> str:
+def get_compensation(session: Session, robot_id: int) -> str:
     """Return whether the controller of a robot corrects by itself."""
     return session.get_one(RobotRow, robot_id).controller_compensation
 
 
-def compensated(session: Session, values: Collection[str]) -> frozenset[str]:
+def robots_with_compensation(session: Session, values: Collection[str]) -> frozenset[str]:
     """Return the names of the robots whose controllers correct in one of these ways."""
     return frozenset(session.execute(query_for_compensated(values)).scalars())
 
@@ -203,13 +203,13 @@ def names(session: Session, robot_ids: Collection[int]) -> dict[int, str]:
 
 def by_id(session: Session, robot_id: int) -> StoredRobot:
     """Return the robot of a key that another row refers to."""
-    return _stored(session.get_one(RobotRow, robot_id))
+    return _robot_from_row(session.get_one(RobotRow, robot_id))
 
 
 def others_in_use(session: Session, robot_id: int) -> list[StoredRobot]:
     """Return the other robots in use that the caller may see, oldest first."""
     query = select(RobotRow).where(RobotRow.id != robot_id, RobotRow.retired_at.is_(None)).order_by(RobotRow.id)
-    return [_stored(row) for row in session.execute(visible(query)).scalars()]
+    return [_robot_from_row(row) for row in session.execute(visible(query)).scalars()]
 
 
 def core_robot(session: Session, robot_id: int) -> Robot:
@@ -242,7 +242,7 @@ def remove(session: Session, name: str) -> None:
 
 def robots_on_page(session: Session, page: Page, with_retired: bool = False) -> list[RobotRecord]:
     """Return robots by name, one more than the page shows; those out of use only when they are asked for."""
-    query = visible(_records()).order_by(RobotRow.name).limit(page.fetched)
+    query = visible(_records()).order_by(RobotRow.name).limit(page.fetch_limit)
     if not with_retired:
         query = query.where(RobotRow.retired_at.is_(None))
     if page.name is not None:
@@ -274,7 +274,7 @@ def _record(row: RobotRow, campaigns: int, versions: int, active_version: str | 
         versions=versions,
         active_version=active_version,
         remarks=row.remarks,
-        controller_compensation=compensation_in(row.controller_compensation),
+        controller_compensation=parse_compensation(row.controller_compensation),
         retired_at=row.retired_at,
         notes=[str(note) for note in row.left_out],
         sha256=row.sha256,

@@ -31,7 +31,7 @@ def report(record: RobotRecord, robot: Robot) -> RobotReport:
     return RobotReport(
         **_summary_fields(record),
         joints=[joint_summary(joint) for joint in robot.joints],
-        parameters=[str(robot.chain.elements[k].name) for k in robot.chain.named],
+        parameters=[str(robot.chain.elements[k].name) for k in robot.chain.named_elements],
         notes=[*record.notes, *notes_on_missing_directions(robot)],
         drives=said_of_drives(robot),
         sha256=record.sha256,

@@ -28,7 +28,7 @@ from kilter_service.robots.repairs.routes import router as repairs
 from kilter_service.robots.routes import router as robots
 from kilter_service.run.path_lookups import look_up
 from kilter_service.stream.bridges.routes import router as bridges
-from kilter_service.stream.live.followers import viewers_of
+from kilter_service.stream.live.followers import get_viewers
 from kilter_service.stream.signing.routes import router as streams
 from kilter_service.stream.signing.service import end_sessions
 from kilter_service.versions.acceptance.routes import router as acceptance
@@ -39,7 +39,7 @@ from kilter_service.versions.today.routes import router as today
 from kilter_service.web import problems
 from kilter_service.web.audit.refusals import Refusals
 from kilter_service.web.audit.routes import router as audit
-from kilter_service.web.auth.openapi_security import described
+from kilter_service.web.auth.openapi_security import openapi_with_security
 from kilter_service.web.auth.rates import Rates
 from kilter_service.web.auth.slow_bodies import Unhurried
 from kilter_service.web.auth.token import admin_token
@@ -80,7 +80,7 @@ def create_app(settings: Settings) -> FastAPI:
     # The routes themselves: FastAPI would build each of an included router anew, 0.3 s at the first requests.
     for router in (health, docs_page, *ROUTERS, *PAGE):  # the first that fits is found by looking at each
         app.router.routes.extend(router.routes)
-    app.openapi = described(app)  # type: ignore[method-assign]  # as FastAPI says to extend it
+    app.openapi = openapi_with_security(app)  # type: ignore[method-assign]  # as FastAPI says to extend it
     return app
 
 
@@ -97,7 +97,7 @@ async def _life(app: FastAPI, settings: Settings) -> AsyncIterator[None]:
         revision.check(app.state.database)
         yield
     finally:
-        await viewers_of(app).close()
+        await get_viewers(app).close()
         app.state.scratch.close()
         await run_in_threadpool(app.state.refusals.close)
         app.state.database.close()

@@ -71,7 +71,7 @@ def api(settings: Settings, arguments: argparse.Namespace) -> None:
     with serving.listener(settings) as opened, server_file.ServerFile(settings.server_file) as file:
         serving.check_database(settings)
         document = {
-            "url": serving.url_of(opened, settings),
+            "url": serving.listening_url(opened, settings),
             "pid": os.getpid(),
             "zenoh": None,
             "data": str(settings.data),
@@ -115,10 +115,10 @@ def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
 
 def audit(settings: Settings, arguments: argparse.Namespace) -> None:
     """Check that the audit in a database is whole; no server need run."""
-    head = audits.head_in(arguments.head)
+    head = audits.parse_head(arguments.head)
     noted = [] if head is None else [head]
     if arguments.journal:
-        told = audits.heads_in(Path(arguments.journal))
+        told = audits.parse_journal_heads(Path(arguments.journal))
         print(f"The journal names {len(set(told))} entries.")
         noted += told
     database = db.Database(settings.database)
@@ -157,7 +157,7 @@ def seal(settings: Settings, arguments: argparse.Namespace) -> None:
 
 def purge_jobs(settings: Settings, arguments: argparse.Namespace) -> None:
     """Delete jobs that ended long ago and that nothing needs, while the server runs."""
-    age = retention.age_in(arguments.older_than)
+    age = retention.parse_age(arguments.older_than)
     database = db.Database(settings.database)
     try:
         revision.check(database)
@@ -290,15 +290,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(f"kilterd: {'.'.join([said, *inside])}: {item['msg']}", file=sys.stderr)
         sys.exit(2)
     except Exception as error:
-        _end(error)
+        _exit_with_error(error)
 
 
-def _end(error: Exception) -> NoReturn:
+def _exit_with_error(error: Exception) -> NoReturn:
     """Say in one sentence why the command ends; what Kilter does not know is raised again, with its traceback."""
     known = failures.in_words(error)
     if known is None and not isinstance(error, OSError):
         raise error
-    logs.say_end(str(error) if known is None else known.message)
+    logs.log_exit_reason(str(error) if known is None else known.message)
     sys.exit(2 if known is not None and known.code in USAGE_CODES else 1)
 
 

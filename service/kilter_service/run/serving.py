@@ -44,14 +44,14 @@ def listener(settings: Settings) -> socket.socket:
         return socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
     except OSError as error:
         raise ServiceError(
-            f"The API cannot listen on {settings.host} port {settings.port}, {_why(error)}.",
+            f"The API cannot listen on {settings.host} port {settings.port}, {_describe_bind_error(error)}.",
             code="binding_refused",
             host=settings.host,
             port=settings.port,
         ) from error
 
 
-def _why(error: OSError) -> str:
+def _describe_bind_error(error: OSError) -> str:
     """The reason in words, and the setting to change."""
     if error.errno == errno.EADDRINUSE:
         return "another program listens there: set KILTER_PORT (or --port) to another, 0 takes a free one"
@@ -65,7 +65,7 @@ def _why(error: OSError) -> str:
     return f"{reason}: set KILTER_HOST (or --host) to an address of this machine"
 
 
-def url_of(opened: socket.socket, settings: Settings) -> str:
+def listening_url(opened: socket.socket, settings: Settings) -> str:
     """Return the URL at which a listening socket is reached."""
     host, port = opened.getsockname()[:2]
     if host in ("0.0.0.0", "::"):  # noqa: S104 (compared, not bound)
@@ -123,7 +123,7 @@ def serve(settings: Settings, opened: socket.socket) -> None:
         from kilter_service.web.connections import StreamEndingServer, TimedConnection
 
         app = create_app(settings)
-    ShortPauses().begin()
+    ShortPauses().watch_collections()
     check_database(settings, MIGRATION_WAIT_S)
     config = Config(
         app,

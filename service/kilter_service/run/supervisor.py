@@ -27,7 +27,7 @@ from kilter_service.ground.files.server_file import ServerFile
 from kilter_service.ground.processes.child import Child
 from kilter_service.ground.processes.child_output import ChildOutput
 from kilter_service.ground.settings import LOCK_FILE, Settings
-from kilter_service.run.serving import listener, url_of
+from kilter_service.run.serving import listener, listening_url
 from kilter_service.stream.corrector.endpoints import check_free, check_listening
 from kilter_service.stream.corrector.orphan import goes_on_alone
 from kilter_service.web.auth.listen_rules import check_binding
@@ -59,7 +59,7 @@ class Program(Child):
     def __init__(self, name: str, settings: Settings, *arguments: str, keep: tuple[int, ...] = ()) -> None:
         super().__init__(name)
         self._command = [sys.executable, "-m", "kilter_service", name, *arguments]
-        stated = {SUPERVISED: "1", BESIDE: _beside(settings), BEGAN: str(time.monotonic())}
+        stated = {SUPERVISED: "1", BESIDE: _companion_processes(settings), BEGAN: str(time.monotonic())}
         self._environment = {**os.environ, **settings.environment(), **stated}
         self._keep = keep
         self._process: subprocess.Popen[bytes] | None = None
@@ -142,7 +142,7 @@ class Program(Child):
         self._output.close()
 
 
-def _beside(settings: Settings) -> str:
+def _companion_processes(settings: Settings) -> str:
     """Which processes run beside the API; health misses one that is silent."""
     return "worker,corrector,ros2" if settings.ros2 else "worker,corrector"
 
@@ -174,9 +174,9 @@ def serve(settings: Settings) -> None:
             children.append(Program("ros2", settings))
         try:
             _start(settings, children, stop)
-            missing = _wait_until_standing(settings, children, url_of(opened, settings), stop, went_on)
+            missing = _wait_until_standing(settings, children, listening_url(opened, settings), stop, went_on)
             if missing is not None:
-                document = _document(settings, url_of(opened, settings), missing)
+                document = _document(settings, listening_url(opened, settings), missing)
                 file.write(document)
                 print(json.dumps(document), flush=True)
             while not stop.wait(CHECK_S):

@@ -63,11 +63,11 @@ def of_poses(
     calibration: Calibration, found: PreviewedPoses, limits: CorrectionLimits, temperature_c: float | None = None
 ) -> Objection | None:
     """What speaks against a version that refuses too many of the poses or is held at its limits there, and what helps."""
-    count, refused = len(found.q), sum(found.refused.values())
+    count, refused = len(found.q), sum(found.refusal_counts.values())
     damped, limited = (found.counts.get(word, 0) for word in ("DAMPED", "LIMITED"))
     if refused + limited <= MOST_REFUSED * count:
         return None
-    what = ", ".join(f"{why} {n}" for why, n in found.refused.items())
+    what = ", ".join(f"{why} {n}" for why, n in found.refusal_counts.items())
     worst = "" if found.worst is None else f"; at most {to_mm(float(found.left[found.worst])):.3g} mm are left"
     facts = (
         f"Of {count} poses that were looked at it refuses {refused}{f' ({what})' if what else ''}, {damped} are damped and "
@@ -84,7 +84,7 @@ def _remedy(
     """What helps: zero offsets that the controller should have, and limits within which the version corrects."""
     some = evenly(len(found.q), TRIED)
     wide = preview.at_poses(calibration, None, WIDEST, found.q[some], temperature_c)
-    if sum(wide.refused.values()) + wide.counts.get("LIMITED", 0) > MOST_REFUSED * len(some):
+    if sum(wide.refusal_counts.values()) + wide.counts.get("LIMITED", 0) > MOST_REFUSED * len(some):
         return (
             f"Not even within {WIDEST.max_joint_deg:g} deg and {WIDEST.max_position_mm:g} mm would it: it describes another "
             "arm. Check the robot's description, and that joints and positions of its campaigns belong together."

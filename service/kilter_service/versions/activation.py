@@ -10,17 +10,17 @@ from kilter_service.contract.versions import ActivatedVersion, ActivationWish, V
 from kilter_service.ground import left_out
 from kilter_service.ground.core import program
 from kilter_service.ground.db import Database, Session
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire
 from kilter_service.versions.ability import CODE as CANNOT
 from kilter_service.versions.ability import Ability, ability
+from kilter_service.versions.answers import store as kept_answers
 from kilter_service.versions.guard import Verdict, judge
 from kilter_service.versions.if_match import ANY_STATE, Expected
 from kilter_service.versions.replays import service as replays
-from kilter_service.versions.replays import store as kept_answers
 
 ACTIVATE, ROLLBACK = "activate", "rollback"
 ATTEMPTS = 5
@@ -50,11 +50,11 @@ def activate(
     able = ability(database, version_id, temperature_c)
     replay = replays.replay_version(database, version_id)
     for _ in range(ATTEMPTS):
-        verdict = _with_controller(database, _with(judge(database, version_id), able, version_id), version_id)
+        verdict = _with_controller(database, _with_ability(judge(database, version_id), able, version_id), version_id)
         verdict = _with_recent_activation(database, verdict, version_id, actor)
         if verdict.objections and not wish.force:
             raise _refusal(version_id, verdict, able)
-        summary = _activated(database, version_id, actor, wish, verdict, expected, replay)
+        summary = _write_activation(database, version_id, actor, wish, verdict, expected, replay)
         if summary is not None:
             return ActivatedVersion(
                 **summary.model_dump(),
@@ -73,7 +73,7 @@ def activate(
     )
 
 
-def _with(verdict: Verdict, able: Ability, version_id: str) -> Verdict:
+def _with_ability(verdict: Verdict, able: Ability, version_id: str) -> Verdict:
     """A verdict with what the version can correct now; what its job said of that is older."""
     if verdict.active == version_id:
         return verdict
@@ -97,9 +97,9 @@ def _with_recent_activation(database: Database, verdict: Verdict, version_id: st
     """A verdict that says whose activation of a moment ago this one replaces."""
     with database.reading() as session:
         last = store.active_entry(session, store.get(session, version_id).robot_id)
-    if last is None or version_id == last.version_id or actor == last.actor or now() - last.at > LATELY:
+    if last is None or version_id == last.version_id or actor == last.actor or utc_now() - last.at > LATELY:
         return verdict
-    minutes = round((now() - last.at).total_seconds() / 60.0)
+    minutes = round((utc_now() - last.at).total_seconds() / 60.0)
     said = (
         f"{last.actor} activated version {last.version_id} {f'{minutes} min' if minutes else 'less than a minute'} ago: "
         "this replaces it. `kilter rollback` returns to it."
@@ -136,7 +136,7 @@ def _refusal(version_id: str, verdict: Verdict, able: Ability) -> ServiceError:
     )
 
 
-def _activated(
+def _write_activation(
     database: Database,
     version_id: str,
     actor: str,
@@ -177,10 +177,10 @@ def rollback(
     with database.transaction() as session:
         robot_id = robots.get(session, robot).id
         expected.check(session, robot_id)
-        before = _before(session, robot_id, robot)
+        before = _find_rollback_target(session, robot_id, robot)
         kept_answers.repeat(session, store.activate(session, robot_id, before, ROLLBACK, actor), before)
         summary = wire.summary(store.get(session, before))
-        compensated = robots.compensation_of(session, robot_id)
+        compensated = robots.get_compensation(session, robot_id)
     able = ability(database, before, temperature_c)  # after: nothing stands between a person and the way back
     controller = (compensation.objection(robot, compensated), compensation.remark(robot, compensated))
     said = [one.model_dump() for one in (*able.objections, *controller) if one is not None]
@@ -192,7 +192,7 @@ def rollback(
     )
 
 
-def before(database: Database, robot: str) -> str:
+def rollback_target(database: Database, robot: str) -> str:
     """Return the version that a roll-back would return to.
 
     Raises:
@@ -200,10 +200,10 @@ def before(database: Database, robot: str) -> str:
 
     """
     with database.reading() as session:
-        return _before(session, robots.get(session, robot).id, robot)
+        return _find_rollback_target(session, robots.get(session, robot).id, robot)
 
 
-def _before(session: Session, robot_id: int, robot: str) -> str:
+def _find_rollback_target(session: Session, robot_id: int, robot: str) -> str:
     stack: list[str] = []
     for entry in reversed(store.activations(session, robot_id)):
         if entry.action == ROLLBACK and entry.version_id in stack:

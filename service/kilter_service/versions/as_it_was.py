@@ -22,9 +22,9 @@ class AsItWas:
     since: str = ""
 
     @staticmethod
-    def by(session: Session, robot_id: int, *reports: Mapping[str, Any]) -> AsItWas:
+    def from_repairs_and_reports(session: Session, robot_id: int, *reports: Mapping[str, Any]) -> AsItWas:
         """What was measured before the last repair, or before what the versions of these reports were re-zeroed by."""
-        repair, found = repairs.last(session, robot_id), AsItWas()
+        repair, found = repairs.last_repair(session, robot_id), AsItWas()
         if repair is not None:
             before = frozenset(campaigns.ids_until(session, robot_id, repair.at))
             found = AsItWas(before, f"the repair of {repair.at:%Y-%m-%d} ({repair.what})")

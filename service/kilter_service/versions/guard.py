@@ -24,7 +24,7 @@ from kilter_service.ground.wire import to_mm
 from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire
 from kilter_service.versions.as_it_was import AsItWas
-from kilter_service.versions.objections import objections_of, of_calibration
+from kilter_service.versions.objections import objections_from_report, of_calibration
 from kilter_service.versions.predictions import own_errors
 from kilter_service.versions.predictions.unfitted_rows import Archive, Unseen
 from kilter_service.versions.store import Training
@@ -67,7 +67,7 @@ def judge(database: Database, version_id: str) -> Verdict:
     with _ONE_AT_A_TIME:
         with database.reading() as session:
             row = store.get(session, version_id)
-            own = objections_of(row.report, CorrectionLimits(**row.limits))
+            own = objections_from_report(row.report, CorrectionLimits(**row.limits))
             last = store.active_entry(session, row.robot_id)
             if last is not None and last.version_id == version_id:
                 return Verdict(version_id, (), None, ())
@@ -91,7 +91,7 @@ def judge_unstored(
         new = core_model.Calibration.from_document(robots.core_robot(session, robot_id), calibration)
         cases = _cases(session, robot_id, new, [training], active, report)
         rival = None if active is None else store.get(session, active).report
-    own = objections_of(report, limits)
+    own = objections_from_report(report, limits)
     return _verdict(cases, [*own, *of_calibration(new, own)], report, rival)
 
 
@@ -114,7 +114,7 @@ def _verdict(cases: Cases, own: list[Objection], report: Mapping[str, Any], riva
         or (verdict.compared is not None and verdict.compared.active is not None)
     ):
         return verdict
-    objections, remarks = own_errors.compared(report, rival, verdict.active)
+    objections, remarks = own_errors.compare_with_active(report, rival, verdict.active)
     if not objections and not remarks:
         objections, remarks = cases.fitted.compare_fitted_rows()
     return replace(verdict, objections=(*verdict.objections, *objections), warnings=(*verdict.warnings, *remarks))
@@ -140,15 +140,15 @@ def _cases(
     """
     archive = Archive(session, robot_id)
     reports = [report] if active is None else [report, store.get(session, active).report]
-    was = AsItWas.by(session, robot_id, *reports)
+    was = AsItWas.from_repairs_and_reports(session, robot_id, *reports)
     own = frozenset(campaign for training in trainings for campaign, _ in training.campaigns)
-    unseen = was.left_out(archive.unseen_by(trainings))
+    unseen = was.left_out(archive.unfitted_rows(trainings))
     names = {one: campaigns.get(session, one).name for one in unseen.rows}
     alone = Case(new, active, None, unseen, own, since=was.since, names=names)
     if active is None:
         return Cases((alone,))
-    both = was.left_out(archive.unseen_by([*trainings, *store.trainings(session, active)]))
-    rival, rival_own = store.calibration(session, active), store.made_from(session, active)
+    both = was.left_out(archive.unfitted_rows([*trainings, *store.trainings(session, active)]))
+    rival, rival_own = store.calibration(session, active), store.training_campaign_ids(session, active)
     beside = Case(new, active, rival, both, own, rival_own, was.since, names)
     alone.warn("active_not_compared", ONLY_PLAIN.format(active=active))
     fitted = was.left_out(archive.fitted_by_each([trainings, store.trainings(session, active)]))
@@ -186,24 +186,26 @@ class Case:
 
     def verdict(self, own: list[Objection]) -> Verdict:
         """Compare, and say what speaks against the version."""
-        found = [part for part in self._parts() if part is not None]
+        found = [part for part in self._compare_campaigns() if part is not None]
         own = [*own, *self.unpredictable]
         if not found:
             self.warn("nothing_to_compare", NOTHING_SINCE.format(since=self.since) if self.since else NOTHING)
             return Verdict(self.active, tuple(own), None, tuple(self.warnings))
-        new, plain = (compare.pooled([getattr(part, name) for part in found]) for name in ("new", "plain"))
+        new, plain = (compare.pool_setup_errors([getattr(part, name) for part in found]) for name in ("new", "plain"))
         with_rival = [part for part in found if part.rival is not None]
-        rival = compare.pooled([part.rival for part in with_rival if part.rival is not None])
-        against_plain = compare.Difference.of(new, plain)
+        rival = compare.pool_setup_errors([part.rival for part in with_rival if part.rival is not None])
+        against_plain = compare.Difference.from_paired_errors(new, plain)
         used = sorted({part.campaign for part in found})
         against_rival = (
-            compare.Difference.of(compare.pooled([part.new for part in with_rival]), rival) if with_rival else None
+            compare.Difference.from_paired_errors(compare.pool_setup_errors([part.new for part in with_rival]), rival)
+            if with_rival
+            else None
         )
         compared = Comparison(
             rows=sum(part.rows for part in found),
             poses=len(new),
             campaigns=used,
-            campaign_names=[self.called(one) for one in used],
+            campaign_names=[self.campaign_label(one) for one in used],
             mean_mm=to_mm(float(new.mean())),
             registration_only=wire.rival(against_plain, plain),
             active_version=self.active,
@@ -216,25 +218,25 @@ class Case:
 
     def compare_fitted_rows(self) -> tuple[list[Objection], list[dict[str, Any]]]:
         """What rows that both versions were fitted to say: an objection, or a remark with both numbers."""
-        found = [part for part in self._parts() if part is not None and part.rival is not None]
+        found = [part for part in self._compare_campaigns() if part is not None and part.rival is not None]
         if not found:
             return [], []
-        new = compare.pooled([part.new for part in found])
-        rival = compare.pooled([part.rival for part in found if part.rival is not None])
-        names = ", ".join(sorted({self.called(part.campaign) for part in found}))
+        new = compare.pool_setup_errors([part.new for part in found])
+        rival = compare.pool_setup_errors([part.rival for part in found if part.rival is not None])
+        names = ", ".join(sorted({self.campaign_label(part.campaign) for part in found}))
         message = (
             f"Version {self.active}, active now, and this one were both fitted to {len(new)} poses of {names}: this one "
             f"leaves {to_mm(float(new.mean())):.4g} mm there, version {self.active} {to_mm(float(rival.mean())):.4g} mm."
         )
-        if compare.Difference.of(new, rival).worse:
+        if compare.Difference.from_paired_errors(new, rival).worse:
             return [Objection(code=own_errors.CODE, message=message + own_errors.REMEDY)], []
         return [], [{"code": own_errors.COMPARED, "message": message}]
 
-    def _parts(self) -> list[Part | None]:
+    def _compare_campaigns(self) -> list[Part | None]:
         for message in self.unseen.left_out.values():
             self.warn("campaign_not_compared", message)
         usable = {c: rows for c, rows in self.unseen.rows.items() if self._usable(c, rows)}
-        total = sum(compare.poses_of(rows) for rows in usable.values())
+        total = sum(compare.count_poses(rows) for rows in usable.values())
         share = min(1.0, MOST_POSES / max(total, 1))
         if share < 1.0:
             self.warn("poses_thinned", f"{MOST_POSES} of {total} poses were compared, evenly chosen.")
@@ -244,11 +246,11 @@ class Case:
             if missing:
                 self.warn(
                     "active_not_compared",
-                    f"Version {self.active} needs {', '.join(missing)}; {self.called(campaign)} has none.",
+                    f"Version {self.active} needs {', '.join(missing)}; {self.campaign_label(campaign)} has none.",
                 )
             for setup in compare.setups(rows):
-                chosen = compare.thinned(setup, max(compare.FEWEST_POSES, round(share * compare.poses_of(setup))))
-                out.append(self._compared(campaign, chosen, None if missing else self.rival))
+                chosen = compare.thin_poses(setup, max(compare.FEWEST_POSES, round(share * compare.count_poses(setup))))
+                out.append(self._compare_setup(campaign, chosen, None if missing else self.rival))
         return out
 
     def _usable(self, campaign: str, rows: Observations) -> bool:
@@ -256,32 +258,32 @@ class Case:
         if rows.position is None and rows.markers is None:
             self.warn(
                 "campaign_not_compared",
-                f"Campaign {self.called(campaign)} has no measured position: it was not compared.",
+                f"Campaign {self.campaign_label(campaign)} has no measured position: it was not compared.",
             )
         elif missing:
-            lacks = f"Campaign {self.called(campaign)} lacks {', '.join(missing)}"
+            lacks = f"Campaign {self.campaign_label(campaign)} lacks {', '.join(missing)}"
             message = f"{lacks}, which this version needs: it was not compared."
             self.warn("campaign_not_compared", message)
         else:
             return True
         return False
 
-    def _compared(self, campaign: str, rows: Observations, rival: core_model.Calibration | None) -> Part | None:
+    def _compare_setup(self, campaign: str, rows: Observations, rival: core_model.Calibration | None) -> Part | None:
         """The errors at one set-up of a campaign; None, and a warning, when it cannot be compared."""
-        if compare.poses_of(rows) < compare.FEWEST_POSES:
+        if compare.count_poses(rows) < compare.FEWEST_POSES:
             message = (
-                f"{compare.poses_of(rows)} poses of campaign {self.called(campaign)} have a set-up of their own: "
+                f"{compare.count_poses(rows)} poses of campaign {self.campaign_label(campaign)} have a set-up of their own: "
                 f"fewer than {compare.FEWEST_POSES} tell nothing."
             )
             self.warn("campaign_not_compared", message)
             return None
         plain = self._errors(core_model.Calibration.nominal(self.new.robot), rows)
         if isinstance(plain, str):
-            self.warn("campaign_not_compared", f"Campaign {self.called(campaign)} was not compared: {plain}")
+            self.warn("campaign_not_compared", f"Campaign {self.campaign_label(campaign)} was not compared: {plain}")
             return None
         new = self._errors(self.new if campaign in self.own else self.new.for_another_campaign(rows), rows)
         if isinstance(new, str):
-            name = self.called(campaign)
+            name = self.campaign_label(campaign)
             message = (
                 f"No base and tool are found in which it predicts campaign {name} ({new}); the nominal robot does."
             )
@@ -293,7 +295,7 @@ class Case:
         if isinstance(others, str):
             self.warn(
                 "active_not_compared",
-                f"Version {self.active} cannot predict campaign {self.called(campaign)}: {others}",
+                f"Version {self.active} cannot predict campaign {self.campaign_label(campaign)}: {others}",
             )
             others = None
         if self._fits_nothing(campaign, rows, [e for e in (new, plain, others) if e is not None]):
@@ -305,7 +307,7 @@ class Case:
         best = min(float(np.mean(found)) for found in errors)
         said = compare.said_of_misfit(self.new.robot, rows, best)
         if said is not None:
-            name = self.called(campaign)
+            name = self.campaign_label(campaign)
             message = (
                 f"Campaign {name} was left out: no model fits it, the best leaves {to_mm(best):.4g} mm. {said} Correct or "
                 f"retire it (`kilter campaigns retire {campaign}`)."
@@ -325,7 +327,7 @@ class Case:
             return "no frames fit"
         return found if np.isfinite(found).all() else "no frames fit"
 
-    def called(self, campaign: str) -> str:
+    def campaign_label(self, campaign: str) -> str:
         """What people call a campaign."""
         return self.names.get(campaign) or campaign
 

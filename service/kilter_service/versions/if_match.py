@@ -15,7 +15,7 @@ from kilter_service.versions import store
 ANY = "*"
 
 
-def tag_of(session: Session, robot_id: int) -> str:
+def activation_etag(session: Session, robot_id: int) -> str:
     """Return the ETag of which version a robot is corrected with: every entry of the log is another state."""
     last = store.active_entry(session, robot_id)
     return f'"activation-{0 if last is None else last.id}"'
@@ -24,7 +24,7 @@ def tag_of(session: Session, robot_id: int) -> str:
 def tag_of_robot(database: Database, robot: str) -> str:
     """Return the same of the robot of this name."""
     with database.reading() as session:
-        return tag_of(session, robots.get(session, robot).id)
+        return activation_etag(session, robots.get(session, robot).id)
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Expected:
         last = store.active_entry(session, robot_id)
         if self.tags is None or (last is not None and (becomes == last.version_id or ANY in self.tags)):
             return
-        tag = tag_of(session, robot_id)
+        tag = activation_etag(session, robot_id)
         if tag in self.tags:
             return
         now = (
@@ -62,7 +62,7 @@ class Expected:
         )
 
 
-async def expected_of(
+async def expected_from_header(
     if_match: Annotated[
         str | None,
         Header(
@@ -76,4 +76,4 @@ async def expected_of(
 
 
 ANY_STATE = Expected()
-ExpectedState = Annotated[Expected, Depends(expected_of)]
+ExpectedState = Annotated[Expected, Depends(expected_from_header)]

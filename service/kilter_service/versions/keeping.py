@@ -5,7 +5,7 @@ from __future__ import annotations
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.contract.versions import Version
 from kilter_service.ground.db import Database
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.references import store as references
 from kilter_service.ground.references.records import TombstoneRecord
@@ -73,7 +73,7 @@ def purge(database: Database, version_id: str, actor: str) -> Tombstone:
                 version=version.id,
                 cited_by=citing,
             )
-        left = TombstoneRecord(version.id, "version", version.robot, version.name, version.sha256, actor, now())
+        left = TombstoneRecord(version.id, "version", version.robot, version.name, version.sha256, actor, utc_now())
         references.add_tombstone(session, left)
         store.remove(session, version_id)
     return tombstone(left)

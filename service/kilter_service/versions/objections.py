@@ -39,7 +39,7 @@ SHARE = 0.5  # of what base and tool alone leave: rows of which a fit explains l
 ROWS = {"validation": "its own held-out rows", "train": "the rows it was fitted to"}
 
 
-def objections_of(report: Mapping[str, Any], limits: CorrectionLimits) -> list[Objection]:
+def objections_from_report(report: Mapping[str, Any], limits: CorrectionLimits) -> list[Objection]:
     """Return what speaks against a version with this report, nothing when its job found it good."""
     warnings = [w for w in report.get("warnings") or () if w.get("code") in CODES and w.get("beyond_chance", True)]
     named = [Objection(code=w["code"], message=w["message"]) for w in warnings]

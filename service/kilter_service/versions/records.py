@@ -100,14 +100,14 @@ class PreviewedPoses:
         return dict(Counter(self.words))
 
     @property
-    def refused(self) -> dict[str, int]:
+    def refusal_counts(self) -> dict[str, int]:
         """Poses that are refused, by why."""
         return {word: count for word, count in self.counts.items() if word not in ANSWERED}
 
     @property
-    def corrected(self) -> int:
+    def corrected_count(self) -> int:
         """Poses that get numbers."""
-        return len(self.words) - sum(self.refused.values())
+        return len(self.words) - sum(self.refusal_counts.values())
 
     @property
     def furthest(self) -> int | None:

@@ -174,7 +174,7 @@ def residuals(
 )
 def export(version: str, database: DatabaseOfApp, format: str = "json") -> Response:  # noqa: A002 (the contract's name)
     """Download a version in the format of another tool; the header Kilter-Notes says what the file leaves out."""
-    file = service.exported(database, version, format)
+    file = service.export_version(database, version, format)
     headers = {"Content-Disposition": f'attachment; filename="{file.name}"'}
     if file.notes:
         headers["Kilter-Notes"] = " | ".join(file.notes)

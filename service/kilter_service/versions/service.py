@@ -17,9 +17,9 @@ from kilter_service.versions import store, wire
 def list_versions(database: Database, robot: str, page: Page, with_retired: bool = False) -> VersionList:
     """List the versions of a robot; ``with_retired`` those that are out of use too."""
     with database.reading() as session:
-        found = store.listed(session, robots.get(session, robot).id, page, with_retired)
+        found = store.list_versions(session, robots.get(session, robot).id, page, with_retired)
     shown, cursor = page.cut(found, lambda version: in_time(version.created_at, version.id))
-    return VersionList(versions=[wire.listed(version) for version in shown], next=cursor)
+    return VersionList(versions=[wire.summary_from_listed(version) for version in shown], next=cursor)
 
 
 def active_of_robots(database: Database) -> dict[str, VersionSummary]:
@@ -34,7 +34,7 @@ def get(database: Database, version_id: str) -> Version:
         return wire.version(store.get(session, version_id))
 
 
-def made_with(database: Database, campaign_id: str) -> list[Version]:
+def versions_from_campaign(database: Database, campaign_id: str) -> list[Version]:
     """Return the versions that were made with a campaign, newest first."""
     with database.reading() as session:
         campaign = campaigns.get(session, campaign_id)
@@ -50,7 +50,7 @@ def activations(database: Database, robot: str, page: Page) -> ActivationList:
     return ActivationList(activations=[wire.activation(entry) for entry in shown], next=cursor)
 
 
-def exported(database: Database, version_id: str, format_name: str) -> Exported:
+def export_version(database: Database, version_id: str, format_name: str) -> Exported:
     """Return a version as a file of another tool's format, and what to say of a controller that is given it."""
     with database.reading() as session:
         record = store.get(session, version_id)

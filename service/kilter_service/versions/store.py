@@ -20,9 +20,9 @@ from kilter_service.ground.paging import ALL, Page
 from kilter_service.ground.references import retired
 from kilter_service.ground.references import store as references
 from kilter_service.robots import store as robots
-from kilter_service.robots.resolved import sha256_of
+from kilter_service.robots.resolved import hash_canonical_json
+from kilter_service.versions.answers.store import last_kept
 from kilter_service.versions.records import ActivationRecord, ListedVersion, VersionRecord
-from kilter_service.versions.replays.store import last_kept
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
@@ -102,7 +102,7 @@ def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
             robot_id=robot_id,
             parent_id=new.parent_id,
             job_id=job_id,
-            sha256=sha256_of({"calibration": new.calibration, "limits": new.limits, "robot": chain}),
+            sha256=hash_canonical_json({"calibration": new.calibration, "limits": new.limits, "robot": chain}),
             hash_scheme=ROBOT_HASHED,
             name=references.free_name(session, "version", robot_id, new.name) if new.name else "",
             robot_sha256=chain,
@@ -182,7 +182,7 @@ def of_robot(session: Session, robot_id: int, page: Page = ALL, with_retired: bo
     return [_record(found, robot, last) for found in session.execute(query).scalars()]
 
 
-def listed(session: Session, robot_id: int, page: Page = ALL, with_retired: bool = False) -> list[ListedVersion]:
+def list_versions(session: Session, robot_id: int, page: Page = ALL, with_retired: bool = False) -> list[ListedVersion]:
     """Return the same as a list tells it. Covariances and reports, a hundred kB of each version, stay unread."""
     row = VersionRow
     columns = (
@@ -209,7 +209,7 @@ def _of_robot(query: Select[Any], robot_id: int, page: Page, with_retired: bool)
     if page.moment is not None:
         moment, key = page.moment
         query = query.where(or_(row.created_at < moment, and_(row.created_at == moment, row.id > key)))
-    return query.limit(page.fetched)
+    return query.limit(page.fetch_limit)
 
 
 def active_of_robots(session: Session) -> list[VersionRecord]:
@@ -233,7 +233,7 @@ def covariance(session: Session, version_id: str) -> dict[str, Any]:
     return dict(_row(session, version_id).covariance)
 
 
-def known(session: Session, version_id: str) -> predictive.Predictive | None:
+def load_predictive(session: Session, version_id: str) -> predictive.Predictive | None:
     """Return how far a version says the arm may be from it; None when it has no covariance."""
     row = _row(session, version_id)
     return predictive.Predictive.from_document(row.covariance, row.report)
@@ -284,7 +284,7 @@ def activations(session: Session, robot_id: int, page: Page = ALL) -> list[Activ
     query = select(ActivationRow).where(ActivationRow.robot_id == robot_id).order_by(ActivationRow.id.desc())
     if page.number is not None:
         query = query.where(ActivationRow.id < page.number)
-    return [_entry(row) for row in session.execute(query.limit(page.fetched)).scalars()]
+    return [_entry(row) for row in session.execute(query.limit(page.fetch_limit)).scalars()]
 
 
 def _entry(row: ActivationRow) -> ActivationRecord:
@@ -343,7 +343,7 @@ def trainings(session: Session, version_id: str) -> list[Training]:
     return found
 
 
-def made_from(session: Session, version_id: str) -> frozenset[str]:
+def training_campaign_ids(session: Session, version_id: str) -> frozenset[str]:
     """Return the campaigns that a version, and those that it continues, were fitted to: their clock is its own."""
     found: set[str] = set()
     following = session.get(VersionRow, version_id)

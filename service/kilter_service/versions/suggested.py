@@ -23,7 +23,7 @@ COVERED = 0.99  # of the poses, as in kilter_core.correct.needs
 WORKSPACE = "workspace"  # in the report of a version
 
 
-def suggested(
+def suggest_limits(
     calibration: Calibration, known: Predictive | None, asked: CorrectionLimits
 ) -> tuple[CorrectionLimits, dict[str, Any]]:
     """Return the limits for a version, and what its report says of them (mm, degrees). What was ``asked`` for stays."""
@@ -36,7 +36,7 @@ def suggested(
     }
     given = asked.model_fields_set & set(own)
     limits = CorrectionLimits(**(asked.model_dump() | own | asked.model_dump(include=given)))
-    turn_deg, shift_mm = _needed(calibration.robot, found)
+    turn_deg, shift_mm = _needed_corrections(calibration.robot, found)
     there = at_poses(calibration, known, limits, q)
     return limits, {
         "poses": len(q),
@@ -46,13 +46,13 @@ def suggested(
         "ok": there.counts.get("OK", 0) + there.counts.get("UNSURE", 0),
         "damped": there.counts.get("DAMPED", 0),
         "limited": there.counts.get("LIMITED", 0),
-        "refused": there.refused,
+        "refused": there.refusal_counts,
         "sentence": _sentence(f"{turn_deg:.2g} deg and {shift_mm:.2g} mm", limits, given, len(q),
                               found.capped or shift > MOST_MM),
     }  # fmt: skip
 
 
-def _needed(robot: Robot, found: Needs) -> tuple[float, float]:
+def _needed_corrections(robot: Robot, found: Needs) -> tuple[float, float]:
     """What most of the poses take at most: of a revolute joint, degrees; of the tool or a prismatic joint, mm."""
     joints = list(zip(robot.joints, found.joints[COVERED].tolist(), strict=True))
     turn = max((size for joint, size in joints if joint.kind == "revolute"), default=0.0)

@@ -26,7 +26,7 @@ from kilter_service.contract.versions import (
 from kilter_service.contract.written import as_written
 from kilter_service.ground import left_out
 from kilter_service.ground.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
-from kilter_service.versions.objections import objections_of
+from kilter_service.versions.objections import objections_from_report
 from kilter_service.versions.records import ActivationRecord, ListedVersion, PreviewedPoses, VersionRecord
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def version(record: VersionRecord) -> Version:
         null_directions=as_written(list[NullDirection], report.get("null_directions") or []),
         noise_mm=report.get("noise_mm"),
         warnings=as_written(list[Remark], report.get("warnings") or []),
-        objections=objections_of(report, limits),
+        objections=objections_from_report(report, limits),
         details=as_written(Details, {key: value for key, value in report.items() if key not in OF_ITS_OWN}),
         covariance=as_written(Covariance, record.covariance),
     )
@@ -74,7 +74,7 @@ def summary(record: VersionRecord) -> VersionSummary:
     return VersionSummary(**_summary_fields(record))
 
 
-def listed(record: ListedVersion) -> VersionSummary:
+def summary_from_listed(record: ListedVersion) -> VersionSummary:
     """Say the same of a version in a list, whose documents were not read."""
     own = {name: getattr(record, name) for name in VersionSummary.model_fields if name not in READ_OUT}
     effects = [effect["id"] for effect in record.effects]
@@ -119,11 +119,11 @@ def preview(
         version_id=version_id,
         within=within,
         poses=len(found.q),
-        corrected=found.corrected,
+        corrected=found.corrected_count,
         damped=counts.get("DAMPED", 0),
         limited=counts.get("LIMITED", 0),
-        refused=found.refused,
-        mean_mm=to_mm(float(np.nanmean(found.moved))) if found.corrected else None,
+        refused=found.refusal_counts,
+        mean_mm=to_mm(float(np.nanmean(found.moved))) if found.corrected_count else None,
         largest_mm=None if found.furthest is None else to_mm(float(found.moved[found.furthest])),
         largest_at=_joints(found.q, found.furthest, scale),
         left_mm=None if found.worst is None else to_mm(float(found.left[found.worst])),
@@ -147,7 +147,7 @@ def _joints(q: Floats, place: int | None, scale: Sequence[float]) -> list[float]
     return None if place is None else [round(float(v) * k, 4) for v, k in zip(q[place], scale, strict=True)]
 
 
-def noise_of(report: dict[str, Any]) -> tuple[float, float]:
+def noise_from_report(report: dict[str, Any]) -> tuple[float, float]:
     """Read what a stored report says of the scatter of a point (m) and of a rotation (rad); nan where it says nothing."""
     scale = report.get("scale") or {"point_mm": report.get("noise_mm") or float("nan"), "turn_deg": float("nan")}
     return to_metres(float(scale["point_mm"])), to_rad(float(scale["turn_deg"]))

@@ -43,7 +43,7 @@ async def spool_upload(request: Request, path: Path, limit_mb: int, setting: str
             digest.update(piece)
             file.write(piece)
 
-        async for part in parts(request, limit_mb, setting):
+        async for part in iter_body_chunks(request, limit_mb, setting):
             waiting += part
             if len(waiting) >= PIECE_BYTES:
                 await run_in_threadpool(keep, bytes(waiting))
@@ -52,7 +52,7 @@ async def spool_upload(request: Request, path: Path, limit_mb: int, setting: str
     return digest.hexdigest()
 
 
-async def parts(request: Request, limit_mb: int, setting: str) -> AsyncIterator[bytes]:
+async def iter_body_chunks(request: Request, limit_mb: int, setting: str) -> AsyncIterator[bytes]:
     """Yield the body piece by piece, as far as it may go, whatever its length is said to be.
 
     Raises:
@@ -97,7 +97,7 @@ async def read_document(request: Request, limit_mb: int) -> bytes:
         ServiceError: as for `spool_upload`.
 
     """
-    return b"".join([part async for part in parts(request, limit_mb, DOCUMENT)])
+    return b"".join([part async for part in iter_body_chunks(request, limit_mb, DOCUMENT)])
 
 
 def is_json(request: Request) -> bool:
@@ -106,17 +106,17 @@ def is_json(request: Request) -> bool:
     return plain.startswith("application/") and plain.endswith(JSON_TYPES)
 
 
-async def parsed(body: bytes) -> Any:
+async def parse_json(body: bytes) -> Any:
     """Parse a JSON document in a thread, not on the event loop.
 
     Raises:
         ServiceError: it is not JSON, or has a shape that no document of Kilter has.
 
     """
-    return await run_in_threadpool(_parsed, body)
+    return await run_in_threadpool(_parse_json, body)
 
 
-def _parsed(body: bytes) -> Any:
+def _parse_json(body: bytes) -> Any:
     # No other thread runs while the parser does, so a document with too many parts is counted and refused, not parsed.
     if max(body.count(b":"), body.count(b"{") + body.count(b"[")) > MAX_DOCUMENT_PARTS:
         raise ServiceError(

@@ -134,8 +134,8 @@ async def in_turn(request: Request, work: Callable[[], Awaitable[T]]) -> T:
     await room.take_slot(person, limit_s or room.wait_s)
     request.state.has_slot = True
     if limit_s is None:
-        return await _released(room, person, work)
-    task = asyncio.create_task(_released(room, person, work))
+        return await _run_and_release(room, person, work)
+    task = asyncio.create_task(_run_and_release(room, person, work))
     done, _ = await asyncio.wait({task}, timeout=limit_s)
     if not done:
         task.add_done_callback(_forget)
@@ -148,7 +148,7 @@ async def in_turn(request: Request, work: Callable[[], Awaitable[T]]) -> T:
     return task.result()
 
 
-async def _released(room: Room, person: str, work: Callable[[], Awaitable[T]]) -> T:
+async def _run_and_release(room: Room, person: str, work: Callable[[], Awaitable[T]]) -> T:
     try:
         return await work()
     finally:

@@ -42,13 +42,13 @@ def _conditional(request: Request, response: Response) -> Response:
     tag = response.headers.get("etag") or f'"{hashlib.blake2s(bytes(response.body), digest_size=16).hexdigest()}"'
     response.headers["ETag"] = tag
     response.headers.setdefault("Cache-Control", ASK_AGAIN)
-    if not _known(request.headers.get("if-none-match", ""), tag):
+    if not _has_matching_etag(request.headers.get("if-none-match", ""), tag):
         return response
     kept = {name: response.headers[name] for name in ("ETag", "Cache-Control")}
     return Response(status_code=304, headers=kept)
 
 
-def _known(header: str, tag: str) -> bool:
+def _has_matching_etag(header: str, tag: str) -> bool:
     """Whether a list of ETags has this one; a weak one counts, as RFC 9110 wants of a read."""
     named = [one.strip().removeprefix("W/") for one in header.split(",")]
     return tag in named or named == ["*"]

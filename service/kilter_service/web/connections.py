@@ -11,7 +11,7 @@ from uvicorn import Config, Server
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from kilter_service.ground.errors import PROBLEMS
-from kilter_service.web.auth.following import following_of
+from kilter_service.web.auth.following import get_following
 from kilter_service.web.observability.requests import new_request_id
 from kilter_service.web.problems import MEDIA_TYPE
 
@@ -46,7 +46,7 @@ class TimedConnection(H11Protocol):
         if answering or self.transport.is_closing():
             self._stop()
         elif self._timer is None:
-            self._timer = self.loop.call_later(HEAD_S, self._late)
+            self._timer = self.loop.call_later(HEAD_S, self._refuse_late_head)
 
     def _stop(self) -> None:
         self._begun = False
@@ -54,7 +54,7 @@ class TimedConnection(H11Protocol):
             self._timer.cancel()
             self._timer = None
 
-    def _late(self) -> None:
+    def _refuse_late_head(self) -> None:
         self._timer = None
         if self.cycle is not None and not self.cycle.response_complete:
             return
@@ -87,5 +87,5 @@ class StreamEndingServer(Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Let all followers go, then stop as uvicorn does."""
-        following_of(self._app).stopping = True
+        get_following(self._app).stopping = True
         await super().shutdown(sockets)

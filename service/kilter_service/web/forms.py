@@ -13,7 +13,7 @@ from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.web.bodies import UPLOAD, parts
+from kilter_service.web.bodies import UPLOAD, iter_body_chunks
 
 FORM = "multipart/form-data"
 
@@ -36,14 +36,14 @@ async def spool_form(
     """
     digest = hashlib.sha256()
 
-    async def counted() -> AsyncGenerator[bytes, None]:
-        async for piece in parts(request, limits_mb[1], UPLOAD):
+    async def iter_hashed_chunks() -> AsyncGenerator[bytes, None]:
+        async for piece in iter_body_chunks(request, limits_mb[1], UPLOAD):
             digest.update(piece)
             yield piece
 
     parser = MultiPartParser(
         request.headers,
-        counted(),
+        iter_hashed_chunks(),
         max_files=1,
         max_fields=1,
         max_part_size=limits_mb[0] << 20,
@@ -61,12 +61,12 @@ async def spool_form(
                 f"The form must have {names[0]}, JSON without a filename, and {names[1]}, a file with its Content-Type.",
                 code="payload_invalid",
             )
-        await run_in_threadpool(_copied, file, path)
+        await run_in_threadpool(_copy_upload, file, path)
         return document.encode(), file.content_type or "", digest.hexdigest()
     finally:
         await form.close()
 
 
-def _copied(file: UploadFile, path: Path) -> None:
+def _copy_upload(file: UploadFile, path: Path) -> None:
     with path.open("wb") as to:
         shutil.copyfileobj(file.file, to)

@@ -12,9 +12,9 @@ from fastapi import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.settings import Settings, names_in
+from kilter_service.ground.settings import Settings, parse_name_list
 from kilter_service.web.auth.access import PLAIN_READS
-from kilter_service.web.auth.forwarded import OTHER_SITES, address, host_of, is_loopback_name
+from kilter_service.web.auth.forwarded import OTHER_SITES, address, is_loopback_name, parse_host_header
 from kilter_service.web.problems import problem
 
 
@@ -23,7 +23,7 @@ class Gate:
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self.app, self._settings = app, settings
-        self._names = {"localhost", settings.host.lower(), *names_in(settings.hosts)}
+        self._names = {"localhost", settings.host.lower(), *parse_name_list(settings.hosts)}
         if not settings.is_loopback:
             self._names.add(socket.gethostname().lower())  # what `server.json` says
 
@@ -41,7 +41,7 @@ class Gate:
     def _check(self, request: Request) -> None:
         self._check_peer("" if request.client is None else request.client.host)
         header = request.headers.get("host", "")
-        self._check_host(host_of(header))
+        self._check_host(parse_host_header(header))
         if request.method not in PLAIN_READS:
             _check_origin(request, header)
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import Depends, Query
 
-from kilter_service.ground.paging import Page, key_of
+from kilter_service.ground.paging import Page, decode_cursor
 
 MOST = 1000
 JOBS = 100  # newest jobs that are listed by default
@@ -18,12 +18,12 @@ After = Annotated[str | None, Query(max_length=400, description="`next` of the p
 
 async def page(limit: Limit = None, after: After = None) -> Page:
     """Read which page of a list is asked for."""
-    return Page(limit, None if after is None else key_of(after))
+    return Page(limit, None if after is None else decode_cursor(after))
 
 
 async def page_of_jobs(limit: JobsLimit = JOBS, after: After = None) -> Page:
     """Read which page of the jobs is asked for."""
-    return Page(limit, None if after is None else key_of(after))
+    return Page(limit, None if after is None else decode_cursor(after))
 
 
 PageOfList = Annotated[Page, Depends(page)]

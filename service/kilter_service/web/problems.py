@@ -34,7 +34,7 @@ STOPPING = (
 )
 
 
-def declared(document: dict[str, Any]) -> dict[str, Any]:
+def declare_problem_media_type(document: dict[str, Any]) -> dict[str, Any]:
     """Say in an OpenAPI document that refusals have the media type they are sent as: FastAPI gives them the answer's."""
     for methods in document["paths"].values():
         for operation in methods.values():
@@ -49,7 +49,7 @@ def _is_problem(content: Mapping[str, Any]) -> bool:
     return str(content.get("schema", {}).get("$ref", "")).endswith(f"/{Problem.__name__}")
 
 
-def plain(value: Any) -> Any:
+def json_default(value: Any) -> Any:
     """Return what JSON can say of a value in an error's context (arrays, numpy numbers, paths)."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
@@ -63,7 +63,7 @@ def problem(
     REFUSALS.labels(code).inc()
     refusals.note(request, code)
     if request.headers.get("hx-request") == "true":
-        return _part(code, title, detail, status, headers_of(code, status, context))
+        return _render_problem_part(code, title, detail, status, headers_of(code, status, context))
     if _reads(request):
         return _page(request, code, title, detail, status, headers_of(code, status, context))
     document = {
@@ -72,13 +72,13 @@ def problem(
         "status": status,
         "detail": detail if len(detail) <= MOST_DETAIL else f"{detail[:MOST_DETAIL]}...",
         "code": code,
-        "context": _bounded(context),
+        "context": _drop_long_values(context),
         "request_id": getattr(request.state, "request_id", new_request_id()),
     }
-    return Response(json.dumps(document, default=plain), status, headers_of(code, status, context), MEDIA_TYPE)
+    return Response(json.dumps(document, default=json_default), status, headers_of(code, status, context), MEDIA_TYPE)
 
 
-def _part(code: str, title: str, detail: str, status: int, headers: dict[str, str] | None) -> Response:
+def _render_problem_part(code: str, title: str, detail: str, status: int, headers: dict[str, str] | None) -> Response:
     """What a person reads where a part of a page was to stand: the page itself says the refusals that its views know."""
     told = f"<strong>{escape(title)}.</strong> {escape(detail[:MOST_DETAIL])}"
     text = (
@@ -106,9 +106,11 @@ def _page(
     return Response(text, status, headers, "text/html; charset=utf-8")
 
 
-def _bounded(context: Mapping[str, Any]) -> dict[str, Any]:
+def _drop_long_values(context: Mapping[str, Any]) -> dict[str, Any]:
     """Leave out what a refusal would only repeat."""
-    return {key: value for key, value in context.items() if len(json.dumps(value, default=plain)) <= MOST_CONTEXT}
+    return {
+        key: value for key, value in context.items() if len(json.dumps(value, default=json_default)) <= MOST_CONTEXT
+    }
 
 
 def headers_of(code: str, status: int, context: Mapping[str, Any]) -> dict[str, str] | None:
@@ -182,7 +184,7 @@ class RequestNaming:
             if started:
                 raise
             # The server stops and waits no longer. What is left of the task is this answer.
-            _uncancelled()
+            _uncancel_current_task()
             await problem(Request(scope), "stopping", STOPPING, {})(scope, receive, send_named)
         except Exception as error:
             known = in_words(error)
@@ -197,7 +199,7 @@ class RequestNaming:
             await problem(Request(scope), "internal_error", detail, {})(scope, receive, send_named)
 
 
-def _uncancelled() -> None:
+def _uncancel_current_task() -> None:
     task = asyncio.current_task()
     if task is not None:
         task.uncancel()
@@ -212,6 +214,6 @@ def install(app: FastAPI) -> None:
     described = app.openapi
 
     def openapi() -> dict[str, Any]:
-        return app.openapi_schema or declared(described())
+        return app.openapi_schema or declare_problem_media_type(described())
 
     app.openapi = openapi  # type: ignore[method-assign]  # as FastAPI says that it is to be extended

@@ -15,7 +15,7 @@ from fastapi.routing import APIRoute
 from kilter_service.contract.problems import REFUSALS
 from kilter_service.web.auth.access import admit
 from kilter_service.web.auth.policy import Kind, Rule
-from kilter_service.web.bodies import is_json, parsed, read_document
+from kilter_service.web.bodies import is_json, parse_json, read_document
 from kilter_service.web.concurrency import in_turn, room_of
 from kilter_service.web.request_values import check_address, check_names
 
@@ -73,17 +73,17 @@ class GuardedRoute(APIRoute):
     async def _answer_document(self, request: Request, answer: Handler) -> Response:
         body = await read_document(request, request.app.state.settings.max_document_mb)
 
-        async def answered() -> Response:
-            return await answer(await self._checked(request, body))
+        async def answer_parsed_request() -> Response:
+            return await answer(await self._parse_request_body(request, body))
 
-        return await in_turn(request, answered)
+        return await in_turn(request, answer_parsed_request)
 
-    async def _checked(self, request: Request, body: bytes) -> Request:
+    async def _parse_request_body(self, request: Request, body: bytes) -> Request:
         """Return the request with its document parsed; FastAPI finds both where it would have put them."""
         found = Request(request.scope, request.receive)
         found._body = body
         if body and is_json(request):
-            found._json = await parsed(body)
+            found._json = await parse_json(body)
             assert self.body_field is not None
             # FastAPI checks on the event loop. What is wrong, and may be so in many places, is found here.
             _, errors = await run_in_threadpool(self.body_field.validate, found._json, loc=("body",))

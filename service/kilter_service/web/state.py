@@ -14,23 +14,23 @@ from kilter_service.ground.files.private_files import Scratch
 from kilter_service.ground.settings import Settings
 
 
-async def database_of(request: Request) -> Database:
+async def get_database(request: Request) -> Database:
     """Return the database of the application that serves this request."""
     database: Database = request.app.state.database
     return database
 
 
-async def settings_of(request: Request) -> Settings:
+async def get_settings(request: Request) -> Settings:
     """Return the settings of the application that serves this request."""
     settings: Settings = request.app.state.settings
     return settings
 
 
-def scratch_of(request: Request) -> Scratch:
+def get_scratch(request: Request) -> Scratch:
     """Return where the application that serves this request keeps temporary files."""
     scratch: Scratch = request.app.state.scratch
     return scratch
 
 
-DatabaseOfApp = Annotated[Database, Depends(database_of)]
-SettingsOfApp = Annotated[Settings, Depends(settings_of)]
+DatabaseOfApp = Annotated[Database, Depends(get_database)]
+SettingsOfApp = Annotated[Settings, Depends(get_settings)]

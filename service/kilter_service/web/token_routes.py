@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter, Request, Response
 
 from kilter_service.contract.tokens import Identity, LoginLink, MadeToken, NewLoginLink, NewToken, Token, TokenList
-from kilter_service.web.auth.access import Admin, caller_of
+from kilter_service.web.auth.access import Admin, get_caller
 from kilter_service.web.logins import service as logins
 from kilter_service.web.page_query import PageOfList
 from kilter_service.web.routing import GuardedRoute
@@ -18,7 +18,7 @@ router = APIRouter(prefix="/v1", tags=["access"], route_class=GuardedRoute)
 @router.get("/whoami")
 def whoami(request: Request) -> Identity:
     """Say who sends this request, in which role, and for which robots."""
-    caller = caller_of(request)
+    caller = get_caller(request)
     robots = None if caller.robots is None else sorted(caller.robots)
     return Identity(actor=caller.actor, token_id=caller.token_id, role=caller.role, robots=robots)
 

@@ -147,7 +147,7 @@ def test_what_is_no_message_of_a_robot_is_none_and_other_joint_counts_have_no_jo
 def test_setpoints_are_followed_at_their_speed_and_none_that_is_far() -> None:
     followed = setpoints([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.03, 0.5, 0.0]])
     assert followed.step(1) is None  # nobody knows where the arm stands
-    followed.begin([0.0, 0.0, 0.0])
+    followed.start_from_joints([0.0, 0.0, 0.0])
     steps = np.array([followed.step(1) for _ in range(60)])
     assert np.abs(np.diff(steps, axis=0)).max() <= math.radians(10.0) * 0.004 * (1 + 1e-9)
     assert followed.counts["plan_slowed"] > 0
@@ -163,7 +163,7 @@ def test_after_lost_cycles_the_arm_goes_on_from_where_it_stands(lost: int) -> No
         request = wire.read(robot_message([0.0, 0.0, 0.0], sequence))
         assert request is not None
         cycles = 1 + lost * (k == 100)
-        at = wire.wanted(request, cycles, k == 0)
+        at = wire.wanted_joints(request, cycles, k == 0)
         assert at is not None
         where.append(at)
         sequence += cycles
@@ -180,23 +180,23 @@ def test_a_planner_that_sends_old_or_other_messages_is_not_followed() -> None:
         port.bind(("127.0.0.1", 0))
         planner.connect(port.getsockname())
         heard = Heard(port, 3)
-        heard.begin()
+        heard.restart_plan()
         good = {seq: encode([seq / 10, 0.0, 0.0], joints=3, seq=seq, t_send_ns=0) for seq in (1, 2, 3)}
         planner.send(good[2])
-        assert heard.next(0.0) == (0.2, 0.0, 0.0)
-        assert heard.next(0.0) is None
+        assert heard.next_setpoint(0.0) == (0.2, 0.0, 0.0)
+        assert heard.next_setpoint(0.0) is None
         wrong = [encode([0.1] * 2, joints=2, seq=9, t_send_ns=0), encode([math.nan] * 3, joints=3, seq=9, t_send_ns=0)]
         for content in (good[1], good[2], *wrong, b"", good[3][:-1]):
             planner.send(content)
-        assert heard.next(0.0) is None
+        assert heard.next_setpoint(0.0) is None
         assert dict(heard.counts) == {"plan_old": 2, "plan_malformed": 4}
         limited = Heard(port, 3, [(None, None), (-90.0, 90.0), (None, 10.0)])
         for seq, q in ((4, [0.1, 1.6, 0.0]), (5, [0.1, 0.0, 0.2])):
             planner.send(encode(q, joints=3, seq=seq, t_send_ns=0))
-            assert limited.next(0.0) is None
+            assert limited.next_setpoint(0.0) is None
         assert dict(limited.counts) == {"plan_beyond_limits": 2}
         planner.send(good[3])
-        assert heard.next(0.0) == (0.3, 0.0, 0.0)
+        assert heard.next_setpoint(0.0) == (0.3, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(

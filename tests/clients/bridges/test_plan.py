@@ -89,19 +89,19 @@ def test_commands_of_which_each_is_followed_by_losses_stay_on_the_way(lost: int)
 def test_a_plan_that_begins_beside_the_arm_is_eased_into() -> None:
     rows = [swing(t) for t in np.arange(0.0, 2.0, CYCLE_S)]
     setpoints = Setpoints(Table([CYCLE_S * k for k in range(len(rows))], rows), math.radians(200.0), CYCLE_S)
-    setpoints.begin([0.01, 0.29])
+    setpoints.start_from_joints([0.01, 0.29])
     found = np.array([(0.01, 0.29), *(setpoints.step(1) for _ in range(2100))])
     assert np.abs(np.diff(found[1:1900], 2, axis=0)).max() / CYCLE_S**2 < 7.0
     assert np.allclose(found[1], (0.01, 0.29), atol=1e-12)
     assert np.allclose(found[round(EASE_S / CYCLE_S) + 5], rows[round(EASE_S / CYCLE_S) + 4], atol=1e-9)
-    assert setpoints.ended
+    assert setpoints.is_finished
     assert not setpoints.counts
 
 
 def test_time_that_was_lost_has_passed_for_the_plan_too() -> None:
     rows = [(0.001 * k,) for k in range(200)]
     setpoints = Setpoints(Table([CYCLE_S * k for k in range(len(rows))], rows), math.radians(200.0), CYCLE_S)
-    setpoints.begin(rows[0])
+    setpoints.start_from_joints(rows[0])
     found = [setpoints.step(cycles) for cycles in (1, 1, 1, 5, 1)]
     assert np.allclose(found, [rows[k] for k in (0, 1, 2, 7, 8)], atol=1e-12)
 
@@ -109,10 +109,10 @@ def test_time_that_was_lost_has_passed_for_the_plan_too() -> None:
 def test_a_plan_whose_time_passes_more_and_more_slowly_comes_to_rest() -> None:
     rows = [swing(t) for t in np.arange(0.0, 3.0, CYCLE_S)]
     setpoints = Setpoints(Table([CYCLE_S * k for k in range(len(rows))], rows), math.radians(200.0), CYCLE_S)
-    setpoints.begin(rows[0])
+    setpoints.start_from_joints(rows[0])
     found = [setpoints.step(1) for _ in range(1000)]
     found += [setpoints.step(1, max(0.0, 1.0 - CYCLE_S * k)) for k in range(1300)]
     curves = np.abs(np.diff(np.array(found), 2, axis=0)).max(axis=1) / CYCLE_S**2
     assert curves[500:].max() < 10.0
     assert np.ptp(np.array(found[-200:]), axis=0).max() == 0.0
-    assert not setpoints.ended
+    assert not setpoints.is_finished

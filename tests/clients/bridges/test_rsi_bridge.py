@@ -15,7 +15,7 @@ import zenoh
 
 from kilter_client import Kilter
 from kilter_client.bridges.news import Kind
-from kilter_client.bridges.versions import Followed, first, look
+from kilter_client.bridges.versions import Followed, fetch_startup_version, poll_server
 from kilter_client.cli import run
 from kilter_client.errors import ConflictError, NotFoundError
 from kilter_client.streaming.corrector import session_config
@@ -193,7 +193,7 @@ def test_a_controller_that_may_correct_already_is_refused_in_words(
 def test_a_version_of_another_robot_is_refused_at_the_start(arm: str, own_arm: str, kilter: Kilter) -> None:
     foreign = kilter.robots.get(arm)["active_version"]
     with pytest.raises(NotFoundError, match=f"is of robot {arm}, not of {own_arm}: name one of") as refused:
-        first(own_arm, foreign, False)
+        fetch_startup_version(own_arm, foreign, False)
     assert refused.value.code == "version_not_found"
 
 
@@ -202,22 +202,22 @@ def test_the_version_that_a_bridge_follows_is_the_active_one_or_that_it_was_told
 ) -> None:
     old = kilter.versions.get(kilter.robots.get(own_arm)["active_version"])
     known = Followed(old["sha256"][:16])
-    assert look(own_arm, None, False, known) == (known, [], "")
+    assert poll_server(own_arm, None, False, known) == (known, [], "")
     new = kilter.versions.get(measure(kilter, own_arm, LATER_DEG, tmp_path, "tuesday"))
-    later, news, _ = look(own_arm, None, False, known)
+    later, news, _ = poll_server(own_arm, None, False, known)
     assert later.number == new["sha256"][:16]
     assert [(kind, from_bytes(text).version_id) for kind, text in news] == [(Kind.PROGRAM, new["id"])]
-    assert look(own_arm, old["id"], False, known) == (known, [], "")  # told, it stays
+    assert poll_server(own_arm, old["id"], False, known) == (known, [], "")  # told, it stays
     kilter.versions.retire(old["id"])
     with pytest.raises(ConflictError, match="is retired: restore it") as retired:
-        first(own_arm, old["id"], False)
+        fetch_startup_version(own_arm, old["id"], False)
     assert retired.value.code == "retired"
-    off, news, _ = look(own_arm, old["id"], False, known)
+    off, news, _ = poll_server(own_arm, old["id"], False, known)
     assert news == [(Kind.OFF, f"version {old['id']} is retired".encode())]
-    assert look(own_arm, old["id"], False, off) == (off, [], "")  # it is said once
+    assert poll_server(own_arm, old["id"], False, off) == (off, [], "")  # it is said once
     kilter.versions.restore(old["id"])
-    assert [kind for kind, _ in look(own_arm, old["id"], False, off)[1]] == [Kind.PROGRAM]
-    assert [kind for kind, _ in look("nobody", None, False, known)[1]] == [Kind.OFF]
+    assert [kind for kind, _ in poll_server(own_arm, old["id"], False, off)[1]] == [Kind.PROGRAM]
+    assert [kind for kind, _ in poll_server("nobody", None, False, known)[1]] == [Kind.OFF]
 
 
 def test_what_cannot_be_bridged_is_refused_before_anything_listens(

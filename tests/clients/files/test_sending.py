@@ -16,7 +16,7 @@ import pytest
 
 from kilter_client import ConflictError, Kilter, ObservationError, ServerUnreachableError
 from kilter_client.cli import run
-from kilter_client.cli.files.parts import parts, send_whole
+from kilter_client.cli.files.parts import cut_parquet_parts, send_whole
 from tests.clients.answered import document
 from tests.clients.files.simulated import arm, stops, wander, write_log, write_n3d
 from tests.service.forked import ForkedPopen
@@ -96,7 +96,7 @@ def test_a_broken_sending_is_not_seen_and_goes_on_where_it_stopped(kilter: Kilte
     robot = three_joints(kilter, "parts-robot")
 
     def breaks_off() -> Iterator[Any]:
-        for number, part in enumerate(parts(blocks(), 300)):
+        for number, part in enumerate(cut_parquet_parts(blocks(), 300)):
             if number == 2:
                 raise ServerUnreachableError("the cable was pulled.")
             yield part
@@ -113,11 +113,13 @@ def test_a_broken_sending_is_not_seen_and_goes_on_where_it_stopped(kilter: Kilte
     with pytest.raises(ConflictError, match="lacks 1 of 1 parts and has 2 others"):
         kilter.campaigns.commit(begun["id"], ["0" * 64])
     told: list[tuple[int, bool]] = []
-    sent = send_whole(kilter, robot, WANTED, lambda: parts(blocks(), 300), lambda n, there: told.append((n, there)))
+    sent = send_whole(
+        kilter, robot, WANTED, lambda: cut_parquet_parts(blocks(), 300), lambda n, there: told.append((n, there))
+    )
     assert told == [(300, True), (300, True), (300, False), (100, False)]
     assert (sent.campaign_id, sent.rows, sent.there) == (begun["id"], 1000, 600)
     assert seen(kilter, robot) == [1000]
-    again = send_whole(kilter, robot, WANTED, lambda: parts(blocks(), 300))
+    again = send_whole(kilter, robot, WANTED, lambda: cut_parquet_parts(blocks(), 300))
     assert (again.campaign_id, again.there) == (begun["id"], 1000)
     with pytest.raises(ConflictError, match="measurements are kept"):
         kilter.campaigns.discard(begun["id"])
@@ -131,7 +133,7 @@ def test_a_refused_part_takes_the_whole_recording_with_it(kilter: Kilter) -> Non
             yield block | ({"q2_deg": block["q2_deg"] + 500} if number == 11 else {})
 
     with pytest.raises(ObservationError, match="outside the limits") as refused:
-        send_whole(kilter, robot, WANTED, lambda: parts(outside(), 300))
+        send_whole(kilter, robot, WANTED, lambda: cut_parquet_parts(outside(), 300))
     assert refused.value.detail.endswith("Nothing of the recording is stored.")
     assert refused.value.context["column"] == "q2_deg"
     assert seen(kilter, robot) == []
@@ -151,7 +153,7 @@ def test_a_killed_client_leaves_nothing_to_see(kilter: Kilter, server: Path) -> 
     done = subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[3], check=False, timeout=120)
     assert done.returncode == -signal.SIGKILL
     assert seen(kilter, robot) == []
-    sent = send_whole(kilter, robot, WANTED, lambda: parts(blocks(), 200))
+    sent = send_whole(kilter, robot, WANTED, lambda: cut_parquet_parts(blocks(), 200))
     assert (sent.rows, sent.there) == (1000, 600)
     assert seen(kilter, robot) == [1000]
 
@@ -167,7 +169,7 @@ def test_a_killed_server_leaves_nothing_to_see(
         robot = three_joints(kilter, "arm")
 
         def dies() -> Iterator[Any]:
-            for number, part in enumerate(parts(blocks(), 300)):
+            for number, part in enumerate(cut_parquet_parts(blocks(), 300)):
                 if number == 2:
                     os.killpg(process.pid, signal.SIGKILL)
                     process.wait(20)
@@ -180,7 +182,7 @@ def test_a_killed_server_leaves_nothing_to_see(
     try:
         with Kilter() as kilter:
             assert seen(kilter, robot) == []
-            sent = send_whole(kilter, robot, WANTED, lambda: parts(blocks(), 300))
+            sent = send_whole(kilter, robot, WANTED, lambda: cut_parquet_parts(blocks(), 300))
             assert sent.rows == 1000
             assert sent.there >= 600  # a part that was on its way may have been stored
             assert seen(kilter, robot) == [1000]

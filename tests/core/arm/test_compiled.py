@@ -13,17 +13,17 @@ import pytest
 from kilter_core.arm.kernels import compiled
 
 HELPER = """
-from kilter_core.arm.kernels.compiled import compiled
+from kilter_core.arm.kernels.compiled import compile_kernel
 
-@compiled()
+@compile_kernel()
 def amount(x):
     return {} * x
 """
 CALLER = """
-from kilter_core.arm.kernels.compiled import compiled
+from kilter_core.arm.kernels.compiled import compile_kernel
 from kilter_core.arm.kernels.helper import amount
 
-@compiled()
+@compile_kernel()
 def twice(x):
     return 2 * amount(x)
 """

@@ -82,7 +82,7 @@ def test_predictions_are_those_of_the_arm_that_hangs(n: int, seed: int) -> None:
     rows = Observations(q, payload_kg=kg, payload_com=place)
     true = np.array([hanging(arm, q[k], soft, (kg[k], place[k])).poses(q[[k]])[0][0] for k in range(len(q))])
     model, values = at_readings.model, at_readings.values
-    told = model.loads_at(values).predict(rows, values).position
+    told = model.with_loads_at_values(values).predict(rows, values).position
     before = at_readings.predict(rows).position
     sag = np.linalg.norm(true - model.predict(rows, model.values0()).position, axis=1).max()
     off, was = (np.linalg.norm(found - true, axis=1).max() for found in (told, before))
@@ -99,7 +99,7 @@ def test_loads_on_links_and_of_wrong_masses_are_taken_there_too() -> None:
     extra = np.zeros((8, 6, 4))
     extra[:, 3] = [1.5, 0.05, -0.02, 0.08]
     model, values = at_readings.model, at_readings.values
-    hung = model.loads_at(values)
+    hung = model.with_loads_at_values(values)
     found = hung.predict(Observations(q, link_mass=extra), values).position
     heavier = next(b for b in arm.bodies if b.joint == 3)
     whole = heavier.mass + 1.5
@@ -114,7 +114,7 @@ def test_loads_on_links_and_of_wrong_masses_are_taken_there_too() -> None:
     amounts = (1.5, *(1.5 * (extra[0, 3, 1:] - heavier.com)))
     for part, amount in zip(("mass", "moment_x", "moment_y", "moment_z"), amounts, strict=True):
         given[weighed.names.index(f"link_{part}_4")] = amount
-    told = weighed.loads_at(given).predict(Observations(q), given).position
+    told = weighed.with_loads_at_values(given).predict(Observations(q), given).position
     np.testing.assert_allclose(told, true, atol=2e-7, rtol=0)  # products of two errors are left out
 
 
@@ -138,7 +138,7 @@ def test_what_a_payload_adds_is_asked_once_where_the_arm_hangs(sided: bool, monk
         return payload_sensitivity(*given)
 
     monkeypatch.setattr("kilter_core.model.robot_model.payload_sensitivity", counted)
-    found = model.loads_at(values).batch(rows).payload_axial
+    found = model.with_loads_at_values(values).batch(rows).payload_axial
     assert found is not None
     for k, q in enumerate(rows.q):
         place = np.full(3, 0.05)
@@ -147,7 +147,7 @@ def test_what_a_payload_adds_is_asked_once_where_the_arm_hangs(sided: bool, monk
         np.testing.assert_allclose(found[k, :, 0], added[0] - added[1], atol=3e-5, rtol=0)
     assert len(asked) == 1
     values[model.names.index("payload_mass")] = 0.1  # now every round reads it
-    assert model.loads_at(values).batch(rows).payload_axial is not None
+    assert model.with_loads_at_values(values).batch(rows).payload_axial is not None
     assert len(asked) > 3
 
 
@@ -155,7 +155,7 @@ def test_a_version_keeps_where_it_hangs_and_one_of_before_its_readings() -> None
     _, at_readings, _ = soft_arm(6, 11)
     model, values = at_readings.model, at_readings.values
     rows = Observations(np.random.default_rng(1).uniform(-2.0, 2.0, (5, 6)))
-    hung = Calibration(model.loads_at(values), values)
+    hung = Calibration(model.with_loads_at_values(values), values)
     document = hung.to_document()
     again = Calibration.from_document(model.robot, document)
     np.testing.assert_array_equal(again.predict(rows).position, hung.predict(rows).position)

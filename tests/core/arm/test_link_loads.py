@@ -157,7 +157,7 @@ def test_a_row_that_states_the_mass_is_corrected_for_it() -> None:
     good = np.linalg.norm(done.left, axis=1) < 1e-6
     assert good.sum() > 20
     reached = where(done.q, path.link_mass[:, 1, 0], path.link_mass[:, 1, 1:])
-    wanted = found.wanted().predict(Observations(path.q)).position
+    wanted = found.nominal_in_wanted_frames().predict(Observations(path.q)).position
     assert np.linalg.norm(reached - wanted, axis=1)[good].max() < 1e-4
     plain = correct_trajectory(found, Observations(path.q), CorrectionOptions(largest_rad=0.1, farthest_m=0.05))
     elsewhere = where(plain.q, path.link_mass[:, 1, 0], path.link_mass[:, 1, 1:])

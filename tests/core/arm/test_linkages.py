@@ -13,7 +13,7 @@ from kilter_core.arm.conversions import robot_document
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.documents.resolved import resolved_document, robot_from_resolved
 from kilter_core.arm.loads.slopes import LoadSlopes, with_masses
-from kilter_core.arm.loads.wrenches import axial_loads, joint_loads, loads_of
+from kilter_core.arm.loads.wrenches import axial_loads, joint_loads, row_load_wrenches
 from kilter_core.errors import RobotError
 from kilter_core.observations import Observations
 from tests.core.palletiser import palletiser, said
@@ -95,9 +95,11 @@ def test_slopes_by_the_masses_follow_linkages(moves: bool) -> None:
     rows = Observations(rng.normal(size=(5, arm.n)), **motion)
     slopes = LoadSlopes(robot, rows)
     errors = 1e-3 * rng.normal(size=len(slopes))
-    once, anew = loads_of(robot, rows), loads_of(with_masses(robot, errors), rows)
+    once, anew = row_load_wrenches(robot, rows), row_load_wrenches(with_masses(robot, errors), rows)
     moved = axial_loads(robot, anew) - axial_loads(robot, once)
-    np.testing.assert_allclose(np.tensordot(errors, slopes.of("axial", 0), axes=1), moved, atol=1e-9, rtol=0)
+    np.testing.assert_allclose(
+        np.tensordot(errors, slopes.component_slopes("axial", 0), axes=1), moved, atol=1e-9, rtol=0
+    )
     np.testing.assert_allclose(LoadSlopes(robot, rows).changes("axial", (0,), errors)[0], moved, atol=1e-9, rtol=0)
 
 

@@ -47,7 +47,7 @@ def test_loads_are_those_of_the_arm_as_it_stands(n: int, seed: int, moving: bool
     motion = {"qd": rng.normal(size=q.shape), "qdd": rng.normal(size=q.shape)} if moving else {}
     kg, place = rng.uniform(1.0, 4.0, 6), rng.uniform(-0.1, 0.1, (6, 3))
     rows = Observations(q, payload_kg=kg, payload_com=place, **motion)
-    right, drawn = model.loads_at(values).batch(rows), model.batch(rows)
+    right, drawn = model.with_loads_at_values(values).batch(rows), model.batch(rows)
     for k in range(len(q)):
         states = (motion["qd"][k], motion["qdd"][k]) if moving else (None, None)
         torques, wrenches, root = arm.reactions(q[k], *states, payload=(kg[k], place[k]))
@@ -64,7 +64,7 @@ def test_errors_of_the_masses_hang_on_the_same_chain() -> None:
     """A body's slope is what Pinocchio says of one more kilogram at its place on the arm as it stands."""
     arm, model, values = built(6, 4)
     q = np.random.default_rng(4).uniform(-2.0, 2.0, (4, 6))
-    slopes = model.loads_at(values).batch(Observations(q)).slopes
+    slopes = model.with_loads_at_values(values).batch(Observations(q)).slopes
     assert slopes is not None
     for k, body in enumerate(arm.bodies):
         bodies = list(arm.bodies)
@@ -72,14 +72,14 @@ def test_errors_of_the_masses_hang_on_the_same_chain() -> None:
         heavier = replace(arm, bodies=tuple(bodies))
         for row in range(len(q)):
             one = arm.reactions(q[row])[0] - heavier.reactions(q[row])[0]
-            np.testing.assert_allclose(slopes.of("axial", 0)[4 * k, row], one, atol=1e-9, rtol=0)
+            np.testing.assert_allclose(slopes.component_slopes("axial", 0)[4 * k, row], one, atol=1e-9, rtol=0)
 
 
 def test_a_payload_stays_where_it_was_stated_when_the_target_sits_elsewhere() -> None:
     """A fitted tool frame far from the robot's own is that of a reflector, and nothing hangs on it."""
     for tool_m, near in ((2e-3, True), (0.1, False)):
         _, model, values = built(6, 5, tool_m)
-        chain = model.loads_at(values).load_chain
+        chain = model.with_loads_at_values(values).load_chain
         assert chain is not None
         wanted = model.T_tool if near else model.robot.T_tool
         np.testing.assert_allclose(chain.T_tool, wanted, atol=1e-12)
@@ -88,7 +88,7 @@ def test_a_payload_stays_where_it_was_stated_when_the_target_sits_elsewhere() ->
 def test_the_model_stays_exact_in_its_parameters() -> None:
     """The chain of the loads is a constant: differences of predictions are the Jacobian, geometry included."""
     _, model, values = built(6, 6)
-    model = replace(model.loads_at(values), effects=model.effects[:4])
+    model = replace(model.with_loads_at_values(values), effects=model.effects[:4])
     rng = np.random.default_rng(6)
     values = values[: len(model.names)]
     for k in range(model.n_geometric, len(values)):
@@ -108,7 +108,7 @@ def test_a_document_brings_the_loads_back() -> None:
     rng = np.random.default_rng(7)
     values[model.n_geometric :] = 0.3 * np.array([p.prior_sigma for p in model.parameters[model.n_geometric :]])
     rows = Observations(rng.uniform(-2.0, 2.0, (9, 5)), payload_kg=np.full(9, 2.0))
-    found = Calibration(model.loads_at(values), values)
+    found = Calibration(model.with_loads_at_values(values), values)
     document = json.loads(json.dumps(found.to_document()))
     again = Calibration.from_document(model.robot, document)
     assert np.array_equal(again.predict(rows).position, found.predict(rows).position)
@@ -141,7 +141,7 @@ def test_a_version_stored_before_gives_the_numbers_it_gave() -> None:
 def test_a_load_chain_at_the_drawn_constants_changes_nothing() -> None:
     _, model, _ = built(6, 8)
     robot = model.robot
-    drawn = np.array([robot.chain.elements[k].value for k in robot.chain.named])
+    drawn = np.array([robot.chain.elements[k].value for k in robot.chain.named_elements])
     same = replace(model, load_chain=LoadChain(drawn, robot.T_tool))
     rows = Observations(np.random.default_rng(8).uniform(-2.0, 2.0, (5, 6)))
     assert np.array_equal(same.batch(rows).wrench, model.batch(rows).wrench)

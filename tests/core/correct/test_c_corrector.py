@@ -55,7 +55,7 @@ def program_of(preset: str, *names: str, seed: int = 0, hanging: bool = False, *
             values[k] += rng.normal() * 1e-4
         else:
             values[k] = 1e-4 if p.unit == "s" else np.clip(p.prior_sigma * rng.uniform(0.1, 0.4), p.lower, p.upper)
-    model = model.loads_at(values) if hanging else model
+    model = model.with_loads_at_values(values) if hanging else model
     return compile_program(
         Calibration(model, values), CorrectionOptions(temperature_c=31.0, base_tilt=BASE_TILT, **options)
     )

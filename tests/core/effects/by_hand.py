@@ -36,7 +36,7 @@ def robot_of(arm: Arm) -> Robot:
 
 def effect_on(arm: Arm, effect_id: str, rows: Observations | None = None, **config: Any) -> Effect:
     """An effect completed for the arm."""
-    return make_effect(effect_id, **config).on(robot_of(arm), rows)
+    return make_effect(effect_id, **config).configure_for_robot(robot_of(arm), rows)
 
 
 def tool_with(arm: Arm, effect: Effect, values: Mapping[str, float], rows: Observations) -> Prediction:

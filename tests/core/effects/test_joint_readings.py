@@ -65,7 +65,7 @@ def test_gear_error_repeats_with_every_turn_of_the_motor() -> None:
 
 def test_gear_ratios_come_from_the_robot() -> None:
     ur10 = robot_from_document(preset_document("ur10"))
-    effect = make_effect("gear_error", joints=[1, 4]).on(ur10)
+    effect = make_effect("gear_error", joints=[1, 4]).configure_for_robot(ur10)
     assert effect.to_document()["ratios"] == [101.0, 101.0]
     with pytest.raises(OptionError, match="Give gear_ratio in the robot's joints"):
         RobotModel(robot_from_document(preset_document("katana450-chapter5")), (make_effect("gear_error"),))

@@ -144,7 +144,7 @@ def test_a_row_that_states_its_tilt_is_corrected_for_it() -> None:
     found, _ = fitted(campaign(), "measured_tilt")
     rng = np.random.default_rng(4)
     q, floor = rng.uniform(-1.2, 1.2, (25, 4)) + np.array([0.0, 0.4, 1.0, 0.0]), rng.normal(0.0, 6e-4, (25, 2))
-    wanted = found.wanted().predict(Observations(q)).position
+    wanted = found.nominal_in_wanted_frames().predict(Observations(q)).position
     uncorrected, tilt = settled(q, floor)
     stated = Observations(q, base_tilt_x=tilt[:, 0] + 4e-3, base_tilt_y=tilt[:, 1] + 4e-3)
     options = CorrectionOptions(largest_rad=0.1, farthest_m=0.05)

@@ -233,7 +233,7 @@ def test_the_scale_of_the_instrument_follows_the_temperature() -> None:
 def test_a_law_of_temperature_whose_place_is_open_is_not_corrected(effect: str) -> None:
     robot = robot_of(turning())
     for corrected in (True, False):
-        law = make_effect(effect, corrected=corrected).on(robot)
+        law = make_effect(effect, corrected=corrected).configure_for_robot(robot)
         form = RunTimeForm.empty(robot, Conditions(temperature_c=30.0))
         assert law.at_run_time(form, np.full(len(law.parameters(robot)), 1e-5)) is corrected
     assert make_effect(effect).to_document()["corrected"] is True

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kilter_core.errors import OptionError
-from kilter_core.evaluate import rows_of
+from kilter_core.evaluate import errors_by_row
 from kilter_core.evaluate.uncertainty import Budget, PermissibleError, judge
 from kilter_core.identify import Identification, IdentifyOptions, identify
 from kilter_core.identify.holdout import split
@@ -48,17 +48,17 @@ def found(seed: int) -> tuple[Identification, Observations]:
 
 
 def budget(result: Identification, rows: Observations, **given: Any) -> tuple[Budget, np.ndarray]:
-    measurement = Measurement.of(rows, result.calibration.marker_points)
-    made = Budget.of(result.calibration, result.predictive, measurement, **given)
+    measurement = Measurement.from_observations(rows, result.calibration.marker_points)
+    made = Budget.from_measurement(result.calibration, result.predictive, measurement, **given)
     assert made is not None
-    return made, rows_of(result.calibration, measurement).error
+    return made, errors_by_row(result.calibration, measurement).error
 
 
 def test_new_measurements_are_within_the_expanded_uncertainty() -> None:
     inside = []
     for seed in range(16):
         made, error = budget(*found(seed), instrument=MPE)
-        inside.append(np.abs(error) <= 2.0 * made.predicted)
+        inside.append(np.abs(error) <= 2.0 * made.prediction_uncertainty)
     assert 0.94 < np.mean(inside) < 0.975
 
 
@@ -69,16 +69,16 @@ def test_held_out_rows_of_a_real_arm_are_within_it(shared_data: Any) -> None:
         train, held = split(rows, 0.3, seed)
         result = identify(robot, rows.select(train), None, IdentifyOptions(seed=seed))
         made, error = budget(result, rows.select(held), instrument=MPE)
-        inside.append((np.abs(error) <= 2.0 * made.predicted)[~np.isnan(error)])
+        inside.append((np.abs(error) <= 2.0 * made.prediction_uncertainty)[~np.isnan(error)])
     assert 0.94 <= np.mean(np.concatenate(inside)) <= 0.97
 
 
 def test_contributions_add_to_what_the_version_says_of_itself() -> None:
     result, rows = found(0)
-    measurement = Measurement.of(rows, result.calibration.marker_points)
+    measurement = Measurement.from_observations(rows, result.calibration.marker_points)
     made, _ = budget(result, rows)
     u95 = result.predictive.of_measured(result.calibration, measurement)
-    np.testing.assert_allclose(QUANTILE * made.predicted, u95, rtol=1e-6)
+    np.testing.assert_allclose(QUANTILE * made.prediction_uncertainty, u95, rtol=1e-6)
     assert set(made.variances) == {"repeatability", "registration", "model", "left_over"}
     told = made.to_document()
     assert told["not_assessed"] == ["instrument", "temperature"]
@@ -94,8 +94,8 @@ def test_what_is_known_of_frames_alone_is_registration() -> None:
     frames = tuple(f"base_{k}" for k in FRAME_NAMES)
     sigma = np.array([1e-4, 1e-4, 1e-4, 0.0, 0.0, 0.0])
     known = Predictive(frames, np.diag(sigma**2), 0.0, 0.0)
-    measurement = Measurement.of(rows, result.calibration.marker_points)
-    made = Budget.of(result.calibration, known, measurement)
+    measurement = Measurement.from_observations(rows, result.calibration.marker_points)
+    made = Budget.from_measurement(result.calibration, known, measurement)
     assert made is not None
     np.testing.assert_allclose(made.variances["registration"], 1e-8, rtol=1e-6)
     np.testing.assert_allclose(made.variances["model"], 0.0, atol=1e-20)
@@ -106,7 +106,9 @@ def test_a_correlated_frame_leaves_what_the_others_do_not_tell() -> None:
     name = result.calibration.names[6]
     sigma, r = 1e-4, 0.8
     known = Predictive(("base_x", name), sigma**2 * np.array([[1.0, r], [r, 1.0]]), 0.0, 0.0)
-    made = Budget.of(result.calibration, known, Measurement.of(rows, result.calibration.marker_points))
+    made = Budget.from_measurement(
+        result.calibration, known, Measurement.from_observations(rows, result.calibration.marker_points)
+    )
     assert made is not None
     expected = sigma**2 * (1.0 - r**2)  # of a pair: what the other does not explain
     np.testing.assert_allclose(made.variances["registration"].sum(axis=1), expected, rtol=1e-6)

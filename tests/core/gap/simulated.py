@@ -53,7 +53,7 @@ def campaign(
         temperature_c=20.0 + 5.0 * rng.random(poses)[pose], t=30.0 * rng.permutation(len(q)),
     )  # fmt: skip
     made = [make_effect(i, j, **({"orders": orders} if i == "unknown_joint_curve" else {})) for i, j, _ in hidden]
-    model = RobotModel(robot, tuple(effect.on(robot, rows) for effect in made))
+    model = RobotModel(robot, tuple(effect.configure_for_robot(robot, rows) for effect in made))
     values = model.values0()
     made_by = rng if arm is None else np.random.default_rng([arm, 1])
     for k, p in enumerate(model.parameters[: model.n_geometric]):

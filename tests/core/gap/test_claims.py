@@ -16,19 +16,19 @@ from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.evidence.held_out import practical_size
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
-from kilter_core.gap.evidence.held_out.holding_out import held_out, parted
+from kilter_core.gap.evidence.held_out.holding_out import held_out, split_held_out_rows
 from kilter_core.gap.evidence.held_out.practical_size import Misfit
 from kilter_core.gap.evidence.held_out.unseen_fit import UnseenFit
 from kilter_core.gap.evidence.replication import Confirmation, replication
 from kilter_core.gap.evidence.similarity.testability import testability as judged
 from kilter_core.gap.evidence.verdict import run_verdict, sentence
 from kilter_core.gap.report.report import Remains
-from kilter_core.gap.report.stored import stored
+from kilter_core.gap.report.stored import build_stored_version
 from kilter_core.gap.search.candidates import with_testable
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.prepare import prepare_data
-from kilter_core.gap.search.scan import Scorer, null_of
+from kilter_core.gap.search.scan import Scorer, null_distribution
 from kilter_core.gap.search.select import Selector
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -175,12 +175,12 @@ def forced(robot, rows, rng):
     prepared = prepare_data(begin, rows, QUICK)
     problem = prepared.problem
     candidates = with_testable(prepared.library, judged(problem, prepared.library).able)
-    scorer = Scorer.of(candidates, True, problem.settings.noise.freedom)
+    scorer = Scorer.from_candidates(candidates, True, problem.settings.noise.freedom)
     selector = Selector(scorer, problem.rows, np.full(len(problem.A), np.inf))
     place = int(rng.integers(len(candidates)))
     fitted = refit(problem.settings, problem.values, list(candidates[place].columns))
-    found = SearchResult(fitted, selector, (place,), null_of(problem, scorer, [], 19, 0), 1e-4, ())
-    return candidates[place], stored(found, begin, rows, QUICK)
+    found = SearchResult(fitted, selector, (place,), null_distribution(problem, scorer, [], 19, 0), 1e-4, ())
+    return candidates[place], build_stored_version(found, begin, rows, QUICK)
 
 
 def test_a_name_forced_upon_noise_is_not_seen_again(robot):
@@ -190,7 +190,7 @@ def test_a_name_forced_upon_noise_is_not_seen_again(robot):
         rows = campaign(robot, poses=40, revisits=12, seed=100 + seed, arm=seed)
         other = campaign(robot, poses=30, revisits=10, seed=500 + seed, arm=seed)
         candidate, kept = forced(robot, rows, rng)
-        seen = Confirmation.of(kept.calibration, kept.posterior, other, QUICK, lambda f, s: None)
+        seen = Confirmation.from_observations(kept.calibration, kept.posterior, other, QUICK, lambda f, s: None)
         outcomes.append(replication(seen, robot, other, candidate, None).outcome)
     assert set(outcomes) <= {"not_seen", "replicated"}
     assert outcomes.count("replicated") <= 2  # more in one of 2000 such tests
@@ -205,7 +205,7 @@ def test_a_confirmation_with_rows_of_the_search_is_refused_whatever_its_file(rob
         find_gap(robot, small, QUICK, confirmation=mixed)
     assert refused.value.code == "rows_shared"
     with pytest.raises(ObservationError, match="rows for validation"):
-        parted(small, mixed, 0)
+        split_held_out_rows(small, mixed, 0)
     assert len(shared_rows(small, other)) == 0
 
 
@@ -249,8 +249,8 @@ def test_a_misfit_below_what_matters_is_no_gap():
     assert (small.too_small, large.too_small) == (True, False)
     assert not Misfit(0.0, 0.0, 0.005, fit.adequate).too_small  # too little is left: another fault
     assert not Misfit(0.003, 0.0036, 0.005, True).too_small
-    assert small.small_beside(0.1)
-    assert not small.small_beside(0.02)
+    assert small.is_negligible_for_effect(0.1)
+    assert not small.is_negligible_for_effect(0.02)
 
 
 def test_a_size_that_is_stated_makes_a_curve_too_small_to_matter(robot):
@@ -308,7 +308,7 @@ def test_a_joint_that_moves_less_than_is_left_is_not_claimed_beside_others(monke
     found: Any = SimpleNamespace(
         selector=SimpleNamespace(scorer=scorer), problem=SimpleNamespace(settings=settings)
     )  # fmt: skip
-    monkeypatch.setattr(practical_size, "moved_by", lambda _, own: Rms(moved[own[0]]))
+    monkeypatch.setattr(practical_size, "displacement_by_columns", lambda _, own: Rms(moved[own[0]]))
 
     def claimed(left_mm: float, joints: tuple[int, ...] = (0, 1, 2)) -> tuple[int, ...]:
         return practical_size.outweighing(found, 0, joints, Misfit(left_mm, left_mm, 0.005, False))
@@ -328,7 +328,7 @@ class Rms(float):
 
 def test_held_out_rows_refute_a_run_whatever_it_was_called():
     fit = UnseenFit(300.0, 90, 1e-9, 30, 1e-4, 5e-5, 5e-6)
-    assert fit.refuted
+    assert fit.refutes_model
     assert {fit.verdict(was) for was in ("no_gap", "closed", "provisional", "unexplained")} == {"unexplained"}
 
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.evidence.similarity.aliases import aliases_of
+from kilter_core.gap.evidence.similarity.aliases import find_aliases
 from kilter_core.gap.evidence.similarity.cancelling import cancelling_members
 from kilter_core.gap.evidence.similarity.testability import testability as judged
 from kilter_core.gap.evidence.similarity.testability import untestable
 from kilter_core.gap.report.report import effect_row
-from kilter_core.gap.search.candidates import library_of, with_testable
+from kilter_core.gap.search.candidates import build_library, with_testable
 from kilter_core.gap.search.forward_selection import SearchResult, search
 from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.prepare import Prepared, prepare_data
@@ -29,7 +29,7 @@ QUICK = GapOptions(resamples=20, permutations=5, bootstraps=499, next_poses=0)
 def searched(rows: Observations, options: GapOptions) -> tuple[Prepared, SearchResult]:
     prepared = prepare_data(Calibration.nominal(katana()), rows, options)
     candidates = with_testable(prepared.library, judged(prepared.problem, prepared.library).able)
-    scorer = Scorer.of(candidates, True, prepared.problem.settings.noise.freedom)
+    scorer = Scorer.from_candidates(candidates, True, prepared.problem.settings.noise.freedom)
     limits = np.array([max(abs(p.lower), abs(p.upper)) for p in prepared.library.parameters])
     return prepared, search(prepared.problem.settings, prepared.problem, scorer, limits, options, lambda f, s: None)
 
@@ -65,7 +65,7 @@ def test_a_walk_in_more_pieces_is_no_other_cause() -> None:
     assert len(walks) > 1
     for walk in walks:
         problem = refit(found.problem.settings, found.problem.values, found.selector.columns((walk,)))
-        rivals = aliases_of(replace(found, problem=problem, chosen=(walk,)), walk)
+        rivals = find_aliases(replace(found, problem=problem, chosen=(walk,)), walk)
         assert "random_walk" not in {a.candidate.id for a in rivals}
         assert "drift" in {a.candidate.id for a in rivals}
 
@@ -122,7 +122,9 @@ def test_effects_that_cancel_are_one_class() -> None:
     (member,) = cancelling_members(both, first)
     assert (member.place, member.member) == (second, "sum of eccentricity j2 and encoder_scale j2")
     assert [a.place for a in cancelling_members(both, second)] == [first]
-    assert {a.member for a in aliases_of(both, first) if a.place == second} == {"smooth error of joint 2"}  # says more
+    assert {a.member for a in find_aliases(both, first) if a.place == second} == {
+        "smooth error of joint 2"
+    }  # says more
 
 
 def test_effects_of_a_size_with_the_gap_are_none() -> None:
@@ -134,7 +136,7 @@ def test_effects_of_a_size_with_the_gap_are_none() -> None:
 
 def test_settling_is_tried_at_several_paces_and_smooth_curves_up_to_each_order() -> None:
     rows = campaign(katana(), seed=2)
-    library = library_of(katana(), rows)
+    library = build_library(katana(), rows)
     paces = {c.effects[0].tau_s / np.ptp(rows.t) for c in library.candidates if c.id == "settling"}  # type: ignore[attr-defined]
     assert len(paces) == 4
     assert min(paces) < 0.1
@@ -157,7 +159,7 @@ def test_settling_is_tried_at_several_paces_and_smooth_curves_up_to_each_order()
 )
 def test_without_its_column_a_cause_is_refused_with_the_remedy(column: str, needed: tuple[str, ...]) -> None:
     rows = replace(campaign(katana(), seed=2), **{column: None})
-    library = library_of(katana(), rows)
+    library = build_library(katana(), rows)
     refused = {u.id: u for u in library.refused}
     assert set(needed) <= set(refused)
     assert all(column in refused[i].reason and refused[i].remedy for i in needed)
@@ -166,7 +168,7 @@ def test_without_its_column_a_cause_is_refused_with_the_remedy(column: str, need
 
 def test_one_moment_in_time_is_refused() -> None:
     rows = campaign(katana(), seed=2)
-    library = library_of(katana(), replace(rows, t=np.zeros(len(rows))))
+    library = build_library(katana(), replace(rows, t=np.zeros(len(rows))))
     assert "knots_s" in {u.id: u.reason for u in library.refused}["random_walk"]
 
 
@@ -189,5 +191,5 @@ def test_a_new_cause_is_found_by_its_name(hidden: tuple[str, tuple[int, ...] | N
     _, found = searched(rows, QUICK)
     candidates = found.selector.scorer.candidates
     named = {(candidates[k].id, candidates[k].joints) for k in found.chosen}
-    listed = {(a.candidate.id, a.candidate.joints) for k in found.chosen for a in aliases_of(found, k)}
+    listed = {(a.candidate.id, a.candidate.joints) for k in found.chosen for a in find_aliases(found, k)}
     assert (hidden[0], hidden[1]) in named | listed

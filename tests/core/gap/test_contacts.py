@@ -13,7 +13,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.gap import GapOptions, GapReport, find_gap
 from kilter_core.gap.check import check_gap
-from kilter_core.gap.evidence.held_out.holding_out import parted
+from kilter_core.gap.evidence.held_out.holding_out import split_held_out_rows
 from kilter_core.observations import Observations
 from tests.core.campaigns import held, measured
 from tests.core.measurement.test_contacts import PLACES, PLAY, about, bars, in_sockets, pair, with_play
@@ -119,7 +119,7 @@ def test_the_gap_closes_on_placements_that_were_held_out_whole(named: GapReport)
     assert gap["validation_after_mm"] == pytest.approx(gap["validation_noise_rms_mm"], rel=0.2)
     assert gap["closure"] > 0.95
     _, rows = sockets(HIDDEN)
-    inside, outside = parted(rows, None, 0)
+    inside, outside = split_held_out_rows(rows, None, 0)
     assert outside is not None
     assert inside.socket is not None
     assert outside.socket is not None

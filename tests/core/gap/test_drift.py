@@ -9,7 +9,7 @@ import pytest
 
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.noise.from_repeats import repeat_noise
-from kilter_core.gap.noise.visits import visits_of
+from kilter_core.gap.noise.visits import average_visits
 from kilter_core.observations import Observations
 from tests.core.gap.simulated import campaign, katana
 
@@ -49,7 +49,7 @@ def drifting(layout, kind, size, seed):
 
 
 def noise_of(rows, error):
-    visits = visits_of(rows)
+    visits = average_visits(rows)
     mean = error[np.unique(visits.visit, return_index=True)[1]]
     return repeat_noise(error, mean, visits, visits.observations.position)
 
@@ -75,7 +75,7 @@ def test_noise_is_what_is_left_of_repeats_at_no_distance(layout, kind, size):
     found = [noise_of(rows, error) for rows, error in made]
     typical = float(np.median([sigma(n) for n in found]))
     assert 0.88 * NOISE < typical < 1.12 * NOISE
-    seen = np.mean([n.drift.seen for n in found])
+    seen = np.mean([n.drift.is_significant for n in found])
     assert seen == 0.0 if kind == "none" else seen > 0.7
     if kind != "none":
         assert typical < np.median([pooled(rows, error) for rows, error in made])
@@ -104,7 +104,7 @@ def test_the_freedom_is_how_well_the_noise_is_known():
 def test_without_a_clock_the_order_of_the_rows_stands_in():
     rows, error = drifting("at random", "base", 1.5e-4, 3)
     noise = noise_of(replace(rows, t=None), error)
-    assert noise.drift.seen
+    assert noise.drift.is_significant
     assert not noise.drift.timed
     assert sigma(noise) == pytest.approx(NOISE, rel=0.2)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kilter_core.gap.search.linear.bases import FIRM, apart
+from kilter_core.gap.search.linear.bases import FIRM, split_geometry_directions
 from tests.blind.generator import cases
 from tests.blind.run import run_case
 
@@ -53,8 +53,8 @@ def test_directions_are_told_apart_by_what_the_data_know_of_them() -> None:
     Q, _ = np.linalg.qr(rng.standard_normal((40, 5)))
     V, _ = np.linalg.qr(rng.standard_normal((5, 5)))
     sizes = np.array([1e5, 2.0 * FIRM, 0.5 * FIRM, 0.56, 1e-6])
-    firm, weak = apart(Q * sizes @ V.T)
+    firm, weak = split_geometry_directions(Q * sizes @ V.T)
     assert firm.shape == weak.shape == (5, 2)
     assert np.abs(V[:, :2].T @ firm @ firm.T @ V[:, :2]) == pytest.approx(np.eye(2), abs=1e-6)
     assert np.abs(V[:, 2:4].T @ weak @ weak.T @ V[:, 2:4]) == pytest.approx(np.eye(2), abs=1e-6)
-    assert apart(np.zeros((40, 0)))[0].shape == (0, 0)
+    assert split_geometry_directions(np.zeros((40, 0)))[0].shape == (0, 0)

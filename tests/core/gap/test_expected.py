@@ -10,7 +10,7 @@ import pytest
 from kilter_core.gap import GapOptions, check, expected, find_gap
 from kilter_core.gap.check import check_gap
 from kilter_core.gap.evidence import stability
-from kilter_core.gap.expected import Probe, timed
+from kilter_core.gap.expected import Probe, run_and_time
 from tests.core.gap.simulated import campaign, katana
 
 QUICK = GapOptions(bootstraps=299, effects=("backlash", "eccentricity", "axial_compliance"))
@@ -27,7 +27,7 @@ def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("ticking")
 def test_every_piece_is_timed_once_and_what_the_selection_names_is_counted() -> None:
-    assert timed(lambda: "made") == ("made", 1.0)
+    assert run_and_time(lambda: "made") == ("made", 1.0)
     hidden, clean = (campaign(katana(), what, poses=60, seed=5) for what in (HIDDEN, []))
     named, nothing = (check_gap(katana(), rows, QUICK).seconds for rows in (hidden, clean))
     seconds = [Probe(*(1.0,) * 7, names, 135.0, True).search(1.0) for names in (0, 2)]
@@ -51,7 +51,7 @@ def test_no_verdict_waits_for_resamples_where_something_is_left() -> None:
 def test_a_search_draws_as_many_resamples_as_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where poses held out may confirm what repeats bear out, and where some are lacking for both."""
     drawn: list[int] = []
-    plain = stability._resampled
+    plain = stability._make_resampler
 
     def counted(search, rng):
         draw = plain(search, rng)
@@ -63,7 +63,7 @@ def test_a_search_draws_as_many_resamples_as_are_counted(monkeypatch: pytest.Mon
 
         return one
 
-    monkeypatch.setattr(stability, "_resampled", counted)
+    monkeypatch.setattr(stability, "_make_resampler", counted)
     probes: list[Probe] = []
     monkeypatch.setattr(check, "probe", lambda *given: probes.append(expected.probe(*given)) or probes[-1])
     for poses in (80, 40):

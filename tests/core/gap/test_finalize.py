@@ -31,7 +31,7 @@ def poses(hidden=(), seed=0):
     """A campaign of full poses with orientation noise, and the model's own orientations."""
     robot = katana()
     rows = campaign(robot, hidden, poses=100, revisits=25, seed=seed)
-    effects = tuple(make_effect(i, j).on(robot, rows) for i, j, _ in hidden)
+    effects = tuple(make_effect(i, j).configure_for_robot(robot, rows) for i, j, _ in hidden)
     model = RobotModel(robot, effects)
     values = model.values0()
     if hidden:

@@ -336,7 +336,7 @@ def test_what_was_refused_explains_as_much_as_a_fit_with_it(robot):
     hidden = [("axial_compliance", (1,), (1.5e-4,)), ("second_harmonic", (4,), (8e-4, 5e-4))]
     rows = campaign(robot, hidden, seed=4, poses=118)
     report = find_gap(robot, rows, replace(QUICK, max_effects=1), validation=0)
-    named = [effect.evidence.candidate.named() for effect in report.effects]
+    named = [effect.evidence.candidate.id_and_joints() for effect in report.effects]
     assert len(named) == 1
     assert [row["p_value"] for row in report.refused] == sorted(row["p_value"] for row in report.refused)
     assert all(0.0 <= row["explains"] <= 1.0 and 0.0 < row["p_value"] <= 1.0 for row in report.refused)

@@ -34,12 +34,12 @@ def geometry_only(robot: Robot, rows: Observations) -> tuple[float, float, float
     source = problem.settings.source
     assert isinstance(source, ToolSource)
     used = ready.visits.observations.select(problem.settings.used)
-    own = source.on(replace(source.measurement, observations=used))
+    own = source.with_measurement(replace(source.measurement, observations=used))
     size = 3 * (source.measurement.marker_points is None or len(source.measurement.marker_points))
     points = own.residual(problem.values)[:, :size].reshape(-1, 3)
     hunted = float(np.sqrt(np.nanmean(np.sum(points**2, axis=1))))
     found = identify(robot, used)
-    errors = Errors.of(found.calibration, found.fit.problem.measurement).points
+    errors = Errors.from_calibration(found.calibration, found.fit.problem.measurement).points
     return hunted, fit_rms(problem), float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
 

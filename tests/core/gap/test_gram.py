@@ -59,7 +59,7 @@ def test_a_set_less_a_few_columns_is_the_rest_of_it(seed: int) -> None:
     columns = [1, 3, 4, 9, 14, 20, 21]
     for out in ([], [9], [20], [3, 20], [4, 14], [21, 1, 3], columns):
         rest = [k for k in columns if k not in out]
-        less, given = Fewer(gram, columns).without(out).given, gram.given(rest)
+        less, given = Fewer(gram, columns).without_columns(out).conditioned_gram, gram.condition_on_columns(rest)
         assert less.nu == given.nu
         assert less.yy == pytest.approx(given.yy, rel=1e-7)
         assert np.allclose(less.A, given.A, rtol=0.0, atol=1e-8)
@@ -79,11 +79,11 @@ def test_candidates_asked_for_alone_take_what_they_take_among_all(seed: int) -> 
     scorer: Scorer = selector.scorer
     rng = np.random.default_rng(seed)
     for taken in ((), (3, 9), (0, 14, 20)):
-        given = gram.given(taken)
+        given = gram.condition_on_columns(taken)
         for _ in range(4):
             among = rng.random(len(scorer.candidates)) < 0.3
             few = scorer.reductions(given.with_data(given.c, given.yy), given.c[None], among)
-            every = Gram(gram.whole, gram.c, gram.yy, gram.nu).given(taken)
+            every = Gram(gram.whole, gram.c, gram.yy, gram.nu).condition_on_columns(taken)
             S, d = scorer.reductions(every, every.c[None])
             assert np.array_equal(few[0][:, among], S[:, among])
             assert np.array_equal(few[1][among], d[among])
@@ -96,7 +96,7 @@ def test_candidates_take_what_least_squares_says(taken: tuple[int, ...]) -> None
     W, y = rng.standard_normal((120, 24)), 5.0 * rng.standard_normal(120)
     W[:, 21] = W[:, 4]
     selector = world(1)[1]
-    given = Gram(W.T @ W, W.T @ y, float(y @ y), 120.0).given(taken)
+    given = Gram(W.T @ W, W.T @ y, float(y @ y), 120.0).condition_on_columns(taken)
     S, d = selector.scorer.reductions(given, given.c[None])
 
     def left(columns: list[int]) -> float:
@@ -118,8 +118,8 @@ def test_a_member_beside_the_others_is_as_sure_as_a_scan_of_them_says(seed: int)
     for count in (1, 3, 5):
         chosen = tuple(map(int, rng.choice(len(selector.scorer.candidates), count, replace=False)))
         for k, p in zip(chosen, selector.tails(gram, chosen), strict=True):
-            rest = gram.given(selector.columns([m for m in chosen if m != k]))
-            expected = selector.scorer.scores(rest).p[k] if selector.signed(gram, chosen, k) else 1.0
+            rest = gram.condition_on_columns(selector.columns([m for m in chosen if m != k]))
+            expected = selector.scorer.scores(rest).p[k] if selector.has_plausible_sign(gram, chosen, k) else 1.0
             assert p == pytest.approx(expected, rel=1e-6)
 
 
@@ -130,7 +130,7 @@ def test_one_data_set_is_scanned_as_many_are(smallest: float) -> None:
     A = with_eigenvalues(np.r_[smallest, np.linspace(0.1, 3.0, 23)], seed=3)
     data = np.random.default_rng(4).standard_normal((3, 24)) @ np.linalg.cholesky(A + 1e-9 * np.eye(24)).T
     for taken in ((), (2,), (0, 7, 11, 19)):
-        given = Gram(A, data[0], 30.0, 100.0).given(taken)
+        given = Gram(A, data[0], 30.0, 100.0).condition_on_columns(taken)
         S, d = selector.scorer.reductions(given, data)
         for one, each in zip(data, S, strict=True):
             alone, degrees = selector.scorer.reductions(given, one[None])
@@ -144,15 +144,15 @@ def test_scans_push_no_inverse_out() -> None:
     gram = replace(made, cache=Recent(most=10_000))
     kept = gram.inverse([2, 5, 9])[0]
     for k in range(24):
-        selector.scorer.scores(gram.given([k]))
+        selector.scorer.scores(gram.condition_on_columns([k]))
     assert gram.inverse([2, 5, 9])[0] is kept
     assert gram.with_data(2.0 * gram.c, 4.0 * gram.yy).inverse([2, 5, 9])[0] is kept
-    assert gram.given([3]).inverse([2, 5, 9])[0] is not kept
+    assert gram.condition_on_columns([3]).inverse([2, 5, 9])[0] is not kept
 
 
 @pytest.mark.parametrize("taken", [(), (4,), (1, 7, 16)])
 def test_parts_are_those_of_the_whole(taken: tuple[int, ...]) -> None:
-    gram = world(6)[0].given(taken)
+    gram = world(6)[0].condition_on_columns(taken)
     columns = np.array([[0, 3], [5, 11], [8, 2], [20, 21]])
     expected = gram.A[columns[:, :, None], columns[:, None, :]]
     assert np.allclose(gram.blocks(columns), expected, rtol=0.0, atol=1e-12)

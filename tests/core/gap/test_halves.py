@@ -9,7 +9,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.evidence.halves import _Searched, half_of
+from kilter_core.gap.evidence.halves import _Searched, restrict_to_visits
 from kilter_core.gap.report.report import GapReport
 from kilter_core.gap.search.candidates import FAMILY, JOINT, Candidate
 from kilter_core.gap.search.linear.gram import Gram
@@ -107,7 +107,7 @@ def test_a_half_of_a_clean_campaign_leaves_its_noise(seed: int) -> None:
     first = problem.settings.group < 39
     scale = (problem.settings.noise.coordinate / many_joints.NOISE_M) ** 2
     for side in (first, ~first):
-        gram, numbers = half_of(problem, side)
+        gram, numbers = restrict_to_visits(problem, side)
         rows = problem.G[side[problem.row_visit]]
         assert numbers == 3 * int(side.sum())
         rank = np.linalg.matrix_rank(rows * problem.settings.source.prior_sigma, tol=1e-3)
@@ -147,12 +147,12 @@ def test_an_effect_too_faint_to_be_named_in_a_half_can_come_again_there(size: fl
     gram = Gram(W.T @ W, W.T @ y, float(y @ y), 100.0)
     family = Candidate("backlash", (0, 1, 2), (0, 1, 2), FAMILY, False, False, "joint", ())
     single = Candidate("backlash", (0,), (0,), JOINT, False, False, "joint", ())
-    selector = Selector(Scorer.of([family, single], True, np.inf), 100, np.full(4, np.inf))
-    assert selector.searched(gram, 1e-9, 4) == ()
+    selector = Selector(Scorer.from_candidates([family, single], True, np.inf), 100, np.full(4, np.inf))
+    assert selector.select_candidates(gram, 1e-9, 4) == ()
     half = _Searched(gram, selector, ())
-    assert half.again(0, ()) == ([family] if came else [])
+    assert half.matching_candidates(0, ()) == ([family] if came else [])
     beside = _Searched(gram, selector, (1,))  # with one of its joints in, the others still have to be there
-    assert beside.again(0, ()) == [single]
+    assert beside.matching_candidates(0, ()) == [single]
 
 
 def test_a_wave_beside_a_curve_of_its_own_joint_is_replicated_as_the_curve_that_both_are() -> None:
@@ -170,4 +170,4 @@ def test_a_wave_beside_a_curve_of_its_own_joint_is_replicated_as_the_curve_that_
     about = {j.evidence.candidate.id: j for j in report.effects}
     assert set(about) == {"eccentricity", "unknown_joint_curve"}
     assert (about["eccentricity"].verdict, about["eccentricity"].claim.said) == ("replicated", "class")
-    assert about["eccentricity"].called.startswith("error curve of joint 1")
+    assert about["eccentricity"].display_name.startswith("error curve of joint 1")

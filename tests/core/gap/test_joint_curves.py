@@ -81,5 +81,8 @@ def test_a_local_error_of_a_joint_is_a_bump_at_its_place() -> None:
 
 
 def test_few_poses_carry_no_curve_of_many_waves() -> None:
-    tried = {count: EFFECTS["encoder_curve"].tried(robot(), Observations(q=poses(count, 3))) for count in (30, 60, 118)}
+    tried = {
+        count: EFFECTS["encoder_curve"].candidate_configurations(robot(), Observations(q=poses(count, 3)))
+        for count in (30, 60, 118)
+    }
     assert [len(one) for one in tried.values()] == [0, 6, 8]

@@ -53,8 +53,8 @@ def test_beyond_its_range_a_curve_leaves_no_more_than_geometry(shape: Any, seed:
     seen = points(q) + rng.normal(0.0, NOISE_M, (len(q), 3))
     rows = Observations(q, seen, pose_id=order, t=60.0 * np.arange(len(q)))
     report = find_gap(robot_from_document(ideal.document()), rows, QUICK, validation=0.25)
-    assert any("joint 4 over" in effect.called for effect in report.effects)
-    spans = [effect.called.split(" over ")[1] for effect in report.effects if "joint 4" in effect.called]
+    assert any("joint 4 over" in effect.display_name for effect in report.effects)
+    spans = [effect.display_name.split(" over ")[1] for effect in report.effects if "joint 4" in effect.display_name]
     assert all(44 <= float(span.split(" deg, from ")[0]) <= 51 for span in spans)
 
     def left(version: Calibration, at: np.ndarray) -> float:

@@ -85,10 +85,10 @@ def test_what_was_found_rests_while_the_geometry_is_fitted_under_its_noise(monke
     prepared = prepare_data(Calibration.nominal(katana()), campaign(katana(), seed=2), options)
     found = refit(replace(prepared.problem.settings), prepared.problem.values, [0])
     assert found.derivatives.kept is not None
-    after = prepared.judged_by(found)
+    after = prepared.update_noise_and_outliers(found)
     assert after.problem.settings is found.settings
     assert found.derivatives.kept is None
-    assert after.judged_by(found) is after
+    assert after.update_noise_and_outliers(found) is after
     assert after.problem.derivatives.kept is not None
 
 
@@ -100,7 +100,7 @@ def test_a_few_poses_never_rest(problem: LinearizedProblem) -> None:
 
 def test_a_fit_is_gone_with_its_last_reference(problem: LinearizedProblem) -> None:
     """Its inner products, made and asked with loads held, do not refer back to it: no circle keeps 100 MB alive."""
-    made = replace(problem, soft=Soft.of(problem.G[:, :1]))  # as if masses were known with errors
+    made = replace(problem, soft=Soft.from_columns(problem.G[:, :1]))  # as if masses were known with errors
     assert made.gram.firm is not made.gram
     gone = weakref.ref(made)
     gc.disable()

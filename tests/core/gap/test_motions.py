@@ -9,7 +9,7 @@ import pytest
 
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.evidence.control import by_blocks
-from kilter_core.gap.noise.motion import blocks, correlation_length, windows_of
+from kilter_core.gap.noise.motion import blocks, correlation_length, split_into_windows
 from kilter_core.gap.search.linear.tails import tail
 from kilter_core.identify.holdout import split
 from kilter_core.observations import Observations
@@ -144,7 +144,7 @@ def test_of_a_motion_the_end_is_held_out_and_of_several_whole_ones():
 
 def test_windows_do_not_span_two_motions():
     rows = Observations(q=np.zeros((7, 1)), t=np.array([0.0, 1.0, 2.0, 0.0, 1.0, 2.0, 3.0]))
-    assert windows_of(rows, 2).window.tolist() == [0, 0, 1, 2, 2, 3, 3]
+    assert split_into_windows(rows, 2).window.tolist() == [0, 0, 1, 2, 2, 3, 3]
 
 
 def test_correlated_noise_alone_has_no_name():

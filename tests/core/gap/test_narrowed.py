@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.search.masses import blur_of
+from kilter_core.gap.search.masses import source_load_blur
 from kilter_core.gap.search.sources.tool_source import ToolSource
 from kilter_core.measurement import Measurement
 from tests.core.gap.simulated import campaign, katana
@@ -29,15 +29,15 @@ def test_a_compliance_that_shows_the_masses_narrows_the_sign_of_its_joint() -> N
     (play,) = [e for e in report.calibration.model.effects if e.id == "backlash_load"]
     (width,) = play.softening_nm
     stored = report.stored
-    source = ToolSource.of(
+    source = ToolSource.from_model(
         stored.calibration.model,
-        Measurement.of(stored.shown, stored.calibration.marker_points),
+        Measurement.from_observations(stored.shown, stored.calibration.marker_points),
         np.array([stored.calibration.names.index(n) for n in stored.posterior.names]),
         0,
     )
-    prior = blur_of(source, stored.calibration.values, np.diag(source.prior_sigma[source.soft] ** 2))[2, 1]
+    prior = source_load_blur(source, stored.calibration.values, np.diag(source.prior_sigma[source.soft] ** 2))[2, 1]
     soft = np.flatnonzero(source.soft)
-    known = blur_of(source, stored.calibration.values, stored.posterior.covariance[np.ix_(soft, soft)])[2, 1]
+    known = source_load_blur(source, stored.calibration.values, stored.posterior.covariance[np.ix_(soft, soft)])[2, 1]
     assert known < 0.5 * prior
     # It was made of the posterior before the last re-fit, which knew a little less.
     assert known < width < 1.5 * known

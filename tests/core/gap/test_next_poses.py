@@ -10,9 +10,9 @@ from kilter_core.errors import OptionError
 from kilter_core.gap import find_gap, plan_separation
 from kilter_core.gap.evidence.similarity.testability import testability as judged
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.report.next_poses import Proposal, _Question, rows_of, separate
-from kilter_core.gap.report.separation import imagined, undecided
-from kilter_core.gap.report.told_apart import never_told, told_apart
+from kilter_core.gap.report.next_poses import Proposal, _Question, proposal_rows, separate
+from kilter_core.gap.report.separation import simulate_first_campaign, undecided_effect_pair
+from kilter_core.gap.report.told_apart import are_never_separable, assess_separation
 from kilter_core.gap.search.candidates import with_testable
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
@@ -58,7 +58,7 @@ def test_proposed_poses_stay_within_the_limits(asked):
     p, target, rival = asked
     proposals = separate(p.problem, p.visits.observations, target, [rival], (), np.array([1e-4]), 5, 0)
     limits = np.degrees(katana().limits)
-    for row in rows_of(proposals, ("a", "b"), katana()):
+    for row in proposal_rows(proposals, ("a", "b"), katana()):
         assert np.all(np.array(row["q_deg"]) >= limits[:, 0])
         assert np.all(np.array(row["q_deg"]) <= limits[:, 1])
         assert row["separates"] == ["a", "b"]
@@ -106,14 +106,14 @@ def test_what_a_report_left_undecided_is_planned_for():
     row = {"id": "axial_compliance", "joints": [2], "verdict": "class_confirmed", "empirical": False}
     rival = {"id": "link_bending", "joints": [2], "correlation": 0.97}
     same = {"id": "friction_windup", "joints": [1], "correlation": 1.0}
-    assert undecided({"effects": [{**row, "alias_set": [same, rival]}]}) == (
+    assert undecided_effect_pair({"effects": [{**row, "alias_set": [same, rival]}]}) == (
         ("axial_compliance", (1,)),
         ("link_bending", (1,)),
     )
-    assert undecided({"effects": [{**row, "alias_set": [same]}]}) is None  # no pose tells those apart
+    assert undecided_effect_pair({"effects": [{**row, "alias_set": [same]}]}) is None  # no pose tells those apart
     weak = {**row, "verdict": "provisional", "alias_set": []}
-    assert undecided({"effects": [weak]}) == (("axial_compliance", (1,)), None)
-    assert undecided({"effects": []}) is None
+    assert undecided_effect_pair({"effects": [weak]}) == (("axial_compliance", (1,)), None)
+    assert undecided_effect_pair({"effects": []}) is None
 
 
 def test_a_slide_is_given_in_mm():
@@ -121,7 +121,7 @@ def test_a_slide_is_given_in_mm():
     slide = replace(robot, joints=(replace(robot.joints[0], kind="prismatic"), *robot.joints[1:]))
     rows = campaign(robot, poses=2, revisits=0)
     proposal = Proposal(rows, "new", "", 1.0, (2.0, 3.0))
-    first = rows_of([proposal], ("a", "b"), slide)[0]["q_deg"]
+    first = proposal_rows([proposal], ("a", "b"), slide)[0]["q_deg"]
     assert first[0] == pytest.approx(1e3 * rows.q[0, 0], abs=1e-3)
     assert first[1] == pytest.approx(np.degrees(rows.q[0, 1]), abs=1e-3)
 
@@ -134,17 +134,17 @@ def test_loads_that_hang_off_the_tool_point_are_asked_for_where_they_hung():
     by = {c.label: c for c in with_testable(p.library, judged(p.problem, p.library).able)}
     target, rival = by["axial_compliance j2"], by["link_bending j2"]
     proposals = separate(p.problem, p.visits.observations, target, [rival], (), np.array([1e-4]), 8, 0)
-    said = {(row["payload_kg"], *row["payload_com_mm"]) for row in rows_of(proposals, ("a", "b"), robot)}
+    said = {(row["payload_kg"], *row["payload_com_mm"]) for row in proposal_rows(proposals, ("a", "b"), robot)}
     assert said
     assert said <= {(0.5, 0.0, 20.0, 0.0), (2.0, 10.0, 0.0, 40.0)}
 
 
 def test_a_plan_without_campaigns_carries_the_default_load():
     robot = replace(katana(), load=Payload(0.5, (0.0, 0.0, 0.04)))
-    rows = imagined(Calibration.nominal(robot), GapOptions())
+    rows = simulate_first_campaign(Calibration.nominal(robot), GapOptions())
     assert np.unique(rows.payload_kg).tolist() == [0.5]
     assert np.unique(rows.payload_com, axis=0).tolist() == [[0.0, 0.0, 0.04]]
-    assert imagined(Calibration.nominal(katana()), GapOptions()).payload_com is None
+    assert simulate_first_campaign(Calibration.nominal(katana()), GapOptions()).payload_com is None
 
 
 @pytest.fixture(scope="module")
@@ -160,7 +160,7 @@ def told(library, pair, after, rows=None, robot=None):
     rows = campaign(robot, seed=1, poses=40, loads=(0.0,)) if rows is None else rows
     proposal = Proposal(Observations(np.zeros((12, 5))), "new", "", 4.0, tuple(np.linspace(4.0, after, 12)))
     one, other = (library[label] for label in pair)
-    said = told_apart([proposal], one, other, rows, robot)
+    said = assess_separation([proposal], one, other, rows, robot)
     assert said is not None
     return said
 
@@ -181,7 +181,10 @@ def test_poses_that_cannot_decide_are_said_to_and_how_many_would(library):
     enough = told(library, pair, 40.0)
     assert (enough.enough, enough.needed, enough.instead, list(enough.warnings())) == (True, 12, (), [])
     assert enough.sentence.startswith("12 poses will tell axial_compliance j2 from eccentricity j2")
-    assert told_apart([], library[pair[0]], library[pair[1]], campaign(katana(), poses=5, revisits=0), katana()) is None
+    assert (
+        assess_separation([], library[pair[0]], library[pair[1]], campaign(katana(), poses=5, revisits=0), katana())
+        is None
+    )
 
 
 def test_what_does_instead_is_what_only_one_of_the_two_shows(library):
@@ -217,10 +220,10 @@ def test_no_poses_are_asked_for_that_no_name_would_follow(library):
     turning = replace(robot.joints[1], lower=-3.5, upper=3.5)
     free = replace(robot, joints=(robot.joints[0], turning, *robot.joints[2:]))
     pair = library["eccentricity j2"], library["second_harmonic j2"]
-    assert never_told(*pair, robot)
-    assert not never_told(*pair, free)
-    assert not never_told(library["eccentricity j2"], library["axial_compliance j2"], robot)
-    assert not never_told(library["eccentricity j2"], library["second_harmonic j3"], robot)
+    assert are_never_separable(*pair, robot)
+    assert not are_never_separable(*pair, free)
+    assert not are_never_separable(library["eccentricity j2"], library["axial_compliance j2"], robot)
+    assert not are_never_separable(library["eccentricity j2"], library["second_harmonic j3"], robot)
 
 
 def test_a_plan_says_whether_its_poses_tell_the_two_apart():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kilter_core.gap.noise.from_repeats import repeat_noise, spikes
-from kilter_core.gap.noise.visits import visits_of
+from kilter_core.gap.noise.visits import average_visits
 from kilter_core.observations import Observations
 
 
@@ -33,7 +33,7 @@ def test_visits_average_only_rows_that_follow_each_other():
         position=np.array([[0.0, 0, 0], [2.0, 0, 0], [5.0, 0, 0], [7.0, 0, 0]]),
         pose_id=np.array([4, 4, 9, 4]),
     )
-    visits = visits_of(rows)
+    visits = average_visits(rows)
     assert visits.count.tolist() == [2, 1, 1]
     assert visits.pose.tolist() == [0, 1, 0]
     assert visits.observations.position[:, 0].tolist() == [1.0, 5.0, 7.0]
@@ -41,7 +41,7 @@ def test_visits_average_only_rows_that_follow_each_other():
 
 def test_within_visit_and_re_approach_parts_are_told_apart():
     rows, truth = repeated(np.random.default_rng(1))
-    visits = visits_of(rows)
+    visits = average_visits(rows)
     mean = visits.observations.position - truth[np.unique(visits.visit, return_index=True)[1]]
     noise = repeat_noise(rows.position - truth, mean, visits, visits.observations.position)
     assert noise is not None
@@ -52,7 +52,7 @@ def test_within_visit_and_re_approach_parts_are_told_apart():
 
 def test_a_tracker_is_noisier_across_its_line_of_sight():
     rows, truth = repeated(np.random.default_rng(2), between=0.0, within=5e-6, angle=2e-5)
-    visits = visits_of(rows)
+    visits = average_visits(rows)
     points = visits.observations.position
     mean = points - truth[np.unique(visits.visit, return_index=True)[1]]
     noise = repeat_noise(rows.position - truth, mean, visits, points)
@@ -67,14 +67,14 @@ def test_a_tracker_is_noisier_across_its_line_of_sight():
 def test_one_wrong_row_of_a_visit_is_a_spike_and_does_not_widen_the_noise():
     rows, truth = repeated(np.random.default_rng(3))
     rows.position[7] += 1e-3
-    visits = visits_of(rows)
+    visits = average_visits(rows)
     assert np.flatnonzero(spikes(rows.position - truth, visits)).tolist() == [7]
 
 
 def test_without_repeats_there_is_no_noise_to_speak_of():
     rng = np.random.default_rng(0)
     rows = Observations(q=rng.uniform(size=(30, 2)), position=rng.normal(size=(30, 3)))
-    assert repeat_noise(rows.position, rows.position, visits_of(rows), rows.position) is None
+    assert repeat_noise(rows.position, rows.position, average_visits(rows), rows.position) is None
 
 
 def shots(rng, pause, jitter=0.0, poses=30, each=3, approach=6e-5, noise=9e-6):
@@ -91,7 +91,7 @@ def shots(rng, pause, jitter=0.0, poses=30, each=3, approach=6e-5, noise=9e-6):
 @pytest.mark.parametrize("jitter", [0.0, 2e-6])
 def test_shots_without_a_motion_are_one_visit_whatever_the_clock_says(pause, jitter):
     rows, error = shots(np.random.default_rng(4), pause, jitter)
-    visits = visits_of(rows)
+    visits = average_visits(rows)
     assert visits.count.tolist() == [3] * 30
     mean = error[::3]
     noise = repeat_noise(error, mean, visits, visits.observations.position)
@@ -104,8 +104,8 @@ def test_another_pose_in_between_ends_a_visit_in_the_order_of_time():
     pose = np.array([0, 0, 0, 1, 1, 1, 2, 2, 2])
     t = np.array([0.0, 30, 60, 10, 40, 70, 20, 50, 80])
     rows = Observations(q=pose[:, None] * 0.3, position=np.zeros((9, 3)), pose_id=pose, t=t)
-    assert visits_of(rows).count.tolist() == [1] * 9
-    assert visits_of(replace(rows, t=None)).count.tolist() == [3, 3, 3]
+    assert average_visits(rows).count.tolist() == [1] * 9
+    assert average_visits(replace(rows, t=None)).count.tolist() == [3, 3, 3]
 
 
 def test_readings_that_change_over_pauses_only_show_that_the_arm_came_back():
@@ -115,15 +115,15 @@ def test_readings_that_change_over_pauses_only_show_that_the_arm_came_back():
     q = rng.uniform(-1, 1, (30, 4))[pose] + np.repeat(1e-6 * rng.normal(size=(30, 4)), 3, axis=0)
     t = np.cumsum(np.where(np.arange(90) % 3 == 0, 30.0, 0.5))
     rows = Observations(q=q, position=np.zeros((90, 3)), pose_id=pose, t=t)
-    assert visits_of(rows).count.tolist() == [3] * 30
-    assert len(visits_of(replace(rows, q=rng.uniform(-1, 1, (30, 4))[pose]))) == 20
+    assert average_visits(rows).count.tolist() == [3] * 30
+    assert len(average_visits(replace(rows, q=rng.uniform(-1, 1, (30, 4))[pose]))) == 20
 
 
 def test_a_clock_set_back_splits_no_visits():
     rows, _ = shots(np.random.default_rng(1), (0.5, 0.6))
     half = len(rows) // 2
     back = replace(rows, t=np.where(np.arange(90) < half, rows.t, rows.t - rows.t[half] + 0.3))
-    assert visits_of(back).count.tolist() == [3] * 30
+    assert average_visits(back).count.tolist() == [3] * 30
 
 
 def wild_doubles(rng, size=2e-5):
@@ -140,7 +140,7 @@ def wild_doubles(rng, size=2e-5):
 
 def test_few_rows_of_one_visit_do_not_outweigh_many_repeated_approaches():
     rows, error = wild_doubles(np.random.default_rng(0))
-    visits = visits_of(rows)
+    visits = average_visits(rows)
     mean = np.stack([np.bincount(visits.visit, e) for e in error.T], axis=1) / visits.count[:, None]
     noise = repeat_noise(error, mean, visits, None)
     assert noise is not None
@@ -152,7 +152,7 @@ def test_no_direction_is_left_without_noise_by_the_difference_of_two_estimates()
     """A tracker is better along its line of sight; approaches scatter alike in all directions."""
     for seed in range(30):
         rows, truth = repeated(np.random.default_rng(seed), poses=30, between=1e-5, within=5e-6, angle=3e-6)
-        visits = visits_of(rows)
+        visits = average_visits(rows)
         points = visits.observations.position
         mean = points - truth[np.unique(visits.visit, return_index=True)[1]]
         noise = repeat_noise(rows.position - truth, mean, visits, points)
@@ -166,7 +166,7 @@ def test_a_line_of_sight_is_not_seen_where_there_is_none():
     flat = []
     for seed in range(20):
         rows, truth = repeated(np.random.default_rng(seed), poses=25, repeats=1, between=2e-5, within=0.0)
-        visits = visits_of(rows)
+        visits = average_visits(rows)
         points = visits.observations.position
         noise = repeat_noise(rows.position - truth, points - truth, visits, points)
         assert noise is not None
@@ -180,7 +180,7 @@ def test_scatter_that_was_fitted_away_is_counted():
     for seed in range(40):
         rng = np.random.default_rng(seed)
         rows, truth = repeated(rng, poses=25, repeats=1, between=2e-5, within=0.0)
-        visits, error = visits_of(rows), rows.position - truth
+        visits, error = average_visits(rows), rows.position - truth
         when = np.linspace(0.0, 1.0, len(rows))
         basis = np.linalg.qr(np.cos(np.pi * np.outer(when, np.arange(1, 13))))[0]
         left = error - basis @ (basis.T @ error)

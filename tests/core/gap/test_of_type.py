@@ -35,7 +35,9 @@ def fleet() -> Fleet:
     kind, versions = Type.drawn(rng), []
     for k in range(7):
         found = identify(ROBOT, kind.arm(rng).measured(poses(50, rng), rng, NOISE))
-        versions.append(FleetVersion.of(f"r{k}", f"v{k}", found.calibration, found.predictive.to_document()))
+        versions.append(
+            FleetVersion.from_calibration(f"r{k}", f"v{k}", found.calibration, found.predictive.to_document())
+        )
     return Fleet(kind, versions)
 
 
@@ -55,7 +57,7 @@ def test_an_effect_is_found_beside_a_geometry_that_the_type_holds(fleet: Fleet) 
     rows = eccentric(fleet.kind.arm(rng), poses(24, rng), rng, 0.1)
     known = begun(rows, fleet)
     report = find_gap(ROBOT, rows, OPTIONS, known.start, 0.0)
-    assert [one.evidence.candidate.named() for one in report.effects] == [{"id": "eccentricity", "joints": [3]}]
+    assert [one.evidence.candidate.id_and_joints() for one in report.effects] == [{"id": "eccentricity", "joints": [3]}]
     assert known.to_document()["source"] == "fleet"
     assert {row["from_prior"] for row in report.stored.parameters()} <= {True, False}
 

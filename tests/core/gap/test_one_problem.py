@@ -12,7 +12,7 @@ import pytest
 import kilter_core
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap.noise.from_repeats import stated_noise
-from kilter_core.gap.noise.visits import visits_of
+from kilter_core.gap.noise.visits import average_visits
 from kilter_core.gap.search.linear.linearized import SearchProblem
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.sources.tool_source import ToolSource
@@ -33,21 +33,21 @@ def test_a_search_steps_as_an_identification_does(see: str) -> None:
     nominal = ur10(tool=small_pose(rng, 0.1, 0.3))
     true = nominal.moved(table_errors(nominal, rng))
     model = RobotModel(robot_from_document(nominal.document()))
-    measurement = Measurement.of(measured(true, joints(true, 30, rng), rng, NOISE, see))
+    measurement = Measurement.from_observations(measured(true, joints(true, 30, rng), rng, NOISE, see))
     free, values = np.arange(6, model.n_geometric - 6), model.values0()
     identified = Problem(model, measurement, free, Weights(NOISE, NOISE))
 
-    visits, source = visits_of(measurement.observations), ToolSource.of(model, measurement, free, 0)
+    visits, source = average_visits(measurement.observations), ToolSource.from_model(model, measurement, free, 0)
     noise = stated_noise(NOISE, visits, source.residual(values).shape[1])
     searched = SearchProblem(ProblemSettings(source, noise, np.ones(len(visits), dtype=bool), visits.pose), [])
 
-    one, other = identified.at(values), searched.at(values)
+    one, other = identified.evaluate(values), searched.evaluate(values)
     assert other.loss == pytest.approx(one.loss, rel=1e-6)
     step = identified.whole_step(values, one)
     np.testing.assert_allclose(searched.whole_step(values, other), step, rtol=0.0, atol=1e-6 * np.abs(step).max())
-    there = identified.moved(values, step)
-    np.testing.assert_array_equal(searched.moved(values, step), there)
-    assert searched.at(there).loss == pytest.approx(identified.at(there).loss, rel=1e-6)
+    there = identified.apply_step(values, step)
+    np.testing.assert_array_equal(searched.apply_step(values, step), there)
+    assert searched.evaluate(there).loss == pytest.approx(identified.evaluate(there).loss, rel=1e-6)
 
 
 def test_a_descent_is_written_once() -> None:

@@ -11,8 +11,8 @@ import pytest
 
 from kilter_core.effects.physical import Separator
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.evidence.order import order_of
-from kilter_core.gap.evidence.revisits import revisited
+from kilter_core.gap.evidence.order import assess_visit_order
+from kilter_core.gap.evidence.revisits import number_revisited_poses
 from kilter_core.gap.evidence.separators import Separated
 from kilter_core.observations import Observations
 from tests.core.gap.time_twins import robot, twin
@@ -77,7 +77,7 @@ def test_revisits_that_stay_where_they_were_refute_the_law():
     )
     report = find_gap(robot(), Observations.concatenate([rows, again]), replace(QUICK, effects=("drift", "base_step")))
     for judged in report.effects:
-        assert judged.claim.followed, judged.claim.words
+        assert judged.claim.is_confounded, judged.claim.words
         assert judged.claim.said == "class"
 
 
@@ -97,20 +97,20 @@ def test_an_order_is_random_only_where_neighbours_are_not_neighbours_in_time():
         rng = np.random.default_rng(seed)
         q = rng.uniform(-1.5, 1.5, (60, 6))
         used = np.ones(60, dtype=bool)
-        refused += not order_of(course(q, rng.permutation(60)), used).random
+        refused += not assess_visit_order(course(q, rng.permutation(60)), used).random
         bent = np.tanh(2.0 * q[:, 2]) + 0.2 * q[:, 4]
         for key in (q[:, 1], bent, np.round(q[:, 3]) + 1e-3 * rng.normal(size=60), np.abs(q[:, 0])):
-            assert not order_of(course(q, np.argsort(key)), used).random, seed
-        weak += not order_of(course(q, np.argsort(q[:, 1] + 0.85 * rng.normal(size=60))), used).random
+            assert not assess_visit_order(course(q, np.argsort(key)), used).random, seed
+        weak += not assess_visit_order(course(q, np.argsort(q[:, 1] + 0.85 * rng.normal(size=60))), used).random
     assert weak >= 38  # correlation 0.7 with the clock
     assert refused <= 4  # 1 % expected: more in one of 3000 such tests
-    few = order_of(course(q[:15], np.arange(15)), used[:15])
+    few = assess_visit_order(course(q[:15], np.arange(15)), used[:15])
     assert not few.random
 
 
 def test_what_rose_with_the_clock_is_named_by_its_correlation():
     q = np.random.default_rng(3).uniform(-1.5, 1.5, (50, 6))
-    said = order_of(course(q, np.argsort(-q[:, 3])), np.ones(50, dtype=bool))
+    said = assess_visit_order(course(q, np.argsort(-q[:, 3])), np.ones(50, dtype=bool))
     assert said.words == "joint 4 fell with the clock (correlation -1.00)"
 
 
@@ -118,8 +118,11 @@ def test_near_poses_are_revisits_and_samples_of_a_motion_are_not():
     q = np.zeros((6, 3))
     q[:, 0] = [0.0, 1.0, 0.004, 1.003, 2.0, 3.0]
     rows = Observations(q=q)
-    assert revisited(rows, rows.pose_groups()).tolist() == [0, 1, 0, 1, 2, 3]
+    assert number_revisited_poses(rows, rows.pose_groups()).tolist() == [0, 1, 0, 1, 2, 3]
     loaded = replace(rows, payload_kg=np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
-    assert revisited(loaded, rows.pose_groups()).tolist()[0] != revisited(loaded, rows.pose_groups()).tolist()[2]
+    assert (
+        number_revisited_poses(loaded, rows.pose_groups()).tolist()[0]
+        != number_revisited_poses(loaded, rows.pose_groups()).tolist()[2]
+    )
     motion = Observations(q=np.outer(np.arange(50), [5e-3, 0.0, 0.0]))
-    assert len(set(revisited(motion, motion.pose_groups()).tolist())) == 50
+    assert len(set(number_revisited_poses(motion, motion.pose_groups()).tolist())) == 50

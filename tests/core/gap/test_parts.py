@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.search.linear.linearized import linearize_at
+from kilter_core.gap.search.linear.linearized import linearise_problem
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.sources import tool_source
 from kilter_core.model import Calibration
@@ -35,7 +35,7 @@ def test_parts_are_the_whole(measured, monkeypatch):
     columns = [3, 0, 5]
     whole = tool.linear(values), tool.linear(values, None, columns)
     monkeypatch.setattr(tool_source, "MOST_NUMBERS", 40 * (len(tool.free) + 3))
-    assert len(tool._parts(len(tool.free) + 3)) == 3
+    assert len(tool._row_slices(len(tool.free) + 3)) == 3
     for one, other in zip(whole, (tool.linear(values), tool.linear(values, None, columns)), strict=True):
         for name in ("r", "G", "W"):
             a, b = getattr(one, name), getattr(other, name)
@@ -48,13 +48,13 @@ def test_a_world_of_many_rows_takes_little_besides_itself():
     tool = problem.settings.source
     many = np.tile(np.arange(len(tool.batch)), 40)
     settings = problem.settings
-    wide = tool.on(type(tool.measurement)(tool.measurement.observations.select(many)))
+    wide = tool.with_measurement(type(tool.measurement)(tool.measurement.observations.select(many)))
     noise = type(settings.noise)(**{**vars(settings.noise), "visit": settings.noise.visit[many]})
     large = type(settings)(wide, noise, settings.used[many], np.arange(len(many)))
-    assert wide.batch.slopes.of("axial", 0).size  # loads are made once, and are not counted
+    assert wide.batch.slopes.component_slopes("axial", 0).size  # loads are made once, and are not counted
     tracemalloc.start()
     try:
-        made = linearize_at(large, problem.values)
+        made = linearise_problem(large, problem.values)
         kept, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

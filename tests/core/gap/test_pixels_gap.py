@@ -14,7 +14,7 @@ from kilter_core.gap.find import GapReport, find_gap
 from kilter_core.gap.options import GapOptions
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.seen_poses import as_seen_poses
-from kilter_core.measurement.pose_weights import scale_of, weights
+from kilter_core.measurement.pose_weights import typical_deviations, weights
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.pixel_scene import Floats, Scene, eye_in_hand, eye_to_hand
@@ -113,7 +113,7 @@ def test_weights_hold_all_that_a_covariance_says() -> None:
     rng = np.random.default_rng(8)
     root = rng.standard_normal((5, 6, 6)) * np.array([1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2])[:, None]
     covariance = root @ root.transpose(0, 2, 1)
-    scale = scale_of(covariance)
+    scale = typical_deviations(covariance)
     W = weights(covariance, scale)
     own = W / np.repeat(scale, 3)[:, None]
     np.testing.assert_allclose(own @ covariance @ own.transpose(0, 2, 1), np.tile(np.eye(6), (5, 1, 1)), atol=1e-6)

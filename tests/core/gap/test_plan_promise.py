@@ -10,7 +10,7 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, plan_separation
 from kilter_core.gap.report.next_poses import _Question
-from kilter_core.gap.report.separation import _found
+from kilter_core.gap.report.separation import _find_candidate
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -41,8 +41,8 @@ def information(start: Calibration, rows: Observations, amount: float) -> float:
     """What rows say of the compliance of joint 2 when the bending of link 2 is free as well."""
     options = replace(STATED, effects=("axial_compliance", "link_bending"))
     prepared = prepare_data(start, rows, options)
-    target = _found(prepared.library, ("axial_compliance", (1,)))
-    rival = _found(prepared.library, ("link_bending", (1,)))
+    target = _find_candidate(prepared.library, ("axial_compliance", (1,)))
+    rival = _find_candidate(prepared.library, ("link_bending", (1,)))
     question = _Question(prepared.problem, target, rival.columns, (), np.array([amount]))
     return float(1.0 / np.linalg.inv(question.information())[0, 0])
 

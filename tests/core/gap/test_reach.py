@@ -39,7 +39,7 @@ def world(seed: int) -> tuple[Gram, Selector]:
         for k, size in enumerate(SIZES)
     ]
     gram = Gram(W.T @ W, W.T @ y, float(y @ y), 120.0)
-    return gram, Selector(Scorer.of(candidates, seed % 2 == 0, np.inf), 120, np.full(24, np.inf))
+    return gram, Selector(Scorer.from_candidates(candidates, seed % 2 == 0, np.inf), 120, np.full(24, np.inf))
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -50,21 +50,25 @@ def test_the_same_exchange_wins_as_where_all_are_tried(seed: int) -> None:
     for count in (1, 2, 4, 5):
         chosen = tuple(map(int, rng.choice(len(SIZES), count, replace=False)))
         fresh = replace(gram, exchanges={})
-        assert selector._exchanged(gram, chosen, CRITICAL) == tried._exchanged(fresh, chosen, CRITICAL)
-    assert selector.searched(gram, CRITICAL, 6) == tried.searched(replace(gram, exchanges={}), CRITICAL, 6)
+        assert selector._exchange_members(gram, chosen, CRITICAL) == tried._exchange_members(fresh, chosen, CRITICAL)
+    assert selector.select_candidates(gram, CRITICAL, 6) == tried.select_candidates(
+        replace(gram, exchanges={}), CRITICAL, 6
+    )
 
 
 def test_bounds_keep_whatever_may_win_and_leave_some_of_the_rest() -> None:
     kept = every = 0
     for seed in range(20):
         gram, selector = world(seed)
-        chosen = selector.searched(gram, CRITICAL, 6)
+        chosen = selector.select_candidates(gram, CRITICAL, 6)
         reach = selector._reach(gram, chosen)
         for out in chosen:
             rest = tuple(k for k in chosen if k != out)
             columns, price = selector.columns(rest), selector.price(rest, [gram.rank(selector.columns(rest))])
             able = reach.able(columns, price, reach.now)
-            S, d = selector.scorer.reductions(gram.given(columns), gram.given(columns).c[None])
+            S, d = selector.scorer.reductions(
+                gram.condition_on_columns(columns), gram.condition_on_columns(columns).c[None]
+            )
             without = selector.criterion(gram, rest, reach.variance)
             value = without + S[0] / reach.variance - d * np.log(selector.rows) - selector.extra
             assert able[value >= reach.now].all()
@@ -82,17 +86,19 @@ def test_a_set_in_another_order_is_not_looked_at_again() -> None:
 
     gram, plain = world(3)
     selector = Counting(plain.scorer, plain.rows, plain.limits)
-    one, other = (selector._exchanged(gram, chosen, CRITICAL) for chosen in ((1, 2, 5), (5, 1, 2)))
+    one, other = (selector._exchange_members(gram, chosen, CRITICAL) for chosen in ((1, 2, 5), (5, 1, 2)))
     assert set(one) == set(other)
     assert len(looked) == 1
-    selector._exchanged(gram.with_data(2.0 * gram.c, 4.0 * gram.yy), (1, 2, 5), CRITICAL)  # other data: looked at anew
-    selector._exchanged(gram, (1, 2, 5), 0.5 * CRITICAL)  # and under another limit
+    selector._exchange_members(
+        gram.with_data(2.0 * gram.c, 4.0 * gram.yy), (1, 2, 5), CRITICAL
+    )  # other data: looked at anew
+    selector._exchange_members(gram, (1, 2, 5), 0.5 * CRITICAL)  # and under another limit
     assert len(looked) == 3
 
 
 def test_one_tail_is_that_of_the_scan() -> None:
     gram, selector = world(4)
-    scores = selector.scorer.scores(gram.given([2, 9]))
-    for given, beside in ((gram.given([2, 9]), ()), (gram, (2, 9))):
-        tails = [selector.scorer.tail_of(given, k, beside) for k in range(len(SIZES))]
+    scores = selector.scorer.scores(gram.condition_on_columns([2, 9]))
+    for given, beside in ((gram.condition_on_columns([2, 9]), ()), (gram, (2, 9))):
+        tails = [selector.scorer.tail_probability(given, k, beside) for k in range(len(SIZES))]
         np.testing.assert_allclose(tails, scores.p, rtol=1e-9)

@@ -83,7 +83,7 @@ def test_shared_errors_whiten_as_the_whole_covariance_does():
     rng = np.random.default_rng(2)
     by = np.linalg.inv(np.linalg.cholesky(np.eye(3) + 0.1 * np.ones((3, 3))))[None].repeat(4, axis=0)
     S = rng.normal(size=(6, 2))
-    shared = SharedErrors.of([(np.array([0, 1, 2, 6, 7, 8]), S)])
+    shared = SharedErrors.from_blocks([(np.array([0, 1, 2, 6, 7, 8]), S)])
     whitening = ByCovariance(by, np.ones(4, dtype=bool), shared)
     rows = np.eye(12).reshape(4, 3, 12)
     white = whitening.columns(rows.copy())

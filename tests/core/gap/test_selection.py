@@ -21,7 +21,7 @@ def candidate(name, columns, level=JOINT, joints=None):
 
 
 def selector(candidates, gram, rows, absolute):
-    return Selector(Scorer.of(candidates, absolute, np.inf), rows, np.full(len(gram.A), np.inf))
+    return Selector(Scorer.from_candidates(candidates, absolute, np.inf), rows, np.full(len(gram.A), np.inf))
 
 
 def gram_of(W, y):
@@ -39,7 +39,7 @@ def test_a_family_that_imitates_two_others_gives_way_to_them():
     family = candidate("compliance", range(5), FAMILY, tuple(range(5)))
     gram = gram_of(W, y)
     search = selector([*singles, family, candidate("bending", (5,), WHOLE)], gram, 90, absolute=True)
-    assert set(search.improved(gram, (5,), CRITICAL)) == {0, 6}
+    assert set(search.improve_selection(gram, (5,), CRITICAL)) == {0, 6}
 
 
 def test_a_family_whose_joints_all_show_stays_a_family():
@@ -50,7 +50,7 @@ def test_a_family_whose_joints_all_show_stays_a_family():
     family = candidate("compliance", range(5), FAMILY, tuple(range(5)))
     gram = gram_of(W, y)
     search = selector([*singles, family, candidate("bending", (5,), WHOLE)], gram, 90, absolute=True)
-    assert search.improved(gram, (5,), CRITICAL) == (5,)
+    assert search.improve_selection(gram, (5,), CRITICAL) == (5,)
 
 
 def test_a_family_does_not_give_way_to_two_others_that_take_more_directions():
@@ -66,7 +66,7 @@ def test_a_family_does_not_give_way_to_two_others_that_take_more_directions():
     search = selector([family, *others], gram, 200, absolute=True)
     variance = search.variance(gram, (0,))
     assert search.criterion(gram, (1, 2), variance) > search.criterion(gram, (0,), variance)
-    assert search.divided(gram, (0,), CRITICAL) == (0,)
+    assert search.split_families(gram, (0,), CRITICAL) == (0,)
 
 
 def hiding(strength, seed):
@@ -105,7 +105,7 @@ def test_exchanges_that_run_in_a_circle_end_where_they_would_without_doing_one_t
     done = []
 
     class Circling(Selector):
-        def _exchanged(self, gram, chosen, critical):
+        def _exchange_members(self, gram, chosen, critical):
             done.append(chosen)
             return following[chosen]
 
@@ -115,7 +115,7 @@ def test_exchanges_that_run_in_a_circle_end_where_they_would_without_doing_one_t
     end = states[0]
     for _ in range(3 * len(end)):
         end = following[end]
-    assert Circling(plain.scorer, plain.rows, plain.limits).swapped(gram, states[0], CRITICAL) == end
+    assert Circling(plain.scorer, plain.rows, plain.limits).swap_members(gram, states[0], CRITICAL) == end
     assert len(done) == len(set(done))
 
 
@@ -138,7 +138,7 @@ def three_families(present, seed):
 def test_joints_of_one_effect_are_one_name_of_those_allowed(seed):
     present = [0, 2, 4, 5, 7, 8, 10, 14, 16, 17, 20]
     search, gram = three_families(present, seed)
-    found = search.searched(gram, CRITICAL, 3)
+    found = search.select_candidates(gram, CRITICAL, 3)
     assert search.columns(found) == present
     assert search.names(found) == 3
 
@@ -146,10 +146,10 @@ def test_joints_of_one_effect_are_one_name_of_those_allowed(seed):
 def test_a_name_beyond_those_allowed_stays_out_and_a_joint_of_one_that_is_in_does_not():
     present = [0, 2, 7, 21, 22]
     search, gram = three_families(present, 4)
-    assert search.columns(search.searched(gram, CRITICAL, 8)) == present
-    found = search.searched(gram, CRITICAL, 2)
+    assert search.columns(search.select_candidates(gram, CRITICAL, 8)) == present
+    found = search.select_candidates(gram, CRITICAL, 2)
     assert search.names(found) == 2
-    everything = search.searched(gram, CRITICAL, 1)
+    everything = search.select_candidates(gram, CRITICAL, 1)
     assert {search.scorer.candidates[k].id for k in everything} in ({"compliance"}, {"bending"}, {"growth"}, {"play"})
 
 
@@ -174,7 +174,7 @@ def imitating(seed):
 def test_families_that_imitate_each_other_end_at_the_joints_that_have_them(seed):
     """Without whole families tried beside the set, and joints that noise could be let go, a third ended at a family."""
     search, gram, present = imitating(seed)
-    assert search.columns(search.searched(gram, CRITICAL, 8)) == present
+    assert search.columns(search.select_candidates(gram, CRITICAL, 8)) == present
 
 
 def test_no_family_is_asked_where_each_effect_acts_at_one_joint():
@@ -199,7 +199,7 @@ def alike(seed, apart, second):
     candidates += [candidate("bending", (0, 1), FAMILY, (0, 1)), candidate("tilt", (2,), joints=(1,))]
     gram = gram_of(W, y)
     search = selector(candidates, gram, 90, absolute=True)
-    return {search.scorer.candidates[k].id for k in search.searched(gram, CRITICAL, 8)}
+    return {search.scorer.candidates[k].id for k in search.select_candidates(gram, CRITICAL, 8)}
 
 
 def test_of_two_explanations_alike_the_one_with_fewer_names_is_said():
@@ -225,11 +225,11 @@ def test_loads_are_held_where_what_is_there_is_kept_by_neither_set():
     chosen = [of_library(effect_id, (k,), 2) for k, effect_id in enumerate(ids)]
     payload = Candidate("payload_error", None, (4,), WHOLE, effects=(EFFECTS["payload_error"](),))
     search = selector([*chosen, payload], gram, 5, absolute=True)
-    assert search.without(gram, (1, 2), (0, 3)) is gram
-    assert search.without(gram, (3,), (0,)) is gram  # no load acts through a scale
-    assert search.without(gram, (0,), (3,)) is held
-    assert search.without(gram, (1, 2), (3,)) is held
-    assert search.without(gram, (0, 4), ()) is gram  # such an error is what the comparison is about
+    assert search.comparison_gram(gram, (1, 2), (0, 3)) is gram
+    assert search.comparison_gram(gram, (3,), (0,)) is gram  # no load acts through a scale
+    assert search.comparison_gram(gram, (0,), (3,)) is held
+    assert search.comparison_gram(gram, (1, 2), (3,)) is held
+    assert search.comparison_gram(gram, (0, 4), ()) is gram  # such an error is what the comparison is about
 
 
 def test_of_explanations_as_good_the_common_one_is_named():
@@ -248,4 +248,4 @@ def test_of_explanations_as_good_the_common_one_is_named():
 def test_a_piece_of_a_walk_costs_what_its_rows_tell():
     six, two = (EFFECTS["random_walk"](knots_s=tuple(map(float, range(n + 1))), pieces=n) for n in (6, 2))
     walks = [Candidate("random_walk", None, tuple(range(3 * e.pieces)), WHOLE, effects=(e,)) for e in (six, two)]
-    assert Scorer.of(walks, True, np.inf).paid == pytest.approx([-18.0 * np.log(6.0), 0.0])
+    assert Scorer.from_candidates(walks, True, np.inf).paid == pytest.approx([-18.0 * np.log(6.0), 0.0])

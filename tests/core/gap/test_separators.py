@@ -14,7 +14,7 @@ from kilter_core.gap.evidence.claim import Claim
 from kilter_core.gap.evidence.separators import Separated
 from kilter_core.gap.evidence.similarity.similarity import Alias
 from kilter_core.gap.report.report import effect_row
-from kilter_core.gap.search.candidates import FAMILY, Candidate, library_of
+from kilter_core.gap.search.candidates import FAMILY, Candidate, build_library
 from kilter_core.observations import Observations
 from tests.core.gap.simulated import Hidden, campaign, katana
 
@@ -74,7 +74,7 @@ def test_a_temperature_that_goes_along_with_time_names_nothing() -> None:
 
 
 def test_a_sentence_names_the_nearest_and_counts_the_others() -> None:
-    candidates = library_of(katana(), campaign(katana(), seed=2)).candidates
+    candidates = build_library(katana(), campaign(katana(), seed=2)).candidates
     chosen = next(c for c in candidates if c.id == "eccentricity")
     rivals = [Alias(k, c, 0.0, 1.0, 0.5) for k, c in enumerate(candidates) if c.id in ("backlash", "zero_thermal")]
     assert len(rivals) > 5
@@ -82,18 +82,18 @@ def test_a_sentence_names_the_nearest_and_counts_the_others() -> None:
         ((), " others (these data cannot tell)"),
         ((Separated(Separator.TURN, False, 0.4),), " others"),
     ):
-        claim = Claim.of(chosen, katana(), rivals, evidence, settled=True)
+        claim = Claim.from_evidence(chosen, katana(), rivals, evidence, settled=True)
         assert claim.words.endswith(end)
         assert claim.words.count(" or ") == 3
-    assert Claim.of(chosen, katana(), rivals[:3], (), settled=True).words.count(" or ") == 3
+    assert Claim.from_evidence(chosen, katana(), rivals[:3], (), settled=True).words.count(" or ") == 3
 
 
 def test_what_everything_does_as_well_has_no_name() -> None:
     """A headline called "twist about the axis of joint 6 under load" what 111 others did as well."""
-    candidates = library_of(katana(), campaign(katana(), seed=2)).candidates
+    candidates = build_library(katana(), campaign(katana(), seed=2)).candidates
     chosen = next(c for c in candidates if c.id == "axial_compliance")
     rivals = [Alias(k, c, 0.0, 0.1, 0.5) for k, c in enumerate(candidates) if not c.empirical and c is not chosen]
-    claim = Claim.of(chosen, katana(), rivals, (), settled=False)
+    claim = Claim.from_evidence(chosen, katana(), rivals, (), settled=False)
     assert claim.said == "class"
     assert claim.words.startswith("an effect that these data cannot name (axial_compliance j1 or ")
     assert claim.words.endswith(" others do as well)")
@@ -101,26 +101,26 @@ def test_what_everything_does_as_well_has_no_name() -> None:
 
 def test_no_more_joints_are_claimed_than_the_halves_bear_out() -> None:
     """Both halves named an error of joint 5 alone, and "smooth error of joints 1, 3, 5" was confirmed."""
-    candidates = library_of(katana(), campaign(katana(), seed=2)).candidates
+    candidates = build_library(katana(), campaign(katana(), seed=2)).candidates
     family = next(c for c in candidates if c.id == "encoder_scale" and c.joints == (0, 1, 2, 3, 4))
     curve = next(c for c in candidates if c.id == "unknown_smooth_curve")
     class_ = [Alias(0, curve, 0.0, 1.0, 0.5, "smooth error of joints 1, 2, 3, 4, 5")]
     for rivals in (class_, []):
-        claim = Claim.of(family, katana(), rivals, (), False, (4,))
+        claim = Claim.from_evidence(family, katana(), rivals, (), False, (4,))
         assert claim.words.startswith("smooth error of joint 5, likely of joints 1, 2, 3, 4 too")
         assert claim.to_document()["claim"]["joints"] == [5]
         assert claim.to_document()["physical_class"]["label"] == claim.words
-    whole = Claim.of(family, katana(), class_, (), False)
+    whole = Claim.from_evidence(family, katana(), class_, (), False)
     assert (whole.words, whole.joints) == ("smooth error of joints 1, 2, 3, 4, 5", (0, 1, 2, 3, 4))
 
 
 def test_a_family_of_which_some_joints_make_a_turn_is_claimed_at_all_of_them() -> None:
     """The eccentricity of joint 7, which turned, was lost in "smooth error of joints 2, 4"."""
-    candidates = library_of(katana(), campaign(katana(), seed=2)).candidates
+    candidates = build_library(katana(), campaign(katana(), seed=2)).candidates
     family = next(c for c in candidates if c.id == "eccentricity" and c.joints == (0, 1, 2, 3, 4))
     curves = [c for c in candidates if c.id == "unknown_smooth_curve" and c.joints in ((0,), (1,))]
     rivals = [Alias(k, c, 0.0, 1.0, 0.5, "smooth error of joints 1, 2") for k, c in enumerate(curves)]
-    claim = Claim.of(family, katana(), rivals, (), False)
+    claim = Claim.from_evidence(family, katana(), rivals, (), False)
     assert claim.words == "error curve of joints 1, 2, 3, 4, 5, in the shape of eccentricity"
 
 
@@ -128,9 +128,9 @@ def test_the_class_of_prismatic_and_revolute_joints_is_that_of_those_claimed() -
     """An error of joint 5, which rotates, was called its scale, since joint 1 of the family slides."""
     arm = katana()
     robot = replace(arm, joints=(replace(arm.joints[0], kind="prismatic"), *arm.joints[1:]))
-    effects = tuple(EFFECTS["encoder_scale"].made(joints=(j,)) for j in (0, 4))
+    effects = tuple(EFFECTS["encoder_scale"].from_options(joints=(j,)) for j in (0, 4))
     family = Candidate("encoder_scale", (0, 4), (0, 1), FAMILY, effects=effects)
-    words = {borne: Claim.of(family, robot, [], (), False, borne).words for borne in ((0,), (4,), None)}
+    words = {borne: Claim.from_evidence(family, robot, [], (), False, borne).words for borne in ((0,), (4,), None)}
     assert words[(0,)].startswith("scale of joint 1, likely of joint 5 too")
     assert words[(4,)] == "smooth error of joint 5, likely of joint 1 too"
     assert words[None] == "smooth error of joints 1, 5"

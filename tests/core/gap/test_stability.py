@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from kilter_core.gap.evidence.similarity.testability import testability as judged
-from kilter_core.gap.evidence.stability import FEW, inclusion, reweighted
+from kilter_core.gap.evidence.stability import FEW, inclusion, reweight_problem
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import with_testable
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.prepare import prepare_data
-from kilter_core.gap.search.scan import Scorer, null_of
+from kilter_core.gap.search.scan import Scorer, null_distribution
 from kilter_core.gap.search.select import Selector
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
@@ -29,7 +29,7 @@ def test_weighted_rows_are_a_weighted_fit(problem):
     """The chi-square a candidate takes is that of two weighted least-squares fits, with and without it."""
     w = problem.problem
     weight = np.random.default_rng(0).exponential(size=len(w.settings.used))[w.row_visit]
-    gram, root = reweighted(w, weight), np.sqrt(weight)
+    gram, root = reweight_problem(w, weight), np.sqrt(weight)
 
     def left(*columns):
         X = root[:, None] * np.column_stack([w.U, *columns])
@@ -43,12 +43,12 @@ def test_weighted_rows_are_a_weighted_fit(problem):
 def chosen(prepared, label, y):
     """A hunt that ended with one name, on data made for it."""
     w = prepared.problem
-    scorer = Scorer.of(with_testable(prepared.library, judged(w, prepared.library).able), True, np.inf)
+    scorer = Scorer.from_candidates(with_testable(prepared.library, judged(w, prepared.library).able), True, np.inf)
     selector = Selector(scorer, w.rows, np.full(len(w.A), np.inf))
     (place,) = [k for k, c in enumerate(scorer.candidates) if c.label == label]
     r = y - w.U @ (w.U.T @ y)
     made = type(w)(**{**{f: getattr(w, f) for f in w.__dataclass_fields__}, "y": r, "c": w.W.T @ r})
-    return SearchResult(made, selector, (place,), null_of(made, scorer, [], 499, 0), 1e-4, ())
+    return SearchResult(made, selector, (place,), null_distribution(made, scorer, [], 499, 0), 1e-4, ())
 
 
 def test_a_name_that_rests_on_two_poses_does_not_return(problem):

@@ -12,10 +12,10 @@ from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import with_testable
 from kilter_core.gap.search.forward_selection import search
 from kilter_core.gap.search.linear.gram import Gram
-from kilter_core.gap.search.linear.linearized import fitted, refit
+from kilter_core.gap.search.linear.linearized import estimate_linear_parameters, refit
 from kilter_core.gap.search.linear.tails import tail
 from kilter_core.gap.search.prepare import prepare_data
-from kilter_core.gap.search.scan import Scorer, null_of, residual_given
+from kilter_core.gap.search.scan import Scorer, null_distribution, residual_given
 from kilter_core.gap.search.select import Selector
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
@@ -30,14 +30,14 @@ def prepared():
 @pytest.fixture(scope="module")
 def scorer(prepared):
     able = judged(prepared.problem, prepared.library).able
-    return Scorer.of(with_testable(prepared.library, able), True, prepared.problem.settings.noise.freedom)
+    return Scorer.from_candidates(with_testable(prepared.library, able), True, prepared.problem.settings.noise.freedom)
 
 
 def test_conditioning_is_a_projection():
     rng = np.random.default_rng(0)
     W, y = rng.normal(size=(60, 6)), rng.normal(size=60)
     gram = Gram(W.T @ W, W.T @ y, float(y @ y), 60.0)
-    given = gram.given([1, 4])
+    given = gram.condition_on_columns([1, 4])
     basis = np.linalg.qr(W[:, [1, 4]])[0]
     other, rest = W - basis @ (basis.T @ W), y - basis @ (basis.T @ y)
     np.testing.assert_allclose(given.A, other.T @ other, atol=1e-10)
@@ -70,7 +70,7 @@ def test_conditioning_twice_is_conditioning_once():
     gram = Gram(W.T @ W, W.T @ y, float(y @ y), 80.0)
     Q = np.linalg.qr(W[:, [1, 4, 7]])[0]
     left, r = W - Q @ (Q.T @ W), y - Q @ (Q.T @ y)
-    for given in (gram.given([1, 4, 7]), gram.given([1]).given([4, 7])):
+    for given in (gram.condition_on_columns([1, 4, 7]), gram.condition_on_columns([1]).condition_on_columns([4, 7])):
         assert pytest.approx(left.T @ left, abs=1e-6) == given.A
         assert given.c == pytest.approx(left.T @ r, abs=1e-6)
         assert (given.yy, given.nu) == (pytest.approx(float(r @ r)), 77.0)
@@ -104,7 +104,7 @@ def test_tails_are_those_of_draws(d, freedom):
 def test_noise_alone_is_named_once_in_a_hundred(prepared, scorer):
     """300 draws of pure noise with its size estimated anew; 99.9 % of such counts at 1 % stay below 10."""
     problem = prepared.problem
-    critical = null_of(problem, scorer, [], 1999, 0).critical(0.01)
+    critical = null_distribution(problem, scorer, [], 1999, 0).critical(0.01)
     selector = Selector(scorer, problem.rows, np.full(len(problem.A), np.inf))
     rng = np.random.default_rng(8)
     freedom = problem.settings.noise.freedom
@@ -125,7 +125,7 @@ def test_refit_recovers_an_amplitude_and_its_uncertainty():
         rows = campaign(robot, [("backlash", (2,), (true,))], seed=seed, poses=60)
         p = prepare_data(Calibration.nominal(robot), rows, GapOptions())
         column = [k for k, x in enumerate(p.library.parameters) if x.name == "backlash_3"]
-        value, covariance = fitted(refit(p.problem.settings, p.problem.values, column), column)
+        value, covariance = estimate_linear_parameters(refit(p.problem.settings, p.problem.values, column), column)
         pulls.append((value[0] - true) / np.sqrt(covariance[0, 0]))
     assert np.abs(np.mean(pulls)) < 1.2
     assert 0.4 < np.std(pulls) < 1.9
@@ -139,7 +139,7 @@ def test_two_effects_are_found_whole_and_leave_only_noise(prepared, scorer):
     columns = selector.columns(wanted)
     e = 14.0 * (problem.W_raw[:, columns] @ np.ones(len(columns))) + rng.standard_normal(len(problem.y))
     r = e - problem.U @ (problem.U.T @ e)
-    found = selector.searched(problem.gram.with_data(problem.W.T @ r, float(r @ r)), 1e-4, 6)
+    found = selector.select_candidates(problem.gram.with_data(problem.W.T @ r, float(r @ r)), 1e-4, 6)
     assert {scorer.candidates[k].label for k in found} == {"backlash j4", "eccentricity j3"}
 
 
@@ -150,7 +150,13 @@ def test_a_family_is_named_as_a_family():
     able = judged(p.problem, p.library).able
     candidates = with_testable(p.library, able)
     limits = np.array([max(abs(x.lower), abs(x.upper)) for x in p.library.parameters])
-    found = search(p.problem.settings, p.problem, Scorer.of(candidates, True, p.problem.settings.noise.freedom), limits,
-                 GapOptions(), lambda f, s: None)  # fmt: skip
+    found = search(
+        p.problem.settings,
+        p.problem,
+        Scorer.from_candidates(candidates, True, p.problem.settings.noise.freedom),
+        limits,
+        GapOptions(),
+        lambda f, s: None,
+    )
     assert [candidates[k].label for k in found.chosen] == ["backlash all"]
     assert float(np.mean(residual_given(found.problem, found.columns) ** 2)) < 1.3

@@ -10,9 +10,16 @@ import pytest
 from kilter_core.effects import BASE, make_effect
 from kilter_core.effects.other_campaigns import carried_effects
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.search.events import Course, events_of, key_of, moved, numbered, placed
+from kilter_core.gap.search.events import (
+    Course,
+    event_effects,
+    event_key,
+    place_events,
+    replace_events,
+    with_row_numbers,
+)
 from kilter_core.gap.search.linear import derivatives
-from kilter_core.gap.search.linear.linearized import linearize_at
+from kilter_core.gap.search.linear.linearized import linearise_problem
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
@@ -133,13 +140,13 @@ def test_a_clean_campaign_has_no_step():
 def test_a_step_put_elsewhere_is_as_if_all_had_been_linearised_again(monkeypatch, resting):
     monkeypatch.setattr(derivatives, "MOST_BYTES", 0 if resting else 1 << 30)
     made = twin("tool", 5)
-    prepared = prepare_data(Calibration.nominal(robot()), numbered(made.rows), QUICK)
+    prepared = prepare_data(Calibration.nominal(robot()), with_row_numbers(made.rows), QUICK)
     settings, values = prepared.problem.settings, prepared.problem.values
-    early = {key_of(e): replace(e, at_s=float(made.rows.t[8]), at_row=None) for e in events_of(settings.source)}
-    before = linearize_at(replace(settings, source=moved(settings.source, early)), values)
+    early = {event_key(e): replace(e, at_s=float(made.rows.t[8]), at_row=None) for e in event_effects(settings.source)}
+    before = linearise_problem(replace(settings, source=replace_events(settings.source, early)), values)
     W, A = before.W_raw.copy(), before.A.copy()
-    after, candidates = placed(before, prepared.library.candidates)
-    whole = linearize_at(after.settings, before.values)
+    after, candidates = place_events(before, prepared.library.candidates)
+    whole = linearise_problem(after.settings, before.values)
     (step,) = [c for c in candidates if c.id == "tool_step"]
     assert made.rows.t[made.row - 2] < step.effects[0].at_s < made.rows.t[made.row + 1]
     for one, other in ((after.A, whole.A), (after.c, whole.c), (after.W_raw, whole.W_raw), (after.scale, whole.scale)):
@@ -152,15 +159,15 @@ def test_a_step_put_elsewhere_is_as_if_all_had_been_linearised_again(monkeypatch
 def test_rows_are_ordered_by_their_clock_else_as_given():
     q = np.zeros((12, 6))
     t = np.arange(12.0)[::-1]
-    by_clock = Course.of(numbered(Observations(q=q, t=t)))
+    by_clock = Course.from_observations(with_row_numbers(Observations(q=q, t=t)))
     assert by_clock is not None
     assert by_clock.timed
     assert by_clock.order.tolist() == list(range(12))[::-1]
-    by_row = Course.of(numbered(Observations(q=q)))
+    by_row = Course.from_observations(with_row_numbers(Observations(q=q)))
     assert by_row is not None
     assert not by_row.timed
     assert by_row.mark(5) == {"at_s": None, "at_row": 6}
-    assert Course.of(Observations(q=q)) is None
+    assert Course.from_observations(Observations(q=q)) is None
 
 
 def test_rows_before_a_step_have_the_old_place_and_unknown_ones_the_new():

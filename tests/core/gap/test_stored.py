@@ -9,7 +9,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.noise.visits import visits_of
+from kilter_core.gap.noise.visits import average_visits
 from kilter_core.identify import IdentifyOptions, Prior, identify
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
@@ -51,8 +51,8 @@ def fitted(ur10):
 def left_mm(calibration: Calibration, rows: Observations) -> float:
     """Rms of the 3-D error that a stored calibration leaves at the visits."""
     document = Calibration.from_document(calibration.robot, calibration.to_document())
-    residual = Measurement.of(visits_of(rows).observations, document.marker_points).residual(
-        document.predict(visits_of(rows).observations)
+    residual = Measurement.from_observations(average_visits(rows).observations, document.marker_points).residual(
+        document.predict(average_visits(rows).observations)
     )
     points = residual.points.reshape(-1, 3)
     return 1e3 * float(np.sqrt(np.nanmean(np.sum(points**2, axis=1))))

@@ -12,12 +12,12 @@ from kilter_client.cli.reports.gap_report import show_gap
 from kilter_client.cli.terminal.tables import number
 from kilter_core.gap import GapOptions, find, find_gap
 from kilter_core.gap.evidence.fits import widened as module
-from kilter_core.gap.evidence.fits.widened import widened
+from kilter_core.gap.evidence.fits.widened import refit_with_wider_priors
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.report.report import GapReport
 from kilter_core.gap.search import re_evaluation as renewal
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.linearized import linearize_at
+from kilter_core.gap.search.linear.linearized import linearise_problem
 from tests.blind.generator import cases
 from tests.blind.parameters import intervals
 from tests.blind.run import run_case
@@ -135,16 +135,16 @@ def test_an_amplitude_held_by_its_range_is_told_at_its_end_with_what_the_rows_as
 def test_what_the_rows_hardly_know_keeps_its_prior_and_no_fit_leaves_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """Curves that imitate each other ran away on a real arm when their priors were widened."""
     seen: list[SearchResult] = []
-    monkeypatch.setattr(find, "widened", lambda found: seen.append(found) or found)
+    monkeypatch.setattr(find, "refit_with_wider_priors", lambda found: seen.append(found) or found)
     searched(sized("thermal_drift", 1, LARGE["thermal_drift"]), "thermal_drift")
     (found,) = seen
     prior = found.problem.settings.source.library_sigma[found.columns]
-    better = widened(found)
+    better = refit_with_wider_priors(found)
     assert np.any(better.problem.settings.source.library_sigma[found.columns] > 2.0 * prior)
     assert better.problem.chi2 <= found.problem.chi2
     monkeypatch.setattr(module, "TOLD", 1e6)  # as if the rows hardly told them from zero
-    assert widened(found) is found
+    assert refit_with_wider_priors(found) is found
     monkeypatch.setattr(module, "TOLD", 3.0)
     far = found.problem.values + 1e-3
-    monkeypatch.setattr(renewal, "refit", lambda settings, *_: linearize_at(settings, far))  # one that ran away
-    assert widened(found) is found
+    monkeypatch.setattr(renewal, "refit", lambda settings, *_: linearise_problem(settings, far))  # one that ran away
+    assert refit_with_wider_priors(found) is found

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from kilter_core.gap.noise.from_repeats import WITHIN, approached, repeat_noise
+from kilter_core.gap.noise.from_repeats import WITHIN, add_approach_noise, repeat_noise
 from kilter_core.gap.noise.unseen_approach import of_approach
-from kilter_core.gap.noise.visits import visits_of
+from kilter_core.gap.noise.visits import average_visits
 from kilter_core.observations import Observations
 from tests.blind.generator import cases
 from tests.blind.run import run_case
@@ -116,17 +116,17 @@ def test_what_readings_within_visits_show_is_kept_beside_the_noise():
         position=point + rng.normal(0.0, 1e-5, point.shape),
         pose_id=np.repeat(np.arange(40), 3),
     )
-    visits = visits_of(rows)
+    visits = average_visits(rows)
     mean = visits.observations.position - point[::3]
     noise = repeat_noise(rows.position - point, mean, visits, visits.observations.position)
     assert noise.source == WITHIN
     assert np.array_equal(noise.readings, noise.visit)
     assert noise.over_readings == 1.0
     r = rng.normal(0.0, 1e-4, mean.shape)
-    grown = approached(noise, r, np.ones(len(r), dtype=bool), 0.0)
+    grown = add_approach_noise(noise, r, np.ones(len(r), dtype=bool), 0.0)
     assert grown.coordinate == pytest.approx(1e-4, rel=0.1)
     assert grown.over_readings == pytest.approx(1e-8 / (1e-10 / 3.0), rel=0.3)
-    assert approached(noise.even(), r, np.ones(len(r), dtype=bool), 0.0).over_readings == pytest.approx(
+    assert add_approach_noise(noise.even(), r, np.ones(len(r), dtype=bool), 0.0).over_readings == pytest.approx(
         grown.over_readings, rel=0.01
     )
 

@@ -16,7 +16,7 @@ from kilter_core.gap.evidence.held_out.unseen import _shown_members
 from kilter_core.gap.search import candidates
 from kilter_core.gap.search.candidates import FAMILY
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.linearized import fitted
+from kilter_core.gap.search.linear.linearized import estimate_linear_parameters
 from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.gap.search.scan import Null, Scorer
 from kilter_core.gap.search.select import Selector
@@ -102,7 +102,7 @@ def test_intervals_hold_where_joints_of_a_family_imitate_each_other(size: float)
         kept = _kept(prepared, family, y)
         own = [k for k, j in zip(columns, every[family].joints or (), strict=True) if j in kept]
         y = y - problem.U @ (problem.U.T @ y)
-        values, covariance = fitted(replace(problem, y=y, c=problem.W.T @ y), own)
+        values, covariance = estimate_linear_parameters(replace(problem, y=y, c=problem.W.T @ y), own)
         inside += (np.abs(values - size / problem.size[own]) < 1.96 * np.sqrt(np.diag(covariance))).tolist()
     assert np.mean(inside) > 0.92
 
@@ -111,12 +111,12 @@ def _kept(prepared: Prepared, family: int, y: np.ndarray) -> set[int]:
     """Joints of a family that is the only name, where these are the data."""
     problem = prepared.problem
     y = y - problem.U @ (problem.U.T @ y)
-    scorer = Scorer.of(prepared.library.candidates, problem.settings.trusted, np.inf)
+    scorer = Scorer.from_candidates(prepared.library.candidates, problem.settings.trusted, np.inf)
     selector = Selector(scorer, problem.rows, np.full(len(problem.A), np.inf))
     problem = replace(problem, y=y, c=problem.W.T @ y)
     columns = list(scorer.candidates[family].columns)
     values = problem.values.copy()
-    values[len(values) - len(problem.A) + np.array(columns)] = fitted(problem, columns)[0]
+    values[len(values) - len(problem.A) + np.array(columns)] = estimate_linear_parameters(problem, columns)[0]
     problem = replace(problem, values=values)
     found = SearchResult(problem, selector, (family,), Null(np.ones(1), None), 1e-4, ())
     return {effect.joints[0] for effect, _ in _shown_members(found, scorer.candidates[family])}

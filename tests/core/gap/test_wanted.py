@@ -8,7 +8,7 @@ import pytest
 
 from kilter_core.errors import OptionError
 from kilter_core.gap import GapOptions
-from kilter_core.gap.search.candidates import library_of
+from kilter_core.gap.search.candidates import build_library
 from tests.core.gap.simulated import campaign, katana
 
 ROWS = campaign(katana(), seed=2)
@@ -16,7 +16,7 @@ ROWS = campaign(katana(), seed=2)
 
 def test_candidates_are_at_the_joints_named_only() -> None:
     only = ["drift", {"id": "backlash", "joints": [2, 3]}, {"id": "joint_coupling", "joints": [3]}]
-    found = library_of(katana(), ROWS, only=only)
+    found = build_library(katana(), ROWS, only=only)
     assert {(c.id, c.joints) for c in found.candidates if c.id == "backlash"} == {
         ("backlash", (1,)), ("backlash", (2,)), ("backlash", (1, 2)),
     }  # fmt: skip
@@ -40,4 +40,4 @@ def test_candidates_are_at_the_joints_named_only() -> None:
 )
 def test_what_cannot_be_looked_for_is_refused(one: Any, said: str) -> None:
     with pytest.raises(OptionError, match=said):
-        library_of(katana(), ROWS, only=GapOptions.from_document({"effects": [one]}).effects)
+        build_library(katana(), ROWS, only=GapOptions.from_document({"effects": [one]}).effects)

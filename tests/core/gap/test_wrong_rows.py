@@ -11,7 +11,7 @@ import pytest
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.prepare import prepare_data
-from kilter_core.gap.search.re_evaluation import renewed
+from kilter_core.gap.search.re_evaluation import refit_with_updated_noise
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 
@@ -140,8 +140,8 @@ def test_a_visit_set_aside_comes_back_when_what_is_named_explains_it():
     good[[3, 8, 20]] = False
     (k,) = [k for k, p in enumerate(made.library.parameters) if p.name == "backlash_2"]
     without = refit(replace(problem.settings, used=good), problem.values, [k])
-    assert renewed(without, [k]).settings.used.all()
-    assert renewed(problem, [k]) is problem
+    assert refit_with_updated_noise(without, [k]).settings.used.all()
+    assert refit_with_updated_noise(problem, [k]) is problem
 
 
 def test_the_same_rows_give_the_same_hunt():

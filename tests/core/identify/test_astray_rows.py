@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_core.identify import identify
-from kilter_core.identify.plausibility.astray_rows import astray_warnings, renumbered
+from kilter_core.identify.plausibility.astray_rows import astray_warnings, renumber_warnings
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -55,7 +55,7 @@ def test_rows_of_several_set_ups_keep_their_numbers():
     (said,) = astray_warnings(begin, stale)
     assert said["rows"] == [61]
     second = np.flatnonzero(session == 1)
-    (alone,) = renumbered(astray_warnings(begin, stale.select(second)), second)
+    (alone,) = renumber_warnings(astray_warnings(begin, stale.select(second)), second)
     assert alone == said
 
 

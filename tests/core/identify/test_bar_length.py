@@ -7,7 +7,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.bar_length import explains_better, other_lengths, scaled
+from kilter_core.identify.bar_length import explains_better, other_lengths, scale_bar_readings
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.campaigns import held, joints, table_errors
@@ -61,11 +61,11 @@ def test_a_right_bar_beside_an_arm_mastered_wrong_is_not_doubted(seed: int) -> N
     nominal = Calibration.nominal(robot)
     fit = identify(robot, right, None, asked).fit
     for _, read, found in other_lengths(nominal, right):
-        other = scaled(right, 1, found / read)
+        other = scale_bar_readings(right, 1, found / read)
         assert not explains_better(identify(robot, other, None, asked).fit, fit)
-    wrong = scaled(right, 1, 1.08)
+    wrong = scale_bar_readings(right, 1, 1.08)
     [(_, read, found)] = other_lengths(nominal, wrong)
-    again = identify(robot, scaled(wrong, 1, found / read), None, asked).fit
+    again = identify(robot, scale_bar_readings(wrong, 1, found / read), None, asked).fit
     assert explains_better(again, identify(robot, wrong, None, asked).fit)
 
 
@@ -76,4 +76,4 @@ def test_a_right_bar_in_one_plane_that_tells_the_arm_too_little_is_not_doubted(s
     right = rows(True, seed=seed, offset=0.05)
     [(_, read, found)] = other_lengths(Calibration.nominal(robot), right)
     fit = identify(robot, right, None, asked).fit
-    assert not explains_better(identify(robot, scaled(right, 1, found / read), None, asked).fit, fit)
+    assert not explains_better(identify(robot, scale_bar_readings(right, 1, found / read), None, asked).fit, fit)

@@ -14,7 +14,7 @@ from kilter_core.effects.axial_compliance import AxialCompliance
 from kilter_core.effects.load_error import LoadError
 from kilter_core.errors import OptionError
 from kilter_core.identify import Identification, IdentifyOptions, identify
-from kilter_core.identify.carried_masses import masses_said
+from kilter_core.identify.carried_masses import describe_masses
 from kilter_core.identify.check import check_identification
 from kilter_core.observations import Observations
 from tests.core.identify.test_loads import PLAY, TILT
@@ -138,7 +138,7 @@ def test_how_well_the_payload_is_known_is_said_apart() -> None:
         (None, "by 10 % of the payload's mass and 10 mm of its place"),
     ):
         robot = robot_from_document({**preset_document("so101"), "payload_sigma": sigma})
-        said = masses_said(robot, effects, IdentifyOptions())
+        said = describe_masses(robot, effects, IdentifyOptions())
         assert said is not None
         assert "by 10 % of each link's mass and 10 mm of each coordinate of its centre" in said["sentence"]
         assert told_of_it in said["sentence"]

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.uncertainty.clustered import clustered
+from kilter_core.identify.uncertainty.clustered import with_clustered_covariance
 from kilter_core.observations import Observations
 from tests.core.campaigns import joints, measured
 from tests.core.identify.test_identify import FIXED, fixed_frames
@@ -83,4 +83,4 @@ def test_distances_keep_their_covariance() -> None:
     robot, true, _, rng = fixed_frames(6)
     rows = measured(true, joints(true, 60, rng), rng, REST)
     fit = identify(robot, rows, None, IdentifyOptions(level=1, base="removed", tool="fixed")).fit
-    assert clustered(fit) is fit
+    assert with_clustered_covariance(fit) is fit

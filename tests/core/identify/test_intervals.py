@@ -36,7 +36,7 @@ def fitted() -> Fit:
     nominal = ur10(tool=small_pose(rng, 0.1, 0.3))
     true = nominal.moved(table_errors(nominal, rng))
     model = RobotModel(robot_from_document(nominal.document()))
-    measurement = Measurement.of(measured(true, joints(true, 60, rng), rng, NOISE, "pose"))
+    measurement = Measurement.from_observations(measured(true, joints(true, 60, rng), rng, NOISE, "pose"))
     return solve(
         Problem(model, measurement, np.arange(6, model.n_geometric - 6), Weights(NOISE, NOISE)), model.values0()
     )
@@ -84,7 +84,7 @@ def test_a_profile_ends_where_scipy_says_the_loss_has_risen() -> None:
         step[others], step[c] = x * problem.prior_sigma[others], move
         values[problem.free] += step
         prior = (values[problem.free] - problem.prior_mean) / problem.prior_sigma
-        return np.concatenate([problem.whitened(values), prior])
+        return np.concatenate([problem.whitened_residuals(values), prior])
 
     for move in (found.lower[c], found.upper[c]):
         least = scipy.optimize.least_squares(residuals, np.zeros(others.sum()), args=(move,), xtol=1e-14, ftol=1e-14)

@@ -14,7 +14,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects.unknown_residual import UnknownResidual
 from kilter_core.errors import OptionError
-from kilter_core.gap.search.candidates import library_of
+from kilter_core.gap.search.candidates import build_library
 from kilter_core.identify import Identification, IdentifyOptions, identify
 from kilter_core.identify.estimate import estimate
 from kilter_core.measurement import Measurement
@@ -69,8 +69,8 @@ def test_it_is_the_gaussian_process_that_scipy_computes() -> None:
     effect = UnknownResidual(length=length, amplitude_m=amplitude, centres=tuple(map(tuple, q.tolist())))
     options = IdentifyOptions(effects=(effect.to_document(),), free=("residual_*",), base="fixed", tool="fixed",
                               noise_mm=noise * 1e3)  # fmt: skip
-    start = Calibration.nominal(ROBOT, (effect.on(ROBOT),))
-    fit = estimate(start, Measurement.of(rows), options)
+    start = Calibration.nominal(ROBOT, (effect.configure_for_robot(ROBOT),))
+    fit = estimate(start, Measurement.from_observations(rows), options)
     learned = fit.problem.model.predict(Observations(unseen), fit.values).position - ur10().poses(unseen)[0]
     circle = [np.hstack([np.cos(x), np.sin(x)]) for x in (q, unseen)]
     process = RBFInterpolator(
@@ -114,13 +114,15 @@ def test_too_few_poses_leave_it_out() -> None:
 def test_nobody_learns_unasked() -> None:
     train, _ = campaign(True)
     assert found(True, False).learned is None
-    assert not any(c.id == "unknown_residual" for c in library_of(ROBOT, train).candidates)
+    assert not any(c.id == "unknown_residual" for c in build_library(ROBOT, train).candidates)
     with pytest.raises(OptionError, match="learned, not searched"):
-        library_of(ROBOT, train, only=("unknown_residual",))
+        build_library(ROBOT, train, only=("unknown_residual",))
 
 
 def test_far_from_its_poses_it_says_nothing() -> None:
-    effect = UnknownResidual(inputs=(0, 1), length=0.5).on(ROBOT, Observations(np.full((8, 6), 0.1) * np.arange(6)))
+    effect = UnknownResidual(inputs=(0, 1), length=0.5).configure_for_robot(
+        ROBOT, Observations(np.full((8, 6), 0.1) * np.arange(6))
+    )
     assert len(effect.centres) == 1
     assert np.abs(effect.basis(np.array([[3.0, -3.0]]))).max() < 1e-6
     np.testing.assert_allclose(effect.basis(np.array(effect.centres)), 1.0, rtol=1e-6)
@@ -131,7 +133,7 @@ def test_a_corrected_path_leaves_out_what_was_learned() -> None:
     calibration, (_, held) = result.calibration, campaign(True)
     q = held.q[:60]
     done = correct(calibration, q, options=CorrectOptions("position", max_joint_rad=0.2, max_shift_m=0.1))
-    wanted = calibration.wanted().predict(Observations(q)).position
+    wanted = calibration.nominal_in_wanted_frames().predict(Observations(q)).position
     landed = calibration.predict(Observations(done.q)).position
     good = done.converged & (done.status == 0)
     assert good.mean() > 0.8

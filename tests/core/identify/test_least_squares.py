@@ -27,7 +27,7 @@ def problem(see: str, loss: str = "linear", seed: int = 0) -> tuple[Problem, Flo
     true = nominal.moved(table_errors(nominal, rng))
     q = joints(true, 40, rng)
     model = RobotModel(robot_from_document(nominal.document()))
-    measurement = Measurement.of(measured(true, q, rng, NOISE, see))
+    measurement = Measurement.from_observations(measured(true, q, rng, NOISE, see))
     if loss == "huber" and measurement.observations.position is not None:
         position = measurement.observations.position.copy()
         position[3] += 0.01
@@ -46,7 +46,7 @@ def test_the_minimum_is_scipy_s(see: str, loss: str) -> None:
     def residuals(x: Floats) -> Floats:
         values = start.copy()
         values[task.free] = task.prior_mean + x * task.prior_sigma
-        return np.concatenate([task.whitened(values), x])
+        return np.concatenate([task.whitened_residuals(values), x])
 
     theirs = scipy.optimize.least_squares(
         residuals, np.zeros(len(task.free)), jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15
@@ -74,25 +74,25 @@ def test_the_minimum_is_scipy_s_with_residuals_of_pinocchio() -> None:
 @pytest.mark.parametrize("see", ["position", "pose", "markers"])
 def test_the_whitened_jacobian_is_the_slope_of_the_residuals(see: str) -> None:
     task, values, _ = problem(see)
-    near = task.linearised(values)
+    near = task.linearise(values)
     J = near.J
-    np.testing.assert_allclose(near.r, task.whitened(values), atol=1e-12)
+    np.testing.assert_allclose(near.r, task.whitened_residuals(values), atol=1e-12)
     for c, k in enumerate(task.free[::3]):
         there, back = values.copy(), values.copy()
         there[k] += 1e-6
         back[k] -= 1e-6
-        slope = (task.whitened(there) - task.whitened(back)) / 2e-6
+        slope = (task.whitened_residuals(there) - task.whitened_residuals(back)) / 2e-6
         np.testing.assert_allclose(-slope, J[:, 3 * c], atol=2e-3, rtol=1e-5)
 
 
 def test_the_slope_is_that_of_huber_s_loss() -> None:
     task, values, _ = problem("position", "huber")
-    near = task.linearised(values)
+    near = task.linearise(values)
     for c, k in enumerate(task.free[::3]):
         there, back = values.copy(), values.copy()
         there[k] += 1e-7
         back[k] -= 1e-7
-        slope = (task.linearised(there).loss - task.linearised(back).loss) / 2e-7
+        slope = (task.linearise(there).loss - task.linearise(back).loss) / 2e-7
         prior = (values[k] - task.prior_mean[3 * c]) / task.prior_sigma[3 * c] ** 2
         assert -near.J[:, 3 * c] @ near.r + prior == pytest.approx(slope, rel=1e-5, abs=1.0)
 
@@ -123,7 +123,7 @@ def test_hidden_markers_weigh_nothing() -> None:
     hidden[4, 1] = np.nan
     measurement = replace(task.measurement, observations=replace(task.measurement.observations, markers=hidden))
     without = replace(task, measurement=measurement)
-    near = without.linearised(start)
+    near = without.linearise(start)
     assert not near.r.reshape(40, 3, 3)[4, 1].any()
     assert not near.J.reshape(40, 3, 3, -1)[4, 1].any()
     assert np.isfinite(solve(without, start).cost)

@@ -7,7 +7,7 @@ import pytest
 
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.estimate import estimate
-from kilter_core.identify.methods.loads import reloaded
+from kilter_core.identify.methods.loads import model_with_updated_loads
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -36,8 +36,10 @@ def left_m(calibration: Calibration, rows: Observations) -> float:
 
 def on_the_drawn_chain(twin, rows: Observations, options: IdentifyOptions):
     """The fit that takes its loads on the chain as drawn."""
-    start = Calibration.nominal(twin.robot, tuple(e.on(twin.robot, rows) for e in options.make_effects()))
-    return estimate(start, Measurement.of(rows), options)
+    start = Calibration.nominal(
+        twin.robot, tuple(e.configure_for_robot(twin.robot, rows) for e in options.make_effects())
+    )
+    return estimate(start, Measurement.from_observations(rows), options)
 
 
 @pytest.mark.parametrize("effect", CASES)
@@ -74,7 +76,7 @@ def test_the_loads_stand_where_the_fit_ended() -> None:
     at = [names.index(f"theta_offset_{j}") for j in (2, 3)]
     drawn = [e.value for e in twin.robot.chain.elements if e.name in ("theta_offset_2", "theta_offset_3")]
     np.testing.assert_allclose(np.degrees(chain.values[at] - drawn), ZEROS_DEG[1:3], atol=0.05)
-    assert reloaded(found.fit) is None
+    assert model_with_updated_loads(found.fit) is None
 
 
 def test_an_arm_that_is_as_drawn_keeps_its_loads_on_the_drawn_chain() -> None:

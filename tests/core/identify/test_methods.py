@@ -14,10 +14,10 @@ from kilter_core.arm.robot import Robot
 from kilter_core.errors import OptionError
 from kilter_core.identify import Identification, IdentifyOptions, Prior, identify
 from kilter_core.identify.fit.least_squares import Problem, Weights
-from kilter_core.identify.methods.kalman import filtered
+from kilter_core.identify.methods.kalman import run_kalman_filter
 from kilter_core.identify.methods.per_pose import pose_solutions
 from kilter_core.identify.registry import METHODS
-from kilter_core.identify.rows.influence import influence_of
+from kilter_core.identify.rows.influence import parameter_influence
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
@@ -128,7 +128,7 @@ def test_influence_is_what_a_moved_arm_shows() -> None:
     nominal = ur10(tool=small_pose(np.random.default_rng(1), 0.1, 0.3))
     q = joints(nominal, 20, rng)
     names = ("theta_offset_2", "alpha_4", "a_3", "d_1")
-    found = influence_of(Calibration.nominal(robot), Observations(q), names)
+    found = parameter_influence(Calibration.nominal(robot), Observations(q), names)
     still = nominal.poses(q)[0]
     for c, name in enumerate(names):
         step = 1e-4 if name[0] in "ad" and name[1] == "_" else np.radians(0.05)
@@ -145,11 +145,11 @@ def test_influence_is_what_a_moved_arm_shows() -> None:
 def test_the_filter_ends_where_the_stacked_solution_ends() -> None:
     robot, true, rng = arms(2)
     model = RobotModel(robot)
-    measurement = Measurement.of(measured(true, joints(true, 30, rng), rng, NOISE, "pose"))
+    measurement = Measurement.from_observations(measured(true, joints(true, 30, rng), rng, NOISE, "pose"))
     problem = Problem(model, measurement, np.arange(6, model.n_geometric - 6), Weights(NOISE, NOISE))
     values = model.values0()
-    x, P, _ = filtered(problem, values, problem.prior_mean, np.eye(len(problem.free)))
-    near = problem.linearised(values)
+    x, P, _ = run_kalman_filter(problem, values, problem.prior_mean, np.eye(len(problem.free)))
+    near = problem.linearise(values)
     A = np.vstack([near.J * problem.prior_sigma, np.eye(len(x))])
     b = np.concatenate([near.r, np.zeros(len(x))])
     expected = np.linalg.lstsq(A, b, rcond=None)[0] * problem.prior_sigma + problem.prior_mean
@@ -245,7 +245,7 @@ def test_every_identification_says_how_far_its_parameters_move_the_tool(rows: in
     q = np.random.default_rng(4).uniform(*twin.robot.limits.T, (rows, 5))
     seen = twin.observe(q, noise_m=1e-5)
     found = identify(twin.robot, seen, None, IdentifyOptions())
-    asked = influence_of(found.calibration, seen, found.fit.names).to_document()
+    asked = parameter_influence(found.calibration, seen, found.fit.names).to_document()
     assert found.influence is not None
     means = {row["name"]: row["mean_mm"] for row in found.influence}
     assert means.keys() == {row["name"] for row in asked}

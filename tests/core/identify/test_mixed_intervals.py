@@ -10,7 +10,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.uncertainty.predictive import left_of
+from kilter_core.identify.uncertainty.predictive import residual_sigma
 from kilter_core.observations import Observations
 from tests.core.pixel_scene import HOME, SOFT, Floats, Scene, eye_to_hand, soft
 
@@ -73,7 +73,7 @@ def test_what_a_model_lacks_is_as_large_as_views_say() -> None:
     scene, rng = eye_to_hand({}, yielding=0.1 * SOFT), np.random.default_rng(7)
     robot, options = robot_from_document(scene.drawn.document()), IdentifyOptions(fix=("beta_*",))
     exact = identify(robot, tracked(scene, scene.poses(300, rng), 1e-7, rng), None, options)
-    lacks = left_of(exact.fit)
+    lacks = residual_sigma(exact.fit)
     told = []
     for _ in range(8):
         rows = beside(scene, scene.observed(scene.poses(25, rng), rng, STATED_PX), rng)

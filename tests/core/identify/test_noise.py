@@ -42,10 +42,10 @@ def test_shots_of_one_visit_are_not_how_the_arm_comes_to_rest() -> None:
     o = campaign(order, 3, 9e-6, t=np.cumsum(rng.uniform(1.0, 400.0, 360)))
     assert o.position is not None
     rest = np.repeat(rng.normal(0.0, 6e-5, (120, 3)), 3, axis=0)
-    found = Repeats.of(replace(o, position=o.position + rest))
+    found = Repeats.from_observations(replace(o, position=o.position + rest))
     assert found.shots == pytest.approx(9e-6, rel=0.1)
     assert found.between == pytest.approx(np.hypot(6e-5, 9e-6), rel=0.15)
-    once = Repeats.of(replace(o, position=o.position + rest).select(slice(0, 180)))
+    once = Repeats.from_observations(replace(o, position=o.position + rest).select(slice(0, 180)))
     assert (once.between, once.shots) == (None, pytest.approx(9e-6, rel=0.15))
 
 
@@ -56,7 +56,7 @@ def test_rows_sorted_by_pose_are_visits_by_the_clock() -> None:
     o = campaign(order, 5, 4e-5, t=np.cumsum(rng.uniform(1.0, 9.0, 900)))
     by_pose = o.select(np.argsort(order, kind="stable"))
     np.testing.assert_array_equal(np.bincount(by_pose.visits()), np.ones(900))
-    found, known = Repeats.of(by_pose), Repeats.of(o)
+    found, known = Repeats.from_observations(by_pose), Repeats.from_observations(o)
     assert (found.shots, known.shots) == (None, None)
     assert found.between == pytest.approx(known.between, rel=1e-9)
 
@@ -85,7 +85,7 @@ def test_wrong_readings_are_named_and_no_noise() -> None:
     hit = np.array([7, 130, 131, 255])
     position = o.position.copy()
     position[hit] += 5e-4
-    found = Repeats.of(replace(o, position=position))
+    found = Repeats.from_observations(replace(o, position=position))
     assert found.wrong.tolist() == hit.tolist()
     assert found.between == pytest.approx(3e-5, rel=0.1)
 
@@ -101,14 +101,17 @@ def test_rows_with_a_hidden_marker_are_left_out() -> None:
     markers = rng.normal(0.0, 1e-4, (300, 3, 3))
     markers[::7, 1] = np.nan
     o = Observations(np.zeros((300, 2)), markers=markers)
-    assert Repeats.of(o).shots == pytest.approx(1e-4, rel=0.06)
+    assert Repeats.from_observations(o).shots == pytest.approx(1e-4, rel=0.06)
 
 
 def test_copies_of_rows_are_no_repeats() -> None:
     """A file pasted twice under itself: 60 poses that were measured once had a noise of nothing, *from repeats*."""
     once = campaign(np.arange(60), 8)
-    twice = Repeats.of(Observations.concatenate([once, once]))
+    twice = Repeats.from_observations(Observations.concatenate([once, once]))
     assert (twice.between, twice.shots) == (None, None)
     np.testing.assert_array_equal(twice.copies, np.arange(60, 120))
     real = campaign(np.tile(np.arange(60), 2), 8)
-    assert Repeats.of(real).between == Repeats.of(Observations.concatenate([real, real.select(np.arange(9))])).between
+    assert (
+        Repeats.from_observations(real).between
+        == Repeats.from_observations(Observations.concatenate([real, real.select(np.arange(9))])).between
+    )

@@ -11,10 +11,10 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.identify import Identification, IdentifyOptions, identify
-from kilter_core.identify.estimate import prepared
+from kilter_core.identify.estimate import prepare_problem
 from kilter_core.identify.holdout import Folds
 from kilter_core.identify.plausibility.views.unrelated_views import refuse_unrelated_views
-from kilter_core.identify.views.cameras import rig_of, with_cameras
+from kilter_core.identify.views.cameras import rig_from_calibration, with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -27,7 +27,7 @@ UNSURE = {"scale_sigma": 1e-3}  # of a board, as a share
 
 def place_of_camera(result: Identification) -> Floats:
     """Where the first camera is, m: in the room, or on the tool."""
-    rig = rig_of(result.calibration)
+    rig = rig_from_calibration(result.calibration)
     assert rig is not None
     return rig.cameras[0].pose[:3, 3]
 
@@ -235,11 +235,11 @@ def test_rows_that_stand_for_views_say_all_that_pixels_say() -> None:
     scene = eye_to_hand(lengths(3), scale=1e-3)
     rng = np.random.default_rng(3)
     rows = scene.observed(scene.poses(20, rng), rng, 0.1, scene.rig({"intrinsics": "free"}, UNSURE))
-    measurement = Measurement.of(rows, held=True)
+    measurement = Measurement.from_observations(rows, held=True)
     begin = with_cameras(Calibration.nominal(robot_from_document(scene.drawn.document())), rows, measurement)
-    short, values = prepared(begin, measurement, IdentifyOptions(fix=("beta_*",)), registered=True)
+    short, values = prepare_problem(begin, measurement, IdentifyOptions(fix=("beta_*",)), registered=True)
     whole = short.wholly()
-    here, there = short.linearised(values), whole.linearised(values)
+    here, there = short.linearise(values), whole.linearise(values)
     assert (len(here.r), len(there.r)) == (20 * 16, rows.pixels.size)
     assert here.loss == pytest.approx(there.loss, rel=1e-12)
     (H, g), (H_whole, g_whole) = short.normal_equations(values, here), whole.normal_equations(values, there)
@@ -249,7 +249,9 @@ def test_rows_that_stand_for_views_say_all_that_pixels_say() -> None:
     step = rng.standard_normal(len(g)) / size
     bends = short.bend(values, here, step) / size, whole.bend(values, there, step) / size
     np.testing.assert_allclose(*bends, rtol=1e-6, atol=1e-6 * np.abs(bends[1]).max())
-    ahead, ahead_whole = (one.beyond(at, one.moved(values, step), step) for one, at in ((short, here), (whole, there)))
+    ahead, ahead_whole = (
+        one.beyond(at, one.apply_step(values, step), step) for one, at in ((short, here), (whole, there))
+    )
     assert ahead.loss == pytest.approx(ahead_whole.loss, rel=1e-12)
     assert ahead.J.T @ ahead.r == pytest.approx(ahead_whole.J.T @ ahead_whole.r, rel=1e-9)
 

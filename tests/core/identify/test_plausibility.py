@@ -83,7 +83,7 @@ def campaign(arm: str, see: str = "position", poses: int = 90) -> tuple[Robot, A
 
 
 def judged(robot: Robot, rows: Observations) -> tuple[dict[str, Any], ...]:
-    return refuse_foreign(Calibration.nominal(robot), Measurement.of(rows))
+    return refuse_foreign(Calibration.nominal(robot), Measurement.from_observations(rows))
 
 
 def accused(robot: Robot, rows: Observations) -> list[str]:

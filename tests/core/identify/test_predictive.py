@@ -149,7 +149,9 @@ def test_poses_and_markers_have_intervals_too(see: str) -> None:
     inside = []
     for seed in range(4):
         result, _, _, held = found(seed, see=see)
-        u95 = result.predictive.of_measured(result.calibration, Measurement.of(held, result.calibration.marker_points))
+        u95 = result.predictive.of_measured(
+            result.calibration, Measurement.from_observations(held, result.calibration.marker_points)
+        )
         assert u95.shape == (40, 3)
         inside.append(evaluate(result.calibration, held, (), result.predictive)["within_u95"])
     assert 0.9 < np.mean(inside) <= 1.0

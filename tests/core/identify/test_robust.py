@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kilter_core.identify.fit.robust import Loss, bulk_scale, covariance_factor, redescended, scale_of, tukey_limit
+from kilter_core.identify.fit.robust import (
+    Loss,
+    bulk_scale,
+    covariance_factor,
+    descend_to_tukey_weights,
+    median_scale,
+    tukey_limit,
+)
 
 
 def plane(seed, rows=120, wrong=0.0, noise=0.02, clustered=True):
@@ -28,7 +35,7 @@ def robustly(X, y):
     def sizes(weight):
         return np.linalg.norm(y - X @ solve(X, y, weight), axis=1)
 
-    return redescended(sizes, sizes(np.ones(len(y))), 3)
+    return descend_to_tukey_weights(sizes, sizes(np.ones(len(y))), 3)
 
 
 @pytest.mark.parametrize("clustered", [True, False])
@@ -85,9 +92,9 @@ def test_tukeys_limits_are_those_of_the_tables(dimension, known):
 
 def test_scales_are_those_of_one_coordinate():
     size = np.linalg.norm(np.random.default_rng(0).normal(0.0, 0.3, (4000, 3)), axis=1)
-    assert scale_of(size, 3) == pytest.approx(0.3, rel=0.05)
-    assert bulk_scale(np.r_[size, np.full(800, 5.0)], 3, scale_of(size, 3)) == pytest.approx(0.3, rel=0.03)
-    assert scale_of(np.zeros(0), 3) == 0.0
+    assert median_scale(size, 3) == pytest.approx(0.3, rel=0.05)
+    assert bulk_scale(np.r_[size, np.full(800, 5.0)], 3, median_scale(size, 3)) == pytest.approx(0.3, rel=0.03)
+    assert median_scale(np.zeros(0), 3) == 0.0
 
 
 @pytest.mark.parametrize("kind", ["huber", "tukey"])
@@ -121,7 +128,7 @@ def test_a_descent_ends_where_what_it_is_for_is_decided():
         asked.append(size)
         return True
 
-    found = redescended(sizes, sizes(np.ones(len(y))), 3, decided)
+    found = descend_to_tukey_weights(sizes, sizes(np.ones(len(y))), 3, decided)
     assert len(asked) == 1
     assert len(fits) > 3  # the limit came all the way down first
     assert (found.weight[bad] == 0.0).all()

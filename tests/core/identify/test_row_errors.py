@@ -84,7 +84,7 @@ def test_the_workspace_is_within_the_limits_and_known_least_where_nobody_measure
     train = rows("position", 80, 2)
     near = train.select(np.flatnonzero(np.abs(train.q[:, 0]) < 1.5))
     result = identify(robot_from_document(ur10().document()), near)
-    space = Workspace.of(result.calibration, result.predictive, near, seed=1)
+    space = Workspace.from_calibration(result.calibration, result.predictive, near, seed=1)
     assert space.points.shape == (POSES, 3)
     assert np.linalg.norm(space.points, axis=1).max() < 1.6
     assert np.linalg.norm(space.measured - ur10().poses(near.q)[0], axis=1).max() < 0.15
@@ -92,5 +92,5 @@ def test_the_workspace_is_within_the_limits_and_known_least_where_nobody_measure
     assert np.median(space.u95) > np.median(known) > 0.0
     last = space.worst_last()
     assert (np.diff(last.u95) >= 0.0).all()
-    again = Workspace.of(result.calibration, result.predictive, near, seed=1)
+    again = Workspace.from_calibration(result.calibration, result.predictive, near, seed=1)
     assert np.array_equal(again.points, space.points)

@@ -12,7 +12,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import Identification, IdentifyOptions, identify
-from kilter_core.identify.uncertainty.clustered import clustered
+from kilter_core.identify.uncertainty.clustered import with_clustered_covariance
 from kilter_core.observations import Observations
 from tests.core.off_zero import OffZero, soft_elbow
 
@@ -112,7 +112,7 @@ def test_without_signs_it_is_said_and_nothing_is_widened(twin: OffZero) -> None:
     (warning,) = said(found)
     assert warning["widened_by"] == 1.0
     assert "kilter gap" in warning["message"]
-    np.testing.assert_allclose(found.covariance, clustered(found.fit).covariance, rtol=1e-9)
+    np.testing.assert_allclose(found.covariance, with_clustered_covariance(found.fit).covariance, rtol=1e-9)
 
 
 def test_an_arm_that_leaves_its_noise_is_not_accused() -> None:

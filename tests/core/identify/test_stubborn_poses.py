@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.estimate import estimate, prepared
+from kilter_core.identify.estimate import estimate, prepare_problem
 from kilter_core.identify.fit.least_squares import Linearised, solve
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
@@ -181,12 +181,12 @@ def test_the_loss_never_rises(loss: str) -> None:
     rng = np.random.default_rng(5)
     arm, q = lines(rng)
     start = Calibration.nominal(robot_from_document(arm.document()))
-    measurement = Measurement.of(observed(arm, q, rng, "position"))
+    measurement = Measurement.from_observations(observed(arm, q, rng, "position"))
     options = IdentifyOptions(loss=loss)
     fit = estimate(start, measurement, options)
-    problem, values = prepared(start, measurement, options)
-    problem = problem.reweighted(fit.problem.weights, fit.problem.held)
-    seen: list[float] = [problem.linearised(values).loss]
+    problem, values = prepare_problem(start, measurement, options)
+    problem = problem.with_weights(fit.problem.weights, fit.problem.held)
+    seen: list[float] = [problem.linearise(values).loss]
     solve(problem, values, lambda _, loss_now: seen.append(loss_now))
     assert len(seen) > 3
     assert all(after <= before for before, after in itertools.pairwise(seen))
@@ -196,7 +196,9 @@ def test_an_early_end_is_no_worse_than_the_start() -> None:
     rng = np.random.default_rng(7)
     arm, q = grid(rng)
     start = Calibration.nominal(robot_from_document(arm.document()))
-    problem, values = prepared(start, Measurement.of(observed(arm, q, rng, "pose")), IdentifyOptions())
-    here: Linearised = problem.linearised(values)
+    problem, values = prepare_problem(
+        start, Measurement.from_observations(observed(arm, q, rng, "pose")), IdentifyOptions()
+    )
+    here: Linearised = problem.linearise(values)
     rough = solve(problem, values, enough=0.5)
     assert rough.cost < here.loss

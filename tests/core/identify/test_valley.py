@@ -34,10 +34,10 @@ class Valley:
     def __init__(self) -> None:
         self.asked = 0
 
-    def worth(self, loss: float) -> float:
+    def required_decrease(self, loss: float) -> float:
         return 0.0
 
-    def at(self, values: Floats) -> Seen:
+    def evaluate(self, values: Floats) -> Seen:
         self.asked += 1
         radius = float(np.linalg.norm(values))
         r = STEEP * (RADIUS - radius)
@@ -53,7 +53,7 @@ class Valley:
     def slope(self, values: Floats, here: Seen) -> Floats:
         return here.J * here.r - (values - PRIOR)
 
-    def moved(self, values: Floats, step: Floats) -> Floats:
+    def apply_step(self, values: Floats, step: Floats) -> Floats:
         return values + step
 
     def bend(self, values: Floats, here: Seen, step: Floats) -> Floats:
@@ -68,7 +68,7 @@ class Valley:
 @pytest.mark.parametrize("angle", [0.4, 1.0, 1.6])
 def test_a_valley_that_bends_is_followed_in_a_few_steps(angle: float) -> None:
     valley, start = Valley(), RADIUS * np.array([np.cos(angle), np.sin(angle)])
-    found = minimise(valley, start, valley.at(start))
+    found = minimise(valley, start, valley.evaluate(start))
     assert found.converged
     np.testing.assert_allclose(found.values, RADIUS * PRIOR / np.linalg.norm(PRIOR), atol=1e-3)
     assert valley.asked < 40
@@ -86,7 +86,7 @@ class Cheap(Valley):
 def test_derivatives_are_not_taken_where_a_shorter_step_still_climbs(radius: float) -> None:
     start = radius * RADIUS * np.array([np.cos(2.9), np.sin(2.9)])
     valley, cheap = Valley(), Cheap()
-    found = [minimise(one, start, one.at(start)).values for one in (valley, cheap)]
+    found = [minimise(one, start, one.evaluate(start)).values for one in (valley, cheap)]
     np.testing.assert_array_equal(*found)
     assert cheap.asked < valley.asked
 
@@ -94,15 +94,15 @@ def test_derivatives_are_not_taken_where_a_shorter_step_still_climbs(radius: flo
 class Vain(Valley):
     """The same, whose loss hardly falls whatever its slope promises."""
 
-    def worth(self, loss: float) -> float:
+    def required_decrease(self, loss: float) -> float:
         return 1e-9
 
-    def at(self, values: Floats) -> Seen:
-        seen = super().at(values)
+    def evaluate(self, values: Floats) -> Seen:
+        seen = super().evaluate(values)
         return Seen(seen.r, seen.J, 1e-6 * seen.loss)
 
 
 def test_a_walk_ends_after_steps_that_gain_nothing_worth_taking() -> None:
     start = RADIUS * np.array([np.cos(2.9), np.sin(2.9)])
-    found = [minimise(valley, start, valley.at(start), idle=idle) for valley, idle in ((Vain(), 2), (Vain(), 60))]
+    found = [minimise(valley, start, valley.evaluate(start), idle=idle) for valley, idle in ((Vain(), 2), (Vain(), 60))]
     assert found[0].iterations == 2 < found[1].iterations

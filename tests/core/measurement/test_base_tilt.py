@@ -95,7 +95,7 @@ def test_the_derivative_of_the_base_is_that_of_differences() -> None:
     rows, reading = campaign(rows=8)
     effects = IdentifyOptions(effects=("base_compliance", GEAR)).make_effects()
     model = Calibration.nominal(robot_from_document(ARM.document()), effects).model
-    measurement = Measurement.of(replace(rows, tilt=reading))
+    measurement = Measurement.from_observations(replace(rows, tilt=reading))
     at = model.values0() + 1e-6
     block = measurement.residual(*model.jacobian(rows, at, None, True, True)).blocks[1]
     assert block.J is not None
@@ -124,7 +124,7 @@ def test_campaigns_with_and_without_the_base_go_together() -> None:
 def test_readings_of_the_base_measure_no_joint() -> None:
     rows, reading = campaign(rows=8)
     with pytest.raises(ObservationError, match="of the base alone"):
-        Log.of(replace(rows, tilt=reading), 1e-5)
+        Log.from_observations(replace(rows, tilt=reading), 1e-5)
 
 
 CANDIDATES = ("base_compliance", "axial_compliance", "radial_compliance", "encoder_scale", "eccentricity")

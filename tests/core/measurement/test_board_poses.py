@@ -45,9 +45,9 @@ def test_the_same_views_are_computed_once_and_others_anew(monkeypatch: pytest.Mo
     first = found(pixels)
     with pytest.raises(ValueError, match="read-only"):
         first[0][0] = 0.0  # whoever asks next would get it
-    refined = module._refined
+    refined = module._refine_poses
     asked: list[int] = []
-    monkeypatch.setattr(module, "_refined", lambda *given: asked.append(len(given[4])) or refined(*given))
+    monkeypatch.setattr(module, "_refine_poses", lambda *given: asked.append(len(given[4])) or refined(*given))
     again = found(pixels.copy())
     assert not asked
     assert all(np.array_equal(one, other, equal_nan=True) for one, other in zip(first, again, strict=True))

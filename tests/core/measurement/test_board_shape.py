@@ -29,10 +29,10 @@ def bent(scene: Scene, bow_x: float = 0.0, bow_y: float = 0.0, twist: float = 0.
 
 
 def shape(calibration: Calibration, rows: Observations) -> BoardShape:
-    views = Measurement.of(rows, held=True).pixels
+    views = Measurement.from_observations(rows, held=True).pixels
     assert views is not None
     prediction = calibration.predict(rows)
-    (found,) = board_shapes(views, prediction, views.placed(prediction))
+    (found,) = board_shapes(views, prediction, views.resolve_rig(prediction))
     return found
 
 
@@ -76,7 +76,7 @@ def test_an_identification_warns_of_a_bent_board_and_not_of_a_flat_one() -> None
 def test_few_views_say_nothing_of_a_shape() -> None:
     scene, rng = bent(eye_to_hand({}, STIFF), 1e-3), np.random.default_rng(3)
     rows = scene.observed(scene.poses(8, rng), rng, 0.1)
-    views = Measurement.of(rows, held=True).pixels
+    views = Measurement.from_observations(rows, held=True).pixels
     assert views is not None
     prediction = Calibration.nominal(robot_from_document(scene.drawn.document())).predict(rows)
-    assert list(board_shapes(views, prediction, views.placed(prediction))) == []
+    assert list(board_shapes(views, prediction, views.resolve_rig(prediction))) == []

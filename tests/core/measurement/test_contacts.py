@@ -15,7 +15,7 @@ from kilter_core.evaluate import evaluate
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.holdout import fold_splits, split
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.contacts import held as held_by
+from kilter_core.measurement.contacts import has_contacts as held_by
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
 from tests.core.campaigns import held, joints, measured, table_errors
@@ -181,7 +181,7 @@ def test_contacts_may_be_mixed_and_pose_the_same_slopes_as_differences() -> None
     rod[len(q) : len(q) + 12], length[len(q) : len(q) + 12] = 1, bar.bar_length
     plane[len(q) + 12 :] = 1
     rows = Observations(np.concatenate([q, bar.q, flat]), socket=socket, plane=plane, bar=rod, bar_length=length)
-    measurement = Measurement.of(rows, held=True, socket_distances={(1, 2): 0.4})
+    measurement = Measurement.from_observations(rows, held=True, socket_distances={(1, 2): 0.4})
     model = RobotModel(robot_from_document(drawn.document()))
     values = model.values0()
     prediction, J = model.jacobian(rows, values)
@@ -207,7 +207,9 @@ def test_held_out_rows_are_compared_with_the_places_of_the_training_rows() -> No
     # The same poses in a socket that stands a millimetre off: rows by themselves could never show it.
     rng = np.random.default_rng(8)
     q, number = in_sockets(actual, rng, PLACES + np.array([0.0, 0.0, 1e-3]), 10)
-    other = Measurement.of(Observations(q, socket=number), held=True, anchor=Measurement.of(rows, held=True))
+    other = Measurement.from_observations(
+        Observations(q, socket=number), held=True, anchor=Measurement.from_observations(rows, held=True)
+    )
     errors, _ = other.errors(found.calibration)
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(1e-3, rel=0.1)
 

@@ -83,7 +83,7 @@ def test_residuals_and_slopes_are_those_of_the_distances() -> None:
     robot, train, _ = campaign("markers", rows=12)
     hidden = train.markers.copy()  # type: ignore[union-attr]
     hidden[3, 1] = np.nan
-    measurement = Measurement.of(Observations(train.q, markers=hidden), MARKERS, relative=True)
+    measurement = Measurement.from_observations(Observations(train.q, markers=hidden), MARKERS, relative=True)
     pairs = Distances(measurement.observations, MARKERS).pairs
     model = RobotModel(robot)
     values = model.values0()

@@ -67,8 +67,8 @@ def test_an_arm_is_identified_from_one_reflector_in_three_nests() -> None:
         8.0 / np.pi
     )  # the mean length of that noise in space
     # Rows of one nest alone are compared with the shape that is known now.
-    one = Measurement.of(visited(20, (1,), 3), shape)
-    assert Errors.of(found.calibration, one).mean < 1.3 * NOISE * np.sqrt(8.0 / np.pi)
+    one = Measurement.from_observations(visited(20, (1,), 3), shape)
+    assert Errors.from_calibration(found.calibration, one).mean < 1.3 * NOISE * np.sqrt(8.0 / np.pi)
 
 
 def test_by_nests_nothing_is_named_of_a_clean_arm() -> None:
@@ -91,4 +91,4 @@ def test_the_visits_of_another_session_show_nothing_together() -> None:
 
 def test_other_poses_in_every_nest_are_refused_with_the_remedy() -> None:
     with pytest.raises(ObservationError, match="visit the same poses with the reflector in each of three nests"):
-        Measurement.of(visited(10, (0, 1, 2), 5, again=False))
+        Measurement.from_observations(visited(10, (0, 1, 2), 5, again=False))

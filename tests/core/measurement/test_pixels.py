@@ -15,9 +15,9 @@ from kilter_core.errors import ObservationError
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.views.cameras import with_cameras
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.camera.camera_model import normalised, project
+from kilter_core.measurement.camera.camera_model import project, undistort_pixels
 from kilter_core.measurement.camera.hand_eye import solve_axzb
-from kilter_core.measurement.camera.views import Views, carried_by, sight, sight_and_slopes, sight_by_tool
+from kilter_core.measurement.camera.views import Views, equivalent_tool_motions, sight, sight_and_slopes, sight_by_tool
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
@@ -57,7 +57,7 @@ def test_pixels_are_those_of_opencv(model: str) -> None:
         theirs = cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, distortion)[0]
     seen = project(model, values, points)
     assert np.abs(seen.pixels - theirs.reshape(-1, 2)).max() < 1e-9
-    assert np.abs(normalised(model, values, seen.pixels) - points[:, :2] / points[:, 2:]).max() < 1e-10
+    assert np.abs(undistort_pixels(model, values, seen.pixels) - points[:, :2] / points[:, 2:]).max() < 1e-10
 
 
 @pytest.mark.parametrize("model", LENSES)
@@ -88,7 +88,7 @@ def test_a_right_model_leaves_nothing_and_its_jacobian_is_exact(scene: Scene) ->
     q = scene.poses(12, rng)
     rows = scene.observed(q, rng, 0.0, free(scene))
     robot = robot_from_document(scene.drawn.document())
-    measurement = Measurement.of(rows, held=True)
+    measurement = Measurement.from_observations(rows, held=True)
     model = with_cameras(Calibration.nominal(robot), rows, measurement)
     where = PlacedRig.at_poses(free(scene), {0: scene.eyes[0].pose.homogeneous}, {0: scene.sheets[0].pose.homogeneous})
     effect = replace(model.model.effects[-1], rig=where)
@@ -132,11 +132,13 @@ def test_views_follow_the_unknowns_of_their_own_camera_and_board_alone() -> None
     views = Views(camera, board, *(np.tile(part, (4, *(1,) * (part.ndim - 1))) for part in scene.tools(q)))
     pixels, slopes = sight_and_slopes(placed, views, 48)
     assert slopes.by_own.shape[3] == 10  # nine of the lens and the scale
-    span, inner = slopes.spanned()
+    span, inner = slopes.low_rank_factors()
     whole = span @ inner[:, None]
     for k, parameter in enumerate(placed.parameters):
         h = 1e-2 if parameter.unit == "px" else 1e-6
-        up, down = (sight(placed.at(placed.values + s * h * np.eye(len(placed.values))[k]), views, 48) for s in (1, -1))
+        up, down = (
+            sight(placed.with_values(placed.values + s * h * np.eye(len(placed.values))[k]), views, 48) for s in (1, -1)
+        )
         slope = np.nan_to_num(up - down) / (2 * h)
         assert np.abs(whole[..., k] - slope).max() < 1e-6 * max(1.0, np.abs(slope).max()), parameter.name
     own = [k for k, (unknown, _) in enumerate(placed.unknowns) if unknown.what != "pose"]
@@ -144,7 +146,7 @@ def test_views_follow_the_unknowns_of_their_own_camera_and_board_alone() -> None
     alone, by_tool = sight_by_tool(placed, views, 48)
     np.testing.assert_array_equal(alone, pixels)
     np.testing.assert_array_equal(by_tool, slopes.by_tool)
-    np.testing.assert_array_equal(carried_by(placed, views), slopes.carried)
+    np.testing.assert_array_equal(equivalent_tool_motions(placed, views), slopes.carried)
 
 
 @pytest.mark.parametrize("scene", [eye_to_hand(), eye_in_hand()], ids=["to_hand", "in_hand"])
@@ -163,7 +165,7 @@ def test_pixels_alone_identify_the_arm(scene: Scene) -> None:
     told = result.metrics["validation"]
     assert told["identified"]["mean_mm"] < 0.5 * told["registration_only"]["mean_mm"]
     again = Calibration.from_document(result.calibration.robot, result.calibration.to_document())
-    unseen = Measurement.of(rows, held=True)
+    unseen = Measurement.from_observations(rows, held=True)
     assert np.allclose(unseen.errors(again)[0], unseen.errors(result.calibration)[0], atol=1e-12)
 
 
@@ -177,7 +179,7 @@ def test_corner_sigmas_weigh_the_corners() -> None:
     stated, plain = replace(rows, pixel_sigma=sigma), rows
     off = []
     for one in (stated, plain):
-        rig = Measurement.of(one, held=True).tool.fitted(Calibration.nominal(robot).predict(one))
+        rig = Measurement.from_observations(one, held=True).tool.fitted(Calibration.nominal(robot).predict(one))
         off.append(np.linalg.norm(rig.cameras[0].pose[:3, 3] - scene.eyes[0].pose.translation))
     assert off[0] < 0.3e-3 < off[1]
 
@@ -206,7 +208,7 @@ def test_a_camera_that_goes_with_its_board_is_refused() -> None:
     rows = scene.observed(scene.poses(5, rng), rng)
     both = replace(rows.rig, boards=tuple(replace(b, mount="fixed") for b in rows.rig.boards))
     with pytest.raises(ObservationError) as refused:
-        Measurement.of(replace(rows, rig=both), held=True)
+        Measurement.from_observations(replace(rows, rig=both), held=True)
     assert refused.value.code == "mounts_alike"
 
 
@@ -226,7 +228,7 @@ def test_several_cameras_and_a_solid_of_corners() -> None:
     rows = scene.observed(scene.poses(25, rng), rng, 0.05)
     assert set(zip(rows.camera.tolist(), rows.board.tolist(), strict=True)) == {(0, 0), (0, 1), (1, 0), (1, 1)}
     robot = robot_from_document(scene.drawn.document())
-    rig = Measurement.of(rows, held=True).tool.fitted(Calibration.nominal(robot).predict(rows))
+    rig = Measurement.from_observations(rows, held=True).tool.fitted(Calibration.nominal(robot).predict(rows))
     for found, true in zip((*rig.cameras, *rig.boards), (*scene.eyes, *scene.sheets), strict=True):
         assert np.abs(found.pose - true.pose.homogeneous).max() < 5e-4, true.name
 

@@ -28,7 +28,7 @@ def registered(
 ) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(5)
     model = drawn(arm)
-    measurement = Measurement.of(measured(arm, joints(arm, count, rng), rng, noise_m, see))
+    measurement = Measurement.from_observations(measured(arm, joints(arm, count, rng), rng, noise_m, see))
     return register(model, model.values0(), measurement, **options)
 
 
@@ -54,7 +54,7 @@ def test_markers_are_predicted_where_they_were_seen() -> None:
     rng = np.random.default_rng(6)
     arm = some_arm(rng, 6)
     model = drawn(arm)
-    measurement = Measurement.of(measured(arm, joints(arm, 15, rng), rng, see="markers"))
+    measurement = Measurement.from_observations(measured(arm, joints(arm, 15, rng), rng, see="markers"))
     T_base, T_tool = register(model, model.values0(), measurement)
     there = replace(model, T_base=T_base, T_tool=T_tool)
     residual = measurement.residual(there.predict(measurement.observations, there.values0()))

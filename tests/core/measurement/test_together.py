@@ -141,7 +141,7 @@ def test_derivatives_of_what_the_joints_turn_are_those_of_differences() -> None:
     rows, reading = campaign(8)
     robot = robot_from_document(ARM.document())
     model = Calibration.nominal(robot, IdentifyOptions(effects=(*EFFECTS, "load_error")).make_effects()).model
-    measurement = Measurement.of(replace(rows, tilt=reading))
+    measurement = Measurement.from_observations(replace(rows, tilt=reading))
     at = model.values0() + 1e-6
     prediction, J = model.jacobian(rows, at, None, True, True)
     residual = measurement.residual(prediction, J)

@@ -37,7 +37,7 @@ def _pixels(scene: Scene, q: Floats) -> Floats:
 
 
 def found(rows: Observations) -> Timing | None:
-    views = Measurement.of(rows, held=True).pixels
+    views = Measurement.from_observations(rows, held=True).pixels
     assert views is not None
     return timing(views, Calibration.nominal(robot_from_document(SCENE.drawn.document())))
 

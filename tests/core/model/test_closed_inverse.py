@@ -11,7 +11,7 @@ from kilter_core.arm.chain import Chain
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.errors import RobotError
-from kilter_core.model.closed_inverse import axes_of, flange, postures, solutions
+from kilter_core.model.closed_inverse import flange, postures, read_six_axes, solutions
 from tests.clients.six_joint_arms import Arm, Floats, limits_deg
 
 PRESETS = ("irb120", "kr6-r900", "ur10e")
@@ -21,7 +21,7 @@ PRESETS = ("irb120", "kr6-r900", "ur10e")
 def test_every_posture_reaches_and_the_one_that_was_is_among_them(preset: str) -> None:
     rng = np.random.default_rng(3)
     robot, arm, bounds = robot_from_document(preset_document(preset)), Arm(preset), limits_deg(preset)
-    axes = axes_of(robot)
+    axes = read_six_axes(robot)
     for q in np.radians(rng.uniform(np.maximum(bounds[:, 0], -179), np.minimum(bounds[:, 1], 179), (100, 6))):
         wanted = metres(arm, q)
         assert np.abs(flange(robot, q) - wanted).max() < 1e-12

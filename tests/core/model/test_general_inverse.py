@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.model.closed_inverse import axes_of
+from kilter_core.model.closed_inverse import read_six_axes
 from kilter_core.model.general_inverse import all_angles, reaching
 
 Floats = NDArray[np.float64]
@@ -61,7 +61,7 @@ def apart(one: Floats, other: Floats) -> float:
 def counted(name: str, seed: int, poses: int) -> tuple[int, int]:
     """How many poses were not certain, and how many joints were missed without a word."""
     rows = CHAINS[name]
-    axes, model, rng = axes_of(robot_from_document(document(rows))), peer(rows), np.random.default_rng(seed)
+    axes, model, rng = read_six_axes(robot_from_document(document(rows))), peer(rows), np.random.default_rng(seed)
     uncertain = missed = 0
     for _ in range(poses):
         q = rng.uniform(-np.pi, np.pi, 6)
@@ -95,7 +95,7 @@ def test_of_a_thousand_poses_none_is_missed_unsaid(name: str) -> None:
 def test_a_pose_out_of_reach_has_no_joints_and_that_is_certain() -> None:
     T = np.eye(4)
     T[0, 3] = 5.0
-    assert reaching(axes_of(robot_from_document(document(CHAINS["offset wrist"]))), T) == ([], True)
+    assert reaching(read_six_axes(robot_from_document(document(CHAINS["offset wrist"]))), T) == ([], True)
 
 
 def jacobian(model: pinocchio.Model, q: Floats) -> Floats:
@@ -121,7 +121,7 @@ def singular_posture(model: pinocchio.Model, rng: np.random.Generator) -> Floats
 
 def test_at_a_singularity_the_joints_are_not_certain() -> None:
     rows = CHAINS["nothing meets"]
-    axes, model = axes_of(robot_from_document(document(rows))), peer(rows)
+    axes, model = read_six_axes(robot_from_document(document(rows))), peer(rows)
     q = singular_posture(model, np.random.default_rng(0))
     assert not all_angles(axes, flange_by_peer(model, q)).certain
 
@@ -129,7 +129,7 @@ def test_at_a_singularity_the_joints_are_not_certain() -> None:
 def test_two_solutions_that_are_nearly_one_are_both_found_or_the_pose_is_not_certain() -> None:
     """Their roots are nearly double: an imaginary part that is rounding alone must not make them none."""
     rows, rng = CHAINS["nothing meets"], np.random.default_rng(9)
-    axes, model = axes_of(robot_from_document(document(rows))), peer(rows)
+    axes, model = read_six_axes(robot_from_document(document(rows))), peer(rows)
     certain_far = 0
     for _ in range(3):
         q = singular_posture(model, rng)

@@ -10,7 +10,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.loads.slopes import LoadSlopes, with_masses, with_payload
-from kilter_core.arm.loads.wrenches import axial_loads, loads_of
+from kilter_core.arm.loads.wrenches import axial_loads, row_load_wrenches
 from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Robot
 from kilter_core.correct.program import CorrectionOptions, compile_program
@@ -47,7 +47,7 @@ def test_static_loads_with_load_errors_are_those_of_the_true_masses(n: int) -> N
     arm, wrong, rows, errors = other_masses(n, dynamic=False)
     model = RobotModel(wrong, (make_effect("load_error"),))
     batch = model.batch(rows)
-    right = model.loaded(batch, np.concatenate([model.values0()[: model.n_geometric], errors]))
+    right = model.apply_load_errors(batch, np.concatenate([model.values0()[: model.n_geometric], errors]))
     for k in range(len(rows)):
         torques, wrenches, root = arm.reactions(rows.q[k])
         np.testing.assert_allclose(right.axial[k], -torques, atol=1e-10, rtol=0)
@@ -60,14 +60,14 @@ def test_static_loads_with_load_errors_are_those_of_the_true_masses(n: int) -> N
 def test_a_robot_with_the_masses_has_the_loads_of_the_slopes(dynamic: bool) -> None:
     _, wrong, rows, errors = other_masses(6, dynamic)
     slopes = LoadSlopes(wrong, rows)
-    once, anew = loads_of(wrong, rows), loads_of(with_masses(wrong, errors), rows)
-    linear = axial_loads(wrong, once) + np.tensordot(errors, slopes.of("axial", 0), axes=1)
+    once, anew = row_load_wrenches(wrong, rows), row_load_wrenches(with_masses(wrong, errors), rows)
+    linear = axial_loads(wrong, once) + np.tensordot(errors, slopes.component_slopes("axial", 0), axes=1)
     np.testing.assert_allclose(axial_loads(wrong, anew), linear, atol=1e-10, rtol=0)
     for name, before, after in (
         ("wrench", once.joints, anew.joints), ("end_wrench", once.ends, anew.ends), ("base_wrench", once.base, anew.base),
     ):  # fmt: skip
         for part in range(6):
-            moved = np.tensordot(errors, slopes.of(name, part), axes=1)
+            moved = np.tensordot(errors, slopes.component_slopes(name, part), axes=1)
             np.testing.assert_allclose(before[..., part] + moved, after[..., part], atol=1e-9, rtol=0)
 
 
@@ -84,7 +84,7 @@ def test_changes_of_loads_are_those_of_other_masses_and_another_payload(kind: di
     errors = rng.normal(0.0, 1e-3, len(slopes))
     laden = [with_payload(m, c, errors[-4:]) for m, c in zip(kg, place, strict=True)]
     other = replace(rows, payload_kg=np.array([m for m, _ in laden]), payload_com=np.array([c for _, c in laden]))
-    once, anew = loads_of(robot, rows), loads_of(with_masses(robot, errors[:-4]), other)
+    once, anew = row_load_wrenches(robot, rows), row_load_wrenches(with_masses(robot, errors[:-4]), other)
     truth = {
         "axial": (axial_loads(robot, anew) - axial_loads(robot, once))[..., None], "wrench": anew.joints - once.joints,
         "end_wrench": anew.ends - once.ends, "base_wrench": anew.base - once.base,
@@ -92,13 +92,13 @@ def test_changes_of_loads_are_those_of_other_masses_and_another_payload(kind: di
     for again in range(2):
         for name, moved in truth.items():
             parts = tuple(range(moved.shape[-1]))
-            found = (slopes.changes(name, parts, errors), slopes.part(slice(2, 6)).changes(name, parts, errors))
+            found = (slopes.changes(name, parts, errors), slopes.select_rows(slice(2, 6)).changes(name, parts, errors))
             # A dynamic load is quadratic in a place: products of two errors are left out.
             np.testing.assert_allclose(np.moveaxis(found[0], 0, -1), moved, rtol=0, atol=1e-3 if dynamic else 1e-10)
             assert np.abs(moved).max() > 0.01
             np.testing.assert_allclose(np.moveaxis(found[1], 0, -1), np.moveaxis(found[0], 0, -1)[2:6], atol=1e-12)
             if again == 0:
-                slopes.of(name, parts[-1])
+                slopes.component_slopes(name, parts[-1])
 
 
 def test_slopes_that_nobody_reads_are_not_made() -> None:
@@ -158,7 +158,7 @@ def rows_of(robot: Robot, count: int, payload: bool = True) -> Observations:
 def loaded_calibration(*effects: str, payload: bool = True, robot: Robot = KATANA, **options: object) -> Calibration:
     """An arm with these effects and load errors, all with values of about a prior width."""
     rows = rows_of(robot, 30, payload)
-    made = [make_effect(e, **options.get(e, {})).on(robot, rows) for e in (*effects, "load_error")]  # type: ignore[attr-defined]
+    made = [make_effect(e, **options.get(e, {})).configure_for_robot(robot, rows) for e in (*effects, "load_error")]  # type: ignore[attr-defined]
     model, rng = RobotModel(robot, tuple(made)), np.random.default_rng(1)
     values = model.values0()
     for k in range(model.n_geometric, len(values)):
@@ -209,7 +209,7 @@ def test_the_corrector_carries_the_masses(payload_kg: float, payload: tuple[str,
     assert good.mean() > 0.5
     carried = np.full(len(q), payload_kg)
     actual = found.predict(Observations(result.q, payload_kg=carried)).position
-    wanted = found.wanted().predict(Observations(q)).position
+    wanted = found.nominal_in_wanted_frames().predict(Observations(q)).position
     assert np.max(np.linalg.norm(actual - wanted, axis=1)[good]) < 5e-6
     stated = found.values.copy()
     stated[found.model.effect_slices()["load_error"]] = 0.0
@@ -231,7 +231,7 @@ def test_blurred_signs_are_the_expectation_and_leave_its_scatter() -> None:
     assert scatter.dq is not None
     np.testing.assert_allclose(scatter.dq**2, 1e-6 * (1.0 - expected**2), atol=1e-15)
     assert model.doubts(batch, values)[1].max() == 0.0
-    kept = replace(model, effects=(model.effects[0].softened(soft),))
+    kept = replace(model, effects=(model.effects[0].with_softened_signs(soft),))
     np.testing.assert_allclose(kept.predict(batch, values).position, model.predict(soft, values).position, atol=1e-15)
 
 
@@ -240,8 +240,10 @@ def test_priors_are_those_of_the_robot() -> None:
     links = [{**link, "mass_sigma_kg": 0.2, "com_sigma_mm": 3.0} for link in document["links"]]
     told = robot_from_document({**document, "links": links, "payload_sigma": {"mass_percent": 5.0, "com_mm": 2.0}})
     rows = rows_of(told, 20)
-    found = {p.name: p.prior_sigma for p in make_effect("load_error").on(told, rows).parameters(told)}
-    usual = {p.name: p.prior_sigma for p in make_effect("load_error").on(KATANA, rows).parameters(KATANA)}
+    found = {p.name: p.prior_sigma for p in make_effect("load_error").configure_for_robot(told, rows).parameters(told)}
+    usual = {
+        p.name: p.prior_sigma for p in make_effect("load_error").configure_for_robot(KATANA, rows).parameters(KATANA)
+    }
     heavy = next(k for k, link in enumerate(told.links) if link.mass > 0)
     mass = told.links[heavy].mass
     assert found[f"link_mass_{heavy + 1}"] == pytest.approx(0.2)

@@ -31,7 +31,7 @@ def test_the_tool_point_of_the_arm_is_where_the_other_implementation_has_it() ->
 
 def test_poses_stay_where_the_arm_was_driven() -> None:
     driven = np.array([0.3, -1.2, 1.0, -1.0, -1.5, 0.0]) + RNG.uniform(-0.4, 0.4, (60, 6))
-    region = Region.of(START, driven)
+    region = Region.from_calibration(START, driven)
     q = region.draw(200, RNG)
     assert (q >= driven.min(axis=0)).all()
     assert (q <= driven.max(axis=0)).all()
@@ -45,15 +45,15 @@ def test_poses_stay_where_the_arm_was_driven() -> None:
 
 
 def test_no_point_of_the_arm_goes_below_the_floor() -> None:
-    region = Region.of(START).above(0.15)
+    region = Region.from_calibration(START).above(0.15)
     q = region.draw(100, RNG)
     assert ur10().poses(q)[0][:, 2].min() >= 0.15 - 1e-9
-    assert ur10().poses(Region.of(START).draw(100, RNG))[0][:, 2].min() < 0.15
+    assert ur10().poses(Region.from_calibration(START).draw(100, RNG))[0][:, 2].min() < 0.15
 
 
 def test_room_that_does_not_exist_is_said() -> None:
     with pytest.raises(RobotError, match="above 5000 mm"):
-        Region.of(START).above(5.0).draw(3, RNG)
+        Region.from_calibration(START).above(5.0).draw(3, RNG)
 
 
 def test_a_hull_of_many_faces_is_asked_in_little_memory() -> None:
@@ -61,7 +61,7 @@ def test_a_hull_of_many_faces_is_asked_in_little_memory() -> None:
     rng = np.random.default_rng(8)
     corners = rng.normal(size=(1200, 3))
     corners /= np.linalg.norm(corners, axis=1, keepdims=True)
-    hull = Hull.of(corners)
+    hull = Hull.from_points(corners)
     points = rng.uniform(-1.2, 1.2, (20_000, 3))
     tracemalloc.start()
     inside = hull.holds(points)
@@ -78,7 +78,7 @@ def test_a_hull_of_many_faces_is_asked_in_little_memory() -> None:
 def test_hulls_of_flat_clouds(rank: int) -> None:
     axes = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
     inside = RNG.uniform(-1.0, 1.0, (400, rank)) @ axes[:, :rank].T + 5.0
-    hull = Hull.of(inside)
+    hull = Hull.from_points(inside)
     assert hull.holds(inside).all()
     assert hull.holds(inside.mean(axis=0)[None]).all()
     for k in range(3):
@@ -111,10 +111,10 @@ def test_no_room_is_refused_with_what_leaves_none() -> None:
     with pytest.raises(
         RobotError, match="out of the zones to keep out of, 50 are needed to choose from: keep out of less"
     ) as told:
-        Region.of(START).outside(whole).draw(50, np.random.default_rng(1))
+        Region.from_calibration(START).outside(whole).draw(50, np.random.default_rng(1))
     assert told.value.context["field"] == "keep_out_mm"
     small = np.array([[0.2, 0.0, 0.2], [0.2001, 0.0001, 0.2001]])
     with pytest.raises(RobotError, match=r"take a larger box or go to the limits \(--anywhere\)"):
-        Region.of(START, RNG.uniform(-0.2, 0.2, (40, START.robot.n_joints))).within(small).draw(
+        Region.from_calibration(START, RNG.uniform(-0.2, 0.2, (40, START.robot.n_joints))).restrict_to_box(small).draw(
             50, np.random.default_rng(1)
         )

@@ -44,7 +44,7 @@ def true(scene: Scene) -> Calibration:
 
 def near(start: Calibration) -> Region:
     """The joints among which the random poses of a scene are."""
-    return replace(Region.of(start), low=HOME - SPREAD, high=HOME + SPREAD)
+    return replace(Region.from_calibration(start), low=HOME - SPREAD, high=HOME + SPREAD)
 
 
 def whole(scene: Scene, q: Floats) -> NDArray[np.bool_]:
@@ -81,14 +81,18 @@ def test_views_of_a_version_within_the_limits() -> None:
     rng = np.random.default_rng(4)
     rows = scene.observed(scene.poses(40, rng), rng, rig=free(scene))
     version = identify(nominal(scene).robot, rows, None, ASKED).calibration
-    plan = view_poses(version, 15, [make_effect("backlash").on(version.robot)], payloads_kg=(0.0, 5.0), seed=3)
+    plan = view_poses(
+        version, 15, [make_effect("backlash").configure_for_robot(version.robot)], payloads_kg=(0.0, 5.0), seed=3
+    )
     assert whole(scene, plan.q).all()
     low, high = version.robot.limits.T
     assert ((plan.q > low) & (plan.q < high)).all()
     assert np.ptp(plan.q, axis=0).max() > 2 * SPREAD
     assert plan.direction is not None
     assert plan.payload_kg is not None
-    again = view_poses(version, 15, [make_effect("backlash").on(version.robot)], payloads_kg=(0.0, 5.0), seed=3)
+    again = view_poses(
+        version, 15, [make_effect("backlash").configure_for_robot(version.robot)], payloads_kg=(0.0, 5.0), seed=3
+    )
     assert np.array_equal(again.q, plan.q)
 
 

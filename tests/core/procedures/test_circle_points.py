@@ -82,7 +82,7 @@ def test_axes_are_pinocchio_s_within_what_the_report_says() -> None:
     q, points = circles(arm, HOME, "point", arc=1.0)
     found = robot_from_circles(q, slides(arm), points, name="a", convention="poe", frame="device")
     robot = robot_from_document(arm.document())
-    true = screws_of_chain(robot.chain).moved(robot.T_base, np.eye(4))
+    true = screws_of_chain(robot.chain).compose_with_poses(robot.T_base, np.eye(4))
     mine = screws_of_chain(robot_from_document(found.document).chain)
     for k, axis in enumerate(found.axes):
         assert axis.arc == pytest.approx(1.0)

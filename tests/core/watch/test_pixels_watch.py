@@ -16,7 +16,7 @@ from kilter_core.errors import ObservationError, OptionError
 from kilter_core.evaluate import evaluate
 from kilter_core.evaluate.uncertainty import Budget
 from kilter_core.identify import Identification, IdentifyOptions, identify
-from kilter_core.identify.estimate import refitted
+from kilter_core.identify.estimate import refit_frames
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
 from kilter_core.observations import Observations
@@ -106,14 +106,16 @@ def test_a_version_by_views_judges_a_tracker_by_its_own_noise(made: Identificati
     tracker = 5e-6
     q = np.tile(SCENE.poses(20, rng), (2, 1))
     twice = Observations(q, position=SCENE.tools(q)[0] + tracker * rng.standard_normal((40, 3)))
-    measurement = Measurement.of(twice, held=True)
-    at = refitted(made.calibration, measurement, ("base", "tool"))
-    budget = Budget.of(at, known, measurement, None, ("base", "tool"))
+    measurement = Measurement.from_observations(twice, held=True)
+    at = refit_frames(made.calibration, measurement, ("base", "tool"))
+    budget = Budget.from_measurement(at, known, measurement, None, ("base", "tool"))
     assert budget is not None
     assert np.sqrt(budget.variances["repeatability"].mean()) == pytest.approx(tracker, rel=0.3)
-    assert 2e3 * np.sqrt(np.mean(budget.measured**2)) < 0.02  # mm; a corner is 0.1 mm wide, which no tracker is
+    assert (
+        2e3 * np.sqrt(np.mean(budget.measured_error_uncertainty**2)) < 0.02
+    )  # mm; a corner is 0.1 mm wide, which no tracker is
     once = replace(twice, q=twice.q[:20], position=twice.position[:20])
-    lacking = Budget.of(at, known, Measurement.of(once, held=True), None, ("base", "tool"))
+    lacking = Budget.from_measurement(at, known, Measurement.from_observations(once, held=True), None, ("base", "tool"))
     assert lacking is not None
     assert "repeatability" in lacking.to_document()["not_assessed"]
     assert evaluate(at, once, [], known)["within_u95"] is None

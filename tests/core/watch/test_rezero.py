@@ -121,7 +121,7 @@ def test_what_the_data_do_not_carry_is_refused(fitted: Fitted) -> None:
         ["zero_4", "zero_2"],
     )
     assert both.names == ("theta_offset_4", "theta_offset_2")
-    four, two = both.changed
+    four, two = both.changed_causes
     for one, true in ((four, 8e-3), (two, 3e-3)):  # what a check says of each alone takes up what the other did
         assert abs(one.change[0] - true) < 2.0 * one.u95[0]
     said = rezero_sentence(both, "ver_1", 6, "today")
@@ -134,7 +134,7 @@ def test_a_zero_beside_a_frame_is_told_as_it_was_changed(fitted: Fitted) -> None
     rng = np.random.default_rng(8)
     moved = arm.after("zero_4", 8e-3).after("base", 2e-3)
     found = rezero(calibration, moved.measured(some_poses(10, rng), rng, NOISE), known, ["base", "zero_4"])
-    base, zero = found.changed
+    base, zero = found.changed_causes
     assert abs(zero.change[0] - 8e-3) < 2.0 * zero.u95[0]
     assert base.size_u95[0] < 1e-3
     assert abs(np.linalg.norm(base.change[:3]) - 2e-3) < 2.0 * base.size_u95[0]

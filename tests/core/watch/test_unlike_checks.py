@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kilter_core.watch.history import alarm_limit, chart, standardised
+from kilter_core.watch.history import alarm_limit, chart, recursive_residuals
 
 
 def mixed(
@@ -42,5 +42,5 @@ def test_a_drift_is_seen_beside_a_coarse_check() -> None:
 def test_a_finer_instrument_does_not_make_the_scatter_of_set_ups_an_alarm() -> None:
     rng = np.random.default_rng(2)
     deviations = np.r_[np.ones(40), 0.1 * np.ones(10)]
-    z = np.concatenate([standardised(rng.normal(0.0, 1.0, 50), None, deviations)[40:] for _ in range(200)])
+    z = np.concatenate([recursive_residuals(rng.normal(0.0, 1.0, 50), None, deviations)[40:] for _ in range(200)])
     assert np.mean(np.abs(z) > 3.0) < 0.01

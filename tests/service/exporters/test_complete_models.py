@@ -19,7 +19,9 @@ def test_the_urdf_of_a_calibrated_complete_model_has_its_poses(convention: str) 
     document = robot_document(robot_from_document(preset_document("ur10")), convention)
     robot = robot_from_document(document)
     rng = np.random.default_rng(0)
-    names = [str(robot.chain.elements[k].name) for k in robot.chain.named if not robot.chain.elements[k].dependent]
+    names = [
+        str(robot.chain.elements[k].name) for k in robot.chain.named_elements if not robot.chain.elements[k].dependent
+    ]
     calibration = Twin(robot, {name: float(rng.normal(0.0, 5e-4)) for name in names}).truth
     file = exportable(document, calibration)
     again = robot_from_document(chain_document(export("urdf", file).text, "base_link", "flange", "again").document)

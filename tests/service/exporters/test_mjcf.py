@@ -201,7 +201,7 @@ def test_a_joint_without_compliance_is_rigid_beside_one_that_winds_up() -> None:
 def stepped(effect: str) -> tuple[Exported, Calibration]:
     """An arm with all parameters of an effect, of either sign where it may have either."""
     robot = robot_from_document(preset_document("ur10"))
-    own = make_effect(effect).on(robot)
+    own = make_effect(effect).configure_for_robot(robot)
     rng, size = np.random.default_rng(3), BY_THE_STEP[effect]
     drawn = {p.name: size * float(rng.uniform(0.3, 1.0)) for p in own.parameters(robot)}
     signs = rng.choice([-1.0, 1.0], len(drawn)) if own.signs != "positive" else np.ones(len(drawn))
@@ -258,7 +258,7 @@ def test_every_effect_is_told() -> None:
     for name, effect in EFFECTS.items():
         if name in OF_SLIDES or effect.stage == "measurement":
             continue
-        own = effect.made(**asked.get(name, {})).on(robot)
+        own = effect.from_options(**asked.get(name, {})).configure_for_robot(robot)
         arm = Calibration.nominal(robot, (own,))
         values = arm.values.copy()
         at = arm.model.effect_slices()[name]
@@ -285,7 +285,7 @@ def test_slides_sag_and_play_and_bend_out_of_line() -> None:
     }  # fmt: skip
     robot = robot_from_document(document)
     wavy = make_effect("straightness", joints=[0], centres=(0.25,), halves=(0.25,))
-    crooked = {p.name: 1e-4 for p in wavy.on(robot).parameters(robot)}
+    crooked = {p.name: 1e-4 for p in wavy.configure_for_robot(robot).parameters(robot)}
     effects = (make_effect("axial_compliance"), make_effect("backlash_load", joints=[0, 2]), wavy)
     values = {"compliance_1": 1e-6, "compliance_3": 1e-4, "backlash_load_1": 2e-4, "backlash_load_3": 1e-3, "y": 1e-3}
     arm = Twin(robot, values | crooked, effects).truth

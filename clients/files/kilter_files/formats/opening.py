@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_files.formats.reader import MAP, Head, Hints, RecordingReader
-from kilter_files.formats.registry import binary_reader, readers, readers_for, recognised
+from kilter_files.formats.registry import binary_reader, has_format, readers, readers_for
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.tables.source import Layout, Source
@@ -41,7 +41,7 @@ def open_source(path: Path, form: str | None, layout: Layout) -> Source:
 
 def _by_content(path: Path) -> str | None:
     """KUKA's data lists end in .dat, and programs are sent as .txt: what they hold tells them from tables."""
-    return "program" if path.suffix.lower() in (".dat", ".txt") and recognised(path, "program") else None
+    return "program" if path.suffix.lower() in (".dat", ".txt") and has_format(path, "program") else None
 
 
 def open_recording(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import head_of
+from kilter_files.ground.faults import read_head
 from kilter_files.ground.text_layout import TextLayout, lines_in_cells, sniff
 from kilter_files.tables.source import Layout
 
@@ -87,7 +87,7 @@ class Head:
     @cached_property
     def start(self) -> bytes:
         """The first bytes; none of a folder."""
-        return b"" if self.path.is_dir() else head_of(self.path, START_BYTES)
+        return b"" if self.path.is_dir() else read_head(self.path, START_BYTES)
 
     @cached_property
     def layout(self) -> TextLayout | None:
@@ -136,7 +136,7 @@ class Reader(ABC, Generic[Read]):
 
         """
 
-    def listed(self) -> Iterator[tuple[str, str]]:
+    def names_and_titles(self) -> Iterator[tuple[str, str]]:
         """Names and titles in the list of formats."""
         yield self.name, self.title
 

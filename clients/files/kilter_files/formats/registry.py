@@ -50,7 +50,7 @@ def readers_for(use: str) -> Mapping[str, Reader[Any]]:
     return {name: reader for name, reader in sorted(readers().items()) if reader.use == use}
 
 
-def reader_of(head: Head) -> Reader[Any]:
+def find_reader(head: Head) -> Reader[Any]:
     """Return whose file it is.
 
     Raises:
@@ -92,7 +92,7 @@ def refuse_stranger(head: Head) -> None:
         raise fault(head.path, f"is {found[0]}", found[1])
 
 
-def recognised(path: Path, name: str) -> bool:
+def has_format(path: Path, name: str) -> bool:
     """Tell whether a file is of the format with this name."""
     return readers()[name].recognises(Head(path))
 
@@ -105,7 +105,7 @@ def describe(path: Path, hints: Hints) -> Document:
 
     """
     head = Head(path, hints)
-    reader = reader_of(head)
+    reader = find_reader(head)
     known: Document = {"kind": reader.name, "ready": False, "problems": [], "warnings": [], "notes": []}
     return known | reader.describe(head)
 
@@ -114,5 +114,5 @@ def list_formats() -> Iterator[tuple[str, str, tuple[str, ...], str]]:
     """Every format that is read: the command that takes it, its name, endings and title."""
     for use in USES:
         for reader in readers_for(use).values():
-            for name, title in reader.listed():
+            for name, title in reader.names_and_titles():
                 yield use, name, reader.endings, title

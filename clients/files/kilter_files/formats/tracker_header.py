@@ -36,7 +36,7 @@ PRESETS: Mapping[str, Preset] = {
 }
 
 
-def plain(name: str) -> str:
+def canonical_column_name(name: str) -> str:
     """Return a column's name in small letters and digits only."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
@@ -44,15 +44,15 @@ def plain(name: str) -> str:
 def meaning(names: Sequence[str], preset: Preset) -> dict[str, int]:
     """Return which column is x, y, z, qw ..., rx ..., sx ..., u95x ..., u95, t, temperature or q1 ...; the first wins."""
     found: dict[str, int] = {}
-    known = {plain(name) for name in names}
+    known = {canonical_column_name(name) for name in names}
     for i, name in enumerate(names):
-        key = preset.names.get(plain(name)) or _one(plain(name), known)
+        key = preset.names.get(canonical_column_name(name)) or _column_key(canonical_column_name(name), known)
         if key:
             found.setdefault(key, i)
     return found
 
 
-def _one(name: str, known: set[str]) -> str | None:
+def _column_key(name: str, known: set[str]) -> str | None:
     for angles in ANGLES:
         if name in angles and set(angles) <= known:
             return angles[name]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kilter_files.ground.archives import names_in
+from kilter_files.ground.archives import member_names
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 
@@ -17,7 +17,7 @@ MOST_NAMED = 3
 def of_zip(path: Path) -> FileError:
     """Return the error of an archive that was given for a file of measurements."""
     try:
-        names = [name for name in names_in(path) if not name.endswith("/")]
+        names = [name for name in member_names(path) if not name.endswith("/")]
     except ValueError:
         return fault(
             path,

@@ -13,20 +13,20 @@ def unpacked_bytes(path: Path) -> int:
         ValueError: it cannot be read as one; its text says why.
 
     """
-    return sum(item.file_size for item in _listed(path))
+    return sum(item.file_size for item in _member_infos(path))
 
 
-def names_in(path: Path) -> list[str]:
+def member_names(path: Path) -> list[str]:
     """Return the names in an archive; those of folders end in a slash.
 
     Raises:
         ValueError: it cannot be read as one; its text says why.
 
     """
-    return [item.filename for item in _listed(path)]
+    return [item.filename for item in _member_infos(path)]
 
 
-def _listed(path: Path) -> list[zipfile.ZipInfo]:
+def _member_infos(path: Path) -> list[zipfile.ZipInfo]:
     try:
         with zipfile.ZipFile(path) as archive:
             return archive.infolist()

@@ -11,7 +11,7 @@ ELEMENT = re.compile(r"(?P<name>.*\S)\s*(?:\[\s*(?P<from0>\d{1,4})\s*\]|\(\s*(?P
 WRAPPED = re.compile(r"(?:[A-Za-z_.]{0,20}\(\s*)?[\[({](.*)[\])}]\s*\)?", re.DOTALL)
 
 
-def element_of(name: str) -> tuple[str, int] | None:
+def parse_element_name(name: str) -> tuple[str, int] | None:
     """Return column and index (from 0) of ``q[0]`` or ``q(1)``, None for a plain name."""
     match = ELEMENT.fullmatch(name.strip())
     if match is None:

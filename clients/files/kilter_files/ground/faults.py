@@ -16,7 +16,7 @@ def fault(path: Path, what: str, remedy: str, **place: Any) -> FileError:
     return FileError(f"{', '.join([str(path), *named])}: {what}. {remedy}", file=str(path), **place)
 
 
-def head_of(path: Path, size: int) -> bytes:
+def read_head(path: Path, size: int) -> bytes:
     """Return the first bytes of a file.
 
     Raises:

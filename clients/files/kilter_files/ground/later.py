@@ -47,7 +47,7 @@ def later(module: str) -> Iterator[None]:
     threads import meanwhile they have at once.
     """
 
-    def named(name: str, *how: Any, **further: Any) -> Any:
+    def import_lazily(name: str, *how: Any, **further: Any) -> Any:
         if not how or not how[0] or how[0].get("__name__") != module:
             return at_once(name, *how, **further)
         wanted = how[2]
@@ -60,7 +60,7 @@ def later(module: str) -> Iterator[None]:
 
     with _ONE_BLOCK:
         at_once = builtins.__import__
-        builtins.__import__ = named
+        builtins.__import__ = import_lazily
         try:
             yield
         finally:

@@ -12,7 +12,7 @@ from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.later import csv, need, np, pa
 from kilter_files.ground.text_layout import TextLayout
-from kilter_files.ground.time_stamps import stamp_of
+from kilter_files.ground.time_stamps import parse_stamp
 
 MISSING = ("", "nan", "NaN", "NAN", "NA", "n/a", "N/A", "null", "NULL", "-", "--", "MISSING", "Missing", "missing")
 BLANKS = tuple(" " * i for i in range(1, 17))
@@ -67,7 +67,7 @@ def blocks(path: Path, layout: TextLayout, columns: Sequence[int], rows: int) ->
         raise fault(path, f"cannot be read ({str(error)[:200]})", "Export it again.") from error
 
 
-def lines_of(path: Path, layout: TextLayout) -> Iterator[tuple[int, str]]:
+def numbered_lines(path: Path, layout: TextLayout) -> Iterator[tuple[int, str]]:
     """Return the lines of numbers with their numbers in the file; empty ones are skipped."""
     with path.open(encoding=layout.encoding, errors="replace", newline=None) as stream:
         for number, line in enumerate(itertools.islice(stream, layout.first_line - 1, None), layout.first_line):
@@ -75,9 +75,11 @@ def lines_of(path: Path, layout: TextLayout) -> Iterator[tuple[int, str]]:
                 yield number, line
 
 
-def line_of(path: Path, layout: TextLayout, row: int) -> int:
+def line_number_of_row(path: Path, layout: TextLayout, row: int) -> int:
     """Return the line of a row of numbers, counted from 0."""
-    return next((line for line, _ in itertools.islice(lines_of(path, layout), row, None)), layout.first_line + row)
+    return next(
+        (line for line, _ in itertools.islice(numbered_lines(path, layout), row, None)), layout.first_line + row
+    )
 
 
 def count_rows(path: Path, layout: TextLayout) -> tuple[int, str | None]:
@@ -86,7 +88,7 @@ def count_rows(path: Path, layout: TextLayout) -> tuple[int, str | None]:
     A recorder that is stopped leaves half a line behind. A short line anywhere else is damage, which ``blocks`` refuses.
     """
     rows, number, last = 0, 0, ""
-    for line in lines_of(path, layout):
+    for line in numbered_lines(path, layout):
         rows, (number, last) = rows + 1, line
     remark = cut_remark(number, len(layout.split(last)), layout.width) if rows > 1 else None
     return rows - (remark is not None), remark
@@ -101,7 +103,7 @@ def cut_remark(line: int, cells: int, width: int) -> str | None:
 
 def _raw_width(path: Path, layout: TextLayout) -> int:
     """Cells of a row as Arrow counts them: with the empty one after a last delimiter."""
-    _, line = next(lines_of(path, layout))
+    _, line = next(numbered_lines(path, layout))
     idle = line.rstrip("\r\n ").endswith(layout.delimiter) and len(layout.split(line)) == layout.width
     bare = line.rstrip("\r\n").count(layout.delimiter) + 1
     return max(layout.width + 1 if idle and bare > layout.width else layout.width, 1)
@@ -109,10 +111,10 @@ def _raw_width(path: Path, layout: TextLayout) -> int:
 
 def _slow(path: Path, layout: TextLayout, columns: Sequence[int], count: int) -> Iterator[Floats]:
     rows: list[list[float]] = []
-    for number, line in itertools.islice(lines_of(path, layout), count):
+    for number, line in itertools.islice(numbered_lines(path, layout), count):
         cells = layout.split(line)
         if len(cells) != layout.width:
-            raise _ragged(path, layout, number, cells)
+            raise _ragged_row_fault(path, layout, number, cells)
         rows.append([_number(path, layout, number, cells, i) for i in columns])
         if len(rows) == SLOW_ROWS:
             yield np.array(rows)
@@ -121,9 +123,9 @@ def _slow(path: Path, layout: TextLayout, columns: Sequence[int], count: int) ->
         yield np.array(rows)
 
 
-def _ragged(path: Path, layout: TextLayout, line: int, cells: list[str]) -> FileError:
+def _ragged_row_fault(path: Path, layout: TextLayout, line: int, cells: list[str]) -> FileError:
     if _is_header_again(layout, cells):
-        return _glued(path, line)
+        return _second_header_fault(path, line)
     what = f"{len(cells)} cells where the first row has {layout.width}"
     return fault(path, what, "Correct the row; if another table begins here, split the file.", line=line)
 
@@ -132,11 +134,11 @@ def _number(path: Path, layout: TextLayout, line: int, cells: list[str], i: int)
     text = cells[i]
     value = float("nan") if text in MISSING else parse_number(text, layout.decimal)
     if value is None and _is_header_again(layout, cells):
-        raise _glued(path, line)
+        raise _second_header_fault(path, line)
     if value is None:
         name = layout.names[i]
         what = f"{text[:40]!r} is not a number with decimal {layout.decimal!r}"
-        if stamp_of(text) is not None:
+        if parse_stamp(text) is not None:
             raise fault(path, f"{text[:40]!r} is a time stamp", STAMPED, line=line, column=name)
         raise fault(path, what, "Correct the cell; if all columns moved here, export again.", line=line, column=name)
     return value
@@ -147,5 +149,5 @@ def _is_header_again(layout: TextLayout, cells: list[str]) -> bool:
     return bool(said) and sum(parse_number(cell, layout.decimal) is None for cell in said) > len(said) / 2
 
 
-def _glued(path: Path, line: int) -> FileError:
+def _second_header_fault(path: Path, line: int) -> FileError:
     return fault(path, "a second header is here: two recordings are concatenated", "Split the file.", line=line)

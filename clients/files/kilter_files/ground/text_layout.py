@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.cell_numbers import parse_number
-from kilter_files.ground.faults import fault, head_of
+from kilter_files.ground.faults import fault, read_head
 from kilter_files.ground.units import SIZES
 
 SAMPLE_BYTES = 1 << 18
@@ -68,8 +68,8 @@ def sniff(path: Path) -> TextLayout:
         FileError: a binary or empty file, or no table of numbers in its beginning.
 
     """
-    head = head_of(path, SAMPLE_BYTES)
-    encoding = encoding_of(path, head)
+    head = read_head(path, SAMPLE_BYTES)
+    encoding = detect_encoding(path, head)
     lines = head.decode(encoding, errors="ignore").splitlines()[:SAMPLE_LINES]
     if len(head) == SAMPLE_BYTES and len(lines) < SAMPLE_LINES:
         lines = lines[:-1]  # the last may be cut
@@ -81,7 +81,7 @@ def sniff(path: Path) -> TextLayout:
 
 def lines_in_cells(path: Path) -> bool:
     """Tell whether quoted cells of a text go over several lines."""
-    text = head_of(path, CELLS_BYTES).decode("utf-8", "replace")
+    text = read_head(path, CELLS_BYTES).decode("utf-8", "replace")
     reader = csv.reader(text.splitlines(keepends=True))
     try:
         return any("\n" in cell for row in reader for cell in row[:-1]) and '"' in text
@@ -89,7 +89,7 @@ def lines_in_cells(path: Path) -> bool:
         return False
 
 
-def encoding_of(path: Path, head: bytes) -> str:
+def detect_encoding(path: Path, head: bytes) -> str:
     """Return the encoding of a text's beginning.
 
     Raises:

@@ -36,7 +36,7 @@ class Stamp:
     either: bool = False
 
 
-def stamp_of(text: str, day_first: bool = False) -> Stamp | None:
+def parse_stamp(text: str, day_first: bool = False) -> Stamp | None:
     """Return what a time stamp says, None for any other text.
 
     ``12:00:01.5``, ``12:00:01,5 PM``, ``2026-11-22T12:00:01.5Z``, ``22.11.2026 12:00``. Of ``11/22/2026`` the number above
@@ -65,7 +65,7 @@ def stamp_of(text: str, day_first: bool = False) -> Stamp | None:
     return Stamp(midnight + clock - _zone_s(parts.get("zone")), True, shown, either)
 
 
-def stamps_of(
+def parse_stamp_column(
     texts: Sequence[str],
     lines: Sequence[int],
     file: Path,
@@ -80,7 +80,7 @@ def stamps_of(
         FileError: a cell that is not a time stamp, or dates whose day and month nothing shows.
 
     """
-    found = [stamp_of(text) for text in texts]
+    found = [parse_stamp(text) for text in texts]
     place = _Cells(texts, lines, file, column)
     wrong = next((row for row, stamp in enumerate(found) if stamp is None), None)
     if wrong is not None:
@@ -105,7 +105,7 @@ def _with_one_order(stamps: list[Stamp], place: _Cells, date_format: str | None)
         said = "'date_format'" if stated is not None else "other rows"
         raise place.fault(other, f"has day and month in another order than {said}", "Write all dates alike.")
     if shown is not None:
-        return [found for text in place.texts if (found := stamp_of(text, shown)) is not None]
+        return [found for text in place.texts if (found := parse_stamp(text, shown)) is not None]
     either = next((row for row, s in enumerate(stamps) if s.either), None)
     if either is not None:
         formats = " or ".join(f'"{name}"' for name in DATE_FORMATS)
@@ -131,7 +131,7 @@ class _Cells:
         )  # fmt: skip
 
 
-def seconds_of(stamps: Sequence[Stamp]) -> list[float]:
+def continuous_seconds(stamps: Sequence[Stamp]) -> list[float]:
     """Return stamps as seconds that go on: clocks without a date pass midnight."""
     out: list[float] = []
     add = 0.0

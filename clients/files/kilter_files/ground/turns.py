@@ -6,7 +6,7 @@ from kilter_files.ground.arrays import Floats
 from kilter_files.ground.later import np
 
 
-def matrices_of(quaternions: Floats) -> Floats:
+def matrices_from_quaternions(quaternions: Floats) -> Floats:
     """Return rotations (n, 3, 3) of unit quaternions (n, 4; w first)."""
     w, x, y, z = quaternions.T
     rows = [
@@ -17,7 +17,7 @@ def matrices_of(quaternions: Floats) -> Floats:
     return np.stack(rows, axis=1).reshape(-1, 3, 3)
 
 
-def quaternions_of(turned: Floats) -> Floats:
+def quaternions_from_matrices(turned: Floats) -> Floats:
     """Return quaternions (n, 4; w first) of rotations, by the largest of their four squares: exact near any angle."""
     m = turned.reshape(-1, 9).T
     squares = np.stack([1 + m[0] + m[4] + m[8], 1 + m[0] - m[4] - m[8], 1 - m[0] + m[4] - m[8], 1 - m[0] - m[4] + m[8]])

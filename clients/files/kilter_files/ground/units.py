@@ -64,7 +64,7 @@ CONTRACT: tuple[tuple[str, str], ...] = (
 )
 
 
-def unit_of(column: str) -> str | None:
+def column_unit(column: str) -> str | None:
     """Return the unit a contract column's name states, ``""`` for a plain number, None for no contract column."""
     for pattern, unit in CONTRACT:
         match = re.fullmatch(pattern, column)
@@ -73,7 +73,7 @@ def unit_of(column: str) -> str | None:
     return None
 
 
-def dimension_of(unit: str) -> str | None:
+def unit_dimension(unit: str) -> str | None:
     """Return the dimension of a unit, None for an unknown one."""
     if unit in ("C", "K"):
         return "temperature"
@@ -84,8 +84,8 @@ def converter(source: str, target: str) -> Convert | None:
     """Return the function from ``source`` to ``target`` unit, None when they measure different things."""
     if source == target:
         return float
-    dimension = dimension_of(source)
-    if dimension is None or dimension != dimension_of(target):
+    dimension = unit_dimension(source)
+    if dimension is None or dimension != unit_dimension(target):
         return None
     if dimension == "temperature":
         shift = KELVIN if source == "C" else -KELVIN
@@ -96,5 +96,5 @@ def converter(source: str, target: str) -> Convert | None:
 
 def units_like(target: str) -> tuple[str, ...]:
     """Return the units a source of ``target`` may have, for error messages."""
-    dimension = dimension_of(target)
+    dimension = unit_dimension(target)
     return ("C", "K") if dimension == "temperature" else tuple(SIZES.get(dimension or "", {}))

@@ -75,12 +75,12 @@ def draft(path: Path, robot: Sequence[str] = ()) -> Draft:
         if found.other_places
         else []
     )
-    lines += [f"# not used: {joined_names(found.unused)}"] if found.unused else []
+    lines += [f"# not used: {joined_names(found.unused_columns)}"] if found.unused_columns else []
     lines += [] if axes else [JOIN.rstrip(), POSES]
     lines += ["", *_orientation_lines(columns, turn)] if turn else []
-    lines += _poses(columns, found.entries, axes) + _rows(columns, found.entries, found.unused)
+    lines += _poses(columns, found.entries, axes) + _rows(columns, found.entries, found.unused_columns)
     text = _top(path, found.open) + "\n".join(lines) + "\n"
-    return Draft(text, found.open, found.guessed, sorted(found.taken), found.unused)
+    return Draft(text, found.open, found.guess_remarks, sorted(found.taken), found.unused_columns)
 
 
 def _matches(pattern: str, name: str) -> bool:
@@ -97,43 +97,43 @@ def _top(path: Path, places: Sequence[str]) -> str:
 
 
 def _file(shape: TableShape) -> str:
-    layout, out = shape.layout, ["[file]", f"format = {_quoted(shape.form)}"]
+    layout, out = shape.layout, ["[file]", f"format = {_toml_literal(shape.form)}"]
     if shape.form == "csv":
-        out += [f"delimiter = {_quoted(layout.delimiter)}", f"encoding = {_quoted(layout.encoding)}"]
+        out += [f"delimiter = {_toml_literal(layout.delimiter)}", f"encoding = {_toml_literal(layout.encoding)}"]
     if shape.form in ("csv", "xlsx"):
-        out.append(f"decimal = {_quoted(layout.decimal)}")
+        out.append(f"decimal = {_toml_literal(layout.decimal)}")
     if layout.sheet is not None:
-        out.append(f"sheet = {_quoted(str(layout.sheet))}")
+        out.append(f"sheet = {_toml_literal(str(layout.sheet))}")
     out += [f"skip_rows = {layout.skip_rows}"] if layout.skip_rows else []
     out += ["units_row = true"] if layout.units_row else []
-    out += [f"comment = {_quoted(layout.comment)}"] if layout.comment else []
+    out += [f"comment = {_toml_literal(layout.comment)}"] if layout.comment else []
     out += [f"rows_per_pose = {layout.rows_per_pose}         # rows that make a matrix together"] * (
         layout.rows_per_pose > 1
     )
     if layout.missing:
-        listed = ", ".join(_quoted(str(word)) for word in layout.missing)
+        listed = ", ".join(_toml_literal(str(word)) for word in layout.missing)
         out.append(f"missing = [{listed}]   # words in columns of numbers")
     out += ["header = false            # columns are given by their index, from 0"] if not layout.header else []
     return "\n".join(out) + "\n"
 
 
 def _line(columns: Columns, entry: Entry) -> str:
-    key = _quoted(entry.target) if "*" in entry.target else entry.target
+    key = _toml_literal(entry.target) if "*" in entry.target else entry.target
     source = entry.source if entry.source == UNKNOWN or "*" in entry.target else columns.key(entry.source)
-    unit = f", unit = {_quoted(entry.unit)}" if entry.unit else ""
+    unit = f", unit = {_toml_literal(entry.unit)}" if entry.unit else ""
     mark = f"   # {UNKNOWN} {entry.remark}" if entry.open else f"   # {entry.remark}" if entry.remark else ""
-    return f"{key} = {{ from = {_quoted(source)}{unit} }}{mark}"
+    return f"{key} = {{ from = {_toml_literal(source)}{unit} }}{mark}"
 
 
 def _orientation_lines(columns: Columns, turn: Turned) -> list[str]:
-    listed = ", ".join(_quoted(columns.key(name)) for name in turn.names)
+    listed = ", ".join(_toml_literal(columns.key(name)) for name in turn.names)
     out = ["[orientation]", f"from = [{listed}]"]
     mark = f"   # {turn.remark}" if turn.remark else ""
     if turn.quaternion:
-        return [*out, f"quaternion = {_quoted(turn.quaternion)}{mark}"]
+        return [*out, f"quaternion = {_toml_literal(turn.quaternion)}{mark}"]
     if turn.matrix:
-        return [*out, f"matrix = {_quoted(turn.matrix)}{mark}"]
-    return [*out, f"euler = {_quoted(turn.euler)}{mark}", f"unit = {_quoted(turn.unit)}"]
+        return [*out, f"matrix = {_toml_literal(turn.matrix)}{mark}"]
+    return [*out, f"euler = {_toml_literal(turn.euler)}{mark}", f"unit = {_toml_literal(turn.unit)}"]
 
 
 def _poses(columns: Columns, entries: Sequence[Entry], axes: Sequence[Entry]) -> list[str]:
@@ -169,7 +169,7 @@ def _rows(columns: Columns, entries: Sequence[Entry], unused: Sequence[str]) -> 
         if 1 < len(states) <= MOST_STATES:
             told = f"it holds {joined_names(states)}"
             out.append(
-                f"# keep = [{{ column = {_quoted(columns.key(name))}, equals = {_quoted(states[0])} }}]   # {told}"
+                f"# keep = [{{ column = {_toml_literal(columns.key(name))}, equals = {_toml_literal(states[0])} }}]   # {told}"
             )
     return ["", "[rows]", *out] if out else []
 
@@ -178,5 +178,5 @@ def _good_first(state: str) -> tuple[bool, str]:
     return state.lower() not in ("ok", "good", "true", "valid", "gut", "i.o.", "yes", "ja"), state
 
 
-def _quoted(value: str | int) -> str:
+def _toml_literal(value: str | int) -> str:
     return str(value) if isinstance(value, int) else json.dumps(value, ensure_ascii=False)

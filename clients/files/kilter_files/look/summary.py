@@ -14,7 +14,7 @@ from typing import Any
 from kilter_files.ground.clusters import clusters
 from kilter_files.ground.errors import MissingPackageError
 from kilter_files.ground.later import need, pa, parquet
-from kilter_files.ground.units import converter, unit_of
+from kilter_files.ground.units import column_unit, converter
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, Prepared
 
 Document = dict[str, Any]
@@ -33,7 +33,7 @@ MOST_LOADS = 12
 
 def summary(prepared: Prepared, conditions: Mapping[str, Any]) -> Document:
     """Summarise what would be sent; ``conditions`` are those of the whole campaign."""
-    columns = columns_of(prepared)
+    columns = numeric_columns(prepared)
     if not columns:
         return {}
     rows = max(map(len, columns.values()))
@@ -50,7 +50,7 @@ def summary(prepared: Prepared, conditions: Mapping[str, Any]) -> Document:
     }
 
 
-def columns_of(prepared: Prepared) -> Columns:
+def numeric_columns(prepared: Prepared) -> Columns:
     """Return every column as numbers, NaN where a cell is empty or not a number; nothing where the bytes are not understood."""
     if prepared.content_type == CSV_TYPE:
         return _csv(prepared.content)
@@ -66,7 +66,7 @@ def columns_of(prepared: Prepared) -> Columns:
 
 def in_shown_unit(name: str, values: Sequence[float]) -> tuple[str, list[float]]:
     """Return the unit people read, mm and deg for m and rad, and the values in it."""
-    unit = unit_of(name) or ""
+    unit = column_unit(name) or ""
     shown = SHOWN_IN.get(unit, unit)
     convert = converter(unit, shown)
     return shown, list(values) if convert is None else [convert(value) for value in values]

@@ -13,7 +13,7 @@ from pathlib import Path
 from shlex import quote
 
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.units import unit_of
+from kilter_files.ground.units import column_unit
 from kilter_files.maps.columns import Columns, contract_columns, read_columns
 from kilter_files.maps.join import Join, read_join
 from kilter_files.maps.orientation import Orientation, read_orientation
@@ -58,7 +58,7 @@ def contract_map(source: Source) -> ColumnMap:
         FileError: other columns; the remedy is a map of one's own.
 
     """
-    path, odd = source.path, [name for name in source.choices if name and unit_of(name) is None]
+    path, odd = source.path, [name for name in source.choices if name and column_unit(name) is None]
     columns = contract_columns(source.choices)
     if odd or not columns:
         said = ", ".join(map(repr, odd[:6])) or "none has a name"
@@ -85,12 +85,14 @@ def read_map(path: Path, formats: Collection[str]) -> ColumnMap:
         raise FileError(f"{path}: is not UTF-8 text, as TOML is. Save it as UTF-8.", file=str(path)) from error
     except (OSError, tomllib.TOMLDecodeError) as error:
         raise FileError(f"{path}: is not a readable column map: {error}.", file=str(path)) from error
-    form, layout = _file(top.part("file"), formats)
-    rows = top.part("rows")
+    form, layout = _file(top.child_section("file"), formats)
+    rows = top.child_section("rows")
     columns = read_columns(top)
     orientation, repeats = read_orientation(top), _repeats(top, columns)
     drop, keep = _rows(rows) if rows else (False, ())
-    joins = tuple(read_join(joined, *_file(joined.part("file"), formats)) for joined in top.parts("join"))
+    joins = tuple(
+        read_join(joined, *_file(joined.child_section("file"), formats)) for joined in top.child_sections("join")
+    )
     marker = _marker(top)
     top.finish()
     return ColumnMap(path, form, layout, columns, orientation, repeats, drop, keep, joins, marker)
@@ -127,7 +129,7 @@ def _file(section: Section | None, formats: Collection[str]) -> tuple[str | None
 
 
 def _marker(top: Section) -> str | int | None:
-    section = top.part("markers")
+    section = top.child_section("markers")
     if section is None:
         return None
     column = section.column("from")
@@ -138,7 +140,7 @@ def _marker(top: Section) -> str | int | None:
 
 
 def _repeats(top: Section, columns: Columns) -> float | None:
-    section = top.part("pose_id")
+    section = top.child_section("pose_id")
     if section is None:
         return None
     tolerance = section.number("same_joints_within_deg")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.time_stamps import DATE_FORMATS
-from kilter_files.ground.units import TIMESTAMP, UNKNOWN, converter, unit_of, units_like
+from kilter_files.ground.units import TIMESTAMP, UNKNOWN, column_unit, converter, units_like
 from kilter_files.maps.section import Section
 
 PLAIN_JOINT = re.compile(r"q\d+")
@@ -58,7 +58,7 @@ Columns = tuple[Column | Pattern, ...]
 
 def contract_columns(names: Sequence[str]) -> tuple[Column, ...]:
     """Return the columns whose names are the contract's; a program's targets, ``q1``, are in degrees."""
-    named = [(name, unit_of(name)) for name in names]
+    named = [(name, column_unit(name)) for name in names]
     plain = tuple(Column(name, name, unit) for name, unit in named if unit is not None)
     return plain or tuple(Column(f"{name}_deg", name, "deg") for name in names if PLAIN_JOINT.fullmatch(name))
 
@@ -70,13 +70,13 @@ def read_columns(top: Section, key: str = "columns") -> Columns:
         FileError: no table, a target that is not a contract column, units that do not fit.
 
     """
-    section = top.part(key)
+    section = top.child_section(key)
     if section is None or not section.names():
         raise top.error(f'needs a table [{key}] such as q1_deg = {{ from = "joint 1", unit = "rad" }}')
     return tuple(_pattern(section, target) if "*" in target else _column(section, target) for target in section.names())
 
 
-def expanded(columns: Columns, choices: Sequence[str], map_path: Path, file: Path) -> tuple[Column, ...]:
+def expand_patterns(columns: Columns, choices: Sequence[str], map_path: Path, file: Path) -> tuple[Column, ...]:
     """Return single columns: each pattern becomes one per matching name of the file; what is named singly wins.
 
     Raises:
@@ -99,10 +99,10 @@ def _expand(pattern: Pattern, choices: Sequence[str], map_path: Path, file: Path
     def wrong(why: str) -> FileError:
         return FileError(f"{map_path}, {pattern.place}: {why}.", file=str(map_path), key=pattern.place)
 
-    found = _numbered(pattern.source, choices)
+    found = _numbered_matches(pattern.source, choices)
     if not found:
         raise wrong(
-            f"no column of {file} is called {pattern.source!r} with a number for the *; it has {_some(choices)}"
+            f"no column of {file} is called {pattern.source!r} with a number for the *; it has {_shortened_list(choices)}"
         )
     numbers = [number for number, _ in found]
     start = min(numbers[0], 1)
@@ -122,13 +122,13 @@ def _expand(pattern: Pattern, choices: Sequence[str], map_path: Path, file: Path
     ]  # fmt: skip
 
 
-def _numbered(source: str, choices: Sequence[str]) -> list[tuple[int, str]]:
+def _numbered_matches(source: str, choices: Sequence[str]) -> list[tuple[int, str]]:
     before, _, after = source.partition("*")
     shape = re.compile(re.escape(before) + r"0*(\d{1,3})" + re.escape(after))
     return sorted((int(match[1]), name) for name in choices if (match := shape.fullmatch(name)))
 
 
-def _some(choices: Sequence[str]) -> str:
+def _shortened_list(choices: Sequence[str]) -> str:
     return ", ".join(choices[:30]) + (" ..." if len(choices) > 30 else "")
 
 
@@ -137,10 +137,10 @@ def _nth(values: Numbers, k: int, default: float) -> float:
 
 
 def _column(columns: Section, target: str) -> Column:
-    wanted = unit_of(target)
+    wanted = column_unit(target)
     if wanted is None:
         raise columns.error(NO_CONTRACT_COLUMN, target)
-    section = columns.part(target)
+    section = columns.child_section(target)
     assert section is not None
     source, value = section.column("from"), section.number("value")
     unit, scale, offset = section.text("unit"), section.number("scale"), section.number("offset")
@@ -165,7 +165,7 @@ def _column(columns: Section, target: str) -> Column:
 
 
 def _pattern(columns: Section, target: str) -> Pattern:
-    section = columns.part(target)
+    section = columns.child_section(target)
     assert section is not None
     source, unit = section.text("from"), section.text("unit")
     scales, offsets, signs = (section.numbers(key) for key in ("scale", "offset", "sign"))
@@ -180,7 +180,7 @@ def _pattern(columns: Section, target: str) -> Pattern:
     if unit == UNKNOWN:
         raise section.error("the draft could not determine the unit: fill it in", "unit")
     named = _with_unit(target, unit)
-    wanted = None if named is None else unit_of(named.replace("*", "1"))
+    wanted = None if named is None else column_unit(named.replace("*", "1"))
     if named is None or wanted is None:
         stems = ", ".join(f"{stem}*" for stem in NUMBERED[:-1])
         raise section.error(
@@ -199,10 +199,10 @@ def _pattern(columns: Section, target: str) -> Pattern:
 
 def _with_unit(target: str, unit: str | None) -> str | None:
     """Return the target with a unit in its name: its own, else the one of ``unit``, else one that ``unit`` can become."""
-    if unit_of(target.replace("*", "1")) is not None:
+    if column_unit(target.replace("*", "1")) is not None:
         return target
     endings = ("deg", "rad", "mm", "m", "deg_s", "rad_s", "mm_s", "m_s", "deg_s2", "rad_s2", "mm_s2", "m_s2", "nm", "n")
-    named = [(name, unit_of(name.replace("*", "1"))) for name in (f"{target}_{ending}" for ending in endings)]
+    named = [(name, column_unit(name.replace("*", "1"))) for name in (f"{target}_{ending}" for ending in endings)]
     known = [(name, found) for name, found in named if found is not None]
     exact = [name for name, found in known if found == unit]
     near = [name for name, found in known if unit is not None and converter(unit, found) is not None]

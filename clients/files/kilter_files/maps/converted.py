@@ -11,12 +11,12 @@ from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.orientation import Quaternion, from_euler, from_matrix, upright
 from kilter_files.ground.session_names import number_of_session
-from kilter_files.ground.time_stamps import seconds_of, stamps_of, times_of_rows
-from kilter_files.ground.units import TIMESTAMP, converter, unit_of
+from kilter_files.ground.time_stamps import continuous_seconds, parse_stamp_column, times_of_rows
+from kilter_files.ground.units import TIMESTAMP, column_unit, converter
 from kilter_files.maps.columns import Column
-from kilter_files.maps.nests import told
+from kilter_files.maps.nests import describe_numbering
 from kilter_files.maps.orientation import Orientation
-from kilter_files.tables.source import Source, lines_of
+from kilter_files.tables.source import Source, row_line_numbers
 from kilter_files.tables.table import Table
 
 TIME, SET_BACK = "t_s", 0.02  # share of rows at which a clock goes back, above which rows are sorted by something else
@@ -24,7 +24,9 @@ SESSION, POSE, NUMBER = "session", "pose_id", re.compile(r"[-+]?[\d.,]+(?:[eE][-
 QUATERNION = ("qw", "qx", "qy", "qz")
 
 
-def converted(source: Source, columns: Sequence[Column], orientation: Orientation | None, bare: bool = False) -> Table:
+def convert_columns(
+    source: Source, columns: Sequence[Column], orientation: Orientation | None, bare: bool = False
+) -> Table:
     """Return the columns of a file as the map says, with a note on each; ``bare``: it may give rows alone.
 
     Raises:
@@ -61,12 +63,12 @@ def _convert(column: Column, source: Source) -> list[float]:
     assert column.source is not None
     if column.unit == TIMESTAMP:
         texts = source.texts(column.source)
-        stamps = stamps_of(texts, source.lines, source.path, column.source, column.date_format)
-        return times_of_rows(seconds_of(stamps)) if stamps else []
+        stamps = parse_stamp_column(texts, source.lines, source.path, column.source, column.date_format)
+        return times_of_rows(continuous_seconds(stamps)) if stamps else []
     numbers = _numbers_of_names(column, source)
     if numbers:
         return [float(numbers.get(cell.strip(), math.nan)) for cell in source.texts(column.source)]
-    convert = converter(column.unit, unit_of(column.target) or "")
+    convert = converter(column.unit, column_unit(column.target) or "")
     assert convert is not None  # the map was checked when it was read
     values = [convert(column.scale * value + column.offset) for value in source.numbers(column.source)]
     return values if column.still_below is None else _directions(values, column.still_below)
@@ -103,7 +105,7 @@ def _understood(column: Column, source: Source) -> str:
     turned = f" x {column.scale:g}" if column.scale != 1 else ""
     shifted = f" {column.offset:+g}" if column.offset else ""
     numbers = _numbers_of_names(column, source)
-    numbered = f": {told(numbers)}" if numbers else ""
+    numbered = f": {describe_numbering(numbers)}" if numbers else ""
     unit = f" [{column.unit}]" if column.unit else ""
     return f"{column.target} from {column.source!r}{turned}{shifted}{unit}{numbered}"
 
@@ -119,13 +121,13 @@ def _table(source: Source, measured: dict[str, list[float]], bare: bool) -> Tabl
     if not first:
         what = "no rows, or a map of constants only. Map at least the joints"
         raise FileError(f"{source.path}: {what}.", file=str(source.path))
-    return Table(measured, list(lines_of(source, first)))
+    return Table(measured, list(row_line_numbers(source, first)))
 
 
 def _orientation(source: Source, orientation: Orientation) -> dict[str, list[float]]:
     parts = list(zip(*(source.numbers(name) for name in orientation.sources), strict=True))
     if len(orientation.sources) == 9:
-        lines = lines_of(source, parts)
+        lines = row_line_numbers(source, parts)
         turned = [_of_matrix(p, orientation.order, source.path, line) for p, line in zip(parts, lines, strict=True)]
     elif len(orientation.sources) == 4:
         order = [orientation.order.index(axis) for axis in "wxyz"]

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.time_stamps import DAY_S, Stamp, seconds_of, stamps_of
+from kilter_files.ground.time_stamps import DAY_S, Stamp, continuous_seconds, parse_stamp_column
 from kilter_files.ground.units import SIZES, TIMESTAMP
 from kilter_files.maps.column_map import ColumnMap
-from kilter_files.maps.columns import Column, contract_columns, expanded
+from kilter_files.maps.columns import Column, contract_columns, expand_patterns
 from kilter_files.maps.join import Join
 from kilter_files.tables.source import Source
 from kilter_files.tables.table import Table
@@ -20,7 +20,7 @@ from kilter_files.tables.table import Table
 SHOWN = 5
 
 
-def columns_of(join: Join, there: Source, map_path: Path) -> tuple[Column, ...]:
+def joined_columns(join: Join, there: Source, map_path: Path) -> tuple[Column, ...]:
     """Return the columns that a further file gives: those of its [join.columns], else those named as the contract's.
 
     Raises:
@@ -30,7 +30,7 @@ def columns_of(join: Join, there: Source, map_path: Path) -> tuple[Column, ...]:
     found = contract_columns(there.choices) if join.columns is None else join.columns
     if not found and join.orientation is None:
         raise _fault_of_columns(join, map_path, f"{there.path} gives no contract column: add [join.columns]")
-    return expanded(found, there.choices, map_path, there.path)
+    return expand_patterns(found, there.choices, map_path, there.path)
 
 
 def add_joined(table: Table, here: Source, join: Join, there: Source, theirs: Table, column_map: ColumnMap) -> None:
@@ -73,10 +73,13 @@ def further_files(path: Path, joins: Sequence[Join], map_path: Path, named: Path
             file=str(map_path),
         )
     left = joins if named is None else joins[1:]
-    return [*([] if named is None else [named]), *(_file_of(join, path, map_path, join is joins[0]) for join in left)]
+    return [
+        *([] if named is None else [named]),
+        *(_find_join_file(join, path, map_path, join is joins[0]) for join in left),
+    ]
 
 
-def _file_of(join: Join, path: Path, map_path: Path, is_first: bool) -> Path:
+def _find_join_file(join: Join, path: Path, map_path: Path, is_first: bool) -> Path:
     remedy = "or name it with --joints" if is_first else "as --joints names the first"
     place = f"{join.place}.path"
     if join.path is None:
@@ -184,7 +187,9 @@ def _both_times(join: Join, here: Source, there: Source) -> tuple[list[float], l
     if join.unit != TIMESTAMP:
         size = SIZES["time"][join.unit]
         return [size * t for t in here.numbers(join.here)], [size * t for t in there.numbers(join.there)]
-    ours, theirs = (stamps_of(s.texts(c), s.lines, s.path, c) for s, c in ((here, join.here), (there, join.there)))
+    ours, theirs = (
+        parse_stamp_column(s.texts(c), s.lines, s.path, c) for s, c in ((here, join.here), (there, join.there))
+    )
     if len({stamp.dated for stamp in (*ours, *theirs)}) > 1:  # one has dates, the other clocks only
         ours, theirs = ([Stamp(stamp.seconds % DAY_S, False) for stamp in found] for found in (ours, theirs))
-    return seconds_of(ours), seconds_of(theirs)
+    return continuous_seconds(ours), continuous_seconds(theirs)

@@ -39,7 +39,7 @@ def number_nests(source: Source, table: Table, column_map: ColumnMap) -> None:
         )
         raise FileError(f"{where}: {what}.", file=str(column_map.path), key="markers.from")
     table.columns[NEST] = values
-    table.notes.append(f"markers from {column_map.marker!r}, one in a row: {told(numbers, 'm')}")
+    table.notes.append(f"markers from {column_map.marker!r}, one in a row: {describe_numbering(numbers, 'm')}")
 
 
 def by_name(cells: Sequence[str]) -> tuple[list[float], dict[str, int]]:
@@ -50,7 +50,7 @@ def by_name(cells: Sequence[str]) -> tuple[list[float], dict[str, int]]:
     return [float(numbers.get(text, math.nan)) for text in texts], numbers
 
 
-def told(numbers: Mapping[str, int], prefix: str = "") -> str:
+def describe_numbering(numbers: Mapping[str, int], prefix: str = "") -> str:
     """Say which of the first names has which number."""
     return ", ".join(f"{prefix}{number} is {text!r}" for text, number in list(numbers.items())[:6])
 

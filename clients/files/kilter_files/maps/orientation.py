@@ -27,7 +27,7 @@ def read_orientation(top: Section) -> Orientation | None:
         FileError: columns that give no orientation.
 
     """
-    section = top.part("orientation")
+    section = top.child_section("orientation")
     if section is None:
         return None
     sources = tuple(section.items("from"))

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 from kilter_files.ground.clusters import clusters
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.units import JOINT, MARKER, converter, unit_of
+from kilter_files.ground.units import JOINT, MARKER, column_unit, converter
 from kilter_files.maps.column_map import Keep
-from kilter_files.tables.source import Source, lines_of
+from kilter_files.tables.source import Source, row_line_numbers
 from kilter_files.tables.table import Table
 from kilter_files.tables.text_source import TextSource
 
@@ -34,7 +34,7 @@ def keep_rows(source: Source, table: Table, keep: tuple[Keep, ...], drop_missing
     empty = _empty_cells(table, kept)
     if empty and not drop_missing:
         row, name = min(empty.items())
-        place = f"{source.path}, {_at(source, table.lines[row])}"
+        place = f"{source.path}, {_row_location(source, table.lines[row])}"
         raise FileError(
             f"{place}: {name} is missing. Fill the cell, or set drop_missing = true under "
             f"[rows] to leave such rows out ({len(empty)} of {len(kept)}).",
@@ -60,7 +60,7 @@ def _meeting(source: Source, condition: Keep) -> set[int]:
         low = -math.inf if condition.minimum is None else condition.minimum
         high = math.inf if condition.maximum is None else condition.maximum
         good = [low <= value <= high for value in source.numbers(condition.column)]
-    lines = list(zip(lines_of(source, good), good, strict=True))
+    lines = list(zip(row_line_numbers(source, good), good, strict=True))
     return {line for line, is_good in lines if is_good} - {line for line, is_good in lines if not is_good}
 
 
@@ -70,8 +70,8 @@ def _empty_cells(table: Table, rows: Sequence[int]) -> dict[int, str]:
     return {i: name for name, values in needed.items() for i in rows if math.isnan(values[i])}
 
 
-def _at(source: Source, line: int) -> str:
-    return source.at(line) if isinstance(source, TextSource) else f"line {line}"
+def _row_location(source: Source, line: int) -> str:
+    return source.row_location(line) if isinstance(source, TextSource) else f"line {line}"
 
 
 def say_dead(table: Table) -> None:
@@ -90,7 +90,7 @@ def number_poses(table: Table, tolerance_deg: float) -> None:
     labels = []
     for name, values in table.columns.items():
         if JOINT.fullmatch(name):
-            convert = converter(unit_of(name) or "", "deg") or converter(unit_of(name) or "", "mm")
+            convert = converter(column_unit(name) or "", "deg") or converter(column_unit(name) or "", "mm")
             assert convert is not None  # joints are angles or lengths
             labels.append(clusters([convert(value) for value in values], tolerance_deg))
     numbers: dict[tuple[int, ...], int] = {}

@@ -83,12 +83,12 @@ class Section:
             raise self.error(f"must be a list, not {value!r}", key)
         return list(value or ())
 
-    def part(self, key: str) -> Section | None:
+    def child_section(self, key: str) -> Section | None:
         """Return the table under ``key``, None when absent."""
         value = self.raw(key)
         return None if value is None else Section(self.path, ".".join(filter(None, (self.place, key))), value)
 
-    def parts(self, key: str) -> list[Section]:
+    def child_sections(self, key: str) -> list[Section]:
         """Return the table under ``key`` or, where it stands several times as ``[[key]]``, each of them, numbered from 1."""
         value, place = self.raw(key), ".".join(filter(None, (self.place, key)))
         if not isinstance(value, list):

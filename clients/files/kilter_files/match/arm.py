@@ -54,7 +54,7 @@ class Arm:
         """Return orientations (n, 3, 3) and positions (n, 3) mm of the tool at joints ``q`` (n, joints) in rad and mm."""
         turn, place = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
         for k in range(len(self.joint)):
-            turn, place = self._after(k, q, turn, place)
+            turn, place = self._apply_joint(k, q, turn, place)
         return turn @ self.home_turn, np.einsum("nij,j->ni", turn, self.home_mm) + place
 
     def axes(self, q: Floats) -> list[tuple[Floats, Floats]]:
@@ -62,10 +62,10 @@ class Arm:
         turn, place, out = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3)), []
         for k in range(len(self.joint)):
             out.append((turn, turn @ self.point[k] + place))
-            turn, place = self._after(k, q, turn, place)
+            turn, place = self._apply_joint(k, q, turn, place)
         return out
 
-    def _after(self, k: int, q: Floats, turn: Floats, place: Floats) -> tuple[Floats, Floats]:
+    def _apply_joint(self, k: int, q: Floats, turn: Floats, place: Floats) -> tuple[Floats, Floats]:
         amount = q[:, self.joint[k]] * self.ratio[k]
         if self.slides[k]:
             return turn, place + (turn @ self.direction[k]) * amount[:, None]
@@ -84,7 +84,7 @@ def rotations(vectors: Floats) -> Floats:
     return np.asarray(np.eye(3) + sine * cross + rest * (cross @ cross))
 
 
-def arm_of(checked: Mapping[str, Any]) -> Arm:
+def arm_from_check(checked: Mapping[str, Any]) -> Arm:
     """Return the arm of the server's check of a robot document (``kilter.robots.check``)."""
     names, axes = [joint["name"] for joint in checked["joints"]], checked["axes"]
     tool = checked["zero"]["tool"]

@@ -13,7 +13,7 @@ import numpy as np
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.match.arm import Arm
-from kilter_files.match.registration import NOISE_MM, Registration, calibrated, columns_of
+from kilter_files.match.registration import NOISE_MM, Registration, fit_arm_errors, marker_jacobian
 
 LEAST_ROWS = 16
 LEAST_MM = 0.25
@@ -29,7 +29,7 @@ class Step(NamedTuple):
     to_s: float
     size_mm: float
 
-    def said(self) -> str:
+    def describe_step(self) -> str:
         """Say it in words."""
         when = f"between {self.from_s:.2f} and {self.to_s:.2f} s"
         return f"the markers as a whole moved {self.size_mm:.2f} mm on the tool {when}, by the robot's model"
@@ -77,9 +77,9 @@ def _in_tool(arm: Arm, q: Floats, points: Floats, start: Registration) -> tuple[
     """What is left (n, k) in rigid motions of the body, its columns (n, k, unknowns), and the motions (3m, k)."""
     turns, places = arm.poses(q)
     plain = Registration(start.turn, start.place, start.markers, np.zeros(0))
-    found, errors = calibrated(arm, q, points, plain)
-    left = points - found.predicted(turns, places, errors)
-    columns = columns_of(found, turns, places, errors)
+    found, errors = fit_arm_errors(arm, q, points, plain)
+    left = points - found.predict_markers(turns, places, errors)
+    columns = marker_jacobian(found, turns, places, errors)
     back = np.swapaxes(found.turn @ turns, 1, 2)
     motions = _rigid(found.markers)
     n = len(q)

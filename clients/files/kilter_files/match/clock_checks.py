@@ -82,7 +82,7 @@ def follow_clocks(path: Path, thinned: Thinned, log: JointLog, checks: Checks) -
         warnings.append(_refuse_jumps(path, log, found, checks))
     else:
         warnings += refuse_drift(path, log, found.drift, found.drift_sigma, checks)
-    warnings += _lost_said(found)
+    warnings += _lost_interval_warnings(found)
     return Followed(found.parts, found.lost, alike.correlation, warnings, found.found is not None)
 
 
@@ -138,5 +138,5 @@ def _refuse_jumps(path: Path, log: JointLog, found: LagPath, checks: Checks) -> 
     raise fault(path, what, remedy)
 
 
-def _lost_said(found: LagPath) -> list[str]:
+def _lost_interval_warnings(found: LagPath) -> list[str]:
     return [f"from {a:.2f} to {b:.2f} s no lag explains where the markers are: left out" for a, b in found.lost]

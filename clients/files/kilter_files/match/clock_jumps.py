@@ -17,8 +17,8 @@ from kilter_files.match.lag_evidence import (
     Frames,
     Window,
     best_windows,
-    frames_of,
     register_again,
+    sample_frames,
     spread,
     squares_by_model,
     squares_by_speed,
@@ -74,13 +74,13 @@ class LagPath:
 
 def lag_path(thinned: Thinned, log: JointLog, arm: Arm | None) -> LagPath:
     """Return the lags of a recording: one, unless the clocks jump."""
-    frames = frames_of(thinned, log, arm)
+    frames = sample_frames(thinned, log, arm)
     if arm is not None:
         return _by_model(thinned, log, frames)
-    lag = frames.snapped(likeness(thinned, log).best_s)
+    lag = frames.snap_lag_to_grid(likeness(thinned, log).best_s)
     squares = squares_by_speed(thinned, log, frames, lag)
     usual = float(np.nan_to_num(mean_seen(squares, 0)[squares.shape[1] // 2], nan=1.0))
-    followed = _followed(frames, squares / max(usual, LEAST_UNLIKE), lag, SPEED_PRICE)
+    followed = _follow_cheapest_lag(frames, squares / max(usual, LEAST_UNLIKE), lag, SPEED_PRICE)
     return LagPath(*_parts_and_jumps(frames, followed, lag), *_drift(frames, followed))
 
 
@@ -97,12 +97,12 @@ def _by_model(thinned: Thinned, log: JointLog, frames: Frames) -> LagPath:
 
 def _by_window(frames: Frames, window: Window) -> LagPath | None:
     """Follow the lags by the registration of a window; None when it explains hardly more than that."""
-    found, lag, size = window.found, frames.snapped(window.lag_s), spread(frames.points)
+    found, lag, size = window.found, frames.snap_lag_to_grid(window.lag_s), spread(frames.points)
     blur = (frames.speeds() * GRID_S / 2)[:, None] ** 2  # what half a step of the grid does
     scale = 4 * window.share * size + LEAST_MM
     for _ in range(ROUNDS):
         squares = squares_by_model(frames, found, lag) / (scale**2 + blur).astype(np.float32)
-        followed = _followed(frames, squares, lag, MODEL_PRICE)
+        followed = _follow_cheapest_lag(frames, squares, lag, MODEL_PRICE)
         found, left = register_again(frames, _lags(frames, followed, lag), found, 5 * scale)
         far = max(FAR * scale, LOST_SHARE * size) / scale
         scale = max(1.5 * left, LEAST_MM)
@@ -110,7 +110,7 @@ def _by_window(frames: Frames, window: Window) -> LagPath | None:
     if np.mean(own < FITS) < MOSTLY:
         return None
     parts, jumps = _parts_and_jumps(frames, followed, lag)
-    return LagPath(parts, jumps, *_drift(frames, followed), window.share, found, _lost(frames, followed, far))
+    return LagPath(parts, jumps, *_drift(frames, followed), window.share, found, _lost_intervals(frames, followed, far))
 
 
 class _Followed(NamedTuple):
@@ -124,7 +124,7 @@ class _Followed(NamedTuple):
     fine_s: list[float]
 
 
-def _followed(frames: Frames, squares: Floats, lag: float, price: float) -> _Followed:
+def _follow_cheapest_lag(frames: Frames, squares: Floats, lag: float, price: float) -> _Followed:
     """Follow the cheapest lag through squares (n, lags), in units of what is usual."""
     middle = squares.shape[1] // 2
     inside = np.flatnonzero(~np.isnan(squares[:, middle]))
@@ -166,7 +166,7 @@ def _drift(frames: Frames, followed: _Followed) -> tuple[float, float]:
     return float(np.polyfit(t - t[0], lags, 1)[0]), 2 * GRID_S / float(t[-1] - t[0])
 
 
-def _lost(frames: Frames, followed: _Followed, far: float) -> tuple[tuple[float, float], ...]:
+def _lost_intervals(frames: Frames, followed: _Followed, far: float) -> tuple[tuple[float, float], ...]:
     """Times of a second or more, in the parts, at which no lag brings the markers near where they are seen."""
     path, out = followed.path, []
     at = np.zeros(len(path), bool)

@@ -104,8 +104,8 @@ def match_pieces(path: Path, thinned: Thinned, log: JointLog, checks: Checks) ->
                 raise fault(path, what, "Record more motion, or match dwells in order (--by order).")
             warnings.append(f"from {start:.2f} to {end:.2f} s {what}: that part is left out")
             continue
-        near = lag if found.sure else _searched(t, p, log, lag)
-        clocks = _refined(t, p, log, near, found.correlation)
+        near = lag if found.sure else _search_lag(t, p, log, lag)
+        clocks = _refine_clocks(t, p, log, near, found.correlation)
         parts.append((start, end, clocks))
         warnings += refuse_drift(path, log, clocks.drift, clocks.drift_sigma, checks)
     if not parts:
@@ -132,7 +132,7 @@ def _in_sight(thinned: Thinned, log: JointLog, coarse: float) -> tuple[Floats, F
     return t[index], p - p.mean(axis=0) if len(index) else p
 
 
-def _refined(t: Floats, p: Floats, log: JointLog, coarse: float, correlation: float) -> Clocks:
+def _refine_clocks(t: Floats, p: Floats, log: JointLog, coarse: float, correlation: float) -> Clocks:
     offset, drift, middle = coarse, 0.0, float(t.mean())
     terms = _Terms(log, len(t) // FRAMES_PER_TERM)
     for _ in range(STEPS):
@@ -151,15 +151,17 @@ def _refined(t: Floats, p: Floats, log: JointLog, coarse: float, correlation: fl
     return Clocks(offset, drift, middle, float(sigma), float(sigma_drift), correlation, len(t))
 
 
-def _searched(t: Floats, p: Floats, log: JointLog, coarse: float) -> float:
+def _search_lag(t: Floats, p: Floats, log: JointLog, coarse: float) -> float:
     """Return the lag near the coarse one at which products of two joints fit best."""
     every = max(1, len(t) // 1500)
     t, p, terms = t[::every], p[::every], _Terms(log, len(t[::every]) // FRAMES_PER_TERM)
     tries = coarse + np.linspace(-SEARCH_S, SEARCH_S, 25)
-    return float(min(tries, key=lambda lag: float((_left(terms.at(t + lag)[0], p) ** 2).sum())))
+    return float(
+        min(tries, key=lambda lag: float((_projection_residual(terms.terms_and_rates(t + lag)[0], p) ** 2).sum()))
+    )
 
 
-def _left(terms: Floats, p: Floats) -> Floats:
+def _projection_residual(terms: Floats, p: Floats) -> Floats:
     """What a sum of the terms leaves of ``p``."""
     basis = _basis(terms)
     return np.asarray(p - basis @ (basis.T @ p))
@@ -174,7 +176,7 @@ def _basis(terms: Floats) -> Floats:
 
 def _slopes(terms: _Terms, away: Floats, log_t: Floats, p: Floats) -> tuple[Floats, Floats]:
     """Return what is left of ``p``, and how that changes with offset and drift (2, n, coordinates)."""
-    now, rate = terms.at(log_t)
+    now, rate = terms.terms_and_rates(log_t)
     values, vectors = np.linalg.eigh(now.T @ now)
     good = values > values[-1] * 1e-10
     turn = vectors[:, good] / np.sqrt(values[good])
@@ -205,7 +207,7 @@ class _Terms:
             self._sets += sets
             self.count += more
 
-    def at(self, log_t: Floats) -> tuple[Floats, Floats]:
+    def terms_and_rates(self, log_t: Floats) -> tuple[Floats, Floats]:
         """Return the terms (n, terms) at times of the log, and their rates."""
         parts = [self._joint(i, log_t) for i in self._moving]
         known: dict[tuple[int, ...], tuple[Floats, Floats]] = {}

@@ -77,7 +77,7 @@ def mean_seen(points: Floats, axis: int) -> Floats:
 def find_dwells(recording: Recording, options: RestOptions) -> list[Dwell]:
     """Return the dwells of a recording, in order."""
     thinned = thin(recording)
-    return _averaged(recording, rests(thinned, options))
+    return _average_spans(recording, rests(thinned, options))
 
 
 def rests(thinned: Thinned, options: RestOptions) -> list[tuple[float, float]]:
@@ -85,7 +85,7 @@ def rests(thinned: Thinned, options: RestOptions) -> list[tuple[float, float]]:
     half = max(1, round(0.05 / thinned.step_s))
     moving = _moving(thinned, half, options.speed_mm_s)
     edges = np.flatnonzero(np.diff(np.concatenate([[True], moving, [True]]).astype(np.int8)))
-    spans = _merged(thinned, [(int(a), int(b)) for a, b in edges.reshape(-1, 2)])
+    spans = _merge_adjacent_rests(thinned, [(int(a), int(b)) for a, b in edges.reshape(-1, 2)])
     found = []
     for first, after in spans:
         start = thinned.t_s[first] + (options.settle_s if first else 0.0)
@@ -138,7 +138,7 @@ def _median(values: Floats) -> Floats:
     return np.asarray(np.where(count > 0, middle, np.inf))
 
 
-def _merged(thinned: Thinned, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def _merge_adjacent_rests(thinned: Thinned, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Join rests between which the markers did not go anywhere: a flicker, or a short time out of sight."""
     out: list[tuple[int, int]] = []
     for first, after in spans:
@@ -163,7 +163,7 @@ def _same_place(p: Floats, before: tuple[int, int], first: int, after: int) -> b
     return bool(np.nanmedian(apart) < 0.3 and far < 1.0)
 
 
-def _averaged(recording: Recording, spans: list[tuple[float, float]]) -> list[Dwell]:
+def _average_spans(recording: Recording, spans: list[tuple[float, float]]) -> list[Dwell]:
     """Read the frames of each span and average them."""
     out: list[Dwell] = []
     parts: list[Floats] = []
@@ -193,7 +193,9 @@ def _dwell(parts: list[Floats], times: list[Floats]) -> list[Dwell]:
     outliers = _drop_outliers(points)
     mean = mean_seen(points, 0)
     scatter = np.sqrt(mean_seen((points - mean) ** 2, 0))
-    return [Dwell(float(t[0]), float(t[-1]), len(t), mean, _pooled(scatter), _of_mean(points, scatter), outliers)]
+    return [
+        Dwell(float(t[0]), float(t[-1]), len(t), mean, _rms_over_markers(scatter), _of_mean(points, scatter), outliers)
+    ]
 
 
 def _drop_outliers(points: Floats) -> int:
@@ -210,14 +212,14 @@ def _drop_outliers(points: Floats) -> int:
 def _of_mean(points: Floats, scatter: Floats) -> Floats:
     """Standard deviation of the mean (3): from means of batches, which see slow wander; never below white noise."""
     count = min(BATCHES, len(points) // 2)
-    white = _pooled(scatter) / np.sqrt(max(1, len(points)))
+    white = _rms_over_markers(scatter) / np.sqrt(max(1, len(points)))
     if count < 3:
-        return _pooled(scatter)
+        return _rms_over_markers(scatter)
     batches = np.stack([mean_seen(part, 0) for part in np.array_split(points, count)])
     spread = np.sqrt(mean_seen((batches - mean_seen(batches, 0)) ** 2, 0) * count / (count - 1))
-    return np.asarray(np.maximum(_pooled(spread) / np.sqrt(count), white))
+    return np.asarray(np.maximum(_rms_over_markers(spread) / np.sqrt(count), white))
 
 
-def _pooled(values: Floats) -> Floats:
+def _rms_over_markers(values: Floats) -> Floats:
     """Root mean square over the markers (markers, 3) -> (3)."""
     return np.asarray(np.sqrt(mean_seen(values * values, 0)))

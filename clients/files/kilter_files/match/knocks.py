@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.match.dwells import Thinned, mean_seen
-from kilter_files.match.rigid_body import aligned, shape_of
-from kilter_files.match.shape_change import moved_alone, moved_by
-from kilter_files.match.step_search import LEAST_MM, SURE, Cut, cuts_of
+from kilter_files.match.rigid_body import align_shape, mean_shape
+from kilter_files.match.shape_change import marker_displacement, moved_alone
+from kilter_files.match.step_search import LEAST_MM, SURE, Cut, find_step_cuts
 
 SHARED = 2.0  # a marker's shift is shared out among all by the fit of the shape
 MOST_MARKERS = 12
@@ -37,7 +37,7 @@ class Knock(NamedTuple):
     sure: bool
     flat: bool
 
-    def said(self, names: tuple[str, ...], unit: str = "s") -> str:
+    def describe_knock(self, names: tuple[str, ...], unit: str = "s") -> str:
         """Say it in words; ``unit`` "rows" for times that are numbers of rows."""
         which = (" and " if self.sure else " or ").join(repr(names[k]) for k in self.markers)
         many = "s" if self.sure and len(self.markers) > 1 else ""
@@ -74,12 +74,12 @@ def _knocks(points: Floats, spans: Floats, width: int) -> list[Knock]:
         return []
     own = points[:, chosen]
     signs = _signs(own)
-    cuts = cuts_of(mean_seen(signs.reshape(n, width, -1), 1), 0, n)
+    cuts = find_step_cuts(mean_seen(signs.reshape(n, width, -1), 1), 0, n)
     middles = own.reshape(n, width, *own.shape[1:])[:, width // 2]
-    return _named(middles, spans, cuts, chosen)
+    return _knocks_from_cuts(middles, spans, cuts, chosen)
 
 
-def _named(points: Floats, spans: Floats, cuts: list[Cut], chosen: NDArray[np.int64]) -> list[Knock]:
+def _knocks_from_cuts(points: Floats, spans: Floats, cuts: list[Cut], chosen: NDArray[np.int64]) -> list[Knock]:
     """Make knocks of cuts; a row in the middle of which the knock came gives two cuts, which are one."""
     out: list[Knock] = []
     for cut in cuts:
@@ -105,10 +105,10 @@ def _signs(points: Floats) -> Floats:
     One of four markers in a plane that moves out of it changes no distance, but the shape.
     """
     distances = _distances(points)
-    shape = shape_of(points) if points.shape[1] > 3 else None
+    shape = mean_shape(points) if points.shape[1] > 3 else None
     if shape is None:
         return distances
-    turned, shift, _ = aligned(shape, points)
+    turned, shift, _ = align_shape(shape, points)
     off = np.einsum("nji,nmj->nmi", turned, points - shift[:, None]) - shape
     off[np.isnan(points[..., 0]).any(axis=1)] = np.nan  # a marker out of sight moves the fit of the others
     return np.hstack([distances, SHARED * off.reshape(len(points), -1)])
@@ -126,7 +126,7 @@ def _knock(points: Floats, spans: Floats, first: int, cut: int, after: int, chan
     else:
         best = [k for k in range(m) if not any(moved[i] for i, pair in enumerate(pairs) if k not in pair)]
     named = best or sorted({k for i, pair in enumerate(pairs) if moved[i] for k in pair}) or list(range(m))
-    sizes = [moved_by(before, later, k) for k in named] if before is not None and later is not None else []
+    sizes = [marker_displacement(before, later, k) for k in named] if before is not None and later is not None else []
     size = min([s for s in sizes if np.isfinite(s)], default=float(np.nanmax(np.abs(change))))
     sure = len(named) == 1 or not best
     return Knock(float(spans[cut - 1, 0]), float(spans[cut, 1]), tuple(named), size, sure, m < 4)
@@ -136,4 +136,4 @@ def _shapes(points: Floats, first: int, cut: int, after: int) -> tuple[Floats | 
     # the rows next to the cut may have the knock in their middle
     last = cut - 1 if cut - first > 2 else cut
     later = cut + 1 if after - cut > 2 else cut
-    return shape_of(points[first:last]), shape_of(points[later:after])
+    return mean_shape(points[first:last]), mean_shape(points[later:after])

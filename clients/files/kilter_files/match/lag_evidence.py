@@ -39,11 +39,11 @@ class Frames(NamedTuple):
     turns: Floats
     places: Floats
 
-    def at(self, lag_s: float | Floats, index: NDArray[np.int64] | slice = slice(None)) -> NDArray[np.int64]:
+    def grid_indices(self, lag_s: float | Floats, index: NDArray[np.int64] | slice = slice(None)) -> NDArray[np.int64]:
         """Return the grid's numbers of frames at a lag."""
         return np.asarray(np.round((self.t_s[index] + lag_s - self.grid_s[0]) / GRID_S).astype(np.int64))
 
-    def snapped(self, lag_s: float) -> float:
+    def snap_lag_to_grid(self, lag_s: float) -> float:
         """Return the nearest lag at which the frames fall on the grid."""
         away = self.grid_s[0] - self.t_s[0]
         return float(np.round((lag_s - away) / GRID_S) * GRID_S + away)
@@ -64,7 +64,7 @@ class Window:
     index: NDArray[np.int64]
 
 
-def frames_of(thinned: Thinned, log: JointLog, arm: Arm | None) -> Frames:
+def sample_frames(thinned: Thinned, log: JointLog, arm: Arm | None) -> Frames:
     """Take the best-seen markers at about 20 Hz, and where the arm's tool is on the log's grid."""
     assert log.t_s is not None
     seen = (~np.isnan(thinned.points_mm[..., 0])).sum(axis=0)
@@ -75,10 +75,10 @@ def frames_of(thinned: Thinned, log: JointLog, arm: Arm | None) -> Frames:
     turns, places = np.zeros((0, 3, 3)), np.zeros((0, 3))
     if arm is not None:
         turns, places = arm.poses(np.stack([np.interp(grid, log.t_s, q) for q in arm.reading(log).T], axis=1))
-    return Frames(t, _between(thinned, t, best), grid, turns, places)
+    return Frames(t, _interpolate_markers(thinned, t, best), grid, turns, places)
 
 
-def _between(thinned: Thinned, t: Floats, markers: NDArray[np.int64]) -> Floats:
+def _interpolate_markers(thinned: Thinned, t: Floats, markers: NDArray[np.int64]) -> Floats:
     """The markers at times ``t``, in a straight line between frames; NaN where either was not seen."""
     k = np.clip(np.searchsorted(thinned.t_s, t, side="right") - 1, 0, len(thinned.t_s) - 2)
     share = np.clip((t - thinned.t_s[k]) / (thinned.t_s[k + 1] - thinned.t_s[k]), 0.0, 1.0)[:, None, None]
@@ -112,33 +112,33 @@ def _best_window(thinned: Thinned, log: JointLog, frames: Frames, length: float)
         if len(index) < LEAST_FRAMES or spread(frames.points[index]) < least:
             continue
         part = Thinned(thinned.t_s[own], thinned.points_mm[own], thinned.step_s)
-        tried = [_registered(frames, index, lag, 4) for lag in likeness(part, log).peaks(TRIED)]
+        tried = [_register_window(frames, index, lag, 4) for lag in likeness(part, log).peaks(TRIED)]
         best = min([w for w in (best, *tried) if w is not None], key=lambda w: w.share, default=None)
         if best is not None and best.share < CLEARLY:
             break
     if best is None:
         return None
-    near = [_registered(frames, best.index, best.lag_s + k * GRID_S, 8) for k in range(-10, 11)]
+    near = [_register_window(frames, best.index, best.lag_s + k * GRID_S, 8) for k in range(-10, 11)]
     return min([best, *(w for w in near if w is not None)], key=lambda w: w.share)
 
 
-def _registered(frames: Frames, index: NDArray[np.int64], lag: float, steps: int) -> Window | None:
-    at = frames.at(lag, index)
+def _register_window(frames: Frames, index: NDArray[np.int64], lag: float, steps: int) -> Window | None:
+    at = frames.grid_indices(lag, index)
     good = (at >= 0) & (at < len(frames.grid_s)) & ~np.isnan(frames.points[index, :, 0]).all(axis=1)
     if good.sum() < 0.8 * len(index):
         return None
     points, at = frames.points[index][good], at[good]
     found = register(frames.turns[at], frames.places[at], points, steps)
-    left = points - found.predicted(frames.turns[at], frames.places[at])
+    left = points - found.predict_markers(frames.turns[at], frames.places[at])
     size = np.sum(left[~np.isnan(left[..., 0])] ** 2, axis=-1)
     return Window(found, lag, float(np.sqrt(np.mean(size))) / max(spread(points), 1e-9), index)
 
 
 def register_again(frames: Frames, lags_s: Floats, before: Registration, limit_mm: float) -> tuple[Registration, float]:
     """Register anew with the frames that ``before`` explains to ``limit_mm`` at their lags; return what it leaves, mm."""
-    at = frames.at(lags_s)
+    at = frames.grid_indices(lags_s)
     inside = np.flatnonzero((at >= 0) & (at < len(frames.grid_s)))
-    off = _off(frames.points[inside], before.predicted(frames.turns[at[inside]], frames.places[at[inside]]))
+    off = _off(frames.points[inside], before.predict_markers(frames.turns[at[inside]], frames.places[at[inside]]))
     with np.errstate(invalid="ignore"):
         good = inside[np.sqrt(off) < limit_mm]
     if len(good) < LEAST_FRAMES:
@@ -146,7 +146,7 @@ def register_again(frames: Frames, lags_s: Floats, before: Registration, limit_m
     good = good[:: max(1, len(good) // 800)]
     turns, places, points = frames.turns[at[good]], frames.places[at[good]], frames.points[good]
     found = register(turns, places, points)
-    return found, float(np.sqrt(np.nanmedian(_off(points, found.predicted(turns, places)))))
+    return found, float(np.sqrt(np.nanmedian(_off(points, found.predict_markers(turns, places)))))
 
 
 def _off(points: Floats, predicted: Floats) -> Floats:
@@ -165,7 +165,7 @@ def squares_by_model(frames: Frames, found: Registration, lag_s: float) -> Float
     |a - b|² is taken apart, so that each frame costs one product of a matrix and a vector.
     """
     centre = found.place
-    there = found.predicted(frames.turns, frames.places) - centre
+    there = found.predict_markers(frames.turns, frames.places) - centre
     table = np.hstack([there.reshape(len(there), -1), np.sum(there**2, axis=-1)])
     seen = ~np.isnan(frames.points[..., 0])
     here = np.where(seen[..., None], frames.points - centre, 0.0)
@@ -186,7 +186,7 @@ def squares_by_speed(thinned: Thinned, log: JointLog, frames: Frames, lag_s: flo
 
 def _over_lags(frames: Frames, lag_s: float, table: Floats, own: Floats, size: Floats) -> Floats:
     """``table`` (grid, k) times ``own`` (n, k) plus ``size`` (n) for each frame and the grid's rows about its lag."""
-    reach, first = round(REACH_S / GRID_S), frames.at(lag_s)
+    reach, first = round(REACH_S / GRID_S), frames.grid_indices(lag_s)
     out = np.full((len(first), 2 * reach + 1), np.nan, dtype=np.float32)
     for i, at in enumerate(first):
         low, high = max(0, at - reach), min(len(table), at + reach + 1)

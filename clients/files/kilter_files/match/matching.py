@@ -81,7 +81,7 @@ def _rows(
     columns = {name: log.columns[name][index] for name in log.joints}
     columns |= {n: v[index] for n, v in log.columns.items() if n not in columns and n not in ("t_s", "pose_id")}
     columns["pose_id"] = log.columns["pose_id"][index] if "pose_id" in log.columns else pose_numbers(log, index)
-    columns |= _measured(kept) if body is None else _posed(kept, body)
+    columns |= _marker_mean_columns(kept) if body is None else _body_pose_columns(kept, body)
     return columns, _report(recording, log, kept, columns, pieces, warnings)
 
 
@@ -107,7 +107,7 @@ def refuse_jumps(recording: Recording) -> None:
 
 
 def _by_order(recording: Recording, dwells: list[Dwell], log: JointLog) -> NDArray[np.int64]:
-    poses = settled(log)
+    poses = pose_row_indices(log)
     if len(poses) != len(dwells):
         short = min(dwells, key=lambda d: d.end_s - d.start_s)
         remedy = (
@@ -118,7 +118,7 @@ def _by_order(recording: Recording, dwells: list[Dwell], log: JointLog) -> NDArr
     return poses
 
 
-def settled(log: JointLog) -> NDArray[np.int64]:
+def pose_row_indices(log: JointLog) -> NDArray[np.int64]:
     """Return the rows of the log that are poses: all, or without repeated rows where nothing moved since the row before."""
     q = log.q_even()
     if log.t_s is None or "pose_id" in log.columns or len(log) < 2:
@@ -164,7 +164,7 @@ def pose_numbers(log: JointLog, index: NDArray[np.int64]) -> Floats:
     return np.array(out, dtype=np.float64)
 
 
-def _measured(dwells: list[Dwell]) -> Columns:
+def _marker_mean_columns(dwells: list[Dwell]) -> Columns:
     mean, sigma = np.stack([d.mean_mm for d in dwells]), np.stack([d.mean_sigma_mm for d in dwells])
     columns = {"t_s": np.array([(d.start_s + d.end_s) / 2 for d in dwells])}
     columns |= marker_columns(mean)
@@ -182,8 +182,8 @@ def _of_known_poses(dwells: list[Dwell], rows: NDArray[np.int64], body: Body, wa
     return np.where(seen_enough(found) & ~bent, rows, -1)
 
 
-def _posed(dwells: list[Dwell], body: Body) -> Columns:
-    plain = _measured(dwells)
+def _body_pose_columns(dwells: list[Dwell], body: Body) -> Columns:
+    plain = _marker_mean_columns(dwells)
     columns = pose_columns(poses(body, np.stack([d.mean_mm for d in dwells])))
     return {"t_s": plain["t_s"]} | columns | {name: plain[name] for name in ("sx_mm", "sy_mm", "sz_mm")}
 
@@ -224,12 +224,15 @@ def clock_report(pieces: Pieces | Clocks, duration_s: float) -> dict[str, Any]:
     if isinstance(pieces, Pieces):
         if len(pieces.parts) == 1:
             return clock_report(pieces.parts[0][2], duration_s)
-        parts = [{"from_s": start, "to_s": end} | _part(clocks, start, end) for start, end, clocks in pieces.parts]
+        parts = [
+            {"from_s": start, "to_s": end} | _clock_segment_report(clocks, start, end)
+            for start, end, clocks in pieces.parts
+        ]
         return parts[0] | {"parts": parts}
-    return _part(pieces, 0.0, duration_s)
+    return _clock_segment_report(pieces, 0.0, duration_s)
 
 
-def _part(clocks: Clocks, start: float, end: float) -> dict[str, float]:
+def _clock_segment_report(clocks: Clocks, start: float, end: float) -> dict[str, float]:
     return {
         "offset_s": float(clocks.log_time(np.zeros(1))[0]),
         "offset_sigma_s": max(clocks.sigma_s(start), clocks.sigma_s(end)),

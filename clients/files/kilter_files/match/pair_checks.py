@@ -52,7 +52,9 @@ def refuse_knocks_of_frames(recording: Recording, thinned: Thinned, checks: Chec
 def _describe_knocks(recording: Recording, found: list[Knock], checks: Checks) -> list[str]:
     if not found:
         return []
-    what = "; ".join(knock.said(recording.markers) for knock in found[:SHOWN]) + (" ..." if len(found) > SHOWN else "")
+    what = "; ".join(knock.describe_knock(recording.markers) for knock in found[:SHOWN]) + (
+        " ..." if len(found) > SHOWN else ""
+    )
     names = sorted({recording.markers[k] for knock in found for k in knock.markers})
     without = (
         f"Leave it out (--without {names[0]})" if len(names) == 1 else "Leave out the one that moved (--without NAME)"
@@ -81,7 +83,7 @@ def refuse_wrong_pairs(
         warnings.append(f"fewer than {LEAST_ROWS} rows: the pairing was not checked against the robot's model")
         return rows
     if pairing.found is None or pairing.wrong.sum() > max(2, MOST_LEFT_OUT * len(kept)):
-        what, remedy = _explained(checks.arm, log, q, points[kept], spans[kept], pairing)
+        what, remedy = _explain_wrong_pairs(checks.arm, log, q, points[kept], spans[kept], pairing)
         warnings.append(checks.refuse(path, what, remedy))
         return rows
     out = rows.copy()
@@ -118,7 +120,7 @@ def refuse_wrong_frames(path: Path, log: JointLog, thinned: Thinned, log_time: L
     if pairing is None:
         return ["too few frames show all markers: the pairing was not checked against the robot's model"]
     if pairing.found is None or pairing.wrong.sum() > MOST_LEFT_OUT * len(at):
-        return [checks.refuse(path, *_explained(checks.arm, log, q, points, spans, pairing))]
+        return [checks.refuse(path, *_explain_wrong_pairs(checks.arm, log, q, points, spans, pairing))]
     good = ~pairing.wrong
     step = find_step(checks.arm, q[good], points[good], spans[good], pairing.found)
     return [] if step is None else [_refuse_step(path, step, checks)]
@@ -126,7 +128,7 @@ def refuse_wrong_frames(path: Path, log: JointLog, thinned: Thinned, log_time: L
 
 def _refuse_step(path: Path, step: Step, checks: Checks) -> str:
     remedy = f"Match one part: --until {step.from_s:.2f} or --since {step.to_s:.2f}."
-    return checks.refuse(path, step.said(), remedy)
+    return checks.refuse(path, step.describe_step(), remedy)
 
 
 def _fits(arm: Arm, q: Floats, points: Floats) -> bool:
@@ -135,7 +137,9 @@ def _fits(arm: Arm, q: Floats, points: Floats) -> bool:
     return found is not None and found.found is not None and bool(found.wrong.sum() < 0.2 * len(q))
 
 
-def _explained(arm: Arm, log: JointLog, q: Floats, points: Floats, spans: Floats, pairing: Pairing) -> tuple[str, str]:
+def _explain_wrong_pairs(
+    arm: Arm, log: JointLog, q: Floats, points: Floats, spans: Floats, pairing: Pairing
+) -> tuple[str, str]:
     """Say what is wrong with pairs, and the remedy."""
     if _fits(arm, q[::-1], points):
         what = f"the poses of {log.path.name} come in the reverse order of the dwells, by the model of {arm.name}"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kilter_files.ground.arrays import Floats
 from kilter_files.match.arm import Arm
 from kilter_files.match.lag_evidence import spread
-from kilter_files.match.registration import Registration, calibrated, error_columns, register
+from kilter_files.match.registration import Registration, error_columns, fit_arm_errors, register
 
 EXPLAINED = 0.06  # of the markers' spread that a model may leave where it explains them
 WINDOW = (6, 16)
@@ -47,7 +47,7 @@ def check_pairs(arm: Arm, q: Floats, points: Floats) -> Pairing | None:
     rows = np.flatnonzero(seen)
     turns, places = arm.poses(q)
     found, share = _best_window(turns, places, points, rows)
-    off = _off(points, found.predicted(turns, places))
+    off = _off(points, found.predict_markers(turns, places))
     if share > EXPLAINED:
         return Pairing(off, np.inf, None, share)
     limit = max(EXPLAINED * spread(points), LEAST_MM)
@@ -56,7 +56,7 @@ def check_pairs(arm: Arm, q: Floats, points: Floats) -> Pairing | None:
         if len(good) < WINDOW[0]:
             break
         found = register(turns[good], places[good], points[good])
-        off = _off(points, found.predicted(turns, places))
+        off = _off(points, found.predict_markers(turns, places))
         limit = max(FAR * float(np.sqrt(np.mean(off[good] ** 2))), LEAST_MM)
     return _sharper(arm, q, points, Pairing(off, limit, found, share))
 
@@ -66,7 +66,7 @@ def _sharper(arm: Arm, q: Floats, points: Floats, first: Pairing) -> Pairing:
     good = np.flatnonzero(~first.wrong & ~np.isnan(first.off_mm))
     if len(good) < CALIBRATED_ROWS or first.found is None:
         return first
-    found, _ = calibrated(arm, q[good], points[good], first.found)
+    found, _ = fit_arm_errors(arm, q[good], points[good], first.found)
     off = off_calibrated(arm, q, points, found)
     limit = max(FAR * float(np.sqrt(np.mean(off[good] ** 2))), LEAST_MM)
     return Pairing(off, limit, found, first.share)
@@ -75,7 +75,7 @@ def _sharper(arm: Arm, q: Floats, points: Floats, first: Pairing) -> Pairing:
 def off_calibrated(arm: Arm, q: Floats, points: Floats, found: Registration) -> Floats:
     """Return what a calibrated registration leaves in each row, mm (n)."""
     turns, places = arm.poses(q)
-    return _off(points, found.predicted(turns, places, error_columns(arm, q, found.in_base(turns, places))))
+    return _off(points, found.predict_markers(turns, places, error_columns(arm, q, found.in_base(turns, places))))
 
 
 def _best_window(turns: Floats, places: Floats, points: Floats, rows: NDArray[np.int64]) -> tuple[Registration, float]:
@@ -83,13 +83,15 @@ def _best_window(turns: Floats, places: Floats, points: Floats, rows: NDArray[np
     if points.shape[1] == 1:
         width = min(len(rows), max(width, WINDOW[0] + 2))
     starts = range(0, len(rows) - width + 1, max(1, width // 3))
-    tried = [_registered(turns, places, points, rows[k : k + width]) for k in starts]
+    tried = [_register_rows(turns, places, points, rows[k : k + width]) for k in starts]
     return min(tried, key=lambda pair: pair[1])
 
 
-def _registered(turns: Floats, places: Floats, points: Floats, rows: NDArray[np.int64]) -> tuple[Registration, float]:
+def _register_rows(
+    turns: Floats, places: Floats, points: Floats, rows: NDArray[np.int64]
+) -> tuple[Registration, float]:
     found = register(turns[rows], places[rows], points[rows])
-    off = _off(points[rows], found.predicted(turns[rows], places[rows]))
+    off = _off(points[rows], found.predict_markers(turns[rows], places[rows]))
     least = max(spread(points[rows]), 0.3 * spread(points), 1e-9)
     return found, float(np.sqrt(np.mean(off**2))) / least
 
@@ -106,7 +108,7 @@ def fitting_rows(arm: Arm, q: Floats, points: Floats, pairing: Pairing) -> NDArr
     assert pairing.found is not None
     turns, places = arm.poses(q)
     plain = Registration(pairing.found.turn, pairing.found.place, pairing.found.markers, np.zeros(0))
-    there = plain.predicted(turns, places)
+    there = plain.predict_markers(turns, places)
     limit = max(2 * pairing.limit_mm, 0.02 * spread(points))
     out = np.full(len(points), -1, dtype=np.int64)
     for i, seen in enumerate(points):

@@ -31,7 +31,7 @@ class Registration:
         """Return the markers (n, m, 3) in the base frame for poses of the tool."""
         return np.asarray(np.einsum("nij,mj->nmi", turns, self.markers) + places[:, None])
 
-    def predicted(self, turns: Floats, places: Floats, columns: Floats | None = None) -> Floats:
+    def predict_markers(self, turns: Floats, places: Floats, columns: Floats | None = None) -> Floats:
         """Return where the device should see the markers (n, m, 3)."""
         points = self.in_base(turns, places)
         if columns is not None and len(self.errors):
@@ -41,7 +41,7 @@ class Registration:
 
 def register(turns: Floats, places: Floats, points: Floats, steps: int = 15) -> Registration:
     """Return the least-squares registration of poses of the tool with markers ``points`` (n, m, 3; NaN = not seen)."""
-    found = _first(turns, places, points)
+    found = _initial_registration(turns, places, points)
     for _ in range(steps):
         found, size = _step(found, turns, places, points, None)
         if size < ENDED_MM:
@@ -49,7 +49,9 @@ def register(turns: Floats, places: Floats, points: Floats, steps: int = 15) -> 
     return found
 
 
-def calibrated(arm: Arm, q: Floats, points: Floats, start: Registration, steps: int = 4) -> tuple[Registration, Floats]:
+def fit_arm_errors(
+    arm: Arm, q: Floats, points: Floats, start: Registration, steps: int = 4
+) -> tuple[Registration, Floats]:
     """Return a registration with small errors of the arm fitted too, and the columns of these errors."""
     turns, places = arm.poses(q)
     columns = error_columns(arm, q, start.in_base(turns, places))
@@ -78,12 +80,12 @@ def error_columns(arm: Arm, q: Floats, points: Floats) -> Floats:
     return np.stack(out, axis=-1)
 
 
-def columns_of(found: Registration, turns: Floats, places: Floats, errors: Floats | None) -> Floats:
+def marker_jacobian(found: Registration, turns: Floats, places: Floats, errors: Floats | None) -> Floats:
     """Return how the predicted markers (n, m, 3) move (n, m, 3, unknowns) with base, markers and errors."""
     n, m = len(turns), len(found.markers)
-    points = found.predicted(turns, places, errors) - found.place
+    points = found.predict_markers(turns, places, errors) - found.place
     out = np.zeros((n, m, 3, 6 + 3 * m))
-    out[..., 0:3] = -_crossed(points)
+    out[..., 0:3] = -_cross_product_matrices(points)
     out[..., 3:6] = np.eye(3)
     lever = found.turn @ turns
     for k in range(m):
@@ -91,7 +93,7 @@ def columns_of(found: Registration, turns: Floats, places: Floats, errors: Float
     return out if errors is None else np.concatenate([out, found.turn @ errors], axis=-1)
 
 
-def _crossed(points: Floats) -> Floats:
+def _cross_product_matrices(points: Floats) -> Floats:
     x, y, z = np.moveaxis(points, -1, 0)
     nil = np.zeros_like(x)
     return np.stack([nil, -z, y, z, nil, -x, -y, x, nil], axis=-1).reshape(*points.shape[:-1], 3, 3)
@@ -100,9 +102,9 @@ def _crossed(points: Floats) -> Floats:
 def _step(
     found: Registration, turns: Floats, places: Floats, points: Floats, errors: Floats | None
 ) -> tuple[Registration, float]:
-    left = points - found.predicted(turns, places, errors)
+    left = points - found.predict_markers(turns, places, errors)
     seen = ~np.isnan(left)
-    jacobian = columns_of(found, turns, places, errors)[seen]
+    jacobian = marker_jacobian(found, turns, places, errors)[seen]
     side = jacobian.T @ left[seen]
     square = jacobian.T @ jacobian + 1e-9 * np.eye(jacobian.shape[1])
     if errors is not None:
@@ -122,7 +124,7 @@ def _step(
     return moved, float(np.abs(jacobian @ step).max(initial=0.0))
 
 
-def _first(turns: Floats, places: Floats, points: Floats) -> Registration:
+def _initial_registration(turns: Floats, places: Floats, points: Floats) -> Registration:
     """Lay the tool points over the markers, then set the markers where they are on average; twice."""
     m = points.shape[1]
     markers = np.zeros((m, 3))

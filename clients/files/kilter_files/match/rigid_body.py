@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
-from kilter_files.ground.turns import matrices_of, quaternions_of
+from kilter_files.ground.turns import matrices_from_quaternions, quaternions_from_matrices
 from kilter_files.match.dwells import mean_seen, thin
 from kilter_files.tables.recording import Block, Recording
 
@@ -40,11 +40,11 @@ class Poses:
 
 def poses(body: Body, points: Floats) -> Poses:
     """Return where the body was for markers (n, m, 3); NaN with fewer than three markers, or all in a line."""
-    turned, shift, rms = aligned(body.markers, points)
-    return Poses(np.einsum("nij,j->ni", turned, body.tcp) + shift, quaternions_of(turned), rms)
+    turned, shift, rms = align_shape(body.markers, points)
+    return Poses(np.einsum("nij,j->ni", turned, body.tcp) + shift, quaternions_from_matrices(turned), rms)
 
 
-def aligned(shape: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
+def align_shape(shape: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
     """Return rotations (n, 3, 3), shifts (n, 3) and rms (n) that bring ``shape`` (m, 3) onto ``points`` (n, m, 3)."""
     seen = ~np.isnan(points[..., 0])
     weight = seen / np.maximum(seen.sum(axis=1), 1)[:, None]
@@ -63,7 +63,7 @@ def aligned(shape: Floats, points: Floats) -> tuple[Floats, Floats, Floats]:
     return turned, centre - np.einsum("nij,nj->ni", turned, middle), rms
 
 
-def shape_of(points: Floats) -> Floats | None:
+def mean_shape(points: Floats) -> Floats | None:
     """Return the mean shape (m, 3) of markers (n, m, 3) about its centre, oriented as when all were first seen.
 
     None when they are never seen together, or lie in a line.
@@ -75,7 +75,7 @@ def shape_of(points: Floats) -> Floats | None:
     if len(shape) < 3 or np.linalg.svd(shape)[1][1] < LEAST_WIDTH_MM:
         return None
     for _ in range(ROUNDS):
-        turned, shift, _ = aligned(shape, points)
+        turned, shift, _ = align_shape(shape, points)
         shape = mean_seen(np.einsum("nji,nmj->nmi", turned, points - shift[:, None]), 0)
         shape = shape - shape.mean(axis=0)
     return np.asarray(shape)
@@ -94,10 +94,10 @@ def find_body(recording: Recording, tcp: str | Recording) -> Body:
 
     """
     if isinstance(tcp, Recording):
-        return _digitised(recording, tcp)
+        return _body_with_tip(recording, tcp)
     if recording.kind == VIRTUAL:
         return Body(LEVERS, _point(recording, tcp) if tcp != "mean" else np.zeros(3), "the tool's own frame")
-    shape = shape_of(thin(recording).points_mm)
+    shape = mean_shape(thin(recording).points_mm)
     if shape is None:
         what = "its markers fix no orientation: three that do not lie in a line must be seen at once"
         raise fault(recording.path, what, "Send the markers as they are (without --tcp).")
@@ -114,7 +114,7 @@ def _point(recording: Recording, text: str) -> Floats:
     return point
 
 
-def _digitised(recording: Recording, with_tip: Recording) -> Body:
+def _body_with_tip(recording: Recording, with_tip: Recording) -> Body:
     """The body and the tip of a recording at rest that holds the same markers and, as the last one, the tip."""
     path = with_tip.path
     points = thin(with_tip).points_mm
@@ -125,10 +125,10 @@ def _digitised(recording: Recording, with_tip: Recording) -> Body:
     elif len(names) != len(recording.markers):
         what = f"holds {len(with_tip.markers)} markers; the recording has {len(recording.markers)}"
         raise fault(path, what, "Record the same markers and, as the last one, the digitised tool point.")
-    shape = shape_of(points[:, :-1])
+    shape = mean_shape(points[:, :-1])
     if shape is None or np.isnan(points[:, -1]).all():
         raise fault(path, "the markers are never seen together, or the tip never", "Digitise the point again.")
-    turned, shift, _ = aligned(shape, points[:, :-1])
+    turned, shift, _ = align_shape(shape, points[:, :-1])
     tips = np.einsum("nji,nj->ni", turned, points[:, -1] - shift)
     tip = mean_seen(tips, 0)
     spread = float(np.sqrt(np.nanmean(np.sum((tips - tip) ** 2, axis=1))))
@@ -157,7 +157,7 @@ def tool_as_markers(recording: Recording, name: str | None = None) -> Recording:
         for block in recording.blocks():
             if block.quaternions is None:
                 raise fault(recording.path, "its tools have no orientation", "Leave out --tool.")
-            turned = matrices_of(block.quaternions[:, k])
+            turned = matrices_from_quaternions(block.quaternions[:, k])
             points = block.points_mm[:, k, None] + np.einsum("nij,mj->nmi", turned, LEVERS)
             yield replace(block, points_mm=points, quaternions=None)
 

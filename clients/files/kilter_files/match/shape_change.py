@@ -23,7 +23,7 @@ def moved_alone(before: Floats, after: Floats) -> list[int]:
     return [k for k, size in enumerate(left) if size <= max(1.5 * min(left), 0.03)] if min(left) < LEAST_MM else []
 
 
-def moved_by(before: Floats, after: Floats, k: int) -> float:
+def marker_displacement(before: Floats, after: Floats, k: int) -> float:
     """How far marker ``k`` is from where it was, seen from the others; with two others, in the plane of the three."""
     light = np.ones(len(before))
     light[k] = LIGHT

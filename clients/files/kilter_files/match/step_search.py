@@ -13,7 +13,7 @@ MOST_STEPS = 4
 Cut = tuple[int, int, int, Floats, Floats]
 
 
-def cuts_of(signs: Floats, first: int, after: int, depth: int = 0) -> list[Cut]:
+def find_step_cuts(signs: Floats, first: int, after: int, depth: int = 0) -> list[Cut]:
     """Cut rows ``first`` to ``after`` where the means change most, then both parts: (first, cut, after, change, sigma)."""
     part = signs[first:after]
     if len(part) < 4 or depth > MOST_STEPS:
@@ -28,9 +28,9 @@ def cuts_of(signs: Floats, first: int, after: int, depth: int = 0) -> list[Cut]:
         return []
     cut = first + at
     return [
-        *cuts_of(signs, first, cut, depth + 1),
+        *find_step_cuts(signs, first, cut, depth + 1),
         (first, cut, after, change, np.maximum(error * sigma, 1e-9)),
-        *cuts_of(signs, cut, after, depth + 1),
+        *find_step_cuts(signs, cut, after, depth + 1),
     ]
 
 

@@ -37,13 +37,13 @@ def checked_markers(path: Path, prepared: Prepared, unchecked: bool) -> Prepared
     if prepared.content_type == CSV_TYPE and not A_MARKER.search(prepared.content.split(b"\n", 1)[0]):
         return prepared
     try:
-        found = _knocked(path, prepared, unchecked)
+        found = _check_knocks(path, prepared, unchecked)
     except ImportError:
         return prepared
     return replace(prepared, warnings=(*prepared.warnings, *found)) if found else prepared
 
 
-def _knocked(path: Path, prepared: Prepared, unchecked: bool) -> list[str]:
+def _check_knocks(path: Path, prepared: Prepared, unchecked: bool) -> list[str]:
     numbers = sorted({int(m[1]) for name in _names(prepared) if (m := MARKER.fullmatch(name))})
     if len(numbers) < 2:
         return []
@@ -57,7 +57,7 @@ def _knocked(path: Path, prepared: Prepared, unchecked: bool) -> list[str]:
         who = " and ".join(repr(names[k]) for k in exchanged)
         what = f"markers {who} change places between rows {found[0].from_s:.0f} and {found[0].to_s:.0f}"
     else:
-        what = "; ".join(knock.said(names, "rows") for knock in found[:SHOWN])
+        what = "; ".join(knock.describe_knock(names, "rows") for knock in found[:SHOWN])
     if unchecked:
         return [what]
     if exchanged:

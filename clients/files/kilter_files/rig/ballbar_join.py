@@ -48,7 +48,7 @@ def join_ballbar(bar: BallBar, log: JointLog, zero_deg: float = 0.0) -> tuple[Ta
         FileError: a log that goes along no circle, or not along the bar's, or along a circle of another radius.
 
     """
-    passes = passes_of(log)
+    passes = find_circle_passes(log)
     runs = [np.flatnonzero(bar.run == run) for run in np.unique(bar.run)]
     ways = ["ccw" if np.median(np.diff(bar.angle_deg[run])) > 0 else "cw" for run in runs]
     if ways != [way.direction for way in passes]:
@@ -61,7 +61,7 @@ def join_ballbar(bar: BallBar, log: JointLog, zero_deg: float = 0.0) -> tuple[Ta
     feet: list[Floats] = []
     lines: list[int] = []
     for run, way in zip(runs, passes, strict=True):
-        angle = _within(bar, bar.angle_deg[run] + zero_deg, way, zero_deg)
+        angle = _unwrap_to_pass(bar, bar.angle_deg[run] + zero_deg, way, zero_deg)
         order = np.argsort(way.angle_deg)
         for name in log.joints:
             values = log.columns[name][way.rows]
@@ -74,7 +74,7 @@ def join_ballbar(bar: BallBar, log: JointLog, zero_deg: float = 0.0) -> tuple[Ta
     return table, {"rows": len(lines), "runs": len(runs), "feet": len(feet), "radius_mm": round(passes[0].radius_mm, 4)}
 
 
-def passes_of(log: JointLog) -> list[Pass]:
+def find_circle_passes(log: JointLog) -> list[Pass]:
     """Find every way round a circle that is seen from above; feed-in along the circle belongs to it.
 
     Raises:
@@ -158,7 +158,7 @@ def _monotone(angle: Floats) -> list[NDArray[np.int64]]:
     return out
 
 
-def _within(bar: BallBar, angle: Floats, way: Pass, zero_deg: float) -> Floats:
+def _unwrap_to_pass(bar: BallBar, angle: Floats, way: Pass, zero_deg: float) -> Floats:
     """Angles of a run, whole turns added so that the log's pass covers them."""
     angle = np.degrees(np.unwrap(np.radians(angle)))
     low, high = way.angle_deg.min() - TOLERANCE_DEG, way.angle_deg.max() + TOLERANCE_DEG

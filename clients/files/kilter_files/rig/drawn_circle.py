@@ -52,7 +52,7 @@ class Frame:
     left_mm: Floats
 
     @staticmethod
-    def own() -> Frame:
+    def sheet_frame() -> Frame:
         """The sheet's own frame."""
         return Frame(np.eye(3), np.zeros(3), np.zeros(4))
 
@@ -133,7 +133,7 @@ def join(circle: Circle, log: JointLog, heights: Heights | None, frame: Frame, o
         in_plane = np.abs(at_sheet[:, 2]) < REGISTERED_MM
         if in_plane.any():
             refuse_other_length(circle.path, circle.radius_mm, float(np.median(np.hypot(*at_sheet[in_plane, :2].T))))
-    rows, places = _matched(circle, log, at_sheet, along)
+    rows, places = _match_rows_to_circle(circle, log, at_sheet, along)
     turn = circle.turn[places]
     r = circle.radius_mm + circle.out_mm[places]
     angle = turn + along[places] / r
@@ -204,7 +204,7 @@ def commanded_mm(log: JointLog) -> Floats:
     raise fault(log.path, what, "Add x_mm, y_mm, z_mm of the path that was commanded: they say where on the circle.")
 
 
-def _matched(
+def _match_rows_to_circle(
     circle: Circle, log: JointLog, at_sheet: Floats, along: Floats
 ) -> tuple[np.ndarray[Any, np.dtype[np.int64]], np.ndarray[Any, np.dtype[np.int64]]]:
     """Rows of the log and places of the circle that belong together, in the order of the places."""
@@ -214,7 +214,7 @@ def _matched(
     turned = 0.0  # the sheet may be rotated a little against the command
     rows = np.zeros(0, dtype=np.int64)
     for _ in range(2):
-        aside = _wrapped(angle[None, :] - circle.turn[known][:, None] - turned) * circle.radius_mm
+        aside = _wrap_angle(angle[None, :] - circle.turn[known][:, None] - turned) * circle.radius_mm
         rows = np.argmin(np.hypot(aside, off[None, :]), axis=1)
         aside, height = aside[np.arange(len(known)), rows], np.abs(at_sheet[rows, 2])
         near = (np.abs(aside) < REACH_MM) & (np.abs(off[rows]) < REACH_MM) & (height < REGISTERED_MM)
@@ -223,12 +223,12 @@ def _matched(
             remedy = "Are its x_mm, y_mm, z_mm in the frame of the points (--points), and of this circle?"
             raise fault(log.path, what, remedy)
         turned += float(np.median(aside[near])) / circle.radius_mm
-    aside = _wrapped(angle[rows] - circle.turn[known] - turned) * circle.radius_mm
+    aside = _wrap_angle(angle[rows] - circle.turn[known] - turned) * circle.radius_mm
     good = near & (np.abs(aside) < ASIDE_MM)
     return rows[good], known[good]
 
 
-def _wrapped(angle: Floats) -> Floats:
+def _wrap_angle(angle: Floats) -> Floats:
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
@@ -249,8 +249,8 @@ def _height(
         row = int(rows[int(np.argmax(np.isnan(mean)))])
         what = f"has no height {log.t_s[row] - options.starts_s:.3f} s after its start, row {row + 1} of {log.path}"
         raise fault(heights.path, what, "Give the log's time at which it begins (--height-starts-s).")
-    quarters = [int(np.argmin(np.abs(_wrapped(turn - k * np.pi / 2)))) for k in range(4)]
-    apart = [abs(float(_wrapped(turn[quarter] - k * np.pi / 2))) for k, quarter in enumerate(quarters)]
+    quarters = [int(np.argmin(np.abs(_wrap_angle(turn - k * np.pi / 2)))) for k in range(4)]
+    apart = [abs(float(_wrap_angle(turn[quarter] - k * np.pi / 2))) for k, quarter in enumerate(quarters)]
     if max(apart) > np.radians(20):
         what = f"no row near quarter point {int(np.argmax(apart)) + 1}"
         raise fault(log.path, what, "The heights count from the plane through all four: draw and log there too.")

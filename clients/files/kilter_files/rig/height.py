@@ -12,12 +12,12 @@ from kilter_files.formats.reader import Head
 from kilter_files.formats.registry import binary_reader
 from kilter_files.formats.tables.mat import read_mat
 from kilter_files.formats.tables.tdms import Calibration, channels, read_channel
-from kilter_files.formats.tracker_header import plain
+from kilter_files.formats.tracker_header import canonical_column_name
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.names import did_you_mean
-from kilter_files.ground.text_blocks import blocks, count_rows, line_of
+from kilter_files.ground.text_blocks import blocks, count_rows, line_number_of_row
 from kilter_files.ground.text_layout import sniff
 from kilter_files.ground.units import SIZES, converter
 
@@ -126,7 +126,11 @@ def _tdms(path: Path, channel: str | None) -> tuple[Floats, Floats, str | None, 
 def _text(path: Path, channel: str | None, time: str | None) -> tuple[Floats, Floats, str | None, str, str | None]:
     layout = sniff(path)
     names = list(layout.names)
-    at = names.index(time) if time in names else next((i for i, n in enumerate(names) if plain(n) in TIME), None)
+    at = (
+        names.index(time)
+        if time in names
+        else next((i for i, n in enumerate(names) if canonical_column_name(n) in TIME), None)
+    )
     if at is None or (time is not None and time not in names):
         raise fault(path, f"no time among {', '.join(names[:12])}", "Name its column t_s, or give --height-time.")
     name = _chosen(path, channel, [n for n in names if n != names[at]])
@@ -135,7 +139,9 @@ def _text(path: Path, channel: str | None, time: str | None) -> tuple[Floats, Fl
     raw = np.concatenate(list(blocks(path, layout, [at, column], rows)))
     if np.isnan(raw).any():
         row = int(np.argmax(np.isnan(raw).any(axis=1)))
-        raise fault(path, "a cell is empty", "Fill it or leave the row out.", line=line_of(path, layout, row))
+        raise fault(
+            path, "a cell is empty", "Fill it or leave the row out.", line=line_number_of_row(path, layout, row)
+        )
     return raw[:, 0] * SIZES["time"].get(layout.units[at] or "s", 1.0), raw[:, 1], layout.units[column], name, cut
 
 

@@ -11,7 +11,7 @@ from kilter_files.formats.tracker_header import PRESETS
 from kilter_files.ground.errors import UsageError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.units import JOINT
-from kilter_files.match.matching import Columns, pose_numbers, settled
+from kilter_files.match.matching import Columns, pose_numbers, pose_row_indices
 from kilter_files.tables.joint_log import JointLog
 from kilter_files.tables.table import Table
 
@@ -27,7 +27,7 @@ def read_points(path: Path, preset: str, euler: str | None, joints: Path | None,
     if preset not in PRESETS:
         raise UsageError(f"--preset {preset}: is not one of {', '.join(PRESETS)}.")
     log = None if joints is None else read_joint_log(joints, hints or LogHints())
-    beside = None if log is None else columns_beside(log)
+    beside = None if log is None else joint_columns_at_rest(log)
     table: Table = readers()["tracker-text"].read(path, Hints(preset=preset, euler=euler, joints=beside))
     if not any(JOINT.fullmatch(name) for name in table.columns):
         remedy = "Name the file that holds them (--joints), or send the export with a column map (--map)."
@@ -38,9 +38,9 @@ def read_points(path: Path, preset: str, euler: str | None, joints: Path | None,
     return table
 
 
-def columns_beside(joints: JointLog) -> Columns:
+def joint_columns_at_rest(joints: JointLog) -> Columns:
     """Return the columns of a joint log that belong beside points: a row for each time the arm came to rest."""
-    rows = settled(joints)
+    rows = pose_row_indices(joints)
     columns = {name: joints.columns[name][rows] for name in joints.joints}
     known = joints.columns["pose_id"][rows] if "pose_id" in joints.columns else pose_numbers(joints, rows)
     return columns | {"pose_id": known}

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_files.formats.logs.inclinometer import read_inclinometer, tilts_of
+from kilter_files.formats.logs.inclinometer import read_inclinometer, tilt_column_indices
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
@@ -143,4 +143,4 @@ def _other_unit(path: Path, slope: float, stated: str) -> FileError:
 def stated_unit(path: Path) -> str:
     """Return the unit a log states for its inclinations, deg where it states none."""
     layout = sniff(path)
-    return next((layout.units[i] or "deg" for i in tilts_of(layout).values()), "deg")
+    return next((layout.units[i] or "deg" for i in tilt_column_indices(layout).values()), "deg")

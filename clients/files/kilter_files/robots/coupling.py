@@ -16,7 +16,7 @@ DRIVES = ("linkage", "controller", "series")
 PARALLEL = math.sin(math.radians(1.0))
 
 
-def coupled(document: Item, turned: Sequence[str], follows: Sequence[str]) -> Item:
+def apply_joint_coupling(document: Item, turned: Sequence[str], follows: Sequence[str]) -> Item:
     """Return the document as a chain in which ``turned`` joints count backwards and each "j3=j2" is uncoupled.
 
     "j3=j2" is for arms whose third joint is read against the horizontal (FANUC, parallelogram arms): when j2 moves,
@@ -33,14 +33,14 @@ def coupled(document: Item, turned: Sequence[str], follows: Sequence[str]) -> It
         if not all(part.strip() for part in pair.partition("=")):
             raise UsageError(f'--follows {pair}: is not a pair of joints. Give the one that follows first, as "j3=j2".')
     if document.get("convention") == "urdf" and not turned:
-        return {**document, "urdf": _uncoupled(document["urdf"], follows)}
+        return {**document, "urdf": _uncouple_urdf_joints(document["urdf"], follows)}
     if document.get("convention") in ("dh", "mdh"):
         document = _as_chain(document)
     if document.get("convention") != "chain":
         raise UsageError("--turned needs a table or a chain: in a URDF, reverse the axis of the joint instead.")
     elements = [dict(element) for element in document["elements"]]
     for name in turned:
-        for element in _of(elements, name):
+        for element in _joint_elements(elements, name):
             element["ratio"] = -float(element.get("ratio", 1.0))
     for pair in follows:
         follower, _, rest = pair.partition("=")
@@ -48,7 +48,7 @@ def coupled(document: Item, turned: Sequence[str], follows: Sequence[str]) -> It
     return {**document, "elements": elements}
 
 
-def _uncoupled(urdf: str, follows: Sequence[str]) -> str:
+def _uncouple_urdf_joints(urdf: str, follows: Sequence[str]) -> str:
     for pair in follows:
         follower, _, leader = (part.strip() for part in pair.partition("="))
         if leader.rpartition(":")[2].strip() in DRIVES and f'"{leader}"' not in urdf:
@@ -60,7 +60,7 @@ def _uncoupled(urdf: str, follows: Sequence[str]) -> str:
     return urdf
 
 
-def _of(elements: list[Item], name: str) -> list[Item]:
+def _joint_elements(elements: list[Item], name: str) -> list[Item]:
     found = [element for element in elements if element.get("joint") == name]
     if not found:
         known = list(dict.fromkeys(str(element["joint"]) for element in elements if element.get("joint")))
@@ -81,7 +81,7 @@ def _leader(pair: str, text: str, elements: list[Item]) -> tuple[str, str | None
 
 def _uncouple(elements: list[Item], follower: str, leader: str, drive: str | None) -> None:
     """Rotate the follower's axis back by the leader; their axes must be parallel."""
-    first, second = _of(elements, leader)[0], _of(elements, follower)[0]
+    first, second = _joint_elements(elements, leader)[0], _joint_elements(elements, follower)[0]
     start, end = elements.index(first), elements.index(second)
     between = elements[start + 1 : end]
     turns = [e for e in between if str(e["axis"]).startswith("R") and (e.get("joint") or e.get("value"))]

@@ -50,13 +50,13 @@ def link_meshes(
     trimesh = need("Shapes that a URDF names need", "trimesh", "fast_simplification", "trimesh", install=TOGETHER)
     by_link: dict[str, list[Any]] = {}
     for shape in shapes:
-        mesh = _loaded(trimesh, shape, urdf, packages or {})
+        mesh = _load_shape(trimesh, shape, urdf, packages or {})
         mesh.apply_transform(shape["transform"])
         by_link.setdefault(shape["link"], []).append(mesh)
-    return [_joined(trimesh, link, parts) for link, parts in by_link.items()]
+    return [_merge_meshes(trimesh, link, parts) for link, parts in by_link.items()]
 
 
-def _loaded(trimesh: Any, shape: Mapping[str, Any], urdf: Path, packages: Mapping[str, Path]) -> Any:
+def _load_shape(trimesh: Any, shape: Mapping[str, Any], urdf: Path, packages: Mapping[str, Path]) -> Any:
     if shape.get("box_mm"):
         return trimesh.creation.box(extents=shape["box_mm"])
     if shape.get("cylinder_mm"):
@@ -64,7 +64,7 @@ def _loaded(trimesh: Any, shape: Mapping[str, Any], urdf: Path, packages: Mappin
         return trimesh.creation.cylinder(radius=radius, height=height)
     if shape.get("sphere_mm"):
         return trimesh.creation.icosphere(subdivisions=3, radius=shape["sphere_mm"])
-    path = found_at(shape["file"], urdf, packages)
+    path = find_mesh_file(shape["file"], urdf, packages)
     try:
         mesh = trimesh.load_mesh(path, process=False)
     except Exception as error:  # each format raises what its reader does
@@ -75,7 +75,7 @@ def _loaded(trimesh: Any, shape: Mapping[str, Any], urdf: Path, packages: Mappin
     return mesh
 
 
-def found_at(name: str, urdf: Path, packages: Mapping[str, Path]) -> Path:
+def find_mesh_file(name: str, urdf: Path, packages: Mapping[str, Path]) -> Path:
     """Return the file that a URDF names: beside it, at its whole path, or in a package.
 
     Raises:
@@ -98,7 +98,7 @@ def found_at(name: str, urdf: Path, packages: Mapping[str, Path]) -> Path:
     raise FileError(f"{urdf}: names {name!r}, which is not at {places[0]}: {remedy}.", file=str(urdf))
 
 
-def _joined(trimesh: Any, link: str, parts: list[Any]) -> LinkMesh:
+def _merge_meshes(trimesh: Any, link: str, parts: list[Any]) -> LinkMesh:
     mesh = trimesh.util.concatenate(parts)
     before = len(mesh.faces)
     if before > MOST_TRIANGLES:

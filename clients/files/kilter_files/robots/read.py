@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.errors import FileError, UsageError
-from kilter_files.robots.coupling import coupled
+from kilter_files.robots.coupling import apply_joint_coupling
 from kilter_files.robots.katana import read_katana
 from kilter_files.robots.table import read_table
 from kilter_files.robots.text import read_text
 from kilter_files.robots.universal import read_universal
 from kilter_files.robots.universal_dh import holds_dh
-from kilter_files.robots.urdf_chain import chain_of
+from kilter_files.robots.urdf_chain import find_arm_links
 
 URDF = (".urdf", ".xml")
 TABLES = (".csv", ".tsv", ".txt", ".xlsx")
@@ -60,7 +60,7 @@ def read_robot(path: Path, described: Described) -> dict[str, Any]:
     for field, (endings, message) in NEEDED.items():
         if getattr(described, field) and ending not in endings:
             raise UsageError(message)
-    return _described(_read(path, ending, described), described)
+    return _apply_description(_read(path, ending, described), described)
 
 
 def _ending(path: Path) -> str:
@@ -85,12 +85,12 @@ def described_document(document: Mapping[str, Any], described: Described) -> dic
     for field, (_, message) in NEEDED.items():
         if getattr(described, field):
             raise UsageError(f"{message} A document says it itself.")
-    return _described(dict(document), described)
+    return _apply_description(dict(document), described)
 
 
-def _described(document: dict[str, Any], described: Described) -> dict[str, Any]:
+def _apply_description(document: dict[str, Any], described: Described) -> dict[str, Any]:
     if described.turned or described.follows:
-        document = coupled(document, described.turned, described.follows)
+        document = apply_joint_coupling(document, described.turned, described.follows)
     return {**document, "name": described.name} if described.name else document
 
 
@@ -114,7 +114,7 @@ def _name(path: Path, described: Described) -> str:
 
 def _urdf(path: Path, described: Described) -> dict[str, Any]:
     name, text = _name(path, described), read_text(path)
-    base_link, tip_link = chain_of(path, text, described.base_link, described.tip_link)
+    base_link, tip_link = find_arm_links(path, text, described.base_link, described.tip_link)
     return {"name": name, "convention": "urdf", "urdf": text, "base_link": base_link, "tip_link": tip_link}
 
 

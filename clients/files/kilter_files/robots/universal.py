@@ -10,7 +10,7 @@ from typing import Any
 from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.ground.later import need, yaml
 from kilter_files.robots.text import read_text
-from kilter_files.robots.universal_dh import holds_dh, lists_in, origins_of, read_dh
+from kilter_files.robots.universal_dh import extract_lists_text, holds_dh, joint_origins, read_dh
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -50,11 +50,11 @@ def read_universal(path: Path, model: str | None, name: str) -> dict[str, Any]:
         raise UsageError(f"{path.name}: {said}. Known are {', '.join(MODELS)}.")
     text, flange = read_text(path), (0.0,) * 6
     document = None if holds_dh(text) else _document(path, text)
-    text = text if document is None else lists_in(document)
+    text = text if document is None else extract_lists_text(document)
     checked = f"checked to be a {model.upper()}"
     if holds_dh(text):
         table, adds = read_dh(path, text, MODELS[model.lower()])
-        placed, flange = origins_of(table, path)
+        placed, flange = joint_origins(table, path)
         origins: Mapping[str, tuple[float, ...]] = dict(zip(LINKS, placed, strict=True))
         checked = f"added to the table of a {model.upper()}" if adds else checked
     else:

@@ -30,12 +30,12 @@ def holds_dh(text: str) -> bool:
     return any({f"{stem}a", f"{stem}d", f"{stem}alpha"} <= found for stem in (DELTA, WHOLE))
 
 
-def lists_in(document: Any) -> str:
+def extract_lists_text(document: Any) -> str:
     """Return the lists of such a table in a YAML document, wherever they are, as text; empty: there are none."""
     if not isinstance(document, dict):
         return ""
     own = [f"{key} = {value}" for key, value in document.items() if isinstance(value, list)]
-    return "\n".join([*own, *filter(None, map(lists_in, document.values()))])
+    return "\n".join([*own, *filter(None, map(extract_lists_text, document.values()))])
 
 
 def read_dh(path: Path, text: str, nominal_mm: Sequence[float]) -> tuple[Table, bool]:
@@ -69,7 +69,7 @@ def read_dh(path: Path, text: str, nominal_mm: Sequence[float]) -> tuple[Table, 
     return added, True
 
 
-def origins_of(table: Table, path: Path) -> tuple[list[Origin], Origin]:
+def joint_origins(table: Table, path: Path) -> tuple[list[Origin], Origin]:
     """Return the origin of each joint (x, y, z m, roll, pitch, yaw rad) seen from the link before it, and the flange's.
 
     Raises:

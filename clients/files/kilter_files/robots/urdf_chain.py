@@ -10,7 +10,7 @@ from kilter_files.ground.errors import FileError, UsageError
 FREE = ("floating", "planar")  # types of joints that hold nothing
 
 
-def chain_of(path: Path, text: str, base_link: str | None, tip_link: str | None) -> tuple[str, str]:
+def find_arm_links(path: Path, text: str, base_link: str | None, tip_link: str | None) -> tuple[str, str]:
     """Return the first and the last link of the arm; what was not said is taken where the file leaves no choice.
 
     A base link is left no choice by the only link that hangs on no other, a tip link by the only one on which none hangs.

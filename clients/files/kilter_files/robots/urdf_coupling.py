@@ -33,24 +33,24 @@ def uncoupled_urdf(text: str, follower: str, leader: str) -> str:
                 f"There is no joint {name!r}{did_you_mean(name, list(joints))}. There are: {', '.join(joints)}."
             )
     first, second = joints[leader], joints[follower]
-    between = _between(root, first, second)
+    between = _path_between_joints(root, first, second)
     if between is None or any(joint.get("type") not in ROTATING for joint in (first, second)):
-        raise UsageError(_misplaced(follower, leader))
+        raise UsageError(_misplaced_axis_message(follower, leader))
     rotation = np.eye(3)
     for joint in between:
         rotation = rotation @ _origin(joint)
     along = float(_axis(first) @ rotation @ _axis(second))
     if abs(along) < PARALLEL:
-        raise UsageError(_misplaced(follower, leader))
+        raise UsageError(_misplaced_axis_message(follower, leader))
     _insert(root, second, leader, -math.copysign(1.0, along))
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _misplaced(follower: str, leader: str) -> str:
+def _misplaced_axis_message(follower: str, leader: str) -> str:
     return f"--follows {follower}={leader}: the axis of {follower} must come after and be parallel to {leader}'s."
 
 
-def _between(root: Element, first: Element, second: Element) -> list[Element] | None:
+def _path_between_joints(root: Element, first: Element, second: Element) -> list[Element] | None:
     """The joints after the first one up to the second, in order; None where the second hangs on another branch."""
     above = {_link(joint, "child"): joint for joint in root.findall("joint")}
     found = list(_up(above, second, first))

@@ -30,7 +30,7 @@ def usd_package() -> Any:
     return usd
 
 
-def matrix_of(place: Any, turn: Any) -> Floats:
+def pose_matrix(place: Any, turn: Any) -> Floats:
     """Pose (4, 4) by a USD vector and a USD quaternion, which is normalised in double precision."""
     T = np.eye(4)
     T[:3, :3] = transform.Rotation.from_quat(
@@ -44,7 +44,7 @@ def single(T: Floats) -> Floats:
     """A pose (4, 4) as it is read again from single precision."""
     Gf = usd_package().Gf
     place, turn = local_pose(T)
-    return matrix_of(Gf.Vec3f(*place), Gf.Quatf(turn[0], *turn[1:]))
+    return pose_matrix(Gf.Vec3f(*place), Gf.Quatf(turn[0], *turn[1:]))
 
 
 def local_pose(T: Floats) -> tuple[list[float], list[float]]:

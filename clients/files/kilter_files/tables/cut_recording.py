@@ -12,7 +12,7 @@ from kilter_files.ground.names import did_you_mean
 from kilter_files.tables.recording import Block, Recording
 
 
-def between(recording: Recording, since_s: float, until_s: float) -> Recording:
+def cut_to_interval(recording: Recording, since_s: float, until_s: float) -> Recording:
     """Return the frames from ``since_s`` to ``until_s``, which keep their times.
 
     Raises:
@@ -37,7 +37,7 @@ def between(recording: Recording, since_s: float, until_s: float) -> Recording:
     return replace(recording, frames=last - first + 1, blocks=blocks)
 
 
-def without(recording: Recording, names: Sequence[str]) -> Recording:
+def drop_markers(recording: Recording, names: Sequence[str]) -> Recording:
     """Return a recording without the markers of these names; the others are numbered anew.
 
     Raises:

@@ -21,12 +21,12 @@ def jumps(points: Floats, rows: Ints, names: tuple[str, ...]) -> list[tuple[int,
     with np.errstate(invalid="ignore"):
         moved = np.where(np.isnan(step), 0.0, step).max(axis=2) > JUMP_MM
     found: list[tuple[int, str]] = []
-    for part in _parts(np.flatnonzero(moved.any(axis=1)), moved):
+    for part in _split_steps(np.flatnonzero(moved.any(axis=1)), moved):
         before, after = points[part], points[part + 1]
-        shifted, pair = _shifted(before, after), _swapped(before, after, moved[part])
+        shifted, pair = _column_shifts(before, after), _swapped_marker_pairs(before, after, moved[part])
         # In fast motion a marker is nearer to where it was going than to where it was.
         coming = np.where((part > 0)[:, None, None], 2.0 * before - points[part - 1], np.nan)
-        later = _swapped(coming, after, moved[part])
+        later = _swapped_marker_pairs(coming, after, moved[part])
         pair = np.where(pair[:, :1] < 0, later, pair)
         for row, by, (one, other) in zip(rows[part + 1].tolist(), shifted.tolist(), pair.tolist(), strict=True):
             if by:
@@ -36,7 +36,7 @@ def jumps(points: Floats, rows: Ints, names: tuple[str, ...]) -> list[tuple[int,
     return found
 
 
-def _parts(at: Ints, moved: Bools) -> Iterator[Ints]:
+def _split_steps(at: Ints, moved: Bools) -> Iterator[Ints]:
     """Steps in parts that are small however many markers there are."""
     size = min(moved.shape[1], MOST_MOVED)
     count = max(1, PAIRS_AT_ONCE // max(1, size * size))
@@ -44,7 +44,7 @@ def _parts(at: Ints, moved: Bools) -> Iterator[Ints]:
         yield at[first : first + count]
 
 
-def _shifted(before: Floats, after: Floats) -> Ints:
+def _column_shifts(before: Floats, after: Floats) -> Ints:
     """By how many columns all of them moved over in each step (n,), 0 where they did not."""
     old, new = before.reshape(len(before), -1), after.reshape(len(after), -1)
     size = _median(np.abs(new - old))
@@ -69,7 +69,7 @@ def _median(values: Floats) -> Floats:
     return np.where(count < 3, np.nan, middle)
 
 
-def _swapped(before: Floats, after: Floats, moved: Bools) -> Ints:
+def _swapped_marker_pairs(before: Floats, after: Floats, moved: Bools) -> Ints:
     """The first two markers (n, 2) of each step that change places, -1 where there are none."""
     count = moved.sum(axis=1)
     most = min(int(count.max(initial=0)), MOST_MOVED)

@@ -51,6 +51,6 @@ class Source(Protocol):
         """Return a column as numbers, NaN where nothing was measured."""
 
 
-def lines_of(source: Source, rows: Sized) -> list[int]:
+def row_line_numbers(source: Source, rows: Sized) -> list[int]:
     """Return the line of each of ``rows``: that in the file, else its number."""
     return source.lines or list(range(1, len(rows) + 1))

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kilter_files.ground.cell_lists import element, element_of, elements
+from kilter_files.ground.cell_lists import element, elements, parse_element_name
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.names import did_you_mean
-from kilter_files.ground.time_stamps import stamp_of
+from kilter_files.ground.time_stamps import parse_stamp
 from kilter_files.tables.source import Layout
 
 LINES_IN_NAME = re.compile(r"\s*[\r\n]+\s*")
@@ -40,13 +40,13 @@ class TextSource:
         lists = {name: elements(name, cell, decimal) for name, cell in zip(self.names, first, strict=False)}
         return [choice for name in self.names for choice in (name, *lists.get(name, []))]
 
-    def at(self, line: int) -> str:
+    def row_location(self, line: int) -> str:
         """Say where a row is, for messages."""
         return f"line {line}"
 
     def place(self, row: int, name: str | int) -> str:
         """Say where a cell is, for messages."""
-        return f"{self.at(self.lines[row])}, column {name!r}"
+        return f"{self.row_location(self.lines[row])}, column {name!r}"
 
     def has(self, name: str | int) -> bool:
         """Tell whether there is such a column."""
@@ -65,7 +65,7 @@ class TextSource:
         return [row[index].strip() for row in self.cells]
 
     def _element(self, name: str | int) -> list[str]:
-        found = element_of(name) if isinstance(name, str) else None
+        found = parse_element_name(name) if isinstance(name, str) else None
         if found is None or not self.has(found[0]):
             raise FileError(
                 f"{self.path}: there is no column {name!r}{did_you_mean(str(name), self.names)}; "
@@ -104,7 +104,7 @@ class TextSource:
     def _remedy(self, name: str | int, text: str) -> str:
         if elements(str(name), text, self.layout.decimal):
             return f'The cell is a list: name one element, for example from = "{name}[0]".'
-        if stamp_of(text) is not None:
+        if parse_stamp(text) is not None:
             return 'It is a time stamp: map it to t_s with unit = "timestamp".'
         return "Correct the cell, set 'decimal', or list the text under 'missing'."
 

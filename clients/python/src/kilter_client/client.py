@@ -15,7 +15,7 @@ from kilter_client.resources.jobs import Jobs
 from kilter_client.verbs import campaigns, drifts, instruments, jobs, keeping, programs, robots, versions
 from kilter_client.verbs import dry_run as dry_runs
 from kilter_client.verbs import meshes as shapes
-from kilter_client.verbs.error_wording import reworded
+from kilter_client.verbs.error_wording import rephrase_error
 
 if TYPE_CHECKING:
     import httpx
@@ -188,4 +188,4 @@ def connect(url: str | None = None, token: str | None = None) -> Kilter:
         ServerUnreachableError: nothing says where the server is.
 
     """
-    return Kilter(url, token, reword=reworded)
+    return Kilter(url, token, reword=rephrase_error)

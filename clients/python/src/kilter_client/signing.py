@@ -63,11 +63,11 @@ def on_this_machine(file: Path, site: str, robot: str, stream: str, lifetime_s: 
         return None
     master = blake2s(b"", key=secret, digest_size=4, person=b"KLT2mid").digest()
     made = master + struct.pack("<IQ", int(time.time() + lifetime_s), secrets.randbits(64))
-    key = _derived(secret, b"KLT2key", made + f"{site}\0{robot}\0{stream}".encode())
-    return Session(made, key, _derived(secret, b"KLT2robt", f"{site}\0{robot}".encode()))
+    key = _derive_key(secret, b"KLT2key", made + f"{site}\0{robot}\0{stream}".encode())
+    return Session(made, key, _derive_key(secret, b"KLT2robt", f"{site}\0{robot}".encode()))
 
 
-def _derived(key: bytes, use: bytes, message: bytes) -> bytes:
+def _derive_key(key: bytes, use: bytes, message: bytes) -> bytes:
     return blake2s(message, key=key, digest_size=32, person=use).digest()
 
 
@@ -85,7 +85,7 @@ class _Keys(NamedTuple):
 class Signer:
     """Signs the frames of one stream and checks what comes back.
 
-    :meth:`greeting` asks the corrector for its nonce; :meth:`challenged` takes it. Until then nothing can be signed.
+    :meth:`greeting` asks the corrector for its nonce; :meth:`accept_challenge` takes it. Until then nothing can be signed.
     """
 
     def __init__(self, session: Session) -> None:
@@ -112,14 +112,14 @@ class Signer:
         data = head + session.id
         return data + _tag(session.key, b"KLT2helo", data)
 
-    def sealed(self, plain: bytes) -> bytes:
+    def sign_frame(self, plain: bytes) -> bytes:
         """A signed frame from a plain one."""
         assert self._in_use is not None
         session, key = self._in_use
         data = MAGIC + plain[4:] + session
         return data + _tag(key, b"KLT2in", data)
 
-    def opened(self, data: bytes) -> bytes | None:
+    def verify_answer(self, data: bytes) -> bytes | None:
         """The plain answer in a signed one; None when its tag is wrong."""
         if data[:4] != MAGIC or len(data) < 32 + TRAILER:
             return None
@@ -129,7 +129,7 @@ class Signer:
                 return PLAIN + data[4:-TRAILER]
         return None
 
-    def challenged(self, data: bytes, last: bytes) -> int | None:
+    def accept_challenge(self, data: bytes, last: bytes) -> int | None:
         """Take the corrector's nonce; the status when ``data`` answers a greeting or the frame ``last`` echoes, else None."""
         if len(data) != CHALLENGE_BYTES or data[:4] != MAGIC:
             return None
@@ -144,11 +144,11 @@ class Signer:
         if status == NO_SESSION:
             nonce = data[56 : 56 + NONCE]
             self._before = self._in_use
-            self._in_use = _Keys(session.id, _derived(session.key, b"KLT2work", nonce))
+            self._in_use = _Keys(session.id, _derive_key(session.key, b"KLT2work", nonce))
             self.session, self._next = session, None if session is self._next else self._next
         return status
 
-    def said(self, address: str, payload: bytes) -> bytes | None:
+    def verify_announcement(self, address: str, payload: bytes) -> bytes | None:
         """What the corrector announces about the robot, without its signature; None when that is wrong."""
         body, signature = _split(payload)
         expected = _tag(self.session.robot_key, b"KLT2said", address.encode() + b"\0" + body).hex()
@@ -162,7 +162,7 @@ class Signer:
         """What to send with a question; its last 16 bytes are the nonce of the reply."""
         return self.session.id + secrets.token_bytes(NONCE)
 
-    def replied(self, question: bytes, address: str, payload: bytes) -> bytes | None:
+    def verify_reply(self, question: bytes, address: str, payload: bytes) -> bytes | None:
         """The reply to a question, without its signature; None when that is wrong."""
         body, signature = _split(payload)
         message = question[-NONCE:] + address.encode() + b"\0" + body

@@ -107,8 +107,8 @@ class CorrectedStream(Link):
         place = Place(site, robot, stream, tuple(endpoints))
         sessions = Sessions(site, robot, stream, endpoints, found, signed, take_over)
         super().__init__(
-            place, self.statistics, in_use, sessions, sessions.first(session), zenoh_config,
-            partial(_where_now, place, data) if by_file else lambda: None,
+            place, self.statistics, in_use, sessions, sessions.initial_session(session), zenoh_config,
+            partial(_current_place, place, data) if by_file else lambda: None,
         )  # fmt: skip
         self.robot = robot
         self.deadline_s = deadline_s
@@ -170,24 +170,24 @@ class CorrectedStream(Link):
             t_apply_ns: when the setpoint is to act, on any clock that counts nanoseconds; default is now.
 
         """
-        wanted = self._checked(q)
+        wanted = self._validate_setpoint(q)
         values: Sequence[float] = wanted
         flags = self._flags
         if qd is not None and qdd is not None:
             values = [*wanted, *qd, *qdd]
-            self._checked(values, 3)
+            self._validate_setpoint(values, 3)
             flags |= QD | QDD
         before, last_ns = self._wanted or wanted, self._sent_ns
         answer, trip = self._ask(values, wanted, flags, t_apply_ns)
         self._wanted = wanted
         pause_s, moved = self._pause_s(last_ns, t_apply_ns), farthest(wanted, before)
         if answer is None or answer.status != "OK":
-            self._heed(answer)
+            self._react_to_refusal(answer)
             return self._carried.hold(wanted, answer)
         self._lost = False
         return self._carried.follow(wanted, answer, trip, pause_s, moved)
 
-    def _checked(self, q: Sequence[float], width: int = 1) -> tuple[float, ...]:
+    def _validate_setpoint(self, q: Sequence[float], width: int = 1) -> tuple[float, ...]:
         """A setpoint as numbers, as many as the robot has joints."""
         if len(q) != width * self.joints:
             raise StreamError(
@@ -203,7 +203,7 @@ class CorrectedStream(Link):
             StreamError: a point has another number of joints than the robot, or there is none.
 
         """
-        rows = [self._checked(point) for point in points]
+        rows = [self._validate_setpoint(point) for point in points]
         if not rows:
             raise StreamError("A chunk has no points: give at least one.")
         values = [x for row in rows for x in row]
@@ -211,7 +211,7 @@ class CorrectedStream(Link):
         answer, _ = self._ask(values, values, self._flags, t_apply_ns, points=len(rows), step_ns=step_ns)
         pause_s = self._pause_s(last_ns, t_apply_ns, (len(rows) - 1) * step_ns)
         if answer is None or answer.status != "OK":
-            self._heed(answer)
+            self._react_to_refusal(answer)
             self._wanted = rows[-1]
             return answer
         self._lost = False
@@ -261,7 +261,7 @@ class CorrectedStream(Link):
         self._misses += 1
         if self._signer is not None and self._misses % _MISSES == 0:
             self._publisher.put(self._signer.greeting())  # the corrector may have been restarted
-            if self._sessions.unanswered():
+            if self._sessions.mark_unanswered():
                 self._ask_again.set()
 
     def _wait(self, end_ns: int) -> Answer | bytes | None:
@@ -289,13 +289,13 @@ class CorrectedStream(Link):
             self._flags &= ~(RESET | SETTLED)  # the corrector has heard of the new sequence
         return answer
 
-    def _heed(self, answer: Answer | None) -> None:
+    def _react_to_refusal(self, answer: Answer | None) -> None:
         """Count a refusal, and start the corrector anew after one that its past is the reason of."""
         if answer is None:
             return
         self.statistics.refused[answer.status] += 1
         if answer.status == "SESSION_EXPIRED":
-            self._sessions.expired()
+            self._sessions.mark_expired()
             self._ask_again.set()
         again = self._lost and answer.status in _LOST_FRAMES
         self._lost = answer.status in _LOST_FRAMES
@@ -304,7 +304,7 @@ class CorrectedStream(Link):
             self._flags |= RESET | (SETTLED if self._carried.delta or self._settled else 0)
 
 
-def _where_now(place: Place, data: Path | None) -> Place | None:
+def _current_place(place: Place, data: Path | None) -> Place | None:
     """Where the corrector file says that a stream is now; None while there is none, or it is of another site."""
     try:
         found = find_corrector(data)

@@ -17,7 +17,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.documents.parts import STIFFNESS
 from kilter_core.arm.robot import CENTRE_M, MASS_SHARE, Joint, Link, Robot, moved_link
 from kilter_core.errors import OptionError, RobotError
-from kilter_core.parameters import degrees, mm, reported
+from kilter_core.parameters import degrees, display_unit_and_scale, mm
 from kilter_core.transforms import inverse, xyz_rpy_from_pose
 from kilter_core.types import Floats
 
@@ -43,7 +43,7 @@ def robot_document(robot: Robot, convention: str) -> Document:
     document = {
         "name": robot.name,
         "convention": convention,
-        "gravity_m_s2": _plain(robot.gravity),
+        "gravity_m_s2": _float_list(robot.gravity),
         "joints": [_joint(joint) for joint in robot.joints],
         "base": pose_document(robot.T_base),
         "tool": pose_document(robot.T_tool),
@@ -60,8 +60,8 @@ def robot_document(robot: Robot, convention: str) -> Document:
 def pose_document(T: Floats) -> dict[str, float]:
     """Pose (4, 4) as x_mm ... rz_deg."""
     xyz, rpy = xyz_rpy_from_pose(T)
-    lengths = dict(zip(("x_mm", "y_mm", "z_mm"), _plain(mm(xyz)), strict=True))
-    return lengths | dict(zip(("rx_deg", "ry_deg", "rz_deg"), _plain(degrees(rpy)), strict=True))
+    lengths = dict(zip(("x_mm", "y_mm", "z_mm"), _float_list(mm(xyz)), strict=True))
+    return lengths | dict(zip(("rx_deg", "ry_deg", "rz_deg"), _float_list(degrees(rpy)), strict=True))
 
 
 def load_document(robot: Robot) -> Document:
@@ -92,8 +92,8 @@ def _poe(robot: Robot) -> Document:
         {
             "joint": robot.joints[screws.joint[k]].name,
             "type": _kind(screws, k),
-            "direction": _plain(screws.direction[k]),
-            "point_mm": _plain(mm(screws.point[k])),
+            "direction": _float_list(screws.direction[k]),
+            "point_mm": _float_list(mm(screws.point[k])),
             "ratio": float(screws.ratio[k]),
             **({} if drives[k] is None else {"drive": drives[k]}),
         }
@@ -110,13 +110,13 @@ def _cpc(robot: Robot) -> Document:
         frame = frame @ rotation_to(b)
         x, y = _shifts(frame, screws, k)
         frame = frame @ _shift(x, y)
-        rows.append({"type": _kind(screws, k), "b": _plain(b), "x_mm": mm(x), "y_mm": mm(y)})
+        rows.append({"type": _kind(screws, k), "b": _float_list(b), "x_mm": mm(x), "y_mm": mm(y)})
     end = inverse(frame) @ screws.home
     b = end[:3, 2]
     beta = rotation_to(b)[:3, :3].T @ end[:3, :3]
     shift = end[:3, :3].T @ end[:3, 3]
-    flange = {"b": _plain(b), "beta_deg": degrees(math.atan2(beta[1, 0], beta[0, 0]))}
-    return {"rows": rows, "flange": flange | dict(zip(("x_mm", "y_mm", "z_mm"), _plain(mm(shift)), strict=True))}
+    flange = {"b": _float_list(b), "beta_deg": degrees(math.atan2(beta[1, 0], beta[0, 0]))}
+    return {"rows": rows, "flange": flange | dict(zip(("x_mm", "y_mm", "z_mm"), _float_list(mm(shift)), strict=True))}
 
 
 def _mcpc(robot: Robot) -> Document:
@@ -145,7 +145,7 @@ def _mcpc(robot: Robot) -> Document:
     document: Document = {"rows": rows, "flange": _xyz_flange(end)}
     if np.array_equal(base, np.eye(4)):
         return document
-    rotated = {"base": pose_document(robot.T_base @ base), "gravity_m_s2": _plain(base[:3, :3].T @ robot.gravity)}
+    rotated = {"base": pose_document(robot.T_base @ base), "gravity_m_s2": _float_list(base[:3, :3].T @ robot.gravity)}
     return document | rotated
 
 
@@ -162,8 +162,8 @@ def _xyz_flange(end: Floats) -> Document:
     R = end[:3, :3]
     # The transpose is Rz(-gamma) Ry(-beta) Rx(-alpha): URDF's order.
     _, rpy = xyz_rpy_from_pose(np.block([[R.T, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]))
-    angles = dict(zip(("alpha_deg", "beta_deg", "gamma_deg"), _plain(-degrees(rpy)), strict=True))
-    return angles | dict(zip(("x_mm", "y_mm", "z_mm"), _plain(mm(R.T @ end[:3, 3])), strict=True))
+    angles = dict(zip(("alpha_deg", "beta_deg", "gamma_deg"), _float_list(-degrees(rpy)), strict=True))
+    return angles | dict(zip(("x_mm", "y_mm", "z_mm"), _float_list(mm(R.T @ end[:3, 3])), strict=True))
 
 
 def _table(convention: str) -> Callable[[Robot], Document]:
@@ -175,7 +175,7 @@ def _table(convention: str) -> Callable[[Robot], Document]:
             "rows": [_row(row, convention) for row in rows],
             "base": pose_document(robot.T_base @ table.base),
             "tool": pose_document(tool @ robot.T_tool),
-            "gravity_m_s2": _plain(back @ robot.gravity),
+            "gravity_m_s2": _float_list(back @ robot.gravity),
         }
 
     return write
@@ -214,7 +214,7 @@ def _refuse_other_poses(robot: Robot, document: Document) -> None:
 
 
 def _poses(robot: Robot, q: Floats) -> Floats:
-    return screws_of_chain(robot.chain).moved(robot.T_base, robot.T_tool).poses(q)
+    return screws_of_chain(robot.chain).compose_with_poses(robot.T_base, robot.T_tool).poses(q)
 
 
 def _links(robot: Robot, document: Document) -> list[Document]:
@@ -241,7 +241,7 @@ def _link(link: Link) -> Document:
     six = [inertia[i, k] for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     return {
         "mass_kg": link.mass,
-        "com_mm": _plain(mm(link.com)),
+        "com_mm": _float_list(mm(link.com)),
         "inertia_kg_m2": [float(value) for value in six],
         **({} if link.mass_sigma is None else {"mass_sigma_kg": link.mass_sigma}),
         **({} if link.com_sigma is None else {"com_sigma_mm": mm(link.com_sigma)}),
@@ -249,7 +249,7 @@ def _link(link: Link) -> Document:
 
 
 def _joint(joint: Joint) -> Document:
-    unit, scale = reported("m" if joint.kind == "prismatic" else "rad")
+    unit, scale = display_unit_and_scale("m" if joint.kind == "prismatic" else "rad")
     out: Document = {"name": joint.name}
     if math.isfinite(joint.lower) and math.isfinite(joint.upper):
         out[f"limits_{unit}"] = [joint.lower * scale, joint.upper * scale]
@@ -289,5 +289,5 @@ def _rotation(axis: str, angle: float) -> Floats:
     return out
 
 
-def _plain(values: Floats) -> list[float]:
+def _float_list(values: Floats) -> list[float]:
     return [float(value) + 0.0 for value in values]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.arm.conversions.screws import Screws
-from kilter_core.transforms import aligned, inverse
+from kilter_core.transforms import align_z_axis, inverse
 from kilter_core.types import Floats
 
 
@@ -24,7 +24,7 @@ def joint_frames(screws: Screws) -> JointFrames:
     T, origins = np.eye(4), []
     for direction, point in zip(screws.direction, screws.point, strict=True):
         frame = np.eye(4)
-        frame[:3, :3] = aligned(T[:3, :3], direction)
+        frame[:3, :3] = align_z_axis(T[:3, :3], direction)
         frame[:3, 3] = point
         origins.append(inverse(T) @ frame)
         T = frame

@@ -31,7 +31,7 @@ class Screws:
     def __len__(self) -> int:
         return len(self.joint)
 
-    def moved(self, before: Floats, after: Floats) -> Screws:
+    def compose_with_poses(self, before: Floats, after: Floats) -> Screws:
         """The arm ``before · T(q) · after`` for two poses (4, 4)."""
         R, p = before[:3, :3], before[:3, 3]
         return replace(
@@ -89,7 +89,7 @@ def chain_frames(chain: Chain, values: Floats | None = None) -> Floats:
     """
     constants = np.array([e.value for e in chain.elements])
     if values is not None:
-        constants[list(chain.named)] = values
+        constants[list(chain.named_elements)] = values
     frames = [np.eye(4)]
     for e, value in zip(chain.elements, constants, strict=True):
         frames.append(frames[-1] @ e.axis.motion(float(value)))

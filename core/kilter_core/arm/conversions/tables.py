@@ -16,7 +16,7 @@ from kilter_core.arm.chain import Axis
 from kilter_core.arm.conventions import PARALLEL_RAD, Row
 from kilter_core.arm.conversions.screws import Screws
 from kilter_core.parameters import degrees, mm
-from kilter_core.transforms import aligned, inverse
+from kilter_core.transforms import align_z_axis, inverse
 from kilter_core.types import Bools, Floats
 
 SAME_M = 1e-12
@@ -96,7 +96,7 @@ def link_table(screws: Screws, hayati: bool) -> Table:
 def _start(z: Floats, p: Floats) -> Floats:
     """Frame on the first axis, nearest to the base frame: the base frame itself when its z is that axis."""
     frame = np.eye(4)
-    frame[:3, :3] = aligned(np.eye(3), z)
+    frame[:3, :3] = align_z_axis(np.eye(3), z)
     frame[:3, 3] = p - z * (p @ z)
     return frame
 
@@ -124,7 +124,7 @@ def _skew(frame: Floats, z: Floats, p: Floats) -> tuple[Floats, Link]:
     # Where the axis comes nearest: p0 + s z0.
     across = np.cross(z, x)
     s = float((p - p0) @ across / (z0 @ across))
-    rotated = _with(frame, x, p0 + s * z0)
+    rotated = _replace_x_and_origin(frame, x, p0 + s * z0)
     return rotated, Link(_about(x, z0, z), float((p - rotated[:3, 3]) @ x))
 
 
@@ -143,7 +143,7 @@ def _parallel(frame: Floats, z: Floats, p: Floats, hayati: bool, tip: Floats | N
         x = v / length
         x, length = (-x, -length) if _far_rotation(frame, x) else (x, length)
     alpha = 0.0 if z0 @ z > 0 else math.pi
-    return _with(frame, x, p0), Link(alpha, length, 0.0 if hayati else None)
+    return _replace_x_and_origin(frame, x, p0), Link(alpha, length, 0.0 if hayati else None)
 
 
 def _hayati(frame: Floats, z: Floats, p: Floats) -> tuple[Floats, Link]:
@@ -159,7 +159,7 @@ def _hayati(frame: Floats, z: Floats, p: Floats) -> tuple[Floats, Link]:
     x /= np.linalg.norm(x)
     if _far_rotation(frame, x):
         x, towards, length = -x, -towards, -length
-    rotated = _with(frame, x, p0)
+    rotated = _replace_x_and_origin(frame, x, p0)
     local, along = rotated[:3, :3].T @ z, rotated[:3, :3].T @ towards
     alpha = math.atan2(-local[1], local[2])
     beta = math.atan2(local[0], math.hypot(local[1], local[2]))
@@ -173,7 +173,7 @@ def _far_rotation(frame: Floats, x: Floats) -> bool:
     return bool(frame[:3, 0] @ x < -1e-12 or (abs(frame[:3, 0] @ x) <= 1e-12 and frame[:3, 1] @ x < 0))
 
 
-def _with(frame: Floats, x: Floats, origin: Floats) -> Floats:
+def _replace_x_and_origin(frame: Floats, x: Floats, origin: Floats) -> Floats:
     out = frame.copy()
     out[:3, 0], out[:3, 1], out[:3, 3] = x, np.cross(frame[:3, 2], x), origin
     return out

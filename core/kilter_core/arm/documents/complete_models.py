@@ -16,7 +16,7 @@ from kilter_core.arm.complete_models import (
     poe_elements,
     rotation_to,
 )
-from kilter_core.arm.documents.parts import MM, Document, joint_of, pose_of
+from kilter_core.arm.documents.parts import MM, Document, parse_joint, parse_pose
 from kilter_core.arm.robot import Joint
 from kilter_core.errors import RobotError
 from kilter_core.transforms import pose_from_xyz_rpy
@@ -46,7 +46,7 @@ def read_poe(document: Document) -> Read:
         if name not in order:
             raise RobotError(f"axes[{k}] names joint {name!r}, not one of the joints.", field=f"axes[{k}].joint")
     moving = [_axis(k, axis, order.index(names[k])) for k, axis in enumerate(axes)]
-    chain = Chain(poe_elements(moving, pose_of(document.get("home"))), len(order))
+    chain = Chain(poe_elements(moving, parse_pose(document.get("home"))), len(order))
     return _joints(described or [{"name": name} for name in order], chain), chain, chain.primary
 
 
@@ -71,7 +71,7 @@ def read_places(document: Document, convention: str) -> Read:
 
 def _joints(described: Sequence[Document], chain: Chain) -> tuple[Joint, ...]:
     kinds = ["revolute" if chain.elements[k].axis.rotates else "prismatic" for k in chain.primary]
-    return tuple(joint_of(i, joint, kind) for i, (joint, kind) in enumerate(zip(described, kinds, strict=True)))
+    return tuple(parse_joint(i, joint, kind) for i, (joint, kind) in enumerate(zip(described, kinds, strict=True)))
 
 
 def _axis(k: int, axis: Document, joint: int) -> MovingAxis:

@@ -10,7 +10,15 @@ import numpy as np
 from kilter_core.arm.chain import Axis, Chain, Element
 from kilter_core.arm.conventions import Row, dh_elements, mdh_elements, s_model_elements
 from kilter_core.arm.documents.complete_models import Read, read_places, read_poe
-from kilter_core.arm.documents.parts import MM, Document, joint_of, links_of, load_of, payload_sigma_of, pose_of
+from kilter_core.arm.documents.parts import (
+    MM,
+    Document,
+    parse_joint,
+    parse_links,
+    parse_load,
+    parse_pose,
+    payload_sigma_of,
+)
 from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import STANDARD_GRAVITY, Joint, Robot
 from kilter_core.errors import RobotError
@@ -39,12 +47,12 @@ def robot_from_document(document: Document) -> Robot:
         name=str(document.get("name", "robot")),
         joints=joints,
         chain=chain,
-        links=links_of(document.get("links") or (), frames, chain),
+        links=parse_links(document.get("links") or (), frames, chain),
         gravity=np.array([0.0, 0.0, -STANDARD_GRAVITY] if gravity is None else gravity, dtype=np.float64),
-        T_base=pose_of(document.get("base")),
-        T_tool=pose_of(document.get("tool")),
+        T_base=parse_pose(document.get("base")),
+        T_tool=parse_pose(document.get("tool")),
         payload_sigma=payload_sigma_of(document.get("payload_sigma")),
-        load=load_of(document.get("load")),
+        load=parse_load(document.get("load")),
     )
 
 
@@ -78,7 +86,7 @@ def _from_rows(document: Document, convention: str) -> tuple[tuple[Joint, ...], 
     table = [_row(row) for row in rows]
     elements, frames = TABLES[convention](table)
     kinds = ["prismatic" if row.prismatic else "revolute" for row in table]
-    made = tuple(joint_of(i, joint, kind) for i, (joint, kind) in enumerate(zip(joints, kinds, strict=True)))
+    made = tuple(parse_joint(i, joint, kind) for i, (joint, kind) in enumerate(zip(joints, kinds, strict=True)))
     return made, Chain(elements, len(made)), frames
 
 
@@ -110,7 +118,7 @@ def _from_elements(document: Document) -> tuple[tuple[Joint, ...], Chain, tuple[
     kinds = ["revolute" if made[k].axis.rotates else "prismatic" for k in chain.primary]
     by_name = {str(j["name"]): j for j in described}
     joints = tuple(
-        joint_of(i, by_name.get(name, {"name": name}), kind)
+        parse_joint(i, by_name.get(name, {"name": name}), kind)
         for i, (name, kind) in enumerate(zip(order, kinds, strict=True))
     )
     return joints, chain, chain.primary

@@ -19,7 +19,7 @@ STIFFNESS = "drive_stiffness_nm_rad"
 Document = Mapping[str, Any]
 
 
-def pose_of(pose: Document | None) -> Floats:
+def parse_pose(pose: Document | None) -> Floats:
     """Pose (4, 4) of x_mm ... rz_deg; the identity when None."""
     pose = pose or {}
     xyz = np.array([pose.get(f"{k}_mm", 0.0) for k in "xyz"]) * MM
@@ -27,7 +27,7 @@ def pose_of(pose: Document | None) -> Floats:
     return pose_from_xyz_rpy(xyz, rpy)
 
 
-def joint_of(i: int, joint: Document, kind: str) -> Joint:
+def parse_joint(i: int, joint: Document, kind: str) -> Joint:
     """Joint ``i`` (from 0) of ``kind`` "revolute" or "prismatic".
 
     Raises:
@@ -67,7 +67,7 @@ def _stiffness(joint: Document, i: int, kind: str) -> float | None:
     return float(stiffness)
 
 
-def links_of(links: Sequence[Document], frames: tuple[int, ...], chain: Chain) -> tuple[Link, ...]:
+def parse_links(links: Sequence[Document], frames: tuple[int, ...], chain: Chain) -> tuple[Link, ...]:
     """Links in the frames after the chain elements ``frames``, one for each joint, then the bodies on other moving axes.
 
     Those axes are driven by joints that drive several (mimic joints, parallelograms).
@@ -126,7 +126,7 @@ def payload_sigma_of(document: Document | None) -> tuple[float, float]:
     )
 
 
-def load_of(document: Document | None) -> Payload | None:
+def parse_load(document: Document | None) -> Payload | None:
     """What the robot carries where no payload is stated.
 
     Raises:

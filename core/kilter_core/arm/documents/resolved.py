@@ -45,9 +45,9 @@ def robot_from_resolved(name: str, document: Mapping[str, Any]) -> Robot:
     x, y, z = (0.0, 0.0, 0.0) if load is None else load["com_m"]
     return Robot(
         name=name,
-        joints=tuple(_joint_of(joint) for joint in document["joints"]),
+        joints=tuple(_parse_joint(joint) for joint in document["joints"]),
         chain=Chain(elements, len(document["joints"])),
-        links=tuple(_link_of(link) for link in document["links"]),
+        links=tuple(_parse_link(link) for link in document["links"]),
         gravity=np.array(document["gravity_m_s2"], dtype=np.float64),
         T_base=np.array(document["T_base"], dtype=np.float64),
         T_tool=np.array(document["T_tool"], dtype=np.float64),
@@ -63,7 +63,7 @@ def _joint(joint: Joint) -> dict[str, Any]:
     return told | ({} if joint.drive_stiffness is None else {"drive_stiffness": float(joint.drive_stiffness)})
 
 
-def _joint_of(joint: Mapping[str, Any]) -> Joint:
+def _parse_joint(joint: Mapping[str, Any]) -> Joint:
     lower = -math.inf if joint["lower"] is None else joint["lower"]
     upper = math.inf if joint["upper"] is None else joint["upper"]
     return Joint(joint["name"], joint["kind"], lower, upper, joint["gear_ratio"], joint.get("drive_stiffness"))
@@ -92,7 +92,7 @@ def _link(link: Link) -> dict[str, Any]:
     }
 
 
-def _link_of(link: Mapping[str, Any]) -> Link:
+def _parse_link(link: Mapping[str, Any]) -> Link:
     return Link(
         element=link["element"],
         mass=link["mass_kg"],

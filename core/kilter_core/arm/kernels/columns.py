@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from kilter_core.arm.kernels.compiled import compiled
+from kilter_core.arm.kernels.compiled import compile_kernel
 
 
-@compiled()
+@compile_kernel()
 def put_turn(out, column, JQ, joint, dq):
     """Add to ``out[:, :, column]`` what ``dq (N,)`` of a joint moves by ``JQ (N, m, n)``."""
     for row in range(out.shape[0]):
@@ -13,7 +13,7 @@ def put_turn(out, column, JQ, joint, dq):
             out[row, i, column] += JQ[row, i, joint] * dq[row]
 
 
-@compiled()
+@compile_kernel()
 def put_twist(out, column, JX, slot, frame, xi):
     """The same of twists ``xi (N, 6)``, rotated by ``frame (3, 3)``, at a slot of ``JX (N, m, 6 S)``."""
     for row in range(out.shape[0]):
@@ -28,7 +28,7 @@ def put_twist(out, column, JX, slot, frame, xi):
                     out[row, i, column] += JX[row, i, 6 * slot + 3 * half + a] * v
 
 
-@compiled()
+@compile_kernel()
 def put_loads(out, places, moved, load, errors):
     """Add ``moved (N, m)`` times row ``errors[k]`` of ``load (K, N)`` to each column ``places[k]`` of ``out (N, m, P)``."""
     for row in range(out.shape[0]):

@@ -37,7 +37,7 @@ UNCOUNTED: dict[str, Any] = {"_nrt": False}
 EXACT: dict[str, Any] = {**UNCOUNTED, "error_model": "numpy"}
 
 
-def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+def compile_kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function by numba with these options, at its first call, and keep the result on disk."""
 
     def decorate(function: Callable[..., Any]) -> Any:
@@ -117,23 +117,23 @@ class KernelCache(FunctionCache):
         return str(self._py_func.__qualname__).replace("<locals>.", "")
 
     @property
-    def _beside(self) -> Path:
+    def _pycache_folder(self) -> Path:
         return Path(self._source).parent / "__pycache__" / self._folder_name
 
     @property
-    def kept(self) -> bool:
+    def is_on_disk(self) -> bool:
         """Whether a form of the function, of today's sources, lies where it is looked for."""
-        return any(any(folder.glob(f"{self._stem}-*.nbc")) for folder in (self._folder, self._beside) if folder)
+        return any(any(folder.glob(f"{self._stem}-*.nbc")) for folder in (self._folder, self._pycache_folder) if folder)
 
-    def _name_of(self, signature: Any, codegen: Any) -> str:
+    def _file_name(self, signature: Any, codegen: Any) -> str:
         """Name of the file of a signature: after the types, the processor and the versions."""
         types, *rest = self._index_key(signature, codegen)
         key = repr((numba.__version__, sys.version_info[:2], str(types), *rest))
         return f"{self._stem}-{hashlib.sha256(key.encode()).hexdigest()[:24]}.nbc"
 
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
-        name = self._name_of(sig, target_context.codegen())
-        for folder in (self._folder, self._beside) if self._enabled else ():
+        name = self._file_name(sig, target_context.codegen())
+        for folder in (self._folder, self._pycache_folder) if self._enabled else ():
             # Written by this user, or by whoever wrote the sources, where nobody else writes: what a .pyc is for Python.
             # Not there yet, or a machine went down while it wrote: then the next place, or compiled anew.
             with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError):
@@ -146,7 +146,7 @@ class KernelCache(FunctionCache):
     def _save_overload(self, sig: Any, data: Any) -> None:
         if not self._enabled or self._folder is None or not self._impl.check_cachable(data):
             return
-        file = self._folder / self._name_of(sig, data.codegen)
+        file = self._folder / self._file_name(sig, data.codegen)
         with contextlib.suppress(OSError):  # a full disk: the function works all the same
             _write(file, serialize.dumps(self._impl.reduce(data)))  # type: ignore[no-untyped-call]
             _remove_older(file.parent)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 
-from kilter_core.arm.kernels.compiled import UNCOUNTED, compiled
+from kilter_core.arm.kernels.compiled import UNCOUNTED, compile_kernel
 
 
-@compiled(inline="always")
-def amount_of(axis, amount):
+@compile_kernel(inline="always")
+def motion_coefficients(axis, amount):
     """What :func:`move` takes for a motion along or about an axis: a shift and 0, or cosine and sine."""
     if axis < 3:
         return amount, 0.0
     return math.cos(amount), math.sin(amount)
 
 
-@compiled(inline="always")
+@compile_kernel(inline="always")
 def move(axis, c, s, R, p):
     """Right-multiply the frame (R, p) by a shift c or by a rotation of cosine c and sine s, in place."""
     # One branch per axis, for constant columns compile to much less than computed ones.
@@ -40,7 +40,7 @@ def move(axis, c, s, R, p):
             R[i, 1] = c * y - s * x
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def set_frame(T, R, p):
     """Copy the pose T (4, 4) into the frame (R, p)."""
     for i in range(3):
@@ -49,7 +49,7 @@ def set_frame(T, R, p):
             R[i, j] = T[i, j]
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def right_multiply(R, p, R2, p2):
     """Right-multiply the frame (R, p) by the frame (R2, p2), in place."""
     for i in range(3):
@@ -61,7 +61,7 @@ def right_multiply(R, p, R2, p2):
             R[i, j] = a * R2[0, j] + b * R2[1, j] + c * R2[2, j]
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def exponential(xi, R, p, J):
     """exp of a twist (v, w) as (R, p); J (3, 3) is the left Jacobian of SO(3) at w, which also carries v to p."""
     w0 = xi[3]
@@ -92,7 +92,7 @@ def exponential(xi, R, p, J):
         p[i] = J[i, 0] * xi[0] + J[i, 1] * xi[1] + J[i, 2] * xi[2]
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def left_jacobian(xi, J3, J6):
     """Left Jacobian of SE(3) at xi, 6x6; the coupling block by its series, 13 terms, 1e-16 below 1 rad.
 
@@ -129,7 +129,7 @@ def left_jacobian(xi, J3, J6):
             a0, a1, a2, b0, b1, b2 = d0, d1, d2, c0, c1, c2
 
 
-@compiled(inline="always")
+@compile_kernel(inline="always")
 def add_cross(a, b, out):
     """out += a x b."""
     out[0] += a[1] * b[2] - a[2] * b[1]
@@ -137,14 +137,14 @@ def add_cross(a, b, out):
     out[2] += a[0] * b[1] - a[1] * b[0]
 
 
-@compiled(inline="always")
+@compile_kernel(inline="always")
 def rotate(R, v, out):
     """out = R v."""
     for i in range(3):
         out[i] = R[i, 0] * v[0] + R[i, 1] * v[1] + R[i, 2] * v[2]
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def in_frame(frame, origin, force, moment, out, t):
     """Write a wrench about the base origin as one about ``origin`` in ``frame``. t is scratch."""
     t[:] = 0.0
@@ -156,8 +156,8 @@ def in_frame(frame, origin, force, moment, out, t):
         )
 
 
-@compiled(**UNCOUNTED)
-def at_rest(R, p, w, dw, acc):
+@compile_kernel(**UNCOUNTED)
+def reset_to_base_frame(R, p, w, dw, acc):
     """Set a frame to the base frame at rest."""
     for i in range(3):
         p[i] = 0.0

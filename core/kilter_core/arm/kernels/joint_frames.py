@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from kilter_core.arm.kernels.compiled import UNCOUNTED, compiled
+from kilter_core.arm.kernels.compiled import UNCOUNTED, compile_kernel
 from kilter_core.arm.kernels.frames import exponential, right_multiply
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def next_joint(primary, i):
     """Joint whose element follows that of joint i, -1 for the last; mimic elements can make it another than i + 1."""
     found = -1
@@ -16,7 +16,7 @@ def next_joint(primary, i):
     return found
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def mark_starts(primary, e, p, starts):
     """Keep in ``starts (n, 3)`` the point p before element e where that is the element of a joint."""
     for i in range(primary.shape[0]):
@@ -25,7 +25,7 @@ def mark_starts(primary, e, p, starts):
                 starts[i, a] = p[a]
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def mark_frames(primary, joint_frame, e, R, p, frames, origins):
     """Keep origin and joint frame after element e where that is the element of a joint."""
     for i in range(primary.shape[0]):
@@ -37,7 +37,7 @@ def mark_frames(primary, joint_frame, e, R, p, frames, origins):
                     frames[i, a, b] = R[a, 0] * F[0, b] + R[a, 1] * F[1, b] + R[a, 2] * F[2, b]
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def add_twist(slot, row, e, xi, R, p, step_R, step_p, scratch):
     """Apply the twist behind element e of a row, if it has one, to the frame (R, p); ``slot (E,)`` says which of ``xi``."""
     s = slot[e]

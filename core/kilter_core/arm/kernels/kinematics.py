@@ -14,27 +14,34 @@ from __future__ import annotations
 
 import numpy as np
 
-from kilter_core.arm.kernels.compiled import UNCOUNTED, compiled
-from kilter_core.arm.kernels.frames import amount_of, exponential, left_jacobian, move, right_multiply, set_frame
+from kilter_core.arm.kernels.compiled import UNCOUNTED, compile_kernel
+from kilter_core.arm.kernels.frames import (
+    exponential,
+    left_jacobian,
+    motion_coefficients,
+    move,
+    right_multiply,
+    set_frame,
+)
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _constants(axis, value, motion):
     """Write shifts, or cosines and sines, of the elements at their constants: those no joint moves keep them."""
     for e in range(axis.shape[0]):
-        motion[e, 0], motion[e, 1] = amount_of(axis[e], value[e])
+        motion[e, 0], motion[e, 1] = motion_coefficients(axis[e], value[e])
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _at_joints(axis, joint, ratio, value, q, dq, motion):
     """Write shifts, or cosines and sines, of the elements that joints move, at ``q, dq (n,)``."""
     for e in range(axis.shape[0]):
         if joint[e] >= 0:
             amount = value[e] + ratio[e] * (q[joint[e]] + dq[joint[e]])
-            motion[e, 0], motion[e, 1] = amount_of(axis[e], amount)
+            motion[e, 0], motion[e, 1] = motion_coefficients(axis[e], amount)
 
 
-@compiled()
+@compile_kernel()
 def poses(axis, joint, ratio, value, slot, tool_at, base, tool, q, dq, xi, position, rotation):
     """Tool poses of N rows. ``q, dq (N, n)``, ``xi (N, S, 6)``; writes ``position (N, 3)``, ``rotation (N, 3, 3)``."""
     elements = axis.shape[0]
@@ -64,7 +71,7 @@ def poses(axis, joint, ratio, value, slot, tool_at, base, tool, q, dq, xi, posit
         _put_pose(row, R, p, position, rotation)
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _put_pose(row, R, p, position, rotation):
     """Write the frame (R, p) as the pose of a row."""
     for i in range(3):
@@ -73,7 +80,7 @@ def _put_pose(row, R, p, position, rotation):
             rotation[row, i, k] = R[i, k]
 
 
-@compiled()
+@compile_kernel()
 def screws(axis, joint, ratio, value, slot, tool_at, base, tool, q, dq, xi, column, position, rotation, JE, JQ, JX):
     """As :func:`poses`, with the screw columns.
 
@@ -125,7 +132,7 @@ def screws(axis, joint, ratio, value, slot, tool_at, base, tool, q, dq, xi, colu
                 _twist_columns(row, s, twist_R[s], twist_p[s], J6, p, JX)
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _element_columns(row, axis, joint, ratio, column, lines, p, JE, JQ):
     """Screw columns of the elements, and their sums by joint, at the tool point p."""
     rotations = JQ.shape[1] == 6
@@ -170,7 +177,7 @@ def _element_columns(row, axis, joint, ratio, column, lines, p, JE, JQ):
                 JQ[row, 5, j] += g * w * a2
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _twist_columns(row, s, R, origin, J6, p, JX):
     """Screw columns of the twist in slot s, which stands at the frame (R, origin)."""
     rotations = JX.shape[1] == 6

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from kilter_core.arm.kernels.compiled import UNCOUNTED, compiled
-from kilter_core.arm.kernels.frames import add_cross, amount_of, at_rest, move, right_multiply, set_frame
+from kilter_core.arm.kernels.compiled import UNCOUNTED, compile_kernel
+from kilter_core.arm.kernels.frames import (
+    add_cross,
+    motion_coefficients,
+    move,
+    reset_to_base_frame,
+    right_multiply,
+    set_frame,
+)
 from kilter_core.arm.kernels.joint_frames import add_twist, mark_frames, mark_starts, next_joint
 
 JOINT, LINK_END, BASE = 0, 1, 2  # of which point loads are asked
 
 
-@compiled()
+@compile_kernel()
 def load_slopes(
     axis, joint, ratio, value, primary, joint_frame, body_element, com, gravity, tool, carried, payload, payload_com,
     q, slot, xi, where, parts, change, out,
@@ -43,28 +50,28 @@ def load_slopes(
     set_frame(tool, tool_R, tool_p)
     _first_elements(primary, where, elements, first, frames)
     for row in range(q.shape[0]):
-        at_rest(R, p, still, still, still)
+        reset_to_base_frame(R, p, still, still, still)
         for e in range(elements):
             mark_starts(primary, e, p, starts)
             amount = value[e] + (ratio[e] * q[row, joint[e]] if joint[e] >= 0 else 0.0)
-            c, s = amount_of(axis[e], amount)
+            c, s = motion_coefficients(axis[e], amount)
             move(axis[e], c, s, R, p)
             mark_frames(primary, joint_frame, e, R, p, all_frames, origins)
             add_twist(slot, row, e, xi, R, p, step_R, step_p, J3)
             mark_frames(primary, joint_frame, e, R, p, links, behind)
             for b in range(bodies):
                 if body_element[b] == e:
-                    _slopes_of(R, p, com[b], gravity, 1.0, 1.0, own[0], own[1], r)
+                    _fill_gravity_wrenches(R, p, com[b], gravity, 1.0, 1.0, own[0], own[1], r)
                     _put_slopes(own, change, 4 * b, force, moment, each * b)
         _points(primary, where, all_frames, links, origins, starts, p, frames, points)
         if laden:
             right_multiply(R, p, tool_R, tool_p)
-            _slopes_of(R, p, payload_com[row], gravity, carried[row], payload[row], own[0], own[1], r)
+            _fill_gravity_wrenches(R, p, payload_com[row], gravity, carried[row], payload[row], own[0], own[1], r)
             _put_slopes(own, change, 4 * bodies, force, moment, each * bodies)
         _put_at_points(row, each, body_element, first, summed, parts, frames, points, force, moment, about, out)
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _first_elements(primary, where, elements, first, frames):
     """First element whose bodies load each point: at the joint, at the end of its link, or all for the base."""
     for i in range(where.shape[0]):
@@ -75,7 +82,7 @@ def _first_elements(primary, where, elements, first, frames):
                 frames[i, a, a] = 1.0
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _points(primary, where, all_frames, links, origins, starts, flange, frames, points):
     """Points that loads are asked of, and the frames they are written in; those of the base stay as they are."""
     for i in range(where.shape[0]):
@@ -88,7 +95,7 @@ def _points(primary, where, all_frames, links, origins, starts, flange, frames, 
                 frames[i, a, b] = all_frames[i, a, b] if where[i] == JOINT else links[i, a, b]
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _put_at_points(row, each, body_element, first, summed, parts, frames, points, force, moment, about, out):
     """Write the components that are asked for. about is scratch."""
     bodies = body_element.shape[0]
@@ -111,8 +118,8 @@ def _put_at_points(row, each, body_element, first, summed, parts, frames, points
                 out[m, column, row, i] = total
 
 
-@compiled(**UNCOUNTED)
-def _slopes_of(R, p, com, gravity, mass, shift, force, moment, r):
+@compile_kernel(**UNCOUNTED)
+def _fill_gravity_wrenches(R, p, com, gravity, mass, shift, force, moment, r):
     """Force (4, 3), and moment about the base origin, of ``mass`` at a place and of ``shift`` along each axis from it."""
     force[:] = 0.0
     moment[:] = 0.0
@@ -126,7 +133,7 @@ def _slopes_of(R, p, com, gravity, mass, shift, force, moment, r):
         add_cross(r, gravity, moment[c + 1])
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _put_slopes(own, change, at, force, moment, to):
     """Put the four columns of a body, or what its part of ``change`` makes of them, in their place."""
     if change.shape[0] == 0:

@@ -9,12 +9,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from kilter_core.arm.kernels.compiled import UNCOUNTED, compiled
-from kilter_core.arm.kernels.frames import add_cross, amount_of, at_rest, in_frame, move, right_multiply, rotate
+from kilter_core.arm.kernels.compiled import UNCOUNTED, compile_kernel
+from kilter_core.arm.kernels.frames import (
+    add_cross,
+    in_frame,
+    motion_coefficients,
+    move,
+    reset_to_base_frame,
+    right_multiply,
+    rotate,
+)
 from kilter_core.arm.kernels.joint_frames import add_twist, mark_frames, mark_starts, next_joint
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _carry(r, w, dw, acc, t):
     """Carry an acceleration from a point of a rotating body to the point r further: acc += dw x r + w x (w x r)."""
     add_cross(dw, r, acc)
@@ -23,7 +31,7 @@ def _carry(r, w, dw, acc, t):
     add_cross(w, t, acc)
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _add_body(mass, com, R, p, w, dw, acc, gravity, force, moment, r, f, t):
     """Add the load of a point mass: its force, and the force's moment about the base origin. r, f, t are scratch."""
     rotate(R, com, r)
@@ -37,7 +45,7 @@ def _add_body(mass, com, R, p, w, dw, acc, gravity, force, moment, r, f, t):
     add_cross(r, f, moment)
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _add_inertia(inertia, R, w, dw, moment, a, b, h, t):
     """Subtract the rate of spin of a body, I dw + w x I w, from ``moment``. a, b, h, t are scratch."""
     for i in range(3):
@@ -53,14 +61,14 @@ def _add_inertia(inertia, R, w, dw, moment, a, b, h, t):
         moment[i] -= t[i]
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _put_amounts(axis, value, out):
     """Write what :func:`move` takes (E, 2) of elements that no joint moves."""
     for e in range(axis.shape[0]):
-        out[e, 0], out[e, 1] = amount_of(axis[e], value[e])
+        out[e, 0], out[e, 1] = motion_coefficients(axis[e], value[e])
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _advance(axis, amount, speed, rate, moving, R, p, w, dw, acc, z, r, t):
     """Walk along one element: its frame and, where the arm is moving, velocity and acceleration. z, r, t are scratch.
 
@@ -86,7 +94,7 @@ def _advance(axis, amount, speed, rate, moving, R, p, w, dw, acc, z, r, t):
             w[i] += speed * z[i]
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _add_at_tool(row, payload, payload_com, external, R, p, w, dw, acc, gravity, force, moment, r, f, t):
     """Add the loads that act in the tool frame: the payload's and the external wrench. r, f, t are scratch."""
     if payload[row] != 0.0:
@@ -100,7 +108,7 @@ def _add_at_tool(row, payload, payload_com, external, R, p, w, dw, acc, gravity,
         add_cross(p, f, moment)
 
 
-@compiled(**UNCOUNTED)
+@compile_kernel(**UNCOUNTED)
 def _put_wrenches(row, primary, frames, links, origins, starts, flange, forces, moments, out, end, base, t):
     """Sum the loads inwards and write them: on the joints, on the ends of their links, on the base. t is scratch."""
     elements = forces.shape[0] - 1
@@ -118,7 +126,7 @@ def _put_wrenches(row, primary, frames, links, origins, starts, flange, forces, 
         in_frame(links[i], where, forces[following], moments[following], end[row, i], t)
 
 
-@compiled()
+@compile_kernel()
 def load_wrenches(
     axis, joint, ratio, value, primary, joint_frame, link_element, mass, com, inertia, gravity, tool,
     payload, payload_com, external, q, qd, qdd, slot, xi, out, end, base, point,
@@ -147,11 +155,11 @@ def load_wrenches(
     _put_amounts(axis, value, amount)  # of constant elements it is the same in every row
     for row in range(q.shape[0]):
         forces[:], moments[:] = 0.0, 0.0
-        at_rest(R, p, w, dw, acc)
+        reset_to_base_frame(R, p, w, dw, acc)
         for e in range(elements):
             j = joint[e]
             if j >= 0:
-                amount[e, 0], amount[e, 1] = amount_of(axis[e], value[e] + ratio[e] * q[row, j])
+                amount[e, 0], amount[e, 1] = motion_coefficients(axis[e], value[e] + ratio[e] * q[row, j])
             speed = ratio[e] * qd[row, j] if moving and j >= 0 else 0.0
             rate = ratio[e] * qdd[row, j] if moving and j >= 0 else 0.0
             mark_starts(primary, e, p, starts)

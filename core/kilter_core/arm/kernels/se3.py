@@ -7,19 +7,19 @@ from __future__ import annotations
 
 import math
 
-from kilter_core.arm.kernels.compiled import EXACT, compiled
+from kilter_core.arm.kernels.compiled import EXACT, compile_kernel
 
 # pi/2 in two parts, the first short enough that small multiples of it are exact.
 HALF_PI_HIGH, HALF_PI_LOW = 1.57079632673412561417e00, 6.07710050650619224932e-11
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def cross(a0, a1, a2, b0, b1, b2):
     """Cross product of two vectors."""
     return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def product(A, B):
     """Product of two frames."""
     return (
@@ -38,7 +38,7 @@ def product(A, B):
     )
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def rotated_z(A, s, c):
     """Frame A rotated about its z by the angle of sine s and cosine c."""
     return (
@@ -49,7 +49,7 @@ def rotated_z(A, s, c):
     )  # fmt: skip
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def shifted_z(A, d):
     """Frame A shifted along its z by d."""
     return (
@@ -58,7 +58,7 @@ def shifted_z(A, d):
     )  # fmt: skip
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def sine_cosine_octant(x):
     """Sine and cosine up to pi/4."""
     z = x * x
@@ -71,7 +71,7 @@ def sine_cosine_octant(x):
     return s, c
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def sine_cosine(x):
     """Sine and cosine of an angle of some revolutions, to the last digit or two."""
     k = math.floor(x * (2.0 / math.pi) + 0.5)
@@ -88,7 +88,7 @@ def sine_cosine(x):
     return -c, s
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def sine_cosine_near(s, c, d):
     """Sine and cosine of a + d from those of a: the series is exact to 1e-17 up to 0.03 rad."""
     if abs(d) < 0.03:
@@ -101,7 +101,7 @@ def sine_cosine_near(s, c, d):
     return s * cd + c * sd, c * cd - s * sd
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def angle_series(t2):
     """sin t / t, (1 - cos t) / t² and (t - sin t) / t³ of the square of an angle."""
     if t2 < 1e-3:  # exact here, and the closed forms would lose digits to cancellation
@@ -116,8 +116,8 @@ def angle_series(t2):
     return a, b, c
 
 
-@compiled(**EXACT)
-def tilted(T, x, y):
+@compile_kernel(**EXACT)
+def rotate_about_xy(T, x, y):
     """Frame T rotated about its own x and y by the rotation vector (x, y, 0)."""
     a, b, _ = angle_series(x * x + y * y)
     xx, yy, xy, sx, sy = 1.0 - b * y * y, 1.0 - b * x * x, b * x * y, a * x, a * y
@@ -130,7 +130,7 @@ def tilted(T, x, y):
     )  # fmt: skip
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def exponential(v0, v1, v2, w0, w1, w2):
     """exp of the twist (v, w) as a frame."""
     a, b, c = angle_series(w0 * w0 + w1 * w1 + w2 * w2)
@@ -145,7 +145,7 @@ def exponential(v0, v1, v2, w0, w1, w2):
     )  # fmt: skip
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def rotation_between(A, B):
     """Rotation vector from frame A to frame B, in A."""
     x = 0.5 * (A[2] * B[1] + A[5] * B[4] + A[8] * B[7] - A[1] * B[2] - A[4] * B[5] - A[7] * B[8])

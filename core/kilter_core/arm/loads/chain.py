@@ -38,7 +38,9 @@ class LoadChain:
     effects: Mapping[str, float] | None = None
 
     @staticmethod
-    def fitted(robot: Robot, values: Floats, T_tool: Floats, effects: Mapping[str, float] | None = None) -> LoadChain:
+    def from_fitted_values(
+        robot: Robot, values: Floats, T_tool: Floats, effects: Mapping[str, float] | None = None
+    ) -> LoadChain:
         """At these constants (K,), and under the tool frame where it is the robot's own but for its errors."""
         own = robot.T_tool
         apart = float(np.linalg.norm(own[:3, 3] - T_tool[:3, 3]))
@@ -46,10 +48,10 @@ class LoadChain:
         near = apart < AT_THE_TOOL_M and turned < AT_THE_TOOL_RAD
         return LoadChain(values.copy(), T_tool if near else own, effects)
 
-    def of(self, robot: Robot) -> Robot:
+    def apply_to_robot(self, robot: Robot) -> Robot:
         """The robot with these constants and this tool: what loads are computed from."""
         elements = list(robot.chain.elements)
-        for k, value in zip(robot.chain.named, self.values.tolist(), strict=True):
+        for k, value in zip(robot.chain.named_elements, self.values.tolist(), strict=True):
             elements[k] = replace(elements[k], value=value)
         return replace(robot, chain=Chain(tuple(elements), robot.n_joints), T_tool=self.T_tool)
 
@@ -71,7 +73,7 @@ class LoadChain:
         if document is None:
             return None
         elements = robot.chain.elements
-        values = np.array([elements[k].value for k in robot.chain.named], dtype=np.float64)
+        values = np.array([elements[k].value for k in robot.chain.named_elements], dtype=np.float64)
         stored = document["values"]
         values[indices(_names(robot), stored)] = list(stored.values())
         effects = document.get("effects")  # earlier versions have none: their loads are at the readings
@@ -79,4 +81,4 @@ class LoadChain:
 
 
 def _names(robot: Robot) -> list[str]:
-    return [robot.chain.elements[k].name or "" for k in robot.chain.named]
+    return [robot.chain.elements[k].name or "" for k in robot.chain.named_elements]

@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_core.arm.loads.deflection import Deflection
 from kilter_core.arm.robot import Robot
-from kilter_core.transforms import rotations_about, twisted
+from kilter_core.transforms import pose_from_twist, rotations_about
 from kilter_core.types import Floats, Ints
 
 MASS = 4  # numbers of a mass on a link: kg, then its place m
@@ -33,13 +33,15 @@ class OnLinks:
     flange: Floats
 
     @staticmethod
-    def of(robot: Robot, q: Floats, mass: Floats | None, wrench: Floats | None, hung: Deflection) -> OnLinks:
+    def from_link_loads(
+        robot: Robot, q: Floats, mass: Floats | None, wrench: Floats | None, hung: Deflection
+    ) -> OnLinks:
         """Of rows ``q (N, n)``: masses (N, n, 4) that weigh, and wrenches (N, n, 6) about the origins of the links' frames.
 
         Both are in the frames right after the elements of the joints, where the robot states centres of mass.
         """
         elements = np.array(robot.chain.primary, dtype=np.int64)
-        before, after, behind, flange = _walked(robot, q, hung)
+        before, after, behind, flange = _element_frames(robot, q, hung)
         force, moment = (np.zeros((len(elements), len(q), 3)) for _ in range(2))
         for j, e in enumerate(elements.tolist()):
             R, p = behind[e]
@@ -55,7 +57,7 @@ class OnLinks:
 
     def on_axes(self, axes: Ints, frames: Floats) -> Floats:
         """Loads (N, m, 6) on moving ``axes (m,)``, elements of the chain, in ``frames (m, 3, 3)`` after them."""
-        made = [self._at(e, self.after[e][0] @ F, self.after[e][1]) for e, F in _each(axes, frames)]
+        made = [self._wrench_about_point(e, self.after[e][0] @ F, self.after[e][1]) for e, F in _each(axes, frames)]
         return np.stack(made, axis=1)
 
     def on_ends(self, axes: Ints, frames: Floats) -> Floats:
@@ -65,14 +67,14 @@ class OnLinks:
             following = min((k for k in axes.tolist() if k > e), default=None)
             where = self.flange if following is None else self.before[following]
             beyond = 1 + int(self.elements.max()) if following is None else following
-            made.append(self._at(beyond, self.behind[e][0] @ F, where))
+            made.append(self._wrench_about_point(beyond, self.behind[e][0] @ F, where))
         return np.stack(made, axis=1)
 
     def on_base(self) -> Floats:
         """Load (N, 6) on the base about its origin."""
         return np.hstack([self.force.sum(axis=0), self.moment.sum(axis=0)])
 
-    def _at(self, element: int, R: Floats, p: Floats) -> Floats:
+    def _wrench_about_point(self, element: int, R: Floats, p: Floats) -> Floats:
         """What the links from an element on put on a point, in the axes of R."""
         beyond = self.elements >= element
         force, moment = self.force[beyond].sum(axis=0), self.moment[beyond].sum(axis=0)
@@ -84,7 +86,7 @@ def _each(axes: Ints, frames: Floats) -> Iterator[tuple[int, Floats]]:
     return zip(axes.tolist(), frames, strict=True)
 
 
-def _walked(
+def _element_frames(
     robot: Robot, q: Floats, hung: Deflection
 ) -> tuple[dict[int, Floats], dict[int, Place], dict[int, Place], Floats]:
     """Where the moving elements stand before and after they move and behind their twists, and the flange."""
@@ -106,7 +108,7 @@ def _walked(
         if element.joint is not None:
             after[k] = R, p
             if k in behind_joint and len(hung.xi):
-                step = np.stack([twisted(xi[:3], xi[3:]) for xi in hung.xi[:, behind_joint[k]]])
+                step = np.stack([pose_from_twist(xi[:3], xi[3:]) for xi in hung.xi[:, behind_joint[k]]])
                 R, p = R @ step[:, :3, :3], p + np.einsum("nab,nb->na", R, step[:, :3, 3])
             behind[k] = R, p
     return before, after, behind, p

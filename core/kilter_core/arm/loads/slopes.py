@@ -54,36 +54,36 @@ class LoadSlopes:
     @cached_property
     def bodies(self) -> tuple[int, ...]:
         """Links (from 0) that have a mass; their errors come first."""
-        return weighed(self.robot)
+        return links_with_mass(self.robot)
 
     @cached_property
-    def loaded(self) -> bool:
+    def has_payload(self) -> bool:
         """Whether any row carries a payload."""
         if self.whole is not None:
-            return self.whole[0].loaded
+            return self.whole[0].has_payload
         kg = self.rows.payload_kg
         return kg is not None and bool(np.any(kg > 0.0))
 
-    def part(self, rows: slice) -> LoadSlopes:
+    def select_rows(self, rows: slice) -> LoadSlopes:
         """The same of some of the rows, as views of what is computed for all."""
         deflection = None if self.deflection is None else self.deflection.select(rows)
         return LoadSlopes(self.robot, self.rows.select(rows), deflection, (self, rows))
 
     def __len__(self) -> int:
-        return EACH * (len(self.bodies) + self.loaded)
+        return EACH * (len(self.bodies) + self.has_payload)
 
     @property
     def payload(self) -> tuple[int, ...]:
         """Columns of the payload; none without one."""
         return tuple(range(EACH * len(self.bodies), len(self)))
 
-    def of(self, name: str, part: int) -> Floats:
+    def component_slopes(self, name: str, part: int) -> Floats:
         """Of a component of the loads as a batch names them, (K, N, n); of the base's (K, N)."""
         if self.whole is not None:
-            return self.whole[0].of(name, part)[:, self.whole[1]]
+            return self.whole[0].component_slopes(name, part)[:, self.whole[1]]
         parts = _group(name, part)
         if (name, parts) not in self._made:
-            self._made[name, parts] = self._at_rest(name, parts) if self._rests else self._moving(name, parts)
+            self._made[name, parts] = self._static_slopes(name, parts) if self._rests else self._moving(name, parts)
         made: Floats = self._made[name, parts][parts.index(part)]
         return made[:, :, 0] if name == "base_wrench" else made
 
@@ -91,16 +91,16 @@ class LoadSlopes:
         """Changes (C, N, n) of components of the loads, of the base's (C, N), by load errors (K,)."""
         whole = self.whole[0] if self.whole is not None else self
         if not self._rests or any((name, _group(name, part)) in whole._made for part in parts):
-            made = (self.of(name, part) for part in parts)
+            made = (self.component_slopes(name, part) for part in parts)
             return np.stack([(errors @ by.reshape(len(by), -1)).reshape(by.shape[1:]) for by in made])
-        found = self._at_rest(name, parts, errors)[:, 0]  # no slopes are kept that no derivative asked for
+        found = self._static_slopes(name, parts, errors)[:, 0]  # no slopes are kept that no derivative asked for
         return found[:, :, 0] if name == "base_wrench" else found
 
     @property
     def _rests(self) -> bool:
         return self.rows.qd is None or self.rows.qdd is None
 
-    def _at_rest(self, name: str, parts: tuple[int, ...], errors: Floats = NONE) -> Floats:
+    def _static_slopes(self, name: str, parts: tuple[int, ...], errors: Floats = NONE) -> Floats:
         """Slopes (C, K, N, n), or with ``errors (K,)`` changes (C, 1, N, n)."""
         robot, n = self.robot, self.robot.n_joints
         components = np.tile(np.array(parts), (1 if name == "base_wrench" else n, 1))
@@ -108,14 +108,14 @@ class LoadSlopes:
             components[:, 0] = [ABOUT if joint.kind == "revolute" else ALONG for joint in robot.joints]
         program = robot.chain.program
         found = self._on_axes(program.primary, program.joint_frame, POINTS[name], components, errors)
-        if name != "axial" or not robot.chain.linked:
+        if name != "axial" or not robot.chain.linkage_axes:
             return found
-        followers = [robot.chain.elements[k] for k in robot.chain.linked]
+        followers = [robot.chain.elements[k] for k in robot.chain.linkage_axes]
         frames = np.stack([axis_frame(e.axis) for e in followers])
         at = np.array([[ABOUT if e.axis.rotates else ALONG] for e in followers])
-        ours = self._on_axes(np.array(robot.chain.linked, dtype=np.int64), frames, POINTS[name], at, errors)
-        for place, k in enumerate(robot.chain.linked):
-            found[..., followers[place].joint] += robot.chain.carried(k) * ours[..., place]
+        ours = self._on_axes(np.array(robot.chain.linkage_axes, dtype=np.int64), frames, POINTS[name], at, errors)
+        for place, k in enumerate(robot.chain.linkage_axes):
+            found[..., followers[place].joint] += robot.chain.linkage_load_ratio(k) * ours[..., place]
         return found
 
     def _on_axes(self, axes: Ints, frames: Floats, point: int, components: Ints, errors: Floats) -> Floats:
@@ -139,14 +139,19 @@ class LoadSlopes:
 
     def _moving(self, name: str, parts: tuple[int, ...]) -> Floats:
         if name == "base_wrench":
-            return np.stack([self._all[2][..., part] for part in parts])[..., None]
+            return np.stack([self._finite_difference_slopes[2][..., part] for part in parts])[..., None]
         if name != "axial":
-            return np.stack([self._all[name == "end_wrench"][..., part] for part in parts])
+            return np.stack([self._finite_difference_slopes[name == "end_wrench"][..., part] for part in parts])
         revolute = np.array([joint.kind == "revolute" for joint in self.robot.joints])
-        return (np.where(revolute, self._all[0][..., ABOUT], self._all[0][..., ALONG]) + self._all[3])[None]
+        return (
+            np.where(
+                revolute, self._finite_difference_slopes[0][..., ABOUT], self._finite_difference_slopes[0][..., ALONG]
+            )
+            + self._finite_difference_slopes[3]
+        )[None]
 
     @cached_property
-    def _all(self) -> Parts:
+    def _finite_difference_slopes(self) -> Parts:
         """Of the wrenches on joints (K, N, n, 6), ends of links and base (K, N, 6), and of what works on joints through
         linkages (K, N, n), by differences of moving loads.
         """
@@ -169,26 +174,26 @@ class LoadSlopes:
                 )
 
             yield from _of_body(load, link.com)
-        if self.loaded:
+        if self.has_payload:
             assert o.payload_kg is not None
             bare, place = replace(self.robot, links=()), payload_place(o)
             one = np.asarray(o.payload_kg > 0.0, dtype=np.float64)
 
-            def carried(com: Floats, kg: Floats) -> Loads:
+            def payload_loads(com: Floats, kg: Floats) -> Loads:
                 return joint_loads(
                     bare, o.q, qd=o.qd, qdd=o.qdd, payload_kg=kg, payload_com=com, deflection=self.deflection
                 )
 
-            yield _parts(carried(place, one))
+            yield _load_components(payload_loads(place, one))
             for e in np.eye(3):
-                yield _half(carried(place + e, o.payload_kg), carried(place - e, o.payload_kg))
+                yield _half(payload_loads(place + e, o.payload_kg), payload_loads(place - e, o.payload_kg))
 
 
 def _group(name: str, part: int) -> tuple[int, ...]:
     return next(parts for parts in TOGETHER[name] if part in parts)
 
 
-def weighed(robot: Robot) -> tuple[int, ...]:
+def links_with_mass(robot: Robot) -> tuple[int, ...]:
     """Links (from 0) that have a mass."""
     return tuple(k for k, link in enumerate(robot.links) if link.mass > 0.0)
 
@@ -203,15 +208,15 @@ def payload_sensitivity(robot: Robot, o: Observations, deflection: Deflection | 
     if not len(o):
         return np.zeros((*o.q.shape, EACH))
     one = Observations(o.q, qd=o.qd, qdd=o.qdd, payload_kg=np.ones(len(o)), payload_com=o.payload_com)
-    return np.moveaxis(LoadSlopes(replace(robot, links=()), one, deflection).of("axial", 0), 0, 2)
+    return np.moveaxis(LoadSlopes(replace(robot, links=()), one, deflection).component_slopes("axial", 0), 0, 2)
 
 
 def with_masses(robot: Robot, change: Sequence[float]) -> Robot:
     """The robot whose loads are those of ``robot`` with the link errors ``change``, as :class:`LoadSlopes` orders them."""
     links = list(robot.links)
-    for n, k in enumerate(weighed(robot)):
+    for n, k in enumerate(links_with_mass(robot)):
         mass, *moment = change[EACH * n : EACH * n + EACH]
-        links[k] = _changed(links[k], mass, np.array(moment))
+        links[k] = _link_with_added_mass(links[k], mass, np.array(moment))
     return replace(robot, links=tuple(links))
 
 
@@ -224,7 +229,7 @@ def with_payload(kg: float, com: Sequence[float], change: Sequence[float]) -> tu
     return whole, tuple(float(c + s) for c, s in zip(com, shift, strict=True))
 
 
-def _changed(link: Link, mass: float, moment: Floats) -> Link:
+def _link_with_added_mass(link: Link, mass: float, moment: Floats) -> Link:
     """The inertia about the stated centre grows by the added mass only in second order, which is taken off again."""
     whole = link.mass + mass
     whole = whole if abs(whole) > LIGHTEST_KG else LIGHTEST_KG
@@ -233,17 +238,17 @@ def _changed(link: Link, mass: float, moment: Floats) -> Link:
 
 
 def _of_body(load: Callable[[Floats], Loads], com: Floats) -> Iterator[Parts]:
-    yield _parts(load(com))
+    yield _load_components(load(com))
     for e in np.eye(3):
         yield _half(load(com + e), load(com - e))
 
 
-def _parts(loads: Loads) -> Parts:
+def _load_components(loads: Loads) -> Parts:
     linked = np.zeros(loads.joints.shape[:2]) if loads.linked is None else loads.linked
     return loads.joints, loads.ends, loads.base, linked
 
 
 def _half(ahead: Loads, behind: Loads) -> Parts:
     """Half the difference: a body's load is quadratic in its place at most, so any width is exact."""
-    one, other = _parts(ahead), _parts(behind)
+    one, other = _load_components(ahead), _load_components(behind)
     return tuple((a - b) / 2.0 for a, b in zip(one, other, strict=True))

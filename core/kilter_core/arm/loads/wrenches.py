@@ -84,7 +84,9 @@ def joint_loads(
     )
     loads = _wrenches(robot, chain.program.primary, chain.program.joint_frame, q, *given)
     on_links = (
-        None if link_mass is None and link_wrench is None else OnLinks.of(robot, q, link_mass, link_wrench, given[-1])
+        None
+        if link_mass is None and link_wrench is None
+        else OnLinks.from_link_loads(robot, q, link_mass, link_wrench, given[-1])
     )
     if on_links is not None:
         own = chain.program.primary, chain.program.joint_frame
@@ -92,10 +94,10 @@ def joint_loads(
             loads, joints=loads.joints + on_links.on_axes(*own), ends=loads.ends + on_links.on_ends(*own),
             base=loads.base + on_links.on_base(),
         )  # fmt: skip
-    if not chain.linked:
+    if not chain.linkage_axes:
         return loads
-    followers = np.array(chain.linked, dtype=np.int64)
-    frames = np.stack([axis_frame(chain.elements[k].axis) for k in chain.linked])
+    followers = np.array(chain.linkage_axes, dtype=np.int64)
+    frames = np.stack([axis_frame(chain.elements[k].axis) for k in chain.linkage_axes])
     found = _wrenches(robot, followers, frames, q, *given).joints
     if on_links is not None:
         found = found + on_links.on_axes(followers, frames)
@@ -105,10 +107,10 @@ def joint_loads(
 def through_linkages(robot: Robot, wrenches: Floats) -> Floats:
     """What works on each joint (..., n) through linkages, by the wrenches (..., m, 6) on the linked axes in their frames."""
     out = np.zeros((*wrenches.shape[:-2], robot.n_joints))
-    for place, k in enumerate(robot.chain.linked):
+    for place, k in enumerate(robot.chain.linkage_axes):
         element = robot.chain.elements[k]
         component = ABOUT if element.axis.rotates else ALONG
-        out[..., element.joint] += robot.chain.carried(k) * wrenches[..., place, component]
+        out[..., element.joint] += robot.chain.linkage_load_ratio(k) * wrenches[..., place, component]
     return out
 
 
@@ -149,7 +151,7 @@ def _wrenches(
     return loads
 
 
-def loads_of(robot: Robot, o: Observations, deflection: Deflection | None = None) -> Loads:
+def row_load_wrenches(robot: Robot, o: Observations, deflection: Deflection | None = None) -> Loads:
     """Load wrenches of rows under their own conditions: motion, payload, the wrench on the tool, and loads on links."""
     return joint_loads(
         robot, o.q, qd=o.qd, qdd=o.qdd, payload_kg=o.payload_kg, payload_com=o.payload_com, external=o.wrench,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from kilter_core.arm.kernels.compiled import EXACT, compiled
-from kilter_core.arm.kernels.se3 import exponential, product, rotated_z, shifted_z, sine_cosine_near, tilted
+from kilter_core.arm.kernels.compiled import EXACT, compile_kernel
+from kilter_core.arm.kernels.se3 import exponential, product, rotate_about_xy, rotated_z, shifted_z, sine_cosine_near
 from kilter_core.correct.kernels.layout import (
     BASE_FRAME,
     BEHIND_TWIST,
@@ -31,7 +31,7 @@ from kilter_core.correct.kernels.layout import (
 )
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _constant(P, k, c):
     """Constant transform in P[k, c:c + 12] as (R row by row, p)."""
     return (
@@ -40,7 +40,7 @@ def _constant(P, k, c):
     )  # fmt: skip
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def wanted_tool(P, W, m, oj, lines):
     """Tool frame of the nominal chain at the wanted joints; writes nothing but, when told to, the joint lines."""
     T = _constant(P, 0, NOMINAL)
@@ -57,7 +57,7 @@ def wanted_tool(P, W, m, oj, lines):
     return product(T, _constant(P, m, NOMINAL))
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def load_frames(P, W, at, m, oj):
     """Frames of the load chain, in rows from ``at`` on (0: the nominal one), at the command into W; returns the tool."""
     T = _constant(P, at, NOMINAL)
@@ -75,8 +75,8 @@ def load_frames(P, W, at, m, oj):
     return product(T, _constant(P, at + m, NOMINAL))
 
 
-@compiled(**EXACT)
-def _moved(P, W, k, j, T):
+@compile_kernel(**EXACT)
+def _frame_after_move(P, W, k, j, T):
     """Frame T behind move k at the command of joint row j with its local correction."""
     if P[k, KIND] == 0.0:
         shift = P[k, RATIO] * (W[j, COMMAND] - W[j, WANTED] + W[j, SHIFT])
@@ -85,7 +85,7 @@ def _moved(P, W, k, j, T):
     return shifted_z(T, P[k, RATIO] * (W[j, COMMAND] + W[j, SHIFT]))
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def hanging_frames(P, W, at, m, oj):
     """Frames of the load chain at the command with the local corrections in W, and those behind the twists, into W."""
     T = _constant(P, at, NOMINAL)
@@ -93,14 +93,14 @@ def hanging_frames(P, W, at, m, oj):
         if k > 0:
             T = product(T, _constant(P, at + k, NOMINAL))
         j = oj + int(P[k, JOINT])
-        T = _moved(P, W, k, j, T)
+        T = _frame_after_move(P, W, k, j, T)
         _put_frame(W, k, 0, T)
         if P[k, PRIMARY] >= 0.0:
-            T = _twisted(P, W, j, T)
+            T = _frame_after_twist(P, W, j, T)
         _put_frame(W, k, BEHIND_TWIST, T)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _put_frame(W, k, c, T):
     """Write the frame T to W[k, c:c + 12]."""
     W[k, c], W[k, c + 1], W[k, c + 2], W[k, c + 3] = T[0], T[1], T[2], T[3]
@@ -108,8 +108,8 @@ def _put_frame(W, k, c, T):
     W[k, c + 8], W[k, c + 9], W[k, c + 10], W[k, c + 11] = T[8], T[9], T[10], T[11]
 
 
-@compiled(**EXACT)
-def _twisted(P, W, j, T):
+@compile_kernel(**EXACT)
+def _frame_after_twist(P, W, j, T):
     """Frame T behind the twist of joint row j."""
     if P[j, TWISTED] != 0.0:
         t = W[j]
@@ -117,10 +117,10 @@ def _twisted(P, W, j, T):
             T,
             exponential(t[TWIST], t[TWIST + 1], t[TWIST + 2], t[TWIST + 3], t[TWIST + 4], t[TWIST + 5]),
         )
-    return tilted(T, W[j, TWIST + 3], W[j, TWIST + 4])
+    return rotate_about_xy(T, W[j, TWIST + 3], W[j, TWIST + 4])
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _base_frame(P, W, m):
     """Start of the identified chain: a base mount that deflects tilts it by the load on the base."""
     S = P.shape[0] - 1
@@ -128,10 +128,10 @@ def _base_frame(P, W, m):
         return _constant(P, 0, IDENTIFIED)
     x = P[S - 1, MOUNT_X] * (W[m, ON_BASE] + P[S - 1, FIXED_MOMENT_X])
     y = P[S - 1, MOUNT_Y] * (W[m, ON_BASE + 1] + P[S - 1, FIXED_MOMENT_Y])
-    return product(tilted(_constant(P, S - 1, BASE_FRAME), x, y), _constant(P, S - 1, FIRST_MOVE))
+    return product(rotate_about_xy(_constant(P, S - 1, BASE_FRAME), x, y), _constant(P, S - 1, FIRST_MOVE))
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def identified_tool(P, W, m, oj):
     """Tool frame of the identified chain at the command, with the local corrections in W; joint lines into W."""
     T = _base_frame(P, W, m)
@@ -139,9 +139,9 @@ def identified_tool(P, W, m, oj):
         if k > 0:
             T = product(T, _constant(P, k, IDENTIFIED))
         j = oj + int(P[k, JOINT])
-        T = _moved(P, W, k, j, T)
+        T = _frame_after_move(P, W, k, j, T)
         W[k, LINE], W[k, LINE + 1], W[k, LINE + 2] = T[2], T[5], T[8]
         W[k, LINE + 3], W[k, LINE + 4], W[k, LINE + 5] = T[9], T[10], T[11]
         if P[k, PRIMARY] >= 0.0:
-            T = _twisted(P, W, j, T)
+            T = _frame_after_twist(P, W, j, T)
     return product(T, _constant(P, m, IDENTIFIED))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from kilter_core.arm.kernels.compiled import EXACT, compiled
+from kilter_core.arm.kernels.compiled import EXACT, compile_kernel
 from kilter_core.correct.kernels.layout import DOUBT_AT, DOUBTS, HIGHEST_OF_BOX, LOWEST_OF_BOX, UNSURE, WANTED
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def flag_doubts(P, W, S, n, m):
     """Return the flag UNSURE where the wanted joints are in a box of doubt, else 0."""
     first = int(P[S, DOUBT_AT])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from kilter_core.arm.kernels.compiled import EXACT, compiled
+from kilter_core.arm.kernels.compiled import EXACT, compile_kernel
 from kilter_core.arm.kernels.se3 import cross, sine_cosine, sine_cosine_octant
 from kilter_core.correct.kernels.layout import (
     AMPLITUDE_A,
@@ -76,7 +76,7 @@ NO_MOMENT = 1e-9
 SOFT, COUNTS = 3.8, 3e-7
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _soft_sign(x, width):
     """sign(x), or tanh(x / width): beyond 19.1 widths the two are the same number."""
     size = abs(x)
@@ -85,8 +85,8 @@ def _soft_sign(x, width):
     return math.copysign(1.0 - 2.0 / (math.exp(2.0 * size / width) + 1.0), x)
 
 
-@compiled(**EXACT)
-def _bounded(a):
+@compile_kernel(**EXACT)
+def _soft_saturation(a):
     """a / sqrt(1 + a²); the series is exact up to a degree."""
     z = a * a
     if z < 4e-4:
@@ -94,7 +94,7 @@ def _bounded(a):
     return a / math.sqrt(1.0 + z)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _clearance_tilt(P, j, x, y, soft):
     """Tilt of a joint in its clearance (thesis eq. 5.16-5.18) towards the transverse load (x, y)."""
     t = P[j, TILT]
@@ -110,10 +110,10 @@ def _clearance_tilt(P, j, x, y, soft):
     else:
         h = 1.0 / math.sqrt(x * x + y * y)
         s, c = ax * h, ay * h
-    return _bounded(t * s * _soft_sign(x, soft)), _bounded(t * c * _soft_sign(y, soft))
+    return _soft_saturation(t * s * _soft_sign(x, soft)), _soft_saturation(t * c * _soft_sign(y, soft))
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _rate_limited(last, target, reach):
     """``target``, or as far towards it from ``last`` as ``reach`` allows."""
     change = target - last
@@ -122,7 +122,7 @@ def _rate_limited(last, target, reach):
     return last + math.copysign(reach, change)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _signs(P, W, j, tilt_soft, play_soft):
     """Tilt about x and y of a joint and the side of its backlash, at the loads and the direction of now."""
     a, b = _clearance_tilt(P, j, W[j, MOMENT], W[j, MOMENT + 1], tilt_soft)
@@ -133,8 +133,8 @@ def _signs(P, W, j, tilt_soft, play_soft):
     return a, b, side
 
 
-@compiled(**EXACT)
-def _softened(P, W, j, a, b, side):
+@compile_kernel(**EXACT)
+def _is_sign_softened(P, W, j, a, b, side):
     """Whether a sign of a joint is softer now than the version has it, by as much as counts."""
     soft, about = P[j, TILT_SOFT], abs(W[j, MOMENT + 2])
     near = P[j, TILT] != 0.0 and min(abs(W[j, MOMENT]), abs(W[j, MOMENT + 1])) < SOFT * soft and soft > P[j, TILT_OWN]
@@ -147,14 +147,14 @@ def _softened(P, W, j, a, b, side):
     return max(max(abs(own_a - a), abs(own_b - b)), abs(own_side - side)) > COUNTS
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def sign_effects(P, W, state, n, oj, dt):
     """Effects with a sign: tilt and backlash of every joint, held to its rate from the last answer; flags of that."""
     flags = 0
     for i in range(n):
         j = oj + i
         a, b, side = _signs(P, W, j, P[j, TILT_SOFT], P[j, PLAY_SOFT])
-        if _softened(P, W, j, a, b, side):
+        if _is_sign_softened(P, W, j, a, b, side):
             flags |= NEAR_REVERSAL
         if dt < math.inf:
             reach = P[j, RATE] * dt
@@ -168,7 +168,7 @@ def sign_effects(P, W, state, n, oj, dt):
     return flags
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def own_signs(P, W, n, oj):
     """Tilts and sides as the version has them at the loads of now, neither softened nor held; the others are kept."""
     for j in range(oj, oj + n):
@@ -176,14 +176,14 @@ def own_signs(P, W, n, oj):
         W[j, TILT_A], W[j, TILT_B], W[j, SIDE] = _signs(P, W, j, P[j, TILT_OWN], P[j, PLAY_OWN])
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def kept_signs(W, n, oj):
     """Tilts and sides as they were before :func:`own_signs`."""
     for j in range(oj, oj + n):
         W[j, TILT_A], W[j, TILT_B], W[j, SIDE] = W[j, KEPT], W[j, KEPT + 1], W[j, KEPT + 2]
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _curve(P, W, row, oj):
     """What a curve says at the command."""
     shape = P[row, SHAPE]
@@ -211,7 +211,7 @@ def _curve(P, W, row, oj):
     return -P[row, AMPLITUDE_A] * s * (1.0 - P[row, EXTRA + 3] / length)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _joint_curves(P, W, n, m, oj):
     """Add what the curves of the joints say at the command, to it or to the twist behind it."""
     first = m + 1 + n
@@ -227,7 +227,7 @@ def _joint_curves(P, W, n, m, oj):
         W[j, at] += value
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _reach(P, W, row, j):
     """Power of the length that stands out at joint row j; 1 where a bending row has none."""
     length = max(0.0, P[row, WAY] * (W[j, COMMAND] - P[row, ROOTED]))
@@ -237,7 +237,7 @@ def _reach(P, W, row, j):
     return out
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _bending_rows(P, W, n, m, oj):
     """Add the twists of the bending rows: linear in the loads on a joint and on the end of its link."""
     S = P.shape[0] - 1
@@ -260,7 +260,7 @@ def _bending_rows(P, W, n, m, oj):
             W[j, at] += reach * total
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def deflections(P, W, n, m, oj, sided):
     """What every joint adds to its command, and the twist behind it, at the loads and signs now in W.
 

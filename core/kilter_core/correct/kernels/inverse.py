@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from kilter_core.arm.kernels.compiled import EXACT, compiled
+from kilter_core.arm.kernels.compiled import EXACT, compile_kernel
 from kilter_core.arm.kernels.se3 import cross, rotation_between, sine_cosine
 from kilter_core.correct.kernels.chain import hanging_frames, identified_tool, load_frames, wanted_tool
 from kilter_core.correct.kernels.effects import deflections, kept_signs, own_signs, sign_effects
@@ -69,7 +69,7 @@ NEWTON_ROUNDS = 6
 WAYPOINTS, WAY_STEP = 16, 1e-6
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _jacobian(P, W, S, T, n, m, oj, rows):
     """Weighted task rows of the identified Jacobian by joint, column r of the joint rows (rotations in the tool frame).
 
@@ -97,7 +97,7 @@ def _jacobian(P, W, S, T, n, m, oj, rows):
             W[j, COLUMN + r] += ratio * v
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _residual(P, W, S, og, rows, wanted, actual):
     """Weighted task errors into the task rows; returns the distance of the tool points by axis."""
     d0, d1, d2 = wanted[9] - actual[9], wanted[10] - actual[10], wanted[11] - actual[11]
@@ -111,7 +111,7 @@ def _residual(P, W, S, og, rows, wanted, actual):
     return d0, d1, d2
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _command(W, n, oj, og, share):
     """Commands from the multipliers, or a share of the way there; returns the largest change of a joint."""
     largest = 0.0
@@ -122,7 +122,7 @@ def _command(W, n, oj, og, share):
     return largest
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _loads_where_it_hangs(P, W, S, n, m, oj, dynamic):
     """Load moments at the frames now in W, then where these loads leave the arm with backlash and clearance in their middle."""
     load_moments(P, W, S, m, oj, dynamic, 0)
@@ -132,7 +132,7 @@ def _loads_where_it_hangs(P, W, S, n, m, oj, dynamic):
         load_moments(P, W, S, m, oj, dynamic, BEHIND_TWIST)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _settle_on_sides(P, W, S, n, m, oj, dynamic):
     """What every joint adds with the sides now in W, and the loads where that leaves the arm."""
     deflections(P, W, n, m, oj, True)
@@ -142,7 +142,7 @@ def _settle_on_sides(P, W, S, n, m, oj, dynamic):
         deflections(P, W, n, m, oj, True)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def prepare(P, W, n, m, oj):
     """Start the search at the wanted joints plus the guess."""
     for i in range(n):
@@ -155,7 +155,7 @@ def prepare(P, W, n, m, oj):
             W[k, SINE], W[k, COSINE] = s, c
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def solve(P, W, state, info, n, m, dynamic, dt, warm, rounds):
     """Find the command whose identified pose is the wanted one, in at most ``rounds``; leaves it in W, returns the flags."""
     oj, og, S = m + 1, m + 1 + n, P.shape[0] - 1
@@ -202,13 +202,13 @@ def solve(P, W, state, info, n, m, dynamic, dt, warm, rounds):
     if it + 1 < rounds:
         _left_after_step(P, W, S, info, n, oj, rows, d, rotation_between(actual, wanted))
     else:
-        left_at(P, W, S, info, n, m, oj, dynamic, wanted, False)
+        evaluate_remaining_error(P, W, S, info, n, m, oj, dynamic, wanted, False)
     if made & (SATURATED | DAMPED):
         shorten(P, W, S, info, n, m, dynamic, wanted)
     return flags | made | signs | _report(P, W, S, info, n, oj, og, rows)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _left_after_step(P, W, S, info, n, oj, rows, d, rotation):
     """What is left after the last step of the search, which was small: its Jacobian tells the step's share."""
     square = 0.0
@@ -225,8 +225,8 @@ def _left_after_step(P, W, S, info, n, oj, rows, d, rotation):
     info[LEFT_TURN] = math.sqrt(square)
 
 
-@compiled(**EXACT)
-def left_at(P, W, S, info, n, m, oj, dynamic, wanted, own):
+@compile_kernel(**EXACT)
+def evaluate_remaining_error(P, W, S, info, n, m, oj, dynamic, wanted, own):
     """What is left of the tool's error at the commands in W, evaluated there; ``own``: by the signs of the version itself."""
     at = int(P[S, LOAD_CHAIN])
     if P[S, LOADED] != 0.0:
@@ -244,17 +244,17 @@ def left_at(P, W, S, info, n, m, oj, dynamic, wanted, own):
     info[LEFT_TURN] = math.sqrt(x * x + y * y + z * z)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _left_on_way(P, W, S, info, n, m, dynamic, wanted, share):
     """What is left of the point's error (3,) with a share of the correction in W."""
     oj = m + 1
     for j in range(oj, oj + n):
         W[j, COMMAND] = W[j, WANTED] + share * W[j, STEPPED]
-    left_at(P, W, S, info, n, m, oj, dynamic, wanted, False)
+    evaluate_remaining_error(P, W, S, info, n, m, oj, dynamic, wanted, False)
     return info[LEFT], info[LEFT + 1], info[LEFT + 2]
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _square(share, none, half, whole):
     """Squared distance of the point on the parabola through its places with none, half and the whole of a correction."""
     total = 0.0
@@ -265,7 +265,7 @@ def _square(share, none, half, whole):
     return total
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def shorten(P, W, S, info, n, m, dynamic, wanted):
     """Of a correction that does not reach, keep the share that brings the point closest: its way may bend past that.
 
@@ -297,7 +297,7 @@ def shorten(P, W, S, info, n, m, dynamic, wanted):
     return high
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _report(P, W, S, info, n, oj, og, rows):
     """Residual of the tool point and of the first task; returns the flags of what is left."""
     first, total = int(P[S, FIRST]), 0.0

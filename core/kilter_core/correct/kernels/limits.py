@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from kilter_core.arm.kernels.compiled import EXACT, compiled
+from kilter_core.arm.kernels.compiled import EXACT, compile_kernel
 from kilter_core.correct.kernels.layout import (
     ADDED,
     COLUMN,
@@ -36,7 +36,7 @@ from kilter_core.correct.kernels.solver import (
 )
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def factor_task(P, W, S, n, og, rows):
     """Factor J J' with what damps the orientation: nothing unless the posture makes a rotation of the tool weak.
 
@@ -61,7 +61,7 @@ def factor_task(P, W, S, n, og, rows):
         factor(W, og)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def aim(P, W, S, n, oj, og, rows):
     """Multipliers of the correction, within its limits; returns the flags."""
     flags = 0
@@ -85,8 +85,8 @@ def aim(P, W, S, n, oj, og, rows):
     return flags | _within_point_first(P, W, S, n, oj, og)
 
 
-@compiled(**EXACT)
-def _part(P, W, n, oj, og):
+@compile_kernel(**EXACT)
+def _correction_size(P, W, n, oj, og):
     """Length of the correction of the multipliers, and its largest part of a limit."""
     square, part = 0.0, 0.0
     for j in range(oj, oj + n):
@@ -96,7 +96,7 @@ def _part(P, W, n, oj, og):
     return math.sqrt(square), part
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _weak(P, S, error, length, part):
     """Damping (m/rad)² of a task that asks more of the joints than their limit: 0 unless the posture makes it weak.
 
@@ -110,16 +110,16 @@ def _weak(P, S, error, length, part):
     return 0.25 * max(0.0, bound * bound - gain * gain)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _scale(W, og, rows, part):
     for r in range(rows):
         W[og + r, MULTIPLIER] /= part
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _within_whole(P, W, S, n, oj, og, rows):
     """All rows are one task: damped where the posture makes it weak, else scaled down to the limit."""
-    length, part = _part(P, W, n, oj, og)
+    length, part = _correction_size(P, W, n, oj, og)
     if part <= 1.0:
         return 0
     error = 0.0
@@ -130,7 +130,7 @@ def _within_whole(P, W, S, n, oj, og, rows):
         damp(W, og, 0, rows, amount)
         factor(W, og)
         solve_factored(W, og)
-        length, part = _part(P, W, n, oj, og)
+        length, part = _correction_size(P, W, n, oj, og)
         damp(W, og, 0, rows, -amount)
         factor(W, og)
     if part > 1.0:
@@ -138,7 +138,7 @@ def _within_whole(P, W, S, n, oj, og, rows):
     return DAMPED if amount > 0.0 else SATURATED
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _within_point_first(P, W, S, n, oj, og):
     """The point keeps what it needs, the rotation gets what is left; then the point is damped, then scaled down."""
     e0, e1, e2 = W[og, RIGHT], W[og + 1, RIGHT], W[og + 2, RIGHT]
@@ -164,7 +164,7 @@ def _within_point_first(P, W, S, n, oj, og):
     W[og, MULTIPLIER], W[og + 1, MULTIPLIER], W[og + 2, MULTIPLIER] = y0, y1, y2
     for r in range(3, 6):
         W[og + r, MULTIPLIER] = 0.0
-    _, part = _part(P, W, n, oj, og)
+    _, part = _correction_size(P, W, n, oj, og)
     if part > 1.0:
         _scale(W, og, 3, part)
     return DAMPED if amount > 0.0 else SATURATED

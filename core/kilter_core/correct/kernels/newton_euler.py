@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kilter_core.arm.kernels.compiled import EXACT, compiled
+from kilter_core.arm.kernels.compiled import EXACT, compile_kernel
 from kilter_core.arm.kernels.se3 import cross
 from kilter_core.correct.kernels.layout import (
     ACCEL_NOW,
@@ -26,7 +26,7 @@ from kilter_core.correct.kernels.layout import (
 )
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def load_moments(P, W, S, m, oj, dynamic, ride):
     """Load moments at the frames now in W; bending rows and the base mount need whole wrenches, which the general pass has.
 
@@ -38,7 +38,7 @@ def load_moments(P, W, S, m, oj, dynamic, ride):
         _static_moments(P, W, S, m, oj, ride)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _static_moments(P, W, S, m, oj, ride):
     """Load moments in the joint frames from gravity alone: mass and first moment, from the tool inwards."""
     g0, g1, g2 = P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2]
@@ -59,7 +59,7 @@ def _static_moments(P, W, S, m, oj, ride):
         _static_linkages(P, W, S, m, oj, ride)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _static_linkages(P, W, S, m, oj, ride):
     """Add what works on the joints through linkages from gravity alone, see :func:`_static_moments`."""
     g0, g1, g2 = P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2]
@@ -78,7 +78,7 @@ def _static_linkages(P, W, S, m, oj, ride):
             _through_linkage(P, W, k, oj + int(P[k, JOINT]), t0, t1, t2, mass * g0, mass * g1, mass * g2)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _through_linkage(P, W, k, j, x, y, z, f0, f1, f2):
     """Add what of a load on axis k, in base coordinates, works on joint row j through a linkage (virtual work)."""
     if P[k, KIND] == 0.0:
@@ -87,7 +87,7 @@ def _through_linkage(P, W, k, j, x, y, z, f0, f1, f2):
         W[j, MOMENT + 2] += P[k, CARRIED] * (W[k, 2] * f0 + W[k, 5] * f1 + W[k, 8] * f2)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _point(W, k, ride, x, y, z):
     """Base coordinates of a point of the frame of row k from column ride on."""
     return (
@@ -97,7 +97,7 @@ def _point(W, k, ride, x, y, z):
     )
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _to_joint(P, W, k, j, x, y, z, f0, f1, f2):
     """Rotate a load in base coordinates into frame k and keep it for joint row j: two moments across, one along the axis.
 
@@ -111,7 +111,7 @@ def _to_joint(P, W, k, j, x, y, z, f0, f1, f2):
         W[j, MOMENT + 2] = W[k, 2] * f0 + W[k, 5] * f1 + W[k, 8] * f2
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _point_acceleration(w, dw, r0, r1, r2):
     """Acceleration of a point at r on a body that rotates with w and dw: dw x r + w x (w x r)."""
     a0, a1, a2 = cross(dw[0], dw[1], dw[2], r0, r1, r2)
@@ -120,7 +120,7 @@ def _point_acceleration(w, dw, r0, r1, r2):
     return a0 + u0, a1 + u1, a2 + u2
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _inward(W, k, ride, x, y, z):
     """A vector in base coordinates rotated into the frame of row k from column ride on."""
     return (
@@ -130,7 +130,7 @@ def _inward(W, k, ride, x, y, z):
     )
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _body_load(P, row, w, dw, a):
     """Force and moment about the origin of its frame of the body in row ``row``, in the axes of that frame (d'Alembert).
 
@@ -153,7 +153,7 @@ def _body_load(P, row, w, dw, a):
     return f0, f1, f2, m0, m1, m2
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _body_wrench(P, W, row, k, ride, w, dw, a):
     """Load of the body in row ``row`` that rides on the frame of row k, column ride, about the base origin and in its axes."""
     if P[row, MASS] == 0.0:
@@ -171,7 +171,7 @@ def _body_wrench(P, W, row, k, ride, w, dw, a):
     W[row, LOAD + 5] = t2 + W[k, ride + 6] * y0 + W[k, ride + 7] * y1 + W[k, ride + 8] * y2
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _moving_bodies(P, W, S, m, oj, ride):
     """Outward pass of Newton and Euler in base coordinates: load of every body into W."""
     g0, g1, g2 = P[S, GRAVITY], P[S, GRAVITY + 1], P[S, GRAVITY + 2]
@@ -205,7 +205,7 @@ def _moving_bodies(P, W, S, m, oj, ride):
             _body_wrench(P, W, m, k, ride, inside, turning, falling)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _dynamic_moments(P, W, S, m, oj, ride):
     """Load moments in the joint frames from gravity and motion (thesis eq. 5.14, with the sign of the load)."""
     _moving_bodies(P, W, S, m, oj, ride)
@@ -229,7 +229,7 @@ def _dynamic_moments(P, W, S, m, oj, ride):
         _dynamic_linkages(P, W, m, oj)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _dynamic_linkages(P, W, m, oj):
     """Add what works on the joints through linkages, from the loads of the bodies in W."""
     f = (W[m, LOAD], W[m, LOAD + 1], W[m, LOAD + 2])
@@ -242,7 +242,7 @@ def _dynamic_linkages(P, W, m, oj):
             _through_linkage(P, W, k, oj + int(P[k, JOINT]), t[0] - s0, t[1] - s1, t[2] - s2, f[0], f[1], f[2])
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _keep_wrench(W, k, ride, j, column, f, t):
     """A wrench about the base origin as one about and in the frame of row k from column ride on, for joint row j."""
     s0, s1, s2 = cross(W[k, ride + 9], W[k, ride + 10], W[k, ride + 11], f[0], f[1], f[2])

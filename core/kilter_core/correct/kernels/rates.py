@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import math
 
-from kilter_core.arm.kernels.compiled import EXACT, compiled
+from kilter_core.arm.kernels.compiled import EXACT, compile_kernel
 from kilter_core.correct.kernels.chain import wanted_tool
-from kilter_core.correct.kernels.inverse import left_at
+from kilter_core.correct.kernels.inverse import evaluate_remaining_error
 from kilter_core.correct.kernels.layout import (
     AIMED,
     BEHIND,
@@ -46,7 +46,7 @@ MOST_BRAKE = 10.0
 THERE = 1e-12
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _room(P, state, i, j, rate, dt):
     """The most rate at which a joint that goes the way of ``rate`` can still stop at the limit of its correction.
 
@@ -58,7 +58,7 @@ def _room(P, state, i, j, rate, dt):
     return spurt * (room + 0.5 * k * (k + 1.0)) / (k + 1.0)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _toward(P, W, state, n, oj, aim, before, share, dt, fresh, stops):
     """Next place of all joints on the way to column ``aim`` of W, which was at column ``before`` of the state, into NEXT.
 
@@ -97,7 +97,7 @@ def _toward(P, W, state, n, oj, aim, before, share, dt, fresh, stops):
         W[j, NEXT] = state[i, LAST_DELTA] + rate * dt
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _keeps_up(P, W, state, n, oj, dt):
     """Whether the wanted correction itself keeps to the bounds."""
     if state[n, BEHIND] != 0.0:
@@ -120,14 +120,14 @@ def _keeps_up(P, W, state, n, oj, dt):
     return True
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _hold_point(P, W, S, info, n, m, dynamic, wanted):
     """Take back from the aim what the tool point is off there, beside what the search left: the rotation is not quite small."""
     oj, og = m + 1, m + 1 + n
     l0, l1, l2 = info[LEFT], info[LEFT + 1], info[LEFT + 2]
     for j in range(oj, oj + n):
         W[j, COMMAND] = W[j, WANTED] + W[j, AIMED]
-    left_at(P, W, S, info, n, m, oj, dynamic, wanted, False)
+    evaluate_remaining_error(P, W, S, info, n, m, oj, dynamic, wanted, False)
     # Near a singular posture of the point this would ask for too much.
     floor = 0.01 * P[S, WEAK]
     y0, y1, y2 = solve_point(W, og, info[LEFT] - l0, info[LEFT + 1] - l1, info[LEFT + 2] - l2, floor)
@@ -136,7 +136,7 @@ def _hold_point(P, W, S, info, n, m, dynamic, wanted):
         W[j, AIMED] -= W[j, COLUMN] * y0 + W[j, COLUMN + 1] * y1 + W[j, COLUMN + 2] * y2
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def bound_change(P, W, S, state, info, n, m, dynamic, dt, fresh, ramping):
     """Bound the change of the whole correction, from wanted in W to answered; by how much it falls behind."""
     oj, og = m + 1, m + 1 + n

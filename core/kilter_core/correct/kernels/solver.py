@@ -5,14 +5,14 @@ All six rows always, written out: rows that the task does not hold have no Jacob
 
 from __future__ import annotations
 
-from kilter_core.arm.kernels.compiled import EXACT, compiled
+from kilter_core.arm.kernels.compiled import EXACT, compile_kernel
 from kilter_core.correct.kernels.layout import ADDED, COLUMN, COMMAND, MATRIX, MULTIPLIER, RIGHT, WANTED
 
 # No pivot is taken for smaller than this.
 TINY = 1e-12
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def normal_matrix(W, n, oj, og, rows):
     """J J' into the lower half of the task rows, and what the present correction adds to the residual.
 
@@ -46,7 +46,7 @@ def normal_matrix(W, n, oj, og, rows):
         W[og + r, t + r] = 1.0
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def factor(W, og):
     """LDL' of J J' into the task rows, 1 / d on the diagonal; returns the smallest pivot, 0 when there is none."""
     t = MATRIX
@@ -88,7 +88,7 @@ def factor(W, og):
     return smallest
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def expand(W, n, oj, og, rows):
     """What the present correction adds to the residual: J times it."""
     for r in range(6):
@@ -99,14 +99,14 @@ def expand(W, n, oj, og, rows):
             W[og + r, ADDED] += W[j, COLUMN + r] * g
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def damp(W, og, first, last, amount):
     """Add ``amount`` to the diagonal of J J' in the rows from ``first`` to before ``last``."""
     for r in range(first, last):
         W[og + r, MATRIX + r] += amount
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def leverage(W, og):
     """How far, squared, a radian of the joints rotates the tool in its weakest direction while the point stands still.
 
@@ -118,7 +118,7 @@ def leverage(W, og):
     return 1.0 / (W[og + 3, 3] + W[og + 4, 4] * (a * a + 1.0) + W[og + 5, 5] * (e * e + c * c + 1.0))
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def solve_factored(W, og):
     """Multipliers of the right-hand side by the factor."""
     a, b, c, d = og, og + 1, og + 2, og + 3
@@ -139,7 +139,7 @@ def solve_factored(W, og):
         W[og + r, MULTIPLIER] = y
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def solve_point(W, og, e0, e1, e2, floor):
     """Multipliers (3,) of the position rows alone, of J J' in the task rows plus ``floor`` on its diagonal."""
     t = MATRIX
@@ -156,7 +156,7 @@ def solve_point(W, og, e0, e1, e2, floor):
     return e0 * i0 - l10 * y1 - l20 * y2, y1, y2
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def joint_step(W, j, og):
     """Correction of joint row j that the multipliers ask for."""
     return (

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from kilter_core.arm.kernels.compiled import EXACT, compiled
+from kilter_core.arm.kernels.compiled import EXACT, compile_kernel
 from kilter_core.correct.kernels.chain import wanted_tool
 from kilter_core.correct.kernels.doubts import flag_doubts
-from kilter_core.correct.kernels.inverse import left_at, shorten, solve
+from kilter_core.correct.kernels.inverse import evaluate_remaining_error, shorten, solve
 from kilter_core.correct.kernels.layout import (
     ACCEL_NOW,
     AIMED,
@@ -85,8 +85,8 @@ JITTER_S = 1e-3
 LEAST_STEP_S = 1e-6
 
 
-@compiled(**EXACT)
-def _refused(P, state, info, x, n, m, width, dt):
+@compile_kernel(**EXACT)
+def _setpoint_status(P, state, info, x, n, m, width, dt):
     """Status of a setpoint before anything is computed: numbers, limits, speed."""
     for i in range(n * width):
         if not abs(x[i]) < math.inf:
@@ -106,7 +106,7 @@ def _refused(P, state, info, x, n, m, width, dt):
     return RATE_LIMIT if mask != 0 else OK
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _direction(state, W, j, i, x, band, started):
     """Direction of the last motion of a joint: it reverses when the joint comes back by more than the band."""
     sign = state[i, LAST_SIGN] if started else 0.0
@@ -118,7 +118,7 @@ def _direction(state, W, j, i, x, band, started):
     W[j, SIGN], W[j, REVERSED_AT_NEW] = sign, place
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _smooth(state, W, j, i, x, omega, dt, started):
     """Speed and acceleration of a joint by a critically damped filter that looks back only; it lags by 2 / omega."""
     place = state[i, SMOOTH] if started else x
@@ -131,7 +131,7 @@ def _smooth(state, W, j, i, x, omega, dt, started):
     W[j, SMOOTH_SPEED_NEW] = new
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _motion(P, W, state, x, n, m, width, dt):
     """Wanted joints, speeds, accelerations and directions into W; whether the load is dynamic."""
     S = P.shape[0] - 1
@@ -150,7 +150,7 @@ def _motion(P, W, state, x, n, m, width, dt):
     return width == 3 or omega > 0.0
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _ramp(P, W, state, n, m, dt):
     """Advance the ramp from the last version, or from no correction; returns the part that remains, and its length.
 
@@ -175,7 +175,7 @@ def _ramp(P, W, state, n, m, dt):
     return remaining, length
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _verdict(P, W, info, out, flags, n, m):
     """Corrected joints into ``out`` within the limits of correction and joints, and what was held at them into the info.
 
@@ -218,7 +218,7 @@ def _verdict(P, W, info, out, flags, n, m):
     return TOO_LARGE if flags & SATURATED else JOINT_LIMIT
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _look_ahead(W, state, n, m, dt, fresh):
     """Guess the correction from the last ones; whether there was anything to go by."""
     if fresh:
@@ -232,7 +232,7 @@ def _look_ahead(W, state, n, m, dt, fresh):
     return True
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _commit(P, W, state, out, remaining, length, behind, n, m, dt, fresh):
     """Remember what was answered."""
     started = state[n, STARTED] != 0.0
@@ -258,8 +258,8 @@ def _commit(P, W, state, out, remaining, length, behind, n, m, dt, fresh):
     state[n, BEHIND] = 0.0 if behind <= CAUGHT_UP else 1.0
 
 
-@compiled(**EXACT)
-def _tell_left(P, W, S, info, out, n, m, dynamic, near):
+@compile_kernel(**EXACT)
+def _report_remaining_error(P, W, S, info, out, n, m, dynamic, near):
     """What is left of the tool's error at the joints that are answered, by the signs of the version itself, into the info.
 
     ``near``: a sign is softened or held to its rate, which is said where it leaves something.
@@ -267,26 +267,26 @@ def _tell_left(P, W, S, info, out, n, m, dynamic, near):
     oj = m + 1
     for i in range(n):
         W[oj + i, COMMAND] = out[i]
-    left_at(P, W, S, info, n, m, oj, dynamic, wanted_tool(P, W, m, oj, False), True)
+    evaluate_remaining_error(P, W, S, info, n, m, oj, dynamic, wanted_tool(P, W, m, oj, False), True)
     info[2] = math.sqrt(info[LEFT] ** 2 + info[LEFT + 1] ** 2 + info[LEFT + 2] ** 2)
     if not info[2] <= P[S, REACHED]:
         info[0] = int(info[0]) | RESIDUAL | (REVERSING if near else 0)
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def _hold_short(P, W, S, info, out, n, m, dynamic):
     """Go no further to a limit than brings the point closest; the joints into ``out``."""
     oj = m + 1
     for i in range(n):
         W[oj + i, COMMAND] = out[i]
     wanted = wanted_tool(P, W, m, oj, False)
-    left_at(P, W, S, info, n, m, oj, dynamic, wanted, False)
+    evaluate_remaining_error(P, W, S, info, n, m, oj, dynamic, wanted, False)
     shorten(P, W, S, info, n, m, dynamic, wanted)
     for i in range(n):
         out[i] = W[oj + i, COMMAND]
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def correct_setpoint(P, W, state, x, width, dt, out, info):
     """Correct one setpoint of a stream and return its status; only status 0 leaves numbers and changes ``state``."""
     S = P.shape[0] - 1
@@ -296,7 +296,7 @@ def correct_setpoint(P, W, state, x, width, dt, out, info):
         info[i] = 0.0
     for i in range(n):
         out[i] = math.nan
-    status = _refused(P, state, info, x, n, m, width, dt)
+    status = _setpoint_status(P, state, info, x, n, m, width, dt)
     if status != OK:
         return status
     dynamic = _motion(P, W, state, x, n, m, width, dt)
@@ -320,14 +320,14 @@ def correct_setpoint(P, W, state, x, width, dt, out, info):
     if status == OK:
         _commit(P, W, state, out, remaining, length, behind, n, m, dt, fresh)
         if remaining > 0.0 or behind > 0.0 or info[1] != 0.0 or near:
-            _tell_left(P, W, S, info, out, n, m, dynamic, near)
+            _report_remaining_error(P, W, S, info, out, n, m, dynamic, near)
     else:
         for i in range(n):
             out[i] = math.nan
     return status
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def step(memory, program_rows, n, x, width, dt):
     """Correct one setpoint of a stream and return its status; only status 0 leaves numbers and changes the memory.
 
@@ -340,7 +340,7 @@ def step(memory, program_rows, n, x, width, dt):
     return correct_setpoint(P, W, memory[rows - n - 3 : rows - 2], x, width, dt, memory[rows - 2], memory[rows - 1])
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def follow(memory, program_rows, n, x, width, dt, out, info, status):
     """Correct the points of a chunk or trajectory one after another; returns how many came before the first refusal.
 
@@ -359,7 +359,7 @@ def follow(memory, program_rows, n, x, width, dt, out, info, status):
     return x.shape[0]
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def correct_row(P, W, state, x, width, direction, out, info, n, m):
     """Correct one row that follows no other: no ramp, no rate limits; returns its status.
 
@@ -381,14 +381,14 @@ def correct_row(P, W, state, x, width, direction, out, info, n, m):
     if info[1] != 0.0:
         _hold_short(P, W, S, info, out, n, m, width == 3)
     if info[1] != 0.0 or near:
-        _tell_left(P, W, S, info, out, n, m, width == 3, near)
+        _report_remaining_error(P, W, S, info, out, n, m, width == 3, near)
     for i in range(n):
         if not P[m + 1 + i, LOWER] <= x[i] <= P[m + 1 + i, UPPER]:
             status = JOINT_LIMIT
     return status
 
 
-@compiled(**EXACT)
+@compile_kernel(**EXACT)
 def correct_rows(memory, program_rows, n, x, width, direction, out, info, status):
     """Correct N rows that do not follow one another; writes ``out (N, n)``, ``info (N, INFO)`` and ``status (N,)``."""
     rows = memory.shape[0]

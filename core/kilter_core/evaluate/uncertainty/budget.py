@@ -47,7 +47,7 @@ class Budget:
     correlation: float
 
     @staticmethod
-    def of(
+    def from_measurement(
         calibration: Calibration,
         known: Predictive,
         measurement: Measurement,
@@ -63,7 +63,7 @@ class Budget:
             return None
         measurement = measurement.of_tool()
         known = known.judging(measurement) or replace(known, noise=0.0)
-        parts = known.parts(calibration, measurement, refit)
+        parts = known.variance_parts(calibration, measurement, refit)
         count = len(measurement.observations)
         whole = np.ones((count, 3))
         found = {"model": parts.model, "registration": parts.registration, "left_over": known.inadequacy**2 * whole}
@@ -77,12 +77,12 @@ class Budget:
         return Budget({name: found[name] for name in TYPES if name in found}, parts.correlation)
 
     @property
-    def predicted(self) -> Floats:
+    def prediction_uncertainty(self) -> Floats:
         """Standard uncertainties (N, 3) m of where the tool is measured, by what is predicted."""
         return np.asarray(np.sqrt(sum(self.variances.values())))
 
     @property
-    def measured(self) -> Floats:
+    def measured_error_uncertainty(self) -> Floats:
         """Standard uncertainties (N, 3) m of a measured error."""
         return np.asarray(np.sqrt(sum(values for name, values in self.variances.items() if name in OF_AN_ERROR)))
 
@@ -90,12 +90,12 @@ class Budget:
         """Standard uncertainties (N,) m of the sizes of measured errors (N, 3) m; of no error the largest of a coordinate."""
         size = np.linalg.norm(errors, axis=1, keepdims=True)
         share = np.divide(errors, size, out=np.zeros_like(errors), where=size > 0.0)
-        found = np.sqrt(np.sum((share * self.measured) ** 2, axis=1))
-        return np.asarray(np.where(size[:, 0] > 0.0, found, self.measured.max(axis=1)))
+        found = np.sqrt(np.sum((share * self.measured_error_uncertainty) ** 2, axis=1))
+        return np.asarray(np.where(size[:, 0] > 0.0, found, self.measured_error_uncertainty.max(axis=1)))
 
     def to_document(self) -> dict[str, Any]:
         """JSON-able, mm: root mean squares over rows and coordinates."""
-        predicted, measured = _rms(self.predicted**2), _rms(self.measured**2)
+        predicted, measured = _rms(self.prediction_uncertainty**2), _rms(self.measured_error_uncertainty**2)
         total = predicted**2 or 1.0
         sizes = {name: _rms(values) for name, values in self.variances.items()}
         return {

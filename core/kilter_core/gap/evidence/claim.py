@@ -41,23 +41,23 @@ class Claim:
     joints: tuple[int, ...] | None = None
 
     @property
-    def followed(self) -> bool:
+    def is_confounded(self) -> bool:
         """Whether what it follows may have gone along with something else, which then is what acts."""
-        return _followed(self.evidence)
+        return _is_confounded(self.evidence)
 
     @property
-    def placed(self) -> bool:
+    def has_known_location(self) -> bool:
         """Whether it is known where it acts, and not only that something went with a clock."""
         return not self.physical.clock or self.said != CLASS
 
     @property
-    def refuted(self) -> bool:
+    def is_refuted_by_sensor(self) -> bool:
         """Whether a sensor at the place speaks against it; where revisits bear out a motion, the instrument may have moved."""
-        moved = self.physical.id == STATION.id and not self.followed
+        moved = self.physical.id == STATION.id and not self.is_confounded
         return any(e.against for e in self.evidence) and not moved
 
     @staticmethod
-    def of(
+    def from_evidence(
         candidate: Candidate, robot: Robot, rivals: Sequence[Alias], evidence: tuple[Separated, ...], settled: bool,
         borne: tuple[int, ...] | None = None, shared: PhysicalClass | None = None,
     ) -> Claim:  # fmt: skip
@@ -70,12 +70,12 @@ class Claim:
         (``settled``), and where no other member of its class does as well.
         """
         joints = candidate.joints if borne is None else borne
-        physical = shared or _class_at(candidate, robot, joints)
-        evidence, label = _needed(evidence), physical.at(joints)
+        physical = shared or _physical_class_at_joints(candidate, robot, joints)
+        evidence, label = _required_evidence(evidence), physical.label_for_joints(joints)
         rest = [j for j in candidate.joints or () if j not in (joints or ())]
         if rest:
             label += f", likely of {joint_numbers(rest)} too"
-        if shared is None and _followed(evidence):
+        if shared is None and _is_confounded(evidence):
             label += physical.went
         doubts = [_doubt(e) for e in evidence if e.against or (e.separator is Separator.ORDER and not e.met)]
         kin = (e.id for e in EFFECTS.values() if not e.empirical and _is_kin(e, physical))
@@ -88,7 +88,9 @@ class Claim:
         if candidate.empirical:
             return Claim(MEMBER, candidate.label, *about)
         if len(names) > UNNAMED:
-            return Claim(CLASS, f"an effect that these data cannot name ({_some(names)} do as well)", *about)
+            return Claim(
+                CLASS, f"an effect that these data cannot name ({_format_name_alternatives(names)} do as well)", *about
+            )
         if doubts:
             return Claim(CLASS, f"{member or label} ({'; '.join(doubts)})", *about)
         if member:
@@ -101,10 +103,10 @@ class Claim:
             or (physical.outside and _kin_alone(candidate, robot, rivals))
         ):
             shapes = [candidate.id.replace("_", " "), *names[1:]]
-            shape = f", in the shape of {_some(shapes)}" if physical.shaped else ""
+            shape = f", in the shape of {_format_name_alternatives(shapes)}" if physical.shaped else ""
             return Claim(CLASS, label + shape, *about)
         if len(names) > 1:
-            return Claim(ONE_OF, _some(names) + " (these data cannot tell)", *about)
+            return Claim(ONE_OF, _format_name_alternatives(names) + " (these data cannot tell)", *about)
         return Claim(MEMBER, candidate.label, *about)
 
     def to_document(self) -> dict[str, Any]:
@@ -124,10 +126,10 @@ class Claim:
         }  # fmt: skip
 
 
-def _class_at(candidate: Candidate, robot: Robot, joints: Sequence[int] | None) -> PhysicalClass:
+def _physical_class_at_joints(candidate: Candidate, robot: Robot, joints: Sequence[int] | None) -> PhysicalClass:
     """Class of a candidate at some of its joints: of prismatic and revolute ones together, that which says the least."""
     own = [e for e in candidate.effects if joints is None or not e.joints or set(e.joints) & set(joints)]
-    classes = list(dict.fromkeys(e.class_on(robot) for e in own or candidate.effects))
+    classes = list(dict.fromkeys(e.physical_class(robot) for e in own or candidate.effects))
     return next((c for c in classes if not c.shaped), classes[0])
 
 
@@ -141,25 +143,27 @@ def _kin_alone(candidate: Candidate, robot: Robot, rivals: Sequence[Alias]) -> b
     they cannot tell from those of no library.
     """
     others = [a.candidate for a in rivals]
-    own = candidate.effects[0].class_on(robot).id
-    return bool(others) and all(o.joints == candidate.joints and o.effects[0].class_on(robot).id == own for o in others)
+    own = candidate.effects[0].physical_class(robot).id
+    return bool(others) and all(
+        o.joints == candidate.joints and o.effects[0].physical_class(robot).id == own for o in others
+    )
 
 
 def _doubt(evidence: Separated) -> str:
     return f"{evidence.told}; {REMEDY}" if evidence.separator is Separator.ORDER else evidence.told
 
 
-def _followed(evidence: Sequence[Separated]) -> bool:
+def _is_confounded(evidence: Sequence[Separated]) -> bool:
     return any(e.separator in FOLLOWED and not e.met for e in evidence)
 
 
-def _needed(evidence: tuple[Separated, ...]) -> tuple[Separated, ...]:
+def _required_evidence(evidence: tuple[Separated, ...]) -> tuple[Separated, ...]:
     """The evidence asked for: where a sensor saw the effect itself, the order of the poses no longer matters."""
     sensed = any(e.separator is Separator.SENSOR and e.met for e in evidence)
     return tuple(e for e in evidence if not (sensed and e.separator is Separator.ORDER))
 
 
-def _some(names: Sequence[str]) -> str:
+def _format_name_alternatives(names: Sequence[str]) -> str:
     """Names for people: the nearest few, and how many there are besides; all of them stand in the alias set."""
     shown = list(names[:SHOWN]) if len(names) > SHOWN + 1 else list(names)
     rest = [f"{len(names) - len(shown)} others"] if len(shown) < len(names) else []

@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.linearized import columns_at
+from kilter_core.gap.search.linear.linearized import whitened_unit_columns
 from kilter_core.gap.search.linear.tails import tail
 from kilter_core.gap.search.scan import grouping, residual_given
 from kilter_core.observations import CONDITIONS
@@ -44,7 +44,7 @@ class Control:
     survived: float
 
     @property
-    def passed(self) -> bool | None:
+    def has_passed(self) -> bool | None:
         """Whether the name vanished; None where no shuffle tried it."""
         return self.survived <= SURVIVING if self.shuffles else None
 
@@ -62,7 +62,7 @@ def controls(
     count = min(shuffles, FEW) if len(search.problem.settings.used) > LARGE else shuffles
     out = []
     for n, place in enumerate(places):
-        bench = _Bench.of(search, place)
+        bench = _Bench.from_search(search, place)
         label = bench.label
         hits = tried = 0
         for k in range(count):
@@ -81,7 +81,7 @@ def controls(
     return tuple(out)
 
 
-def _label_of(candidate: Candidate) -> str | None:
+def _label_to_shuffle(candidate: Candidate) -> str | None:
     """What to shuffle; a change of the loads acts through other effects, which a shuffled load would take along."""
     effect = candidate.effects[0]
     return None if effect.changes_loads else next((need for need in LABELS if need in effect.needs), None)
@@ -94,7 +94,7 @@ def false_names(search: SearchResult, shuffles: int, seed: int) -> float:
     size = problem.settings.whitener.shape[-1]
     basis = problem.basis(search.columns)
     r = residual_given(problem, search.columns).reshape(-1, size)
-    given = problem.gram.given(search.columns)
+    given = problem.gram.condition_on_columns(search.columns)
     columns = problem.projection
     hits = 0
     for _ in range(shuffles):
@@ -109,13 +109,13 @@ def control_document(search: SearchResult, shuffled: Sequence[Control], shuffles
     """What the shuffles of every effect came to, and how often shuffled residuals name anything."""
     rows = [
         {
-            **search.selector.scorer.candidates[c.place].named(), "shuffled": c.label, "shuffles": c.shuffles,
-            "survived": c.survived, "passed": c.passed,
+            **search.selector.scorer.candidates[c.place].id_and_joints(), "shuffled": c.label, "shuffles": c.shuffles,
+            "survived": c.survived, "passed": c.has_passed,
         }
         for c in shuffled
     ]  # fmt: skip
     return {
-        "passed": all(c.passed is not False for c in shuffled), "effects": rows, "shuffles": shuffles,
+        "passed": all(c.has_passed is not False for c in shuffled), "effects": rows, "shuffles": shuffles,
         "names_in_shuffled_residuals": false_names(search, shuffles, seed),
     }  # fmt: skip
 
@@ -143,9 +143,9 @@ class _Bench:
     left: Floats  # by them
 
     @staticmethod
-    def of(search: SearchResult, place: int) -> _Bench:
+    def from_search(search: SearchResult, place: int) -> _Bench:
         rest = search.selector.columns([k for k in search.chosen if k != place])
-        label = _label_of(search.selector.scorer.candidates[place])
+        label = _label_to_shuffle(search.selector.scorer.candidates[place])
         basis = search.problem.basis(rest)
         return _Bench(search, place, label, basis, residual_given(search.problem, rest, basis))
 
@@ -158,21 +158,23 @@ class _Bench:
         problem = self.search.problem
         batch = problem.settings.source.batch
         shuffled = replace(batch, **{n: v[order] for n in LABELS[label] if (v := getattr(batch, n)) is not None})
-        return self._named(columns_at(problem.settings, problem.values, shuffled, self.columns)[0], self.left)
+        return self._has_significant_columns(
+            whitened_unit_columns(problem.settings, problem.values, shuffled, self.columns)[0], self.left
+        )
 
     def poses_named(self, order: Ints) -> bool:
         """Whether the effect would be entered for the residuals of other poses."""
         problem = self.search.problem
         size = problem.settings.whitener.shape[-1]
         r = self.left.reshape(-1, size)[order].reshape(-1)
-        return self._named(problem.W_raw[:, self.columns], r - self.basis @ (self.basis.T @ r))
+        return self._has_significant_columns(problem.W_raw[:, self.columns], r - self.basis @ (self.basis.T @ r))
 
-    def _named(self, columns: Floats, r: Floats) -> bool:
+    def _has_significant_columns(self, columns: Floats, r: Floats) -> bool:
         W = self.search.problem.soft(columns)
-        return _named(self.search, self.place, W - self.basis @ (self.basis.T @ W), r)
+        return _is_effect_significant(self.search, self.place, W - self.basis @ (self.basis.T @ W), r)
 
 
-def _named(search: SearchResult, place: int, W: Floats, r: Floats) -> bool:
+def _is_effect_significant(search: SearchResult, place: int, W: Floats, r: Floats) -> bool:
     u, s, _ = np.linalg.svd(W, full_matrices=False)
     u = u[:, s > 1e-3]
     d = u.shape[1]
@@ -187,7 +189,7 @@ def _named(search: SearchResult, place: int, W: Floats, r: Floats) -> bool:
     free = max(search.problem.nu - d, 1.0)
     variance = max(1.0, (float(r @ r) - S) / free)
     scorer = search.selector.scorer
-    return bool(tail(S / variance, d, scorer.known(free)) < limit)
+    return bool(tail(S / variance, d, scorer.noise_freedom(free)) < limit)
 
 
 def by_blocks(u: Floats, r: Floats, blocks: Ints) -> tuple[float, int, float]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from kilter_core.errors import CoreError
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.linearized import solved
+from kilter_core.gap.search.linear.linearized import fit_nonlinear_values
 from kilter_core.identify.comparison.compare import errors_by_pose, lacking
 from kilter_core.identify.comparison.model_comparison import Difference
 from kilter_core.model import Calibration
@@ -36,13 +36,13 @@ class Guarded:
     better: bool
 
     @staticmethod
-    def of(with_it: Floats, without: Floats) -> Guarded:
+    def from_errors(with_it: Floats, without: Floats) -> Guarded:
         """Compare the errors (P,) m of two calibrations at the same poses."""
         return Guarded(
             float(with_it.mean()),
             float(without.mean()),
-            Difference.of(with_it, without).worse,
-            Difference.of(without, with_it).worse,
+            Difference.from_paired_errors(with_it, without).worse,
+            Difference.from_paired_errors(without, with_it).worse,
         )
 
     def sentence(self, without: str) -> str:
@@ -61,13 +61,13 @@ class Guard:
     errors: Floats | None
 
     @staticmethod
-    def of(found: SearchResult, begin: Calibration, version: Calibration, rows: Observations) -> Guard:
+    def from_confirmation(found: SearchResult, begin: Calibration, version: Calibration, rows: Observations) -> Guard:
         """Predict the confirmation, base and tool fitted to it."""
         return Guard(found, begin, version, rows, _errors(version, rows))
 
     def effect(self, place: int) -> Guarded | None:
         """The version beside the same search's fit without one of its effects."""
-        return self._beside(self.found.selector.columns([k for k in self.found.chosen if k != place]))
+        return self._compare_with_refit(self.found.selector.columns([k for k in self.found.chosen if k != place]))
 
     def warnings(self, registered: Calibration | None) -> Iterator[dict[str, Any]]:
         """Say that the whole version predicts the confirmation worse than something simpler."""
@@ -75,8 +75,8 @@ class Guard:
             return
         plain = _errors(registered, self.rows)
         simpler = {
-            "base and tool alone": None if plain is None else Guarded.of(self.errors, plain),
-            "the geometry alone": self._beside([]) if self.found.chosen else None,
+            "base and tool alone": None if plain is None else Guarded.from_errors(self.errors, plain),
+            "the geometry alone": self._compare_with_refit([]) if self.found.chosen else None,
         }
         for words, told in simpler.items():
             if told is not None and told.worse:
@@ -89,17 +89,17 @@ class Guard:
                 }  # fmt: skip
                 return
 
-    def _beside(self, columns: list[int]) -> Guarded | None:
+    def _compare_with_refit(self, columns: list[int]) -> Guarded | None:
         if self.errors is None:
             return None
         problem = self.found.problem
         try:
-            values = solved(problem.settings, problem.values, columns)
-            other = problem.settings.source.calibrated(values, self.version.model, self.begin)
+            values = fit_nonlinear_values(problem.settings, problem.values, columns)
+            other = problem.settings.source.to_calibration(values, self.version.model, self.begin)
         except (CoreError, np.linalg.LinAlgError):
             return None
         plain = _errors(other, self.rows)
-        return None if plain is None else Guarded.of(self.errors, plain)
+        return None if plain is None else Guarded.from_errors(self.errors, plain)
 
 
 def _errors(calibration: Calibration, rows: Observations) -> Floats | None:

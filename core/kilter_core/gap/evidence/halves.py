@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, norm
 
-from kilter_core.gap.evidence.fits.intervals import all_shown
+from kilter_core.gap.evidence.fits.intervals import are_all_significant
 from kilter_core.gap.evidence.guarded import Guarded
-from kilter_core.gap.evidence.stability import SMALLEST, reweighted
+from kilter_core.gap.evidence.stability import SMALLEST, reweight_problem
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.gram import Gram
@@ -83,15 +83,15 @@ class Sides:
         return min(len(np.unique(settings.group[side & settings.used])) for side in self.visits) >= POSES_PER_HALF
 
     @cached_property
-    def searched(self) -> tuple[_Searched, _Searched]:
+    def half_searches(self) -> tuple[_Searched, _Searched]:
         """What the selection on each half alone names."""
-        first, second = (self._searched(side) for side in self.visits)
+        first, second = (self._search_half(side) for side in self.visits)
         return first, second
 
-    def _searched(self, side: Bools) -> _Searched:
-        gram, rows = half_of(self.search.problem, side)
+    def _search_half(self, side: Bools) -> _Searched:
+        gram, rows = restrict_to_visits(self.search.problem, side)
         selector = replace(self.search.selector, rows=rows)
-        return _Searched(gram, selector, tuple(selector.searched(gram, self.search.critical, self.most)))
+        return _Searched(gram, selector, tuple(selector.select_candidates(gram, self.search.critical, self.most)))
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class _Searched:
     selector: Selector
     chosen: tuple[int, ...]
 
-    def again(self, place: int, rivals: Sequence[int]) -> list[Candidate]:
+    def matching_candidates(self, place: int, rivals: Sequence[int]) -> list[Candidate]:
         """What the half names of an effect or its rivals; or the effect, if it is there beside all that the half names.
 
         A half rarely has poses enough to name everything as the best of a whole library. What is asked of it is whether the
@@ -110,14 +110,14 @@ class _Searched:
         """
         candidates = self.selector.scorer.candidates
         own = [candidates[k] for k in (place, *rivals)]
-        named = [candidates[k] for k in self.chosen if any(_same(candidates[k], one) for one in own)]
+        named = [candidates[k] for k in self.chosen if any(_share_class_and_joint(candidates[k], one) for one in own)]
         if named:
             return named
-        there = self.selector.scorer.tail_of(self.gram, place, self.selector.columns(self.chosen)) < AGAIN
+        there = self.selector.scorer.tail_probability(self.gram, place, self.selector.columns(self.chosen)) < AGAIN
         return [candidates[place]] if there else []
 
 
-def half_of(problem: LinearizedProblem, side: Bools) -> tuple[Gram, int]:
+def restrict_to_visits(problem: LinearizedProblem, side: Bools) -> tuple[Gram, int]:
     """The linearised problem on some visits (V,) alone, with the freedom that these leave, and their numbers.
 
     With the freedom of all rows, what a half leaves would pass for noise of half its variance and less: one name too many
@@ -129,7 +129,7 @@ def half_of(problem: LinearizedProblem, side: Bools) -> tuple[Gram, int]:
     numbers = share * settings.numbers / settings.inflation
     along = np.linalg.eigvalsh(U.T @ U)
     nu = numbers - float(np.sum(along / (along + SMALLEST)))
-    return replace(reweighted(problem, weight), nu=max(nu, 1.0)), max(2, int(numbers))
+    return replace(reweight_problem(problem, weight), nu=max(nu, 1.0)), max(2, int(numbers))
 
 
 def halves(sides: Sides, place: int, rivals: Sequence[int]) -> Halves | None:
@@ -137,14 +137,14 @@ def halves(sides: Sides, place: int, rivals: Sequence[int]) -> Halves | None:
     if not sides.able:
         return None
     search = sides.search
-    fits = [_fitted(search, place, side) for side in sides.visits]
+    fits = [_fit_half(search, place, side) for side in sides.visits]
     (a, A), (b, B) = (fit.amounts for fit in fits)
     away = float((a - b) @ np.linalg.pinv(A + B, hermitian=True) @ (a - b))
     apart = float(norm.isf(max(float(chi2.sf(away, len(a))), 1e-300) / 2.0))
     errors = [fit.errors(search, other) for fit, other in zip(fits, reversed(sides.visits), strict=True)]
     with_it, without = (np.concatenate([e[k] for e in errors]) for k in (0, 1))
-    again = [half.again(place, rivals) for half in sides.searched]
-    told, length = Guarded.of(with_it, without), search.problem.settings.source.observes_tool
+    again = [half.matching_candidates(place, rivals) for half in sides.half_searches]
+    told, length = Guarded.from_errors(with_it, without), search.problem.settings.source.observes_tool
     joints = _joints_of_both(search, place, again, fits)
     return Halves((bool(again[0]), bool(again[1])), apart, told, length, joints)
 
@@ -171,7 +171,8 @@ def _joints_shown(search: SearchResult, candidate: Candidate, amounts: Floats, c
         chances |= dict.fromkeys(effect.joints or (), float(chi2.sf(size, len(a))))
     first = sorted(chances, key=chances.__getitem__)
     last = next(
-        (n for n, j in enumerate(first) if not all_shown([chances[k] for k in first[: n + 1]], len(first))), None
+        (n for n, j in enumerate(first) if not are_all_significant([chances[k] for k in first[: n + 1]], len(first))),
+        None,
     )
     return set(first[:last])
 
@@ -211,11 +212,11 @@ class _Fit:
         return out[0], out[1]
 
 
-def _fitted(search: SearchResult, place: int, side: Bools) -> _Fit:
+def _fit_half(search: SearchResult, place: int, side: Bools) -> _Fit:
     problem, selector = search.problem, search.selector
     own = list(selector.scorer.candidates[place].columns)
     rest = [k for k in search.columns if k not in own]
-    columns = np.hstack([problem.U, problem.projected([*rest, *own])])
+    columns = np.hstack([problem.U, problem.projected_columns([*rest, *own])])
     rows = (side & problem.settings.used)[problem.row_visit]
     X, y = columns[rows], problem.y[rows]
     inverse = np.linalg.pinv(X.T @ X, rcond=RANK, hermitian=True)
@@ -228,7 +229,7 @@ def _fitted(search: SearchResult, place: int, side: Bools) -> _Fit:
     return _Fit(beta, without, columns, (beta[-d:], grown * inverse[-d:, -d:]))
 
 
-def _same(one: Candidate, other: Candidate) -> bool:
+def _share_class_and_joint(one: Candidate, other: Candidate) -> bool:
     """Whether both are of one class at a joint of both."""
     if one.id != other.id and one.effects[0].physical.id != other.effects[0].physical.id:
         return False

@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from scipy.stats import rankdata
 
 from kilter_core.gap.search.sources.source import Source
-from kilter_core.observations.clock import clock_of
+from kilter_core.observations.clock import read_clock
 from kilter_core.types import Bools, Floats
 
 NEIGHBOURS = 4  # visits nearest to one that say when it was
@@ -52,14 +52,14 @@ class Order:
         return f"{self.went} {verb} with the clock (correlation {self.correlation:.2f})"
 
 
-def order_of(source: Source, used: Bools, seed: int = 0) -> Order:
+def assess_visit_order(source: Source, used: Bools, seed: int = 0) -> Order:
     """Compare the order of the visits used with shuffles of it."""
     rng = np.random.default_rng(seed)
     visits = np.flatnonzero(used)
     if len(visits) > LOOKED_AT:
         visits = np.sort(rng.choice(visits, LOOKED_AT, replace=False))
     when = np.empty(len(used))
-    when[clock_of(source.observations).order] = np.arange(len(used))
+    when[read_clock(source.observations).order] = np.arange(len(used))
     clock = rankdata(when[visits])
     single, whole = _postures(source)
     single = {name: x[visits] for name, x in single.items() if np.ptp(x[visits]) > SPREAD}

@@ -7,18 +7,18 @@ from typing import Any
 from kilter_core.gap.search.forward_selection import SearchResult
 
 
-def refused(found: SearchResult) -> list[dict[str, Any]]:
+def rejected_candidates(found: SearchResult) -> list[dict[str, Any]]:
     """Rows {id, joints, explains, p_value} of the candidates that were not named, the least likely by chance first.
 
     ``explains`` is the share of the squared residuals of the final fit that the candidate would take away with geometry
     fitted beside it (reduction S of the score test); ``p_value`` is family-wise, as that of a name. Candidates that the
     named ones or geometry imitate whole are left out: they have no score.
     """
-    scorer, gram = found.selector.scorer, found.problem.gram.given(found.columns)
+    scorer, gram = found.selector.scorer, found.problem.gram.condition_on_columns(found.columns)
     scores = scorer.scores(gram)
     rows = [
         {
-            **candidate.named(),
+            **candidate.id_and_joints(),
             "explains": min(1.0, float(scores.S[k]) / gram.yy) if gram.yy > 0.0 else 0.0,
             "p_value": found.null.family_wise(float(scores.p[k]), len(scorer.candidates)),
         }

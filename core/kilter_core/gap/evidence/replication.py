@@ -26,11 +26,11 @@ from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.linear.tails import tail
 from kilter_core.gap.search.prepare import SPARE, Prepared, prepare_data
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.contacts import held
+from kilter_core.measurement.contacts import has_contacts
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.shared_rows import refuse_shared_rows
-from kilter_core.parameters import mm, reported
+from kilter_core.parameters import display_unit_and_scale, mm
 from kilter_core.types import Floats, Progress
 
 NONZERO = 0.01  # chance of calling an effect seen again that is not there
@@ -61,7 +61,7 @@ class Replication:
         return self.p_value is not None
 
     @property
-    def contradicted(self) -> bool:
+    def is_contradicted(self) -> bool:
         """Whether the two amplitudes cannot be one, or the effect makes the prediction there worse, where it can be seen."""
         return self.testable and ((self.apart is not None and self.apart > AGREES) or self.worse)
 
@@ -71,9 +71,9 @@ class Replication:
         return self.guarded is not None and self.guarded.with_it > self.guarded.without
 
     @property
-    def replicated(self) -> bool:
+    def is_replicated(self) -> bool:
         """Whether the effect was seen again with the same amplitude, and predicts what was measured there better."""
-        return self.p_value is not None and self.p_value < NONZERO and not self.contradicted
+        return self.p_value is not None and self.p_value < NONZERO and not self.is_contradicted
 
     @property
     def certain(self) -> bool:
@@ -81,20 +81,20 @@ class Replication:
 
         That another day shows it is evidence of its own, which needs neither held-out poses nor halves of the search.
         """
-        return self.replicated and self.guarded is not None
+        return self.is_replicated and self.guarded is not None
 
     @property
     def outcome(self) -> str:
         """One word for it."""
         if not self.testable:
             return "not_testable"
-        return "contradicted" if self.contradicted else "replicated" if self.replicated else "not_seen"
+        return "contradicted" if self.is_contradicted else "replicated" if self.is_replicated else "not_seen"
 
     def to_document(self, robot_units: dict[str, str]) -> dict[str, Any]:
         """Wire units; ``robot_units`` are the SI units of the parameters by name."""
         rows = []
         for name, value, sigma in zip(self.names, self.values, self.sigma, strict=True):
-            unit, scale = reported(robot_units[name])
+            unit, scale = display_unit_and_scale(robot_units[name])
             rows.append({"name": name, "value": float(value) * scale, "unit": unit, "sigma": float(sigma) * scale})
         return {
             "outcome": self.outcome, "parameters": rows, "p_value": self.p_value, "apart_sigma": self.apart,
@@ -118,9 +118,9 @@ def refuse_unfit(robot: Robot, searched: Observations, confirmation: Observation
             "campaign of this robot."
         )
     refuse_shared_rows(searched, confirmation, "confirmation")
-    if confirmation.position is None and confirmation.markers is None and not held(confirmation):
+    if confirmation.position is None and confirmation.markers is None and not has_contacts(confirmation):
         return
-    measured = Measurement.of(confirmation, held=True)
+    measured = Measurement.from_observations(confirmation, held=True)
     frames = BALL if not measured.observes_places else FRAMES + 3 * measured.observes_orientation
     needed = -(-(frames + 1 + SPARE) // measured.equations_per_pose)
     if measured.numbers() < (frames + 1 + SPARE):
@@ -148,12 +148,12 @@ class Confirmation:
     poses: int
 
     @staticmethod
-    def of(
+    def from_observations(
         found: Calibration, posterior: Posterior, rows: Observations, options: GapOptions, progress: Progress
     ) -> Confirmation:
         """Fit base and tool to the rows, estimate their noise, and linearise."""
         found = _computable(found, rows).for_another_campaign(rows)
-        prepared = _placed(found, rows, options, progress)
+        prepared = _fit_base_and_tool(found, rows, options, progress)
         problem = prepared.problem
         r, J, names = _linear(prepared, found, posterior)
         known = {name: k for k, name in enumerate(posterior.names)}
@@ -232,12 +232,12 @@ def _computable(found: Calibration, rows: Observations) -> Calibration:
     return replace(found, model=model, values=np.array([known[name] for name in model.names]))
 
 
-def _placed(found: Calibration, rows: Observations, options: GapOptions, progress: Progress) -> Prepared:
+def _fit_base_and_tool(found: Calibration, rows: Observations, options: GapOptions, progress: Progress) -> Prepared:
     """The confirmation with base and tool fitted to it, chain and effects as the search left them."""
     effects = found.names[found.model.n_geometric :]
     fixed = replace(
         options,
-        free=("tool_x" if held(rows) else "base_x",),
+        free=("tool_x" if has_contacts(rows) else "base_x",),
         fix=effects,
         base="free",
         tool="free",

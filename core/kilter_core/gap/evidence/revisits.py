@@ -49,7 +49,7 @@ class Revisits:
     held_out: bool
 
     @property
-    def apart(self) -> float:
+    def deviation_in_sigmas(self) -> float:
         """Standard deviations between what is seen and what was predicted."""
         return abs(self.slope - 1.0) / self.sigma
 
@@ -70,14 +70,14 @@ class Contrasts:
     free: int
 
     @staticmethod
-    def of(problem: LinearizedProblem) -> Contrasts:
+    def from_problem(problem: LinearizedProblem) -> Contrasts:
         """By whitened rows, where a shift that all visits share is whitened by each one's own noise."""
         settings, source = problem.settings, problem.settings.source
         seen = ~np.isnan(source.residual(problem.values)) & settings.used[:, None]
         size = seen.shape[1]
         ways = settings.whitening.columns(np.eye(size) * seen[:, None, :]).reshape(*seen.shape, size)
         blocks, free = [], 0
-        for visits in _groups(revisited(source.observations, settings.group), settings.used):
+        for visits in _groups(number_revisited_poses(source.observations, settings.group), settings.used):
             basis = orthonormal(ways[visits].reshape(-1, size))
             rows = (visits[:, None] * size + np.arange(size)).reshape(-1)
             blocks.append((rows, basis))
@@ -92,15 +92,15 @@ class Contrasts:
         return out
 
 
-def revisited(rows: Observations, pose: Ints) -> Ints:
+def number_revisited_poses(rows: Observations, pose: Ints) -> Ints:
     """Number (V,) what revisits share beside the approach: a pose, near by too, with its payload, session and contact."""
     beside = (rows.payload_kg, rows.payload_com, rows.session, rows.setup, rows.socket, rows.plane, rows.bar)
     columns = [c.reshape(len(c), -1).astype(np.float64) for c in beside if c is not None]
-    alike = np.hstack([_near(rows.q, pose).astype(np.float64)[:, None], *columns])
+    alike = np.hstack([_merge_near_poses(rows.q, pose).astype(np.float64)[:, None], *columns])
     return numbered_rows(np.unique(alike, return_inverse=True)[1].reshape(alike.shape))
 
 
-def _near(q: Floats, pose: Ints) -> Ints:
+def _merge_near_poses(q: Floats, pose: Ints) -> Ints:
     """Poses (V,) numbered so that near ones share a number, unless they hang together as a motion does."""
     pairs = KDTree(q).query_pairs(NEAR_RAD, p=np.inf, output_type="ndarray")
     linked = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(q), len(q)))
@@ -122,10 +122,10 @@ def _groups(group: Ints, used: Bools) -> Iterator[Ints]:
 
 def revisits(search: SearchResult, place: int) -> Revisits | None:
     """Ask the revisited poses about a chosen candidate; None where they say nothing of it."""
-    asked = _Asked.of(search, place)
+    asked = _Asked.from_search(search, place)
     if asked is None:
         return None
-    told = asked.by_others()
+    told = asked.compare_with_other_poses()
     return told if told is not None and told.sharp else asked.by_themselves() or told
 
 
@@ -141,21 +141,21 @@ class _Asked:
     free: int
 
     @staticmethod
-    def of(search: SearchResult, place: int) -> _Asked | None:
+    def from_search(search: SearchResult, place: int) -> _Asked | None:
         problem, columns = search.problem, search.selector.scorer.candidates[place].columns
-        contrasts = Contrasts.of(problem)
+        contrasts = Contrasts.from_problem(problem)
         rest = search.selector.columns([k for k in search.chosen if k != place])
-        law = problem.projected(list(columns))
+        law = problem.projected_columns(list(columns))
         changes = contrasts(law)
         if not np.linalg.norm(changes) > SOLID * np.linalg.norm(law):
             return None
-        other = np.hstack([contrasts(problem.projected(rest)), contrasts(_reversals(problem))])
+        other = np.hstack([contrasts(problem.projected_columns(rest)), contrasts(_reversals(problem))])
         basis = orthonormal(other) if other.shape[1] else other
         left, changes = (x - basis @ (basis.T @ x) for x in (contrasts(problem.y), changes))
         free = contrasts.free - basis.shape[1]
         return _Asked(search, columns, contrasts, changes, left, free) if free > 0 else None
 
-    def by_others(self) -> Revisits | None:
+    def compare_with_other_poses(self) -> Revisits | None:
         """Against the amplitude that the poses have without these differences."""
         amount, covariance = self._elsewhere()
         slope = self._slope(amount)
@@ -164,13 +164,13 @@ class _Asked:
         value, sigma, freedom, predicted = slope
         about = float(predicted @ self.law @ covariance @ self.law.T @ predicted) / float(predicted @ predicted) ** 2
         chance = t_distribution.sf(value / sigma, freedom)
-        return self._told(predicted, value, float(np.hypot(sigma, np.sqrt(about))), chance, True)
+        return self._build_revisits(predicted, value, float(np.hypot(sigma, np.sqrt(about))), chance, True)
 
     def by_themselves(self) -> Revisits | None:
         """Whether the differences have any such law in them (likelihood ratio), and the size that the whole fit has."""
         u = orthonormal(self.law)
         free = self.free - u.shape[1]
-        amount = self._fitted()
+        amount = self._fitted_amounts()
         slope = self._slope(amount)
         if slope is None or free <= 0 or not u.shape[1]:
             return None
@@ -180,9 +180,9 @@ class _Asked:
         chance = max(
             float(f_distribution.sf(ratio, u.shape[1], free)), float(t_distribution.sf(slope[0] / slope[1], slope[2]))
         )
-        return self._told(slope[3], slope[0], slope[1], chance, False)
+        return self._build_revisits(slope[3], slope[0], slope[1], chance, False)
 
-    def _told(self, predicted: Floats, slope: float, sigma: float, chance: float, held_out: bool) -> Revisits:
+    def _build_revisits(self, predicted: Floats, slope: float, sigma: float, chance: float, held_out: bool) -> Revisits:
         settings, blocks = self.search.problem.settings, self.contrasts.blocks
         size = settings.whitener.shape[-1]
         visits = np.concatenate([rows[::size] // size for rows, _ in blocks])
@@ -204,14 +204,14 @@ class _Asked:
         """Amounts (K,) of unit columns, and their covariance, by the data without any difference between visits."""
         problem, search = self.search.problem, self.search
         columns = [*self.columns, *(k for k in search.columns if k not in self.columns)]
-        B = problem.projected(columns)
+        B = problem.projected_columns(columns)
         B -= self.contrasts(B)
         y = problem.y - self.contrasts(problem.y)
         amount, covariance = amounts(search, columns, B, y)
         own = slice(0, len(self.columns))
         return amount[own], covariance[own, own]
 
-    def _fitted(self) -> Floats:
+    def _fitted_amounts(self) -> Floats:
         """Amounts (K,) of unit columns by all data."""
         solved = dict(zip(self.search.columns, self.search.problem.gram.solve(self.search.columns), strict=True))
         return np.array([solved[k] for k in self.columns])

@@ -18,7 +18,7 @@ from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
-from kilter_core.parameters import reported
+from kilter_core.parameters import display_unit_and_scale
 from kilter_core.types import Floats
 
 ALONE = 3.0  # standard deviations in which a sensor must show the effect, or must have been able to
@@ -53,25 +53,25 @@ class Sensed:
         return self.sigma * ALONE < 1.0
 
     @property
-    def shown(self) -> bool:
+    def supports_effect(self) -> bool:
         """Whether it shows the effect, by sign and size."""
-        return self.slope > ALONE * self.sigma and self._apart <= max(ALIKE, ALONE * self.sigma)
+        return self.slope > ALONE * self.sigma and self._slope_error <= max(ALIKE, ALONE * self.sigma)
 
     @property
-    def refuted(self) -> bool:
+    def refutes_effect(self) -> bool:
         """Whether it would show the effect, and does not."""
-        return self.able and self._apart > max(ALIKE, ALONE * self.sigma)
+        return self.able and self._slope_error > max(ALIKE, ALONE * self.sigma)
 
     @property
-    def told(self) -> str:
+    def comparison_text(self) -> str:
         """Both numbers in words."""
-        unit, scale = reported("m" if self.slides else "rad")
+        unit, scale = display_unit_and_scale("m" if self.slides else "rad")
         size = scale * self.expected
         shown, said = with_sigma(self.slope * size, self.read * size), with_sigma(size, self.known * size)
         return f"{self.sensor} shows {shown} {unit} where the tool says {said} {unit}"
 
     @property
-    def _apart(self) -> float:
+    def _slope_error(self) -> float:
         return abs(self.slope - 1.0)
 
 
@@ -81,7 +81,7 @@ def with_sigma(value: float, sigma: float) -> str:
     return f"{value:.{digits}f} ± {sigma:.{digits}f}"
 
 
-def sensed(search: SearchResult, place: int) -> Sensed | None:
+def compare_with_sensor(search: SearchResult, place: int) -> Sensed | None:
     """Compare the readings with a chosen candidate; None where no sensor sits where it acts, or it rotates nothing there."""
     problem, candidate = search.problem, search.selector.scorer.candidates[place]
     source, columns = problem.settings.source, list(candidate.columns)
@@ -130,7 +130,7 @@ def _by_tool(search: SearchResult, place: int) -> tuple[Floats, Floats]:
     columns = list(search.selector.scorer.candidates[place].columns)
     rest = search.selector.columns([k for k in search.chosen if k != place])
     basis = problem.basis(rest)
-    W = problem.projected(columns)
+    W = problem.projected_columns(columns)
     X = W - basis @ (basis.T @ W)
     size = problem.settings.whitener.shape[-1]
     tool = np.arange(len(X)) % size < problem.settings.source.tool_numbers

@@ -14,16 +14,16 @@ import numpy as np
 
 from kilter_core.effects.law_of_time import SHARES, settled_share
 from kilter_core.effects.physical import Separator
-from kilter_core.gap.evidence.order import order_of
+from kilter_core.gap.evidence.order import assess_visit_order
 from kilter_core.gap.evidence.revisits import revisits
-from kilter_core.gap.evidence.sensors import sensed, with_sigma
+from kilter_core.gap.evidence.sensors import compare_with_sensor, with_sigma
 from kilter_core.gap.evidence.similarity.smooth import TURN
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.bases import orthonormal
 from kilter_core.gap.search.linear.projection import Projection
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.observations import Observations
-from kilter_core.parameters import reported
+from kilter_core.parameters import display_unit_and_scale
 from kilter_core.types import Floats
 
 ALONE = 3.0  # standard deviations in which the part that follows the condition must show by itself
@@ -46,7 +46,7 @@ class Separated:
     against: bool = False
 
 
-def separated(search: SearchResult, place: int) -> tuple[Separated, ...]:
+def separating_evidence(search: SearchResult, place: int) -> tuple[Separated, ...]:
     """Test for what a chosen name needs beside its shape; empty where nothing but its rivals can take it away."""
     candidate = search.selector.scorer.candidates[place]
     robot = search.problem.settings.source.model.robot
@@ -61,7 +61,7 @@ def separated(search: SearchResult, place: int) -> tuple[Separated, ...]:
 def _turns(search: SearchResult, place: int) -> Separated:
     source = search.problem.settings.source
     q, joints = source.batch.q, source.model.robot.joints
-    followed = [x for e in search.selector.scorer.candidates[place].effects for x in e.followed(len(joints))]
+    followed = [x for e in search.selector.scorer.candidates[place].effects for x in e.joint_frequencies(len(joints))]
     turns = min(
         (factor * float(np.ptp(q[:, j])) / TURN if joints[j].kind == "revolute" else 0.0 for j, factor in followed),
         default=0.0,
@@ -83,9 +83,9 @@ def _sides(search: SearchResult, place: int) -> Separated:
 def _loads(search: SearchResult, place: int) -> Separated:
     rows = search.problem.settings.source.observations
     if rows.payload_kg is not None and np.ptp(rows.payload_kg) > 0.0:
-        return _beside(search, place, Separator.LOADS, replace(rows, payload_kg=np.zeros(len(rows))))
+        return _separate_by_condition(search, place, Separator.LOADS, replace(rows, payload_kg=np.zeros(len(rows))))
     if rows.loads_on_links_vary:
-        return _beside(search, place, Separator.LOADS, replace(rows, link_mass=None, link_wrench=None))
+        return _separate_by_condition(search, place, Separator.LOADS, replace(rows, link_mass=None, link_wrench=None))
     return Separated(Separator.LOADS, False)
 
 
@@ -97,7 +97,7 @@ def _temperature(search: SearchResult, place: int) -> Separated:
     x = (clock - clock.min()) / (float(np.ptp(clock)) or 1.0)
     laws = np.column_stack([np.vander(x, COURSE + 1), *(settled_share(x, tau) for tau in SHARES)])
     course = laws @ np.linalg.lstsq(laws, rows.temperature_c, rcond=None)[0]
-    return _beside(search, place, Separator.TEMPERATURE, replace(rows, temperature_c=course))
+    return _separate_by_condition(search, place, Separator.TEMPERATURE, replace(rows, temperature_c=course))
 
 
 def _order(search: SearchResult, place: int) -> Separated:
@@ -106,15 +106,15 @@ def _order(search: SearchResult, place: int) -> Separated:
     seen = revisits(search, place)
     told = "no pose was revisited at another time" if seen is None else "revisits at other times are too few to tell"
     if seen is not None:
-        unit, scale = reported(settings.source.unit)
+        unit, scale = display_unit_and_scale(settings.source.unit)
         size = seen.predicted * scale
         vary = f"{seen.poses} poses revisited at other times vary by {with_sigma(seen.slope * size, seen.sigma * size)} {unit}"
         whose = "the other poses predict" if seen.held_out else "the law says"
-        if seen.alone > ALONE and seen.apart < ALIKE:
+        if seen.alone > ALONE and seen.deviation_in_sigmas < ALIKE:
             return Separated(Separator.ORDER, True, seen.alone, f"{vary}, and {whose} {size:.2g} {unit}")
         if seen.sharp:
             told = f"{vary}, where {whose} {size:.2g} {unit}"
-    order = order_of(settings.source, settings.used)
+    order = assess_visit_order(settings.source, settings.used)
     if order.random and not (seen is not None and seen.sharp):
         return Separated(Separator.ORDER, True, order.chance, "the poses were measured in random order")
     number = None if seen is None else seen.alone
@@ -123,13 +123,15 @@ def _order(search: SearchResult, place: int) -> Separated:
 
 def _sensor(search: SearchResult, place: int) -> Separated:
     """What a link encoder at the joint, or an inclinometer on the base, reads of it."""
-    seen = sensed(search, place)
-    if seen is None or not (seen.shown or seen.refuted):
+    seen = compare_with_sensor(search, place)
+    if seen is None or not (seen.supports_effect or seen.refutes_effect):
         return Separated(Separator.SENSOR, False)
-    return Separated(Separator.SENSOR, seen.shown, seen.slope / seen.sigma, seen.told, seen.refuted)
+    return Separated(
+        Separator.SENSOR, seen.supports_effect, seen.slope / seen.sigma, seen.comparison_text, seen.refutes_effect
+    )
 
 
-def _beside(search: SearchResult, place: int, separator: Separator, without: Observations) -> Separated:
+def _separate_by_condition(search: SearchResult, place: int, separator: Separator, without: Observations) -> Separated:
     """The effect in two parts, as it would be under the conditions ``without`` and what the real ones add, each fitted.
 
     Both have the coefficient 1 where the effect is what its name says.
@@ -145,14 +147,14 @@ def _beside(search: SearchResult, place: int, separator: Separator, without: Obs
     ]
     both = np.stack([parts[0], parts[1] - parts[0]], axis=1)
     rest = search.selector.columns([k for k in search.chosen if k != place])
-    basis = orthonormal(problem.projected(rest)) if rest else np.zeros((len(both), 0))
-    left = Projection.of(problem.soft, problem.U, both).less(basis).rows(slice(None))
-    return _judged(
+    basis = orthonormal(problem.projected_columns(rest)) if rest else np.zeros((len(both), 0))
+    left = Projection.from_columns(problem.soft, problem.U, both).less(basis).rows(slice(None))
+    return _compare_part_amplitudes(
         separator, left, residual_given(problem, rest), search.selector.variance(problem.gram, search.chosen)
     )
 
 
-def _judged(separator: Separator, parts: Floats, r: Floats, variance: float) -> Separated:
+def _compare_part_amplitudes(separator: Separator, parts: Floats, r: Floats, variance: float) -> Separated:
     """Whether the second of two parts (R, 2) shows by itself and as large as the first."""
     size = np.linalg.norm(parts, axis=0)
     shown = size > 1e-6 * max(float(size.max()), 1e-300)

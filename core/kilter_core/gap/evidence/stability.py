@@ -40,18 +40,18 @@ def inclusion(
     are none, a few resamples tell enough. Empty where time is ``over`` before enough of them were drawn to say anything.
     """
     # Pairs cost most of a search under unknown noise; what entered one by one is looked for one by one again.
-    selector = replace(search.selector, pairs=search.selector.scorer.absolute or search.paired)
+    selector = replace(search.selector, pairs=search.selector.scorer.absolute or search.has_paired_entry)
     if not search.chosen:
         return {}
     rng = np.random.default_rng(seed)
     own = dict.fromkeys(search.chosen, 0)
     any_ = dict.fromkeys(search.chosen, 0)
-    resampled = _resampled(search, rng)
+    resampled = _make_resampler(search, rng)
     most = selector.names(search.chosen) + 2
     done = draws
     for b in range(draws):
         look = b and b % LOOK == 0 if rising else b == FEW
-        if look and _decided([any_[k] / b for k in rising], b):
+        if look and _are_shares_decided([any_[k] / b for k in rising], b):
             done = b
             break
         if over():
@@ -61,23 +61,25 @@ def inclusion(
             break
         if b % 5 == 0:
             progress(b / draws)
-        again = selector.searched(resampled(), search.critical, most)
+        again = selector.select_candidates(resampled(), search.critical, most)
         names = {(selector.scorer.candidates[k].id, selector.scorer.candidates[k].joints) for k in again}
         columns = set(selector.columns(again))
         for k in search.chosen:
-            found = _found(search, k, names, columns)
+            found = _was_selected(search, k, names, columns)
             own[k] += found
-            any_[k] += found or any(_found(search, m, names, columns) for m in classes.get(k, ()))
+            any_[k] += found or any(_was_selected(search, m, names, columns) for m in classes.get(k, ()))
     return {k: (own[k] / done, any_[k] / done) for k in search.chosen}
 
 
-def _decided(shares: list[float], draws: int) -> bool:
+def _are_shares_decided(shares: list[float], draws: int) -> bool:
     """Whether so many draws leave no doubt on which side of the gate every share lies."""
     error = np.sqrt(INCLUDED * (1.0 - INCLUDED) / draws)
     return all(abs(share - INCLUDED) > DECIDED * error for share in shares)
 
 
-def _found(search: SearchResult, place: int, names: set[tuple[str, tuple[int, ...] | None]], columns: set[int]) -> bool:
+def _was_selected(
+    search: SearchResult, place: int, names: set[tuple[str, tuple[int, ...] | None]], columns: set[int]
+) -> bool:
     """Whether a candidate was selected: by name, or most of its columns within a family or as members of one."""
     candidate = search.selector.scorer.candidates[place]
     if (candidate.id, candidate.joints) in names:
@@ -86,16 +88,16 @@ def _found(search: SearchResult, place: int, names: set[tuple[str, tuple[int, ..
     return candidate.id in same and len(columns & set(candidate.columns)) >= 0.5 * len(candidate.columns)
 
 
-def _resampled(search: SearchResult, rng: np.random.Generator) -> Callable[[], Gram]:
+def _make_resampler(search: SearchResult, rng: np.random.Generator) -> Callable[[], Gram]:
     """What draws a resample: poses weighted again, on thousands of scalars in the data alone; noise where poses are few."""
     poses = int(search.problem.settings.group.max()) + 1
     if poses < FEWEST_FLIPS:
         return lambda: _noisy(search, rng)
     if search.problem.rows > MANY:
         scores = _scores(search, poses)
-        return lambda: _moved(search, *scores, _weights(poses, rng) - 1.0)
+        return lambda: _reweight_data_only(search, *scores, _weights(poses, rng) - 1.0)
     group = search.problem.settings.group[search.problem.row_visit]
-    return lambda: reweighted(search.problem, _weights(poses, rng)[group])
+    return lambda: reweight_problem(search.problem, _weights(poses, rng)[group])
 
 
 def _weights(poses: int, rng: np.random.Generator) -> Floats:
@@ -104,7 +106,7 @@ def _weights(poses: int, rng: np.random.Generator) -> Floats:
     return np.asarray(drawn / drawn.mean())
 
 
-def reweighted(problem: LinearizedProblem, weight: Floats) -> Gram:
+def reweight_problem(problem: LinearizedProblem, weight: Floats) -> Gram:
     """The linearised problem with rows weighted (R,): geometry, candidates and data projected again."""
     X = np.sqrt(weight)[:, None] * np.column_stack([problem.U, problem.W, problem.y])
     p, H = problem.U.shape[1], X.T @ X
@@ -121,7 +123,7 @@ def _scores(search: SearchResult, poses: int) -> tuple[Floats, Floats]:
     return problem.projection.under(grouping(group, poses, r)), np.bincount(group, r**2, poses).astype(np.float64)
 
 
-def _moved(search: SearchResult, scores: Floats, sizes: Floats, weight: Floats) -> Gram:
+def _reweight_data_only(search: SearchResult, scores: Floats, sizes: Floats, weight: Floats) -> Gram:
     """The data of poses weighted by one more than ``weight``; among so many the candidates stay as they are."""
     gram = search.problem.gram
     step = weight @ scores

@@ -54,9 +54,9 @@ class Evidence:
     borne: tuple[int, ...] | None = None  # joints at which they bear it out; None: not asked, or acts at none
 
     @property
-    def contradicted(self) -> bool:
+    def is_contradicted(self) -> bool:
         """Whether rows that no choice saw speak against it: a confirmation, or held-out poses that err more with it."""
-        again = self.replication is not None and self.replication.contradicted
+        again = self.replication is not None and self.replication.is_contradicted
         return again or (self.unseen_poses > 0 and self.held_out[0] < 0.0)
 
     @property
@@ -67,10 +67,10 @@ class Evidence:
     @property
     def lasts(self) -> bool:
         """Whether it rises on its own evidence where something else is left: between halves, or in a confirmation."""
-        return self.seen_again or (self.halves is not None and self.halves.lasts)
+        return self.is_surely_replicated or (self.halves is not None and self.halves.lasts)
 
     @property
-    def seen_again(self) -> bool:
+    def is_surely_replicated(self) -> bool:
         """Whether a confirmation shows it with the same amplitude, and is predicted better by it beyond chance."""
         return self.replication is not None and self.replication.certain
 
@@ -88,7 +88,7 @@ class Judged:
     measured: str = ""  # of a curve of a joint, the range that it is claimed for, in words
 
     @property
-    def called(self) -> str:
+    def display_name(self) -> str:
         """Name for people: the narrowest set that the data single out, and the range that a curve is claimed for."""
         return self.claim.words + self.measured
 
@@ -96,12 +96,14 @@ class Judged:
     def of_arm(self) -> bool:
         """Whether the arm itself does it: of what went with a clock base, station and air may, or rivals that are these."""
         elsewhere = (effect for a in self.alias_set for effect in a.candidate.effects)
-        return self.claim.placed and not any(e.clock and e.stage in ("base", "measurement") for e in elsewhere)
+        return self.claim.has_known_location and not any(
+            e.clock and e.stage in ("base", "measurement") for e in elsewhere
+        )
 
     @property
     def certain(self) -> bool:
         """Whether it happened, and not only something of its class."""
-        return self.verdict in SURE and not self.claim.followed and self.claim.said != CLASS
+        return self.verdict in SURE and not self.claim.is_confounded and self.claim.said != CLASS
 
     @property
     def storable(self) -> bool:
@@ -140,27 +142,27 @@ def judge(
     gates: dict[str, bool | None] = {
         "physical": not evidence.candidate.empirical,
         "lasts": settled or evidence.lasts or (None if evidence.untimed else False),
-        "held_out": evidence.seen_again or (evidence.held_out[0] > 0.0 and evidence.held_out[2] > SURE_GAIN),
-        "unseen_poses": evidence.unseen_poses > 0 or (replication is not None and replication.replicated),
+        "held_out": evidence.is_surely_replicated or (evidence.held_out[0] > 0.0 and evidence.held_out[2] > SURE_GAIN),
+        "unseen_poses": evidence.unseen_poses > 0 or (replication is not None and replication.is_replicated),
         "no_empirical_alias": len(rivals) == len(evidence.aliases)
         and not evidence.local_bump
-        and not _shadowed(search, evidence),
+        and not _is_shadowed_by_curve(search, evidence),
         "plausible": _plausible(evidence, library),
         "seen": evidence.seen,
         "inclusion": None if numbers["inclusion"] is None else numbers["inclusion"] >= INCLUDED,
-        "negative_control": evidence.control is None or evidence.control.passed,
+        "negative_control": evidence.control is None or evidence.control.has_passed,
     }
     if replication is not None:
-        gates["confirmation"] = not replication.contradicted
+        gates["confirmation"] = not replication.is_contradicted
     if lacking:
         gates["complete_geometry"] = False
     robot = search.problem.settings.source.model.robot
     alone = settled and not _beside_any_shape(search, evidence)
     shared = shared_clock(evidence.law, (one.law for one in beside if one.place != evidence.place))
-    claim = Claim.of(evidence.candidate, robot, rivals, evidence.separated, alone, evidence.borne, shared)
-    if _sensed(evidence) is not None:
-        gates["sensor"] = not claim.refuted
-    level = CONTRADICTED if evidence.contradicted else _level(gates, claim, replication)
+    claim = Claim.from_evidence(evidence.candidate, robot, rivals, evidence.separated, alone, evidence.borne, shared)
+    if _sensor_significance(evidence) is not None:
+        gates["sensor"] = not claim.is_refuted_by_sensor
+    level = CONTRADICTED if evidence.is_contradicted else _level(gates, claim, replication)
     return Judged(evidence, level, gates, numbers, rivals, claim)
 
 
@@ -170,23 +172,23 @@ def _beside_any_shape(search: SearchResult, evidence: Evidence) -> bool:
     So does a curve without a cause: beside it only the class is claimed.
     """
     robot, candidates = search.problem.settings.source.model.robot, search.selector.scorer.candidates
-    own = evidence.candidate.effects[0].class_on(robot).id
+    own = evidence.candidate.effects[0].physical_class(robot).id
     at = set(evidence.candidate.joints or ())
     others = (candidates[k] for k in search.chosen if k != evidence.place)
     near = (c.effects[0] for c in others if not c.joints or not at or at & set(c.joints))
-    return any((e.supple or e.empirical) and e.class_on(robot).id == own for e in near)
+    return any((e.supple or e.empirical) and e.physical_class(robot).id == own for e in near)
 
 
 def is_settled(fit: Adequacy, misfit: Misfit, refuted: bool, moves_mm: float) -> bool:
     """Whether nothing is left of which an effect that moves the tool so far may be a part; held-out rows may refute it."""
-    return not refuted and (bool(fit.adequate) or misfit.small_beside(moves_mm))
+    return not refuted and (bool(fit.adequate) or misfit.is_negligible_for_effect(moves_mm))
 
 
 def _level(gates: dict[str, bool | None], claim: Claim, replication: Replication | None) -> str:
     """The highest level that the gates allow: what was seen again is replicated, and no more than its claim says."""
     if not all(gates.values()):
         return "provisional"
-    if replication is not None and replication.replicated:
+    if replication is not None and replication.is_replicated:
         return "replicated"
     return "confirmed" if claim.said == MEMBER else "class_confirmed"
 
@@ -213,7 +215,7 @@ def _numbers(
         if evidence.control is None or not evidence.control.shuffles
         else evidence.control.survived,
     }
-    if (sensor := _sensed(evidence)) is not None:
+    if (sensor := _sensor_significance(evidence)) is not None:
         numbers["sensor"] = sensor
     return (
         numbers
@@ -222,7 +224,7 @@ def _numbers(
     )
 
 
-def _sensed(evidence: Evidence) -> float | None:
+def _sensor_significance(evidence: Evidence) -> float | None:
     """Standard deviations in which a sensor at the place shows it, None where none could."""
     return next((e.number for e in evidence.separated if e.separator is Separator.SENSOR and e.told), None)
 
@@ -230,7 +232,9 @@ def _sensed(evidence: Evidence) -> float | None:
 def nearest_shape(search: SearchResult, place: int) -> float | None:
     """Points that the best shape without a cause is behind the chosen one in its place; None without such shapes."""
     selector, gram = search.selector, search.problem.gram
-    scores = selector.scorer.scores(gram.given(selector.columns([k for k in search.chosen if k != place])))
+    scores = selector.scorer.scores(
+        gram.condition_on_columns(selector.columns([k for k in search.chosen if k != place]))
+    )
     value = scores.S / selector.variance(gram, search.chosen) - scores.d * np.log(selector.rows) - selector.scorer.paid
     shapes = selector.scorer.empirical & (scores.d > 0)
     shapes[list(search.chosen)] = False
@@ -268,7 +272,7 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfi
     if adequacy.adequate is None:
         whose = (
             "The repeats do not tell how large the noise is"
-            if adequacy.doubted
+            if adequacy.has_doubtful_noise
             else "The noise is that of the fit itself"
         )
         relative = f" {whose}, so this is relative to it."
@@ -286,7 +290,7 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfi
         "provisional": _risen(likely, adequacy, left)
         or (_likely(_once(likely), likely) if likely else "Nothing is named that unseen rows bear out."),
         "unexplained": _risen(likely, adequacy, left)
-        or _shaped(likely, adequacy)
+        or _describe_shapes(likely, adequacy)
         or f"Something is left that no known effect explains{left}."
         + (f" In part it looks like {names}." if names else ""),
     }
@@ -295,11 +299,11 @@ def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfi
     small = _once([j for j in judged if not misfit.matters(j.evidence.moves_mm)])
     little += f" Too small to matter: {', '.join(small)}." if small else ""
     if misfit.too_small and verdict == "no_gap":
-        little += f" What is left beyond the noise, {misfit.said}, is too small to matter."
+        little += f" What is left beyond the noise, {misfit.size_text}, is too small to matter."
     return said[verdict] + little + relative
 
 
-def _shaped(judged: tuple[Judged, ...], adequacy: Adequacy) -> str:
+def _describe_shapes(judged: tuple[Judged, ...], adequacy: Adequacy) -> str:
     """Say of shapes without a cause that with them the rows leave nothing; empty where there are none, or something is left."""
     shapes = _once([j for j in judged if j.evidence.candidate.empirical])
     if not shapes or not adequacy.adequate:
@@ -313,19 +317,19 @@ def _shaped(judged: tuple[Judged, ...], adequacy: Adequacy) -> str:
 
 def _likely(names: Sequence[str], judged: Sequence[Judged]) -> str:
     """Say of names that are not sure whether they failed a test, or whether there was no time for all of them."""
-    failed = any(passed is False for j in judged if j.called in names for passed in j.gates.values())
+    failed = any(passed is False for j in judged if j.display_name in names for passed in j.gates.values())
     return f"{', '.join(names)}: likely, but not every test was {'passed' if failed else 'made'}."
 
 
 def _once(judged: Sequence[Judged]) -> list[str]:
     """What they are called: two shapes of one error of a joint are one error."""
-    return list(dict.fromkeys(j.called for j in judged))
+    return list(dict.fromkeys(j.display_name for j in judged))
 
 
 def _risen(judged: tuple[Judged, ...], adequacy: Adequacy, left: str) -> str:
     """What is sure although the model as a whole is not, each with its level; empty where nothing is."""
     surely = [j for j in judged if j.verdict in SURE]
-    sure = list(dict.fromkeys(f"{j.called}: {SURE[j.verdict]}" for j in surely))
+    sure = list(dict.fromkeys(f"{j.display_name}: {SURE[j.verdict]}" for j in surely))
     shapes = _once([j for j in judged if j.evidence.candidate.empirical])
     likely = [name for name in _once(judged) if name not in (*_once(surely), *shapes)]
     if not sure:
@@ -360,14 +364,16 @@ def _shadow(search: SearchResult, evidence: Evidence) -> float:
     )
 
 
-def _shadowed(search: SearchResult, evidence: Evidence) -> bool:
+def _is_shadowed_by_curve(search: SearchResult, evidence: Evidence) -> bool:
     """Whether an unknown curve of another class was needed too, and could take this effect's place in part."""
     robot, candidate = search.problem.settings.source.model.robot, evidence.candidate
-    own = candidate.effects[0].class_on(robot).id
+    own = candidate.effects[0].physical_class(robot).id
     others = (
-        c for c in _curves(search, evidence) if c.effects[0].class_on(robot).id != own or c.joints != candidate.joints
+        c
+        for c in _curves(search, evidence)
+        if c.effects[0].physical_class(robot).id != own or c.joints != candidate.joints
     )
-    return any(_related(search, candidate, c) for c in others)
+    return any(_is_related_to_curve(search, candidate, c) for c in others)
 
 
 def _curves(search: SearchResult, evidence: Evidence) -> list[Candidate]:
@@ -375,7 +381,7 @@ def _curves(search: SearchResult, evidence: Evidence) -> list[Candidate]:
     return [candidates[k] for k in search.chosen if candidates[k].empirical and k != evidence.place]
 
 
-def _related(search: SearchResult, candidate: Candidate, curve: Candidate) -> bool:
+def _is_related_to_curve(search: SearchResult, candidate: Candidate, curve: Candidate) -> bool:
     """Same joint and a curve of the angle alone, or signatures that overlap after geometry."""
     same_joint = bool(set(candidate.joints or ()) & set(curve.joints or ()))
     of_angle = not candidate.effects[0].needs

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.arm.kernels.compiled import compiled
+from kilter_core.arm.kernels.compiled import compile_kernel
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -15,7 +15,7 @@ SURELY = 0.4  # of a direction that ridges may take off a whole number of them: 
 FAST = {"error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
 
 
-@compiled(**FAST)
+@compile_kernel(**FAST)
 def reductions(
     whole: Floats, c: Floats, K: Floats, along: Floats, copies: Floats, free: Bools, wanted: Bools, starts: Ints,
     columns: Ints, ridge: float, S: Floats, d: Ints,
@@ -40,7 +40,7 @@ def reductions(
                 size += 1
         S[n], d[n] = 0.0, 0
         if size > 0:
-            _factored(whole, c, K, along, ridge, own[:size], A, z)
+            _factorise_block(whole, c, K, along, ridge, own[:size], A, z)
             for a in range(size):
                 S[n] += z[a] * z[a]
             far = 1.0
@@ -49,11 +49,11 @@ def reductions(
                     far += copies[own[a], t] ** 2
             short = ridge * _trace(A, size)
             if short * far > SURELY:  # no more than that the copies can add
-                short += ridge * _copied(A, copies, own[:size])
+                short += ridge * _sum_squared_copies(A, copies, own[:size])
             d[n] = int(np.floor(size - short + 0.5))
 
 
-@compiled(**FAST)
+@compile_kernel(**FAST)
 def _product(whole: Floats, K: Floats, along: Floats, i: int, j: int) -> float:
     value = whole[i, j]
     for t in range(K.shape[1]):
@@ -61,8 +61,8 @@ def _product(whole: Floats, K: Floats, along: Floats, i: int, j: int) -> float:
     return value
 
 
-@compiled(**FAST)
-def _factored(
+@compile_kernel(**FAST)
+def _factorise_block(
     whole: Floats, c: Floats, K: Floats, along: Floats, ridge: float, own: Ints, A: Floats, z: Floats
 ) -> None:  # fmt: skip
     """Write the triangle ``A`` of the block of ``own (d,)`` columns, and the data ``z`` under it.
@@ -82,8 +82,8 @@ def _factored(
         z[a] = right / A[a, a]
 
 
-@compiled(**FAST)
-def _copied(A: Floats, copies: Floats, own: Ints) -> float:
+@compile_kernel(**FAST)
+def _sum_squared_copies(A: Floats, copies: Floats, own: Ints) -> float:
     """Sum of the squares of the copies under the triangle of a block."""
     total, column = 0.0, np.empty(len(own))
     for t in range(copies.shape[1]):
@@ -96,7 +96,7 @@ def _copied(A: Floats, copies: Floats, own: Ints) -> float:
     return total
 
 
-@compiled(**FAST)
+@compile_kernel(**FAST)
 def _trace(A: Floats, size: int) -> float:
     """Trace of the inverse of a matrix by its triangle."""
     total, column = 0.0, np.empty(size)

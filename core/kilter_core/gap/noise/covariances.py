@@ -25,15 +25,15 @@ def spread(pooled: tuple[Floats, Ints], vectors: float, rows_at: Floats | None, 
     flat = np.broadcast_to(room, (len(visits_at), *room.shape)).copy()
     if deviation.shape[1] != 3 or vectors < FEWEST_OF_SIGHT:
         return flat
-    sight = _Sight.of(deviation, rows_at[index])
+    sight = _Sight.from_deviations(deviation, rows_at[index])
     share = vectors / len(deviation)
     gain = share * (
-        _likelihood(deviation, sight.at(rows_at[index]))
+        _likelihood(deviation, sight.covariances_at_points(rows_at[index]))
         - _likelihood(deviation, np.broadcast_to(room, (len(index), 3, 3)))
     )
     # Schwarz's price of every number more: one where all coordinates are equal, six of a free covariance.
     more = sight.numbers - (1 if np.allclose(room, room[0, 0] * np.eye(3)) else 6)
-    return sight.at(visits_at) if gain > 0.5 * more * np.log(vectors) else flat
+    return sight.covariances_at_points(visits_at) if gain > 0.5 * more * np.log(vectors) else flat
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class _Sight:
         return 1 + int(self.across > 0.0) + int(self.angle > 0.0)
 
     @staticmethod
-    def of(deviation: Floats, at: Floats) -> _Sight:
+    def from_deviations(deviation: Floats, at: Floats) -> _Sight:
         d2 = np.sum(at**2, axis=1)
         u = at / np.sqrt(d2)[:, None]
         radial = np.sum(deviation * u, axis=1) ** 2
@@ -64,7 +64,7 @@ class _Sight:
             return _Sight(float(radial.mean()), float(side.mean()), 0.0)
         return _Sight(float(radial.mean()), 0.0, start) if a < 0.0 else _Sight(float(radial.mean()), float(a), float(b))
 
-    def at(self, points: Floats) -> Floats:
+    def covariances_at_points(self, points: Floats) -> Floats:
         d2 = np.sum(points**2, axis=1)
         u = points / np.sqrt(d2)[:, None]
         along = u[:, :, None] * u[:, None, :]

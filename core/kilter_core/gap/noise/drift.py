@@ -12,9 +12,17 @@ from typing import Any
 import numpy as np
 
 from kilter_core.gap.noise.shared_drift import SCALARS_BESIDE_DRIFT, Clocks, Shared
-from kilter_core.gap.noise.variogram import DRIFTED, KELVIN, Pairs, chance_of_drift, fitted, pairs_of, separable
+from kilter_core.gap.noise.variogram import (
+    DRIFTED,
+    KELVIN,
+    Pairs,
+    chance_of_drift,
+    fit_variogram,
+    pair_visits,
+    separable,
+)
 from kilter_core.gap.noise.visits import Visits
-from kilter_core.observations.clock import clock_of
+from kilter_core.observations.clock import read_clock
 from kilter_core.types import Floats, Ints
 
 SOON = 0.1  # of the campaign: repeats no further apart see little of a drift five times the noise
@@ -33,14 +41,14 @@ class Drift:
     timed: bool
 
     @property
-    def seen(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether the repeats drifted."""
         return self.p_value <= DRIFTED
 
     def to_document(self, unit: str, scale: float) -> dict[str, Any]:
         """Plain numbers, in mm or deg."""
         return {
-            "seen": self.seen, f"over_campaign_{unit}": self.over_campaign * scale,
+            "seen": self.is_significant, f"over_campaign_{unit}": self.over_campaign * scale,
             f"per_kelvin_{unit}": self.per_kelvin * scale, "p_value": self.p_value, "timed": self.timed,
         }  # fmt: skip
 
@@ -61,34 +69,34 @@ class Repeats:
     most: bool
 
 
-def blocks_of(size: int, lengths: int | None) -> tuple[slice, ...]:
+def scalar_blocks(size: int, lengths: int | None) -> tuple[slice, ...]:
     """Scalars of one kind: of poses lengths and rotations."""
     return (slice(0, size),) if lengths is None else (slice(0, lengths), slice(lengths, size))
 
 
-def clocks_of(visits: Visits) -> tuple[Clocks, bool]:
+def visit_clocks(visits: Visits) -> tuple[Clocks, bool]:
     """Time and temperature of the visits, and whether the time is that of a clock and not the order of the rows."""
     rows = visits.observations
-    clock = clock_of(rows)
+    clock = read_clock(rows)
     timed = rows.t is not None and clock.trusted
     return Clocks(rows.t if timed and rows.t is not None else _ranks(clock.order), rows.temperature_c), timed
 
 
-def repeats_of(
+def estimate_drift_free_noise(
     residual: Floats, visits: Visits, points: Floats | None, lengths: int | None, taken: float = 0.0
 ) -> Repeats | None:
     """Noise at no distance from residuals (V, m) of visits; None when no condition was visited twice.
 
     ``taken`` scalars of what they differ by were fitted away before.
     """
-    clocks, timed = clocks_of(visits)
+    clocks, timed = visit_clocks(visits)
     t, kelvin = clocks.t, clocks.kelvin
-    pairs = pairs_of(visits.condition, t, kelvin)
+    pairs = pair_visits(visits.condition, t, kelvin)
     if not len(pairs):
         return None
-    blocks = blocks_of(residual.shape[1], lengths)
+    blocks = scalar_blocks(residual.shape[1], lengths)
     scaled = residual / _typical(residual, pairs, blocks)
-    shared = Shared.of(scaled, visits.condition, clocks, points)
+    shared = Shared.from_residuals(scaled, visits.condition, clocks, points)
     left = shared.left
     chance = chance_of_drift(left, visits.condition, pairs)
     soon = residual.shape[1] * float(np.sum(pairs.dt <= SOON * np.ptp(t)))
@@ -117,7 +125,7 @@ def _at_no_distance(
     left: Floats, pairs: Pairs, blocks: tuple[slice, ...], drifting: bool
 ) -> tuple[Floats, Ints, Floats, float, tuple[float, float]] | None:
     """Deviations, their visits, variances, vectors and growth by a variogram of each block; None when nothing is left."""
-    found = [fitted(left[:, b], pairs, drifting) for b in blocks]
+    found = [fit_variogram(left[:, b], pairs, drifting) for b in blocks]
     if drifting and any(v.freedom < SCALARS_BESIDE_DRIFT or v.nugget <= 0.0 for v in found):
         return None
     kept = np.logical_and.reduce([v.kept for v in found])

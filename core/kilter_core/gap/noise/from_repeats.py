@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.gap.noise.covariances import SMALLEST, approach, even, second, shrunk, spread
-from kilter_core.gap.noise.drift import Drift, Repeats, blocks_of, repeats_of
+from kilter_core.gap.noise.drift import Drift, Repeats, estimate_drift_free_noise, scalar_blocks
 from kilter_core.gap.noise.pair_model import PairModel
 from kilter_core.gap.noise.unseen_approach import of_approach
-from kilter_core.gap.noise.visits import Visits, apart
+from kilter_core.gap.noise.visits import Visits, isolate_unused_visits
 from kilter_core.identify.rows.noise import pooled_columns
-from kilter_core.observations.groups import centred, unbiased
+from kilter_core.observations.groups import subtract_group_means, unbiased_deviations
 from kilter_core.types import Bools, Floats, Ints
 
 FEWEST_DEVIATIONS = 3  # independent deviations below which repeats say too little
@@ -44,10 +44,10 @@ class RepeatRows:
     used: Bools
     pairs: PairModel | None = None
 
-    def moved(self, mean: Floats) -> float:
+    def rms_repeat_change(self, mean: Floats) -> float:
         """Rms of a coordinate by which residuals (V, m) of another model move repeats against each other."""
         change = np.nan_to_num(mean - self.mean)
-        return float(np.sqrt(np.mean(centred(change, self.visits.condition) ** 2)))
+        return float(np.sqrt(np.mean(subtract_group_means(change, self.visits.condition) ** 2)))
 
 
 @dataclass(frozen=True)
@@ -84,12 +84,12 @@ class Noise:
         if self.readings is None:
             return 1.0
         tool = self.of_tool()
-        blocks = blocks_of(len(tool.row), tool.lengths)
+        blocks = scalar_blocks(len(tool.row), tool.lengths)
         whole, read = ([np.einsum("vii->", v[:, own, own]) for own in blocks] for v in (tool.visit, self.readings))
         return float(np.mean(np.divide(whole, np.maximum(read, SMALLEST**2))))
 
     @property
-    def bounded(self) -> bool:
+    def has_too_few_revisits(self) -> bool:
         """Whether revisits are too few to take out what sides and loads do to them."""
         told = self.repeats
         return told is not None and told.pairs is not None and not told.pairs.separable(told.used)
@@ -106,7 +106,7 @@ class Noise:
         (UR10 series B: 0.47 mm left instead of 0.43), and a name would then be confirmed for filling the difference.
         """
         if self.kinds:
-            return self.of_tool().even().beside(self)
+            return self.of_tool().even().with_sensors_from_noise(self)
         read, of_row = (None if one is None else even(one) for one in (self.readings, self.row_readings))
         return replace(self, visit=even(self.visit), row=even(self.row), readings=read, row_readings=of_row)
 
@@ -118,12 +118,12 @@ class Noise:
         read = None if self.readings is None else self.readings[:, :size, :size]
         return replace(self, visit=visit, row=row, lengths=lengths, kinds=(), readings=read)
 
-    def beside(self, other: Noise) -> Noise:
+    def with_sensors_from_noise(self, other: Noise) -> Noise:
         """This noise of the tool, and what another has of the kinds beside it."""
         count = sum(other.kinds)
-        return self.joined(other.visit[:, -count:, -count:], other.row[-count:, -count:], other.kinds)
+        return self.with_independent_sensors(other.visit[:, -count:, -count:], other.row[-count:, -count:], other.kinds)
 
-    def joined(self, visit: Floats, row: Floats, kinds: tuple[int, ...]) -> Noise:
+    def with_independent_sensors(self, visit: Floats, row: Floats, kinds: tuple[int, ...]) -> Noise:
         """This noise of the tool with covariances (V, k, k) and (k, k) of what was measured beside it, independent of it."""
         size, more = len(self.row), len(row)
         whole = np.zeros((len(visit), size + more, size + more))
@@ -177,9 +177,9 @@ def noise_again(noise: Noise, mean: Floats, taken: float, used: Bools) -> Noise 
     if noise.kinds:
         tool = noise.of_tool()
         found = noise_again(tool, mean[:, : len(tool.row)], taken, used)
-        return noise if found is tool else None if found is None else found.beside(noise)
+        return noise if found is tool else None if found is None else found.with_sensors_from_noise(noise)
     told = noise.repeats
-    if told is None or (np.array_equal(used, told.used) and told.moved(mean) < UNMOVED * noise.coordinate):
+    if told is None or (np.array_equal(used, told.used) and told.rms_repeat_change(mean) < UNMOVED * noise.coordinate):
         return noise
     rows = told.away + mean[told.visits.visit]
     if told.pairs is None:
@@ -210,11 +210,11 @@ def repeat_noise(
         residual, visit_residual = np.nan_to_num(residual), np.nan_to_num(visit_residual)
     of_visit = visits.visit
     if used is not None:
-        visits = replace(visits, condition=apart(visits.condition, used))
-        of_visit = apart(of_visit, used[of_visit])
-    within, k_within = _pooled(residual, of_visit)
+        visits = replace(visits, condition=isolate_unused_visits(visits.condition, used))
+        of_visit = isolate_unused_visits(of_visit, used[of_visit])
+    within, k_within = _deviations_from_group_means(residual, of_visit)
     share, lengths = 1.0 / visits.count, _lengths(residual.shape[1], visits)
-    repeats = repeats_of(visit_residual, visits, points, lengths, taken)
+    repeats = estimate_drift_free_noise(visit_residual, visits, points, lengths, taken)
     k_between = repeats.vectors if repeats else 0.0
     if _too_few(k_within + k_between):
         return None
@@ -225,7 +225,7 @@ def repeat_noise(
         visit = np.asarray(rows_cov * share[:, None, None])
         made = _noise(visit, rows_cov.mean(axis=0), k_within, lengths, rows_cov, None)
         return replace(made, absolute=False, source=WITHIN, readings=visit, row_readings=made.row)
-    total = _between(repeats, lengths)
+    total = _scaled_repeat_deviations(repeats, lengths)
     if _too_few(k_within):
         seen = spread(total, k_between, at, at)
         visit = np.broadcast_to(seen, (len(visits), *seen.shape[1:])).copy()
@@ -259,7 +259,7 @@ def revisit_noise(
     """
     used = np.ones(len(visits), dtype=bool) if used is None else used
     visits = replace(visits, condition=pairs.pose)
-    explained, fitted = pairs.explained(np.nan_to_num(visit_residual), used)
+    explained, fitted = pairs.fit_sides_and_loads(np.nan_to_num(visit_residual), used)
     rows, mean = residual - explained[visits.visit], visit_residual - explained
     made = repeat_noise(rows, mean, visits, points, taken + fitted, used)
     if made is None or made.repeats is None:
@@ -272,13 +272,13 @@ def _too_few(deviations: float) -> bool:
     return round(deviations, 9) < FEWEST_DEVIATIONS  # three come out as 2.9999999999999996 on some processors
 
 
-def _between(repeats: Repeats, lengths: int | None) -> tuple[Floats, Ints]:
+def _scaled_repeat_deviations(repeats: Repeats, lengths: int | None) -> tuple[Floats, Ints]:
     """Deviations of repeats whose mean squares are the variances found, with their visits; equal ones where none are left."""
     deviation, index, size = repeats.deviation, repeats.index, repeats.deviation.shape[1]
     if len(deviation) < FEWEST_DEVIATIONS:
         deviation, index = np.eye(size) * np.sqrt(size), np.zeros(size, dtype=np.int64)
     scaled = np.zeros_like(deviation)
-    for block, variance in zip(blocks_of(size, lengths), repeats.variance, strict=True):
+    for block, variance in zip(scalar_blocks(size, lengths), repeats.variance, strict=True):
         scaled[:, block] = deviation[:, block] * np.sqrt(
             variance / max(float(np.mean(deviation[:, block] ** 2)), 1e-300)
         )
@@ -301,24 +301,28 @@ def fit_noise(visit_residual: Floats, visits: Visits, used: Bools, lost: float) 
     return _scatter(visit_residual, used, lost, _lengths(visit_residual.shape[1], visits))
 
 
-def refitted(noise: Noise, visit_residual: Floats, used: Bools, lost: float) -> Noise:
+def re_estimate_fit_noise(noise: Noise, visit_residual: Floats, used: Bools, lost: float) -> Noise:
     """The same at another fit of the same visits."""
     if noise.kinds:
         tool = noise.of_tool()
-        found = refitted(tool, visit_residual[:, : len(tool.row)], used, lost)
+        found = re_estimate_fit_noise(tool, visit_residual[:, : len(tool.row)], used, lost)
         count = np.full(len(visit_residual), 1)
-        return found.joined(*sensors(visit_residual[used, len(tool.row) :], None, noise.kinds, count), noise.kinds)
+        return found.with_independent_sensors(
+            *sensors(visit_residual[used, len(tool.row) :], None, noise.kinds, count), noise.kinds
+        )
     return _scatter(visit_residual, used, lost, noise.lengths)
 
 
-def approached(noise: Noise, visit_residual: Floats, used: Bools, lost: float) -> Noise:
+def add_approach_noise(noise: Noise, visit_residual: Floats, used: Bools, lost: float) -> Noise:
     """The noise of readings within visits, shaped as what a fit leaves says of an approach that nothing repeats."""
     if noise.kinds:
         tool = noise.of_tool()
-        return approached(tool, visit_residual[:, : len(tool.row)], used, lost).beside(noise)
+        return add_approach_noise(tool, visit_residual[:, : len(tool.row)], used, lost).with_sensors_from_noise(noise)
     if noise.readings is None or noise.row_readings is None:
         return noise
-    added = np.diag(of_approach(noise.readings, visit_residual, used, lost, blocks_of(len(noise.row), noise.lengths)))
+    added = np.diag(
+        of_approach(noise.readings, visit_residual, used, lost, scalar_blocks(len(noise.row), noise.lengths))
+    )
     return replace(noise, visit=noise.readings + added, row=noise.row_readings + added)
 
 
@@ -370,7 +374,7 @@ def _deviation(cov: Floats, lengths: int | None) -> float:
     return float(np.sqrt(np.mean(np.diag(cov)[:lengths])))
 
 
-def _pooled(values: Floats, group: Ints) -> tuple[tuple[Floats, Ints], int]:
+def _deviations_from_group_means(values: Floats, group: Ints) -> tuple[tuple[Floats, Ints], int]:
     """Deviations from the mean of their group, made unbiased, without spikes; and how many are independent."""
     count = np.bincount(group)
     many = count[group] > 1
@@ -380,7 +384,7 @@ def _pooled(values: Floats, group: Ints) -> tuple[tuple[Floats, Ints], int]:
     deviation = np.zeros_like(values)
     for _ in range(3):
         count = np.bincount(group[kept], minlength=len(count))
-        deviation = unbiased(values, group, kept)[0]
+        deviation = unbiased_deviations(values, group, kept)[0]
         scale = np.median(np.abs(deviation[kept]), axis=0) / 0.6745 + SMALLEST
         again = many & ((np.abs(deviation) / scale).max(axis=1) < SPIKE) & (count[group] > 1)
         if np.array_equal(again, kept) or not again.any():

@@ -29,7 +29,7 @@ class Windows:
     width: int = 1
 
 
-def windows_of(rows: Observations, width: int | None = None) -> Windows:
+def split_into_windows(rows: Observations, width: int | None = None) -> Windows:
     """Equal windows of ``width`` rows, or so many rows that there are 6000 of them at most; none spans two motions."""
     width = width or max(1, -(-len(rows) // MOST_WINDOWS))
     motion = segments(rows)
@@ -41,7 +41,7 @@ def windows_of(rows: Observations, width: int | None = None) -> Windows:
     return Windows(((starts + ends - 1) // 2).astype(np.int64), window, width)
 
 
-def averaged(rows: Observations, residual: Floats, windows: Windows, live: Bools) -> Observations:
+def average_windows(rows: Observations, residual: Floats, windows: Windows, live: Bools) -> Observations:
     """Middle rows whose position is moved by the mean of their window's residual (N, m) less their own.
 
     ``live`` are the joints that residuals of link-side encoders belong to. Averaging positions would cut the corners

@@ -13,11 +13,11 @@ from functools import cached_property
 
 import numpy as np
 
-from kilter_core.gap.noise.drift import blocks_of, clocks_of
+from kilter_core.gap.noise.drift import scalar_blocks, visit_clocks
 from kilter_core.gap.noise.shared_drift import SCALARS_BESIDE_DRIFT, moments_and_motions
 from kilter_core.gap.noise.variogram import SPIKE
-from kilter_core.gap.noise.visits import Visits, apart
-from kilter_core.observations.groups import centred
+from kilter_core.gap.noise.visits import Visits, isolate_unused_visits
+from kilter_core.observations.groups import subtract_group_means
 from kilter_core.types import Bools, Floats, Ints
 
 PASSES = 4  # selections without the visits that are spikes for the one before
@@ -42,7 +42,7 @@ class PairModel:
     lengths: int | None
     whole: bool = True
 
-    def explained(self, mean: Floats, used: Bools) -> tuple[Floats, int]:
+    def fit_sides_and_loads(self, mean: Floats, used: Bools) -> tuple[Floats, int]:
         """What sides and loads do to the visits (V, m), by the candidates that their differences show; and how many
         numbers were fitted for it.
         """
@@ -52,7 +52,7 @@ class PairModel:
             scale = self._scales(mean, kept)
             y = self._differences(mean[:, :, None], kept, scale)[:, 0]
             X = self._differences(np.concatenate([self.W, self._drift], axis=2), kept, scale)
-            chosen = _selected(X, y, self._tried, len(y) - size * len(np.unique(self.pose[kept])))
+            chosen = _select_columns(X, y, self._candidates_with_drift, len(y) - size * len(np.unique(self.pose[kept])))
             amounts = np.linalg.lstsq(X[:, chosen], y, rcond=SEEN)[0]
             left = np.abs((y - X[:, chosen] @ amounts).reshape(-1, size)).max(axis=1)
             near = left <= SPIKE * max(float(np.median(left)), SEEN)
@@ -73,29 +73,32 @@ class PairModel:
 
     def _differences(self, values: Floats, kept: Bools, scale: Floats) -> Floats:
         """Rows (R, K) of values (V, m, K) less the mean of their pose, in units of ``scale (m,)``."""
-        made = centred(values, apart(self.pose, kept))[kept] / scale[:, None]
+        made = subtract_group_means(values, isolate_unused_visits(self.pose, kept))[kept] / scale[:, None]
         return np.asarray(made.reshape(-1, values.shape[2]))
 
     def _scales(self, mean: Floats, kept: Bools) -> Floats:
         """A usual difference (m,) of each number's kind: lengths and rotations are compared in these."""
-        away, out = np.abs(centred(mean, apart(self.pose, kept))[kept]), np.ones(mean.shape[1])
-        for block in blocks_of(mean.shape[1], self.lengths):
+        away, out = (
+            np.abs(subtract_group_means(mean, isolate_unused_visits(self.pose, kept))[kept]),
+            np.ones(mean.shape[1]),
+        )
+        for block in scalar_blocks(mean.shape[1], self.lengths):
             out[block] = max(float(np.median(away[:, block], axis=None)), 1e-12)
         return out
 
     @cached_property
     def _drift(self) -> Floats:
         """Columns (V, m, K) of a drift that all visits share, so that it is not taken for sides or loads."""
-        return moments_and_motions(self.pose, clocks_of(self.visits)[0], self.points, self.W.shape[1])
+        return moments_and_motions(self.pose, visit_clocks(self.visits)[0], self.points, self.W.shape[1])
 
     @cached_property
-    def _tried(self) -> tuple[tuple[int, ...], ...]:
+    def _candidates_with_drift(self) -> tuple[tuple[int, ...], ...]:
         """The candidates, and the drift along each clock."""
         start, count = len(self.columns), self._drift.shape[2]
         return (*self.candidates, *((tuple(range(start, start + count)),) if count else ()))
 
 
-def _selected(X: Floats, y: Floats, candidates: Sequence[tuple[int, ...]], free: int) -> list[int]:
+def _select_columns(X: Floats, y: Floats, candidates: Sequence[tuple[int, ...]], free: int) -> list[int]:
     """Columns (R, K) that rows ``y (R,)`` of so much freedom show, the candidate that gains most first.
 
     A candidate pays for its numbers as by Schwarz, and for having been chosen among so many.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from kilter_core.observations.groups import centred
+from kilter_core.observations.groups import subtract_group_means
 from kilter_core.types import Bools, Floats, Ints
 
 WAVES = 40  # of a walk: all but 1/200 of its variance
@@ -21,7 +21,7 @@ RATIOS = np.geomspace(1e-3, 1e6, 46)  # variance of the walk over that of the no
 SEEN = 1e-10
 
 
-def walked(
+def fit_random_walk(
     away: Floats, motion: Floats, t: Floats, condition: Ints, kept: Bools, course: Floats
 ) -> tuple[Floats, float]:
     """The way (V, m) of all visits by a walk, and how many scalars of the repeats it takes.
@@ -32,25 +32,25 @@ def walked(
     """
     size = away.shape[1]
     scalars = float(size * (kept.sum() - len(np.unique(condition[kept]))))
-    F = centred(course, condition, kept)[kept].reshape(-1, course.shape[2])
+    F = subtract_group_means(course, condition, kept)[kept].reshape(-1, course.shape[2])
     Q, size_of, turn = np.linalg.svd(F, full_matrices=False)
     seen = size_of > np.sqrt(SEEN) * max(float(size_of[0]), np.finfo(float).tiny)
     Q, back = Q[:, seen], turn[seen].T / size_of[seen]
-    y = centred(away, condition, kept)[kept].reshape(-1)
+    y = subtract_group_means(away, condition, kept)[kept].reshape(-1)
     y = y - Q @ (Q.T @ y)
     tried = []
     for count in {min(SHIFTS, motion.shape[2]), motion.shape[2]}:
         X = _columns(motion[:, :, :count], t)
-        Xc = centred(X, condition, kept)[kept].reshape(-1, X.shape[2])
+        Xc = subtract_group_means(X, condition, kept)[kept].reshape(-1, X.shape[2])
         along = Q.T @ Xc
-        cost, amount, taken = _smoothed(Xc - Q @ along, y, scalars - Q.shape[1])
+        cost, amount, taken = _fit_wave_amplitudes(Xc - Q @ along, y, scalars - Q.shape[1])
         # What of the walk looks like the steady course went with that already.
         tried.append((cost, X @ amount - course @ (back @ (along @ amount)), taken))
     _, way, taken = min(tried, key=lambda one: one[0])
     return way, taken
 
 
-def _smoothed(X: Floats, y: Floats, scalars: float) -> tuple[float, Floats, float]:
+def _fit_wave_amplitudes(X: Floats, y: Floats, scalars: float) -> tuple[float, Floats, float]:
     """Likelihood (less is likelier) of waves X (R, w), what they are likeliest to amount to, and how many scalars they take."""
     w, V = np.linalg.eigh(X.T @ X)
     able = w > SEEN * max(float(w[-1]), np.finfo(float).tiny)

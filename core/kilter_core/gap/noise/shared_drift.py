@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f
 
-from kilter_core.gap.noise.random_walk import walked
+from kilter_core.gap.noise.random_walk import fit_random_walk
 from kilter_core.gap.noise.variogram import DRIFTED, KELVIN, QUICK, SPIKE
-from kilter_core.observations.groups import centred
+from kilter_core.observations.groups import subtract_group_means
 from kilter_core.types import Bools, Floats, Ints
 
 SCALARS_BESIDE_DRIFT = 9.0  # scalars that the noise must rest on beside a drift, for the two to count as distinguished
@@ -59,11 +59,11 @@ class Shared:
     per_kelvin: float
 
     @staticmethod
-    def of(r: Floats, condition: Ints, clocks: Clocks, points: Floats | None) -> Shared:
+    def from_residuals(r: Floats, condition: Ints, clocks: Clocks, points: Floats | None) -> Shared:
         """Take one clock after another, the likeliest first, while chance does not explain it."""
         many = np.bincount(condition)[condition] > 1
         # One place for all visits of a condition: else what a wrong reading moved the place by would count as a motion.
-        places = None if points is None else points - centred(points, condition)
+        places = None if points is None else points - subtract_group_means(points, condition)
         size, motion = r.shape[1], _motions(len(r), r.shape[1], places)
         scalars = float(size * (many.sum() - len(np.unique(condition[many]))))
         each, timed = clocks.values(many)
@@ -71,7 +71,7 @@ class Shared:
         for step in range(MOST if len(each) else 0):
             if scalars - taken - motion.shape[2] < SCALARS_BESIDE_DRIFT:
                 break
-            tried = [_tried(left, condition, many, motion, clock, scalars - taken) for clock in each]
+            tried = [_test_motion_along_clock(left, condition, many, motion, clock, scalars - taken) for clock in each]
             k = int(np.argmin([p for p, _ in tried]))
             p = min(1.0, tried[k][0] * len(each))
             first = p if step == 0 else first
@@ -93,21 +93,21 @@ class Shared:
 
 def moments_and_motions(condition: Ints, clocks: Clocks, points: Floats | None, size: int) -> Floats:
     """Columns (V, m, K) of a steady drift with time, and of one with the temperature, that all visits share."""
-    places = None if points is None else points - centred(points, condition)
+    places = None if points is None else points - subtract_group_means(points, condition)
     motion = _motions(len(condition), size, places)
     each, timed = clocks.values(np.bincount(condition)[condition] > 1)
     steady = each[[k for k in range(len(each)) if k == 0 or k >= timed]]
     return _courses(motion, steady, np.ones(len(steady), dtype=bool)) if len(steady) else motion[:, :, :0]
 
 
-def _tried(
+def _test_motion_along_clock(
     r: Floats, condition: Ints, many: Bools, motion: Floats, clock: Floats, scalars: float
 ) -> tuple[float, Floats]:
     """Chance of a motion along a clock, and its amount (k,), from the repeats without their spikes."""
     moved = motion * (clock - clock.mean())[:, None, None]
-    columns = centred(moved, condition)
-    away, amount = centred(r, condition), np.zeros(motion.shape[2])
-    kept = many & _near(np.abs(away).max(axis=1), many)
+    columns = subtract_group_means(moved, condition)
+    away, amount = subtract_group_means(r, condition), np.zeros(motion.shape[2])
+    kept = many & _non_spike_mask(np.abs(away).max(axis=1), many)
     seen = np.sum(columns[many] ** 2, axis=(0, 1)) > SEEN * float(np.sum(moved**2)) + np.finfo(float).tiny
     if not seen.any():
         return 1.0, amount
@@ -115,7 +115,7 @@ def _tried(
         A = columns[kept][:, :, seen].reshape(-1, int(seen.sum()))
         amount[seen] = np.linalg.lstsq(A, away[kept].reshape(-1), rcond=SEEN)[0]
         rest = np.abs(away - columns @ amount).max(axis=1)
-        kept = many & _near(rest, many)
+        kept = many & _non_spike_mask(rest, many)
     before, after = (float(np.sum(v[kept] ** 2)) for v in (away, away - columns @ amount))
     taken = float(seen.sum())
     free = scalars - taken - r.shape[1] * float(many.sum() - kept.sum())
@@ -134,14 +134,14 @@ def _without_walk(
     r: Floats, condition: Ints, many: Bools, motion: Floats, t: Floats, course: Floats
 ) -> tuple[Floats, float]:
     """Residuals (V, m) without a walk that all visits share, and how many scalars it took."""
-    away = centred(r, condition)
-    kept = many & _near(np.abs(away).max(axis=1), many)
+    away = subtract_group_means(r, condition)
+    kept = many & _non_spike_mask(np.abs(away).max(axis=1), many)
     kept &= np.bincount(condition[kept], minlength=int(condition.max()) + 1)[condition] > 1
-    way, taken = walked(away, motion, t, condition, kept, course)
+    way, taken = fit_random_walk(away, motion, t, condition, kept, course)
     return r - way, taken
 
 
-def _near(size: Floats, many: Bools) -> Bools:
+def _non_spike_mask(size: Floats, many: Bools) -> Bools:
     """Which sizes (V,) are not spikes among those of the repeats."""
     return np.asarray(size <= SPIKE * np.median(size[many]) / 0.6745)
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.stats import chi2
 
-from kilter_core.observations.groups import centred
+from kilter_core.observations.groups import subtract_group_means
 from kilter_core.types import Bools, Floats, Ints
 
 MANY = 8  # visits of a condition from which pairs are taken at lags of powers of two
@@ -76,7 +76,7 @@ class Variogram:
     model: Floats
 
 
-def pairs_of(condition: Ints, t: Floats, kelvin: Floats | None) -> Pairs:
+def pair_visits(condition: Ints, t: Floats, kelvin: Floats | None) -> Pairs:
     """Pairs of the visits of each condition; of many visits those one, two, four ... places apart in time."""
     order = np.lexsort((t, condition))
     start = np.flatnonzero(np.diff(condition[order], prepend=-1))
@@ -94,7 +94,7 @@ def pairs_of(condition: Ints, t: Floats, kelvin: Floats | None) -> Pairs:
     return Pairs(i, j, np.abs(t[i] - t[j]), dT)
 
 
-def fitted(residual: Floats, pairs: Pairs, drifting: bool) -> Variogram:
+def fit_variogram(residual: Floats, pairs: Pairs, drifting: bool) -> Variogram:
     """Variogram of residuals (V, m), one variance for all coordinates; without growing terms unless ``drifting``.
 
     Weighted by what each pair can say, without the pairs that are spikes for the variance expected of them.
@@ -139,8 +139,8 @@ def chance_of_drift(residual: Floats, condition: Ints, pairs: Pairs) -> float:
         return 1.0
     x = terms[:, moving] - terms[:, moving].mean(axis=0)
     x /= np.linalg.norm(x, axis=0)
-    away = centred(residual, condition)
-    rng, swap = np.random.default_rng(SEED), _Exchange.of(condition)
+    away = subtract_group_means(residual, condition)
+    rng, swap = np.random.default_rng(SEED), _Exchange.from_conditions(condition)
     cap = SPIKE * float(np.sqrt(np.median(_half_square(away, pairs)) + 1e-300))
 
     def growth(r: Floats) -> float:
@@ -162,7 +162,7 @@ class _Exchange:
     groups: tuple[Ints, ...]  # (conditions, visits of each) of equal size
 
     @staticmethod
-    def of(condition: Ints) -> _Exchange:
+    def from_conditions(condition: Ints) -> _Exchange:
         order = np.argsort(condition, kind="stable")
         start = np.flatnonzero(np.diff(condition[order], prepend=-1))
         parts = np.split(order, start[1:])

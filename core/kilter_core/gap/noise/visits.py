@@ -30,20 +30,20 @@ class Visits:
         return len(self.count)
 
 
-def visits_of(rows: Observations) -> Visits:
+def average_visits(rows: Observations) -> Visits:
     """Average the rows of each visit, and number visits by their first rows."""
     rows = with_sides_of_repeats(rows)
-    first, visit, count = _numbered(rows.visits())
-    averaged = rows.select(first) if count.max() == 1 else _averaged(rows, visit, first, count)
+    first, visit, count = _number_runs(rows.visits())
+    averaged = rows.select(first) if count.max() == 1 else _average_rows(rows, visit, first, count)
     return Visits(averaged, visit, count, rows.pose_groups()[first], rows.conditions()[first])
 
 
-def apart(condition: Ints, used: Bools) -> Ints:
+def isolate_unused_visits(condition: Ints, used: Bools) -> Ints:
     """Conditions (V,) where visits that are not ``used (V,)`` repeat none."""
     return np.where(used, condition, condition.max() + 1 + np.arange(len(used)))
 
 
-def _numbered(run: Ints) -> tuple[Ints, Ints, Ints]:
+def _number_runs(run: Ints) -> tuple[Ints, Ints, Ints]:
     """First row (V,) of each run, the number (N,) of its run of every row in the order of the rows, and its rows (V,)."""
     _, first, inverse, count = np.unique(run, return_index=True, return_inverse=True, return_counts=True)
     order = np.argsort(first, kind="stable")
@@ -52,7 +52,7 @@ def _numbered(run: Ints) -> tuple[Ints, Ints, Ints]:
     return first[order].astype(np.int64), place[inverse.reshape(-1)], count[order].astype(np.int64)
 
 
-def _averaged(rows: Observations, visit: Ints, first: Ints, count: Ints) -> Observations:
+def _average_rows(rows: Observations, visit: Ints, first: Ints, count: Ints) -> Observations:
     out = rows.select(first)
     plain = ("q", "position", "markers", "link_q", "tilt", "qd", "qdd", "tau", "t", "temperature_c", "bar_length",
              "base_tilt_x", "base_tilt_y", "link_mass", "link_wrench", "command")  # fmt: skip

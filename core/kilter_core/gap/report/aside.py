@@ -8,9 +8,9 @@ import numpy as np
 
 from kilter_core.gap.report.next_poses import set_aside_again
 from kilter_core.gap.search.prepare import Prepared
-from kilter_core.identify.fit.tukey import points_mm, sizes_of
+from kilter_core.identify.fit.tukey import points_mm, whitened_row_sizes
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.contacts import held
+from kilter_core.measurement.contacts import has_contacts
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Ints
@@ -48,11 +48,11 @@ def rows_aside(calibration: Calibration, rows: Observations, which: Ints, sigma:
     found: list[dict[str, Any]] = [
         {"row": int(row), "residual_mm": None, "residual_sigma": None, "weight": 0.0} for row in which
     ]
-    if not found or (rows.position is None and rows.markers is None) or held(rows):
+    if not found or (rows.position is None and rows.markers is None) or has_contacts(rows):
         return found
-    measurement = Measurement.of(rows.select(which), calibration.marker_points)
+    measurement = Measurement.from_observations(rows.select(which), calibration.marker_points)
     left = measurement.residual(calibration.predict(measurement.observations))
-    size = sizes_of(left.of_points(), sigma, np.nan) if sigma > 0.0 else np.full(len(which), np.nan)
+    size = whitened_row_sizes(left.of_points(), sigma, np.nan) if sigma > 0.0 else np.full(len(which), np.nan)
     for one, length, sigmas in zip(found, points_mm(left), size, strict=True):
         one["residual_mm"] = length
         one["residual_sigma"] = float(sigmas) if np.isfinite(sigmas) else None

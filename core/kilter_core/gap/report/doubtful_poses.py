@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator, on_rows
 from kilter_core.gap.evidence.held_out.unseen_fit import UnseenFit
-from kilter_core.gap.search.linear.in_space import root_of
+from kilter_core.gap.search.linear.in_space import cholesky_root
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.model.doubts import Doubt
 from kilter_core.types import Bools, Floats
@@ -32,12 +32,12 @@ class Aside(NamedTuple):
     joints: dict[int, float]
 
 
-def doubts_of(held: HoldoutEvaluator, verdict: str, unseen: UnseenFit | None) -> tuple[Doubt, ...]:
+def version_doubts(held: HoldoutEvaluator, verdict: str, unseen: UnseenFit | None) -> tuple[Doubt, ...]:
     """Return what a version doubts of itself: near each visit that was set aside, and everywhere if the run is unexplained."""
     source = held.search.problem.settings.source
-    found = _near(source, list(_aside(held))) if source.observes_tool and not held.moving else []
+    found = _doubts_near_set_aside(source, list(_aside(held))) if source.observes_tool and not held.moving else []
     if verdict == "unexplained":
-        n, error = source.model.robot.n_joints, 0.0 if unseen is None or not unseen.refuted else unseen.beyond
+        n, error = source.model.robot.n_joints, 0.0 if unseen is None or not unseen.refutes_model else unseen.beyond
         found.append(Doubt.everywhere(n, error, NOT_CLOSED))
     return tuple(found)
 
@@ -51,12 +51,12 @@ def _aside(held: HoldoutEvaluator) -> Iterator[Aside]:
         max(settings.source.rms(one[None]) for one in shared(j)) for j in range(settings.source.model.robot.n_joints)
     ]
     yield from _errors(settings.source, values, ~settings.used, settings.of_visit, longest)
-    if held.rows is not None and not held.kept.all():
+    if held.rows is not None and not held.valid_row_mask.all():
         other, there = on_rows(settings.source, held.rows, search, values)
         yield from _errors(
             other,
             there,
-            ~held.kept,
+            ~held.valid_row_mask,
             np.broadcast_to(settings.of_row, (len(held.rows), *settings.of_row.shape)),
             longest,
         )
@@ -67,7 +67,7 @@ def _errors(source: Source, values: Floats, which: Bools, noise: Floats, longest
     left, columns, rows = np.nan_to_num(source.residual(values)), source.joint_columns(values), np.flatnonzero(which)
     motions = [columns(j) for j in range(len(longest))]
     for row in rows:
-        back, error = np.linalg.inv(root_of(noise[row])), source.rms(left[[row]])
+        back, error = np.linalg.inv(cholesky_root(noise[row])), source.rms(left[[row]])
         joints = {}
         for j, motion in enumerate(motions):
             lever, size = source.rms(motion[[row]]), len(back)
@@ -78,7 +78,7 @@ def _errors(source: Source, values: Floats, which: Bools, noise: Floats, longest
         yield Aside(source.observations.q[row], error, joints)
 
 
-def _near(source: Source, aside: list[Aside]) -> list[Doubt]:
+def _doubts_near_set_aside(source: Source, aside: list[Aside]) -> list[Doubt]:
     """Boxes: along each joint that may have made an error, at any angle of the others; else about the pose in all joints."""
     robot = source.model.robot
     half = np.array([NEAR_M if joint.kind == "prismatic" else NEAR_RAD for joint in robot.joints])

@@ -17,12 +17,12 @@ import numpy as np
 from kilter_core.effects import Batch
 from kilter_core.effects.batch import NOT_OF_ROWS
 from kilter_core.effects.physical import JOINT_CURVE
-from kilter_core.gap.evidence.fits.final_fit import Amounts, amounts_of, widening
+from kilter_core.gap.evidence.fits.final_fit import Amounts, final_effect_amounts, widening
 from kilter_core.gap.evidence.fits.intervals import interval_width
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.search.candidates import JOINT, Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.parameters import degrees, reported
+from kilter_core.parameters import degrees, display_unit_and_scale
 from kilter_core.types import Bools, Floats
 
 MOST_VISITS = 400
@@ -48,18 +48,18 @@ class Follows:
     units: tuple[str, str]
     two_sided: bool = False
 
-    def of(self, batch: Batch, joint: int) -> Floats:
+    def values_at_joint(self, batch: Batch, joint: int) -> Floats:
         """Its values in the rows (N,)."""
         column = getattr(batch, self.name)
         return np.asarray(column[:, joint] if self.of_joint else column)
 
-    def imagined(self, batch: Batch, joint: int, x: Floats, side: Floats) -> Batch:
+    def synthetic_batch(self, batch: Batch, joint: int, x: Floats, side: Floats) -> Batch:
         """Conditions like those of the first row, but for this quantity ``x (K,)`` and the direction ``side (K,)``."""
         first = {k: v[:1] for k, v in vars(batch).items() if isinstance(v, np.ndarray) and k not in NOT_OF_ROWS}
         rows = {k: np.repeat(v, len(x), axis=0) for k, v in first.items()}
-        rows[self.name] = _replaced(rows[self.name], joint, x) if self.of_joint else x
+        rows[self.name] = _replace_joint_column(rows[self.name], joint, x) if self.of_joint else x
         if self.two_sided:
-            rows["direction"] = _replaced(rows["direction"], joint, side)
+            rows["direction"] = _replace_joint_column(rows["direction"], joint, side)
         return replace(batch, **rows, slopes=None)
 
 
@@ -89,7 +89,7 @@ def effect_curves(search: SearchResult, effects: Sequence[Judged]) -> list[dict[
     out: list[dict[str, Any]] = []
     if not effects:
         return out
-    fit = amounts_of(search)
+    fit = final_effect_amounts(search)
     for judged in effects:
         place = judged.evidence.place
         alike = {alias.candidate.label for alias in judged.alias_set}
@@ -102,7 +102,7 @@ def effect_curves(search: SearchResult, effects: Sequence[Judged]) -> list[dict[
 def _curve(search: SearchResult, fit: Amounts, place: int, joint: int, alike: set[str]) -> dict[str, Any] | None:
     """The curve of a chosen candidate at a joint, None where no single quantity tells it."""
     candidate, source = search.selector.scorer.candidates[place], search.problem.settings.source
-    found = next(_followed(candidate, source.batch, joint, search), None)
+    found = next(_find_followed_quantities(candidate, source.batch, joint, search), None)
     if found is None:
         return None
     visits = _visits(search, joint)
@@ -111,19 +111,21 @@ def _curve(search: SearchResult, fit: Amounts, place: int, joint: int, alike: se
     return _Drawn(search, fit, candidate, joint, found, visits).document(alike)
 
 
-def _followed(candidate: Candidate, batch: Batch, joint: int, search: SearchResult) -> Iterator[Follows]:
+def _find_followed_quantities(
+    candidate: Candidate, batch: Batch, joint: int, search: SearchResult
+) -> Iterator[Follows]:
     """Quantities that tell what the candidate does at the joint, all else as in the first row."""
-    batch = batch.part(slice(None, None, max(1, len(batch) // LOOKED_AT)))
+    batch = batch.select_rows(slice(None, None, max(1, len(batch) // LOOKED_AT)))
     actual = _signals(search, candidate, batch, joint)
     if actual is None or not np.any(actual):
         return
     for quantity in QUANTITIES:
         if getattr(batch, quantity.name) is None or (quantity.two_sided and batch.direction is None):
             continue
-        x, side = quantity.of(batch, joint), _side(quantity, batch, joint)
+        x, side = quantity.values_at_joint(batch, joint), _side(quantity, batch, joint)
         if not np.all(np.isfinite(x)) or np.ptp(x) == 0.0:
             continue
-        told = _signals(search, candidate, quantity.imagined(batch, joint, x, side), joint)
+        told = _signals(search, candidate, quantity.synthetic_batch(batch, joint, x, side), joint)
         if told is not None and np.all(np.abs(told - actual) <= SAME * np.abs(actual).max(axis=0)):
             yield quantity
 
@@ -186,52 +188,54 @@ class _Drawn:
     def document(self, alike: set[str]) -> dict[str, Any]:
         """The curve with its 95 % band, the visits, the rival, and how far two sides are apart."""
         prismatic = self.search.problem.settings.source.model.robot.joints[self.joint].kind == "prismatic"
-        x_unit, x_scale = reported(self.follows.units[prismatic])
-        unit, scale = reported("m" if prismatic else "rad")
+        x_unit, x_scale = display_unit_and_scale(self.follows.units[prismatic])
+        unit, scale = display_unit_and_scale("m" if prismatic else "rad")
         grid = self._grid()
         values, covariance = self._amounts()
         width, rival = interval_width(self.search), self._rival(alike)
         sides, others, signals = [], [], []
-        begin = self._begin
+        begin = self._axis_start
         for side in self._sides():
-            S = self._at(self.candidate, grid, side)
+            S = self._signals_at_values(self.candidate, grid, side)
             signals.append(S)
             middle, half = S @ values, width * _spread(S, covariance)
-            x = _listed((grid - begin) * x_scale)
-            ends = {name: _listed(scale * v) for name, v in
+            x = _round_to_seven_digits((grid - begin) * x_scale)
+            ends = {name: _round_to_seven_digits(scale * v) for name, v in
                     (("y", middle), ("low", middle - half), ("high", middle + half))}  # fmt: skip
             sides.append({"direction": side, "x": x, **ends})
             if rival is not None:
                 other, amounts, offset, _ = rival
-                y = scale * (self._at(other, grid, side) @ amounts + offset)
-                others.append({"direction": side, "x": x, "y": _listed(y)})
+                y = scale * (self._signals_at_values(other, grid, side) @ amounts + offset)
+                others.append({"direction": side, "x": x, "y": _round_to_seven_digits(y)})
         return {
-            **self.candidate.named(), "joint": self.joint + 1, "follows": self.follows.name, "x_unit": x_unit,
+            **self.candidate.id_and_joints(), "joint": self.joint + 1, "follows": self.follows.name, "x_unit": x_unit,
             "unit": unit, "sides": sides, "visits": self._dots(begin, x_scale, scale, width),
             "distance": self._distance(signals, values, covariance, scale * width, scale),
-            "rival": None if rival is None else {**rival[0].named(), "times": rival[3], "sides": others},
+            "rival": None if rival is None else {**rival[0].id_and_joints(), "times": rival[3], "sides": others},
         }  # fmt: skip
 
     @property
-    def _begin(self) -> float:
+    def _axis_start(self) -> float:
         """Where the axis begins: time is counted from the first visit."""
-        return float(np.min(self.follows.of(self._batch, self.joint))) if self.follows.name == "t" else 0.0
+        return float(np.min(self.follows.values_at_joint(self._batch, self.joint))) if self.follows.name == "t" else 0.0
 
     def _sides(self) -> list[float | None]:
         return list(SIDES) if self.follows.two_sided else [None]
 
     def _grid(self) -> Floats:
         """Values (K,) of the quantity over all that was measured, so close that every wave is drawn."""
-        x = self.follows.of(self._batch, self.joint)[self.visits.used]
+        x = self.follows.values_at_joint(self._batch, self.joint)[self.visits.used]
         low, high = float(x.min()), float(x.max())
         n = self.search.problem.settings.source.model.robot.n_joints
-        times = max((t for e in self.candidate.effects for j, t in e.followed(n) if j == self.joint), default=1.0)
+        times = max(
+            (t for e in self.candidate.effects for j, t in e.joint_frequencies(n) if j == self.joint), default=1.0
+        )
         waves = times * (high - low) / (2.0 * np.pi) if self.follows.name == "q" else 0.0
         return np.linspace(low, high, int(np.clip(A_WAVE * waves, FEWEST_POINTS, MOST_POINTS)))
 
-    def _at(self, candidate: Candidate, x: Floats, side: float | None) -> Floats:
+    def _signals_at_values(self, candidate: Candidate, x: Floats, side: float | None) -> Floats:
         """Signals (K, d) of a candidate where the quantity is ``x (K,)``, approached from one side."""
-        rows = self.follows.imagined(self._batch, self.joint, x, np.full(len(x), side or 0.0))
+        rows = self.follows.synthetic_batch(self._batch, self.joint, x, np.full(len(x), side or 0.0))
         made = _signals(self.search, candidate, rows, self.joint)
         assert made is not None
         return made
@@ -243,7 +247,7 @@ class _Drawn:
         return self.fit.values[own], self.fit.covariance[np.ix_(own, own)]
 
     @cached_property
-    def _own(self) -> Floats:
+    def _joint_displacements(self) -> Floats:
         """What the candidate moves the joint by in every visit (V,)."""
         signals = _signals(self.search, self.candidate, self._batch, self.joint)
         assert signals is not None
@@ -251,18 +255,21 @@ class _Drawn:
 
     def _dots(self, begin: float, x_scale: float, scale: float, width: float) -> dict[str, Any]:
         """What each visit says that the effect does, half of its 95 % interval, the curve, and how many say too little."""
-        visits, own = self.visits, self._own
+        visits, own = self.visits, self._joint_displacements
         clear = visits.used & (visits.sigma <= FAINT * np.median(visits.sigma[visits.used]))
         shown = np.flatnonzero(clear)
         shown = shown[:: -(-len(shown) // MOST_VISITS) or 1]
-        x = (self.follows.of(self._batch, self.joint) - begin) * x_scale
+        x = (self.follows.values_at_joint(self._batch, self.joint) - begin) * x_scale
         side = _side(self.follows, self._batch, self.joint)
         return {
-            "x": _listed(x[shown]), "y": _listed((scale * (own + visits.left))[shown]),
-            "half": _listed((scale * width * visits.sigma)[shown]), "curve": _listed((scale * own)[shown]),
+            "x": _round_to_seven_digits(x[shown]),
+            "y": _round_to_seven_digits((scale * (own + visits.left))[shown]),
+            "half": _round_to_seven_digits((scale * width * visits.sigma)[shown]),
+            "curve": _round_to_seven_digits((scale * own)[shown]),
             "direction": side[shown].tolist() if self.follows.two_sided else None,
-            "faint": int(visits.used.sum() - clear.sum()), "of": int(visits.used.sum()),
-        }  # fmt: skip
+            "faint": int(visits.used.sum() - clear.sum()),
+            "of": int(visits.used.sum()),
+        }
 
     def _distance(
         self, signals: Sequence[Floats], values: Floats, covariance: Floats, width: float, scale: float
@@ -280,9 +287,9 @@ class _Drawn:
         """
         visits, left = self.visits, self.visits.left / self.visits.sigma
         named = float(np.sum(left[visits.used] ** 2))
-        b = (self._own / visits.sigma + left)[visits.used]
+        b = (self._joint_displacements / visits.sigma + left)[visits.used]
         fits = []
-        for other in self._others(alike):
+        for other in self._rejected_causes(alike):
             signals = _signals(self.search, other, self._batch, self.joint)
             assert signals is not None
             A = np.column_stack([signals, np.ones(len(signals))])[visits.used] / visits.sigma[visits.used, None]
@@ -295,21 +302,21 @@ class _Drawn:
         least, best, amounts = min(fits, key=lambda fit: fit[0])
         return best, amounts[:-1], float(amounts[-1]), least / named
 
-    def _others(self, alike: set[str]) -> Iterator[Candidate]:
+    def _rejected_causes(self, alike: set[str]) -> Iterator[Candidate]:
         """Causes that were refused at this joint and follow the same quantity; aliases were not refused."""
         scorer, search = self.search.selector.scorer, self.search
         taken = set(search.columns)
         for other in scorer.candidates:
             at_joint = other.level == JOINT and other.joints == (self.joint,) and not other.empirical
             if at_joint and not taken & set(other.columns) and other.label not in alike:
-                follows = next(_followed(other, self._batch, self.joint, search), None)
+                follows = next(_find_followed_quantities(other, self._batch, self.joint, search), None)
                 if follows is not None and follows.name == self.follows.name and (
                     self.follows.two_sided or not follows.two_sided
                 ):  # fmt: skip
                     yield other
 
 
-def _replaced(column: Floats, joint: int, x: Floats) -> Floats:
+def _replace_joint_column(column: Floats, joint: int, x: Floats) -> Floats:
     out = column.copy()
     out[:, joint] = x
     return out
@@ -320,7 +327,7 @@ def _spread(signals: Floats, covariance: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(np.einsum("kd,de,ke->k", signals, covariance, signals), 0.0)))
 
 
-def _listed(values: Floats) -> list[float]:
+def _round_to_seven_digits(values: Floats) -> list[float]:
     """Plain numbers of seven digits: more nobody sees in a picture."""
     return [float(f"{v:.7g}") for v in values]
 

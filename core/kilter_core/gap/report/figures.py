@@ -9,11 +9,11 @@ import numpy as np
 
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.in_space import moved_by, weighed_by
+from kilter_core.gap.search.linear.in_space import displacement_by_columns, weighted_displacement
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.observations import Observations
-from kilter_core.parameters import degrees, reported
+from kilter_core.parameters import degrees, display_unit_and_scale
 from kilter_core.types import Floats
 
 MOST_POINTS = 1500
@@ -35,10 +35,10 @@ def contributions(search: SearchResult) -> list[dict[str, Any]]:
     out = []
     for place in search.chosen:
         candidate = search.selector.scorer.candidates[place]
-        moved = moved_by(search.problem, candidate.columns)[search.problem.settings.used]
+        moved = displacement_by_columns(search.problem, candidate.columns)[search.problem.settings.used]
         size = np.abs(moved).max(axis=1) if _joint_data(search) else np.linalg.norm(moved[:, :3], axis=1)
         out.append({
-            "label": candidate.label, **candidate.named(),
+            "label": candidate.label, **candidate.id_and_joints(),
             "rms": search.problem.settings.source.rms(moved) * _unit(search),
             "largest": float(size.max(initial=0.0)) * _unit(search),
         })  # fmt: skip
@@ -50,7 +50,7 @@ def _residuals(problem: LinearizedProblem, columns: Sequence[int]) -> Floats:
 
 
 def _unit(search: SearchResult) -> float:
-    return reported(search.problem.settings.source.unit)[1]
+    return display_unit_and_scale(search.problem.settings.source.unit)[1]
 
 
 def _joint_data(search: SearchResult) -> bool:
@@ -71,7 +71,7 @@ def _by_angle(search: SearchResult, rows: Observations, j: int) -> dict[str, Any
     order = np.argsort(rows.q[:, j], kind="stable")
     order = order[problem.settings.used[order]]
     order = order[:: -(-len(order) // MOST_POINTS) or 1]
-    curve = weighed_by(problem, sorted(set(own))) if own else np.zeros((len(rows), along.shape[1]))
+    curve = weighted_displacement(problem, sorted(set(own))) if own else np.zeros((len(rows), along.shape[1]))
 
     def drawn(values: Floats) -> list[float]:
         return [round(float(v), 6) for v in (np.sum(values * along, axis=1) * _unit(search))[order]]
@@ -89,7 +89,7 @@ def _along(problem: LinearizedProblem, j: int) -> Floats:
     source, size = problem.settings.source, problem.settings.whitener.shape[-1]
     D = np.zeros((len(problem.settings.used), size))
     if not source.observes_tool:
-        own = source.parts(np.broadcast_to(np.arange(size), D.shape))[j]
+        own = source.residuals_by_joint(np.broadcast_to(np.arange(size), D.shape))[j]
         D[:, own[0].astype(np.int64)] = 1.0
         return D
     if source.observes_places:
@@ -139,7 +139,7 @@ def _gap_bar(search: SearchResult, gap: dict[str, Any], held: HoldoutEvaluator) 
     fitted: list[list[int]] = [[]]
     taken: list[int] = []
     seen: dict[str, int] = {}
-    left = _left(search)
+    left = _residual_rms_function(search)
     while len(taken) < len(search.chosen):
         sizes = {k: left(search.selector.columns([*taken, k])) for k in search.chosen if k not in taken}
         best = min(sizes, key=lambda k: sizes[k])
@@ -160,10 +160,10 @@ def _gap_bar(search: SearchResult, gap: dict[str, Any], held: HoldoutEvaluator) 
     ]
 
 
-def _left(search: SearchResult) -> Callable[[Sequence[int]], float]:
+def _residual_rms_function(search: SearchResult) -> Callable[[Sequence[int]], float]:
     """What tells the rms error with some of the chosen columns, mm or deg; a basis of each set of them takes long."""
     problem, at = search.problem, {k: n for n, k in enumerate(search.columns)}
-    W, settings = problem.projected(search.columns), problem.settings
+    W, settings = problem.projected_columns(search.columns), problem.settings
 
     def rms(columns: Sequence[int]) -> float:
         left = problem.y - W[:, [at[k] for k in columns]] @ problem.gram.solve(columns)

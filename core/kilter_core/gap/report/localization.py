@@ -11,9 +11,9 @@ from scipy.special import gammaln
 from scipy.stats import chi2, f
 
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
-from kilter_core.gap.search.scan import flipped, residual_given
+from kilter_core.gap.search.scan import residual_given, sums_under_sign_flips
 from kilter_core.observations import Observations
-from kilter_core.observations.groups import centred
+from kilter_core.observations.groups import subtract_group_means
 from kilter_core.parameters import degrees
 from kilter_core.types import Bools, Floats, Ints
 
@@ -57,11 +57,11 @@ def remains(found: LinearizedProblem, columns: Sequence[int], rows: Observations
 
 def _residuals(problem: LinearizedProblem) -> tuple[Floats, float]:
     """Studentised residuals (V, m), and their variance where the noise is not known."""
-    r = _studentised(problem).reshape(-1, problem.settings.whitener.shape[-1])
+    r = _studentised_residuals(problem).reshape(-1, problem.settings.whitener.shape[-1])
     return r, 1.0 if problem.settings.trusted else float(np.mean(r[problem.settings.used] ** 2))
 
 
-def _studentised(problem: LinearizedProblem) -> Floats:
+def _studentised_residuals(problem: LinearizedProblem) -> Floats:
     leverage = np.minimum(np.sum(problem.U**2, axis=1), 0.99)
     return np.asarray(problem.y / np.sqrt(1.0 - leverage))
 
@@ -73,7 +73,7 @@ def _contrasts(problem: LinearizedProblem, rows: Observations, r: Floats, scale:
     own: dict[str, Floats] = {}
     condition = rows.conditions()[used]
     if rows.direction is not None:
-        for j, part in enumerate(problem.settings.source.parts(r)):
+        for j, part in enumerate(problem.settings.source.residuals_by_joint(r)):
             labels[f"direction of joint {j + 1}"] = rows.direction[:, j]
             own[f"direction of joint {j + 1}"] = part
     if rows.payload_kg is not None:
@@ -86,18 +86,18 @@ def _contrasts(problem: LinearizedProblem, rows: Observations, r: Floats, scale:
         part = own.get(factor, r)[used]
         taken, freedom, pairs = _contrast(part, group[used], label[used])
         if pairs >= FEWEST_PAIRS:
-            p, size = _unlike(taken / scale, freedom, *_again(part, condition, scale))
+            p, size = _test_against_repeats(taken / scale, freedom, *_repeat_chi_square(part, condition, scale))
             excess = size / freedom - 1.0
             yield Place(f"contrast: {factor}", f"{pairs} poses measured under both", excess, p, 2 * pairs)
 
 
-def _again(r: Floats, condition: Ints, scale: float) -> tuple[float, float]:
+def _repeat_chi_square(r: Floats, condition: Ints, scale: float) -> tuple[float, float]:
     """Chi-square of visits that should agree about their mean, and its freedom: what moved with time is in it too."""
     free = float(r.shape[1] * (len(condition) - len(np.unique(condition))))
-    return float(np.sum(centred(r, np.unique(condition, return_inverse=True)[1]) ** 2)) / scale, free
+    return float(np.sum(subtract_group_means(r, np.unique(condition, return_inverse=True)[1]) ** 2)) / scale, free
 
 
-def _unlike(taken: float, freedom: float, again: float, free: float) -> tuple[float, float]:
+def _test_against_repeats(taken: float, freedom: float, again: float, free: float) -> tuple[float, float]:
     """Chance of a contrast ``taken``, and the contrast in the scatter of visits under the same conditions.
 
     Where these differ by more than noise, as after a knock of the tripod, whatever is compared across time does.
@@ -143,12 +143,12 @@ def _bins(problem: LinearizedProblem, rows: Observations, r: Floats, scale: floa
         for c in part.T
     ]
     as_is = np.stack(sums, axis=1)
-    under = flipped((as_is,), FLIPS, np.random.default_rng(seed))[0]
+    under = sums_under_sign_flips((as_is,), FLIPS, np.random.default_rng(seed))[0]
     squares = np.vstack([np.sum(as_is, axis=0), under]) ** 2
     ends = np.cumsum([part.shape[1] for *_, part in bins])
     T = [np.sum(own, axis=1) for own in np.split(squares, ends[:-1], axis=1)]
     excess = [float(t[0]) / part.shape[1] - 1.0 for t, (*_, part) in zip(T, bins, strict=True)]
-    z = [unlikelihood(*_matched(t)) for t in T]
+    z = [unlikelihood(*_match_chi_square(t)) for t in T]
     Z = np.stack(z)
     best = Z[:, 1:].max(axis=0)
     return [
@@ -157,7 +157,7 @@ def _bins(problem: LinearizedProblem, rows: Observations, r: Floats, scale: floa
     ]
 
 
-def _matched(T: Floats) -> tuple[Floats, float]:
+def _match_chi_square(T: Floats) -> tuple[Floats, float]:
     """Scale ``T``, its flips after the first, to chi-square of the freedom that has their mean and variance."""
     mean, variance = max(float(T[1:].mean()), 1e-300), max(float(T[1:].var()), 1e-300)
     freedom = 2.0 * mean * (mean / variance)
@@ -203,7 +203,7 @@ def _along_joints(problem: LinearizedProblem, rows: Observations, r: Floats) -> 
     """Residual (V, 1) along what each joint's own angle would move, in units of noise."""
     source = problem.settings.source
     if not source.observes_tool:
-        yield from source.parts(r)
+        yield from source.residuals_by_joint(r)
         return
     column = source.joint_columns(problem.values)
     D = np.stack([column(j) for j in range(rows.q.shape[1])], axis=2)

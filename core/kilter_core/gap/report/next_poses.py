@@ -57,7 +57,7 @@ def separate(
     if not source.observes_tool or not source.observes_places or count < 1:
         return ()
     model = Calibration(source.model, problem.values)
-    region = region or Region.of(model, rows.q)
+    region = region or Region.from_calibration(model, rows.q)
     needs = frozenset[str]().union(*(c.effects[0].needs for c in (target, *rivals)))
     question = _Question(
         problem, target, tuple(k for c in rivals for k in c.columns), tuple(others), amplitudes, by_views
@@ -67,7 +67,8 @@ def separate(
     old = rows.select(np.flatnonzero(region.clear(rows.q)))
     changes = _changes(old, source, needs, rng) if len(old) else []
     made = [
-        _ordered(question, p, needs) for p in (new, *(_greedy(question, o, count, "repeat", w) for w, o in changes))
+        _order_proposal_poses(question, p, needs)
+        for p in (new, *(_greedy(question, o, count, "repeat", w) for w, o in changes))
     ]
     best = max(made[1:], key=lambda p: p.after[-1], default=None)
     if best is None:
@@ -75,7 +76,7 @@ def separate(
     return (best, made[0]) if best.after[-1] >= CHANGE_FIRST * made[0].after[-1] else (made[0], best)
 
 
-def rows_of(proposals: Sequence[Proposal], names: tuple[str, str], robot: Robot) -> list[dict[str, Any]]:
+def proposal_rows(proposals: Sequence[Proposal], names: tuple[str, str], robot: Robot) -> list[dict[str, Any]]:
     """Proposals as documents: joint angles in degrees (prismatic joints in mm), load, directions and gain."""
     scale = wire_scale(robot)
     return [_row(p, k, names, scale) for p in proposals for k in range(len(p.rows))]
@@ -143,7 +144,7 @@ class _Question:
         if self.by_views is not None:
             observations = replace(observations, pose_weight=self.by_views.weights(observations))
         source = self.problem.settings.source
-        linear = source.imagined(observations, self.problem.values).linear(self.problem.values)
+        linear = source.simulate_measurements(observations, self.problem.values).linear(self.problem.values)
         noise = np.mean(self.problem.settings.noise.visit[self.problem.settings.used], axis=0)
         L = np.linalg.inv(np.linalg.cholesky(noise + 1e-18 * np.eye(len(noise))))
         return self.columns(L @ linear.G, lambda k: L @ linear.W[..., k])
@@ -167,7 +168,7 @@ def _greedy(question: _Question, pool: Observations, count: int, kind: str, chan
     return Proposal(pool.select(np.array(picked, dtype=np.int64)), kind, change, before, tuple(after))
 
 
-def _ordered(question: _Question, proposal: Proposal, needs: frozenset[str]) -> Proposal:
+def _order_proposal_poses(question: _Question, proposal: Proposal, needs: frozenset[str]) -> Proposal:
     """The same poses in an order with short moves, with what is known after each, and only the conditions that matter."""
     rows = proposal.rows
     robot = question.problem.settings.source.model.robot

@@ -20,7 +20,7 @@ from kilter_core.gap.report.stored import Stored
 from kilter_core.gap.report.told_apart import ToldApart
 from kilter_core.gap.search.candidates import Library, Untestable
 from kilter_core.model import Calibration
-from kilter_core.parameters import reported
+from kilter_core.parameters import display_unit_and_scale
 from kilter_core.types import Ints
 
 MOST_PLACES = 60
@@ -37,14 +37,14 @@ class Remains:
     @property
     def words(self) -> str:
         """Size and place in brackets, with a space before; empty where neither is known, or the rows searched leave nothing."""
-        size = "" if self.misfit.rms_mm is None or self.misfit.adequate else self.misfit.said
+        size = "" if self.misfit.rms_mm is None or self.misfit.adequate else self.misfit.size_text
         where = "" if self.place is None else f"mostly at {self.place.factor} {self.place.level}"
         told = ", ".join(part for part in (size, where) if part)
         return f" ({told})" if told else ""
 
     def to_document(self, fit: Adequacy, unseen: UnseenFit | None) -> dict[str, Any]:
         """The statement on the model as a whole, by the rows searched and by those that no choice saw."""
-        elsewhere = unseen is not None and unseen.refuted
+        elsewhere = unseen is not None and unseen.refutes_model
         told = "" if unseen is None else unseen.sentence()
         return {
             "sentence": ("Something else remains." if fit.adequate and elsewhere else fit.sentence(self.words)) + told,
@@ -100,7 +100,7 @@ class GapReport:
             warnings=(*self.warnings, *(u.warning() for u in unseen)),
         )  # fmt: skip
 
-    def numbered(self, searched: Ints, held: Ints) -> GapReport:
+    def with_row_numbers(self, searched: Ints, held: Ints) -> GapReport:
         """The report with its rows numbered as among all that were given, of which some were searched and some held out."""
         aside, other = (
             tuple({**one, "row": int(numbers[one["row"]])} for one in rows)
@@ -114,7 +114,7 @@ class GapReport:
             "verdict": self.verdict,
             "sentence": self.sentence,
             "effects": [effect_row(j, self.library, self.misfit) for j in self.effects],
-            "where": [place_row(p) for p in _shown(self.where)],
+            "where": [place_row(p) for p in _places_to_report(self.where)],
             "gap": self.gap,
             "measurements": self.measurements,
             "predictive": self.predictive,
@@ -148,14 +148,14 @@ def effect_row(judged: Judged, library: Library, misfit: Misfit) -> dict[str, An
     replication = evidence.replication
     units = {p.name: p.unit for p in library.parameters}
     return {
-        **evidence.candidate.named(),
+        **evidence.candidate.id_and_joints(),
         "verdict": judged.verdict,
         "empirical": evidence.candidate.empirical,
         "class": judged.claim.words if judged.claim.said == CLASS else None,
         **judged.claim.to_document(),
         "alias_set": [alias_row(a) for a in judged.alias_set],
         "parameters": [
-            amplitude_row(library, a.column, a.value, a.sigma, (a.low, a.high)) | {"seen": a.seen}
+            amplitude_row(library, a.column, a.value, a.sigma, (a.low, a.high)) | {"seen": a.is_significant}
             for a in evidence.amplitudes
         ],
         "seen_joints": None if evidence.seen_joints is None else [j + 1 for j in evidence.seen_joints],
@@ -176,7 +176,7 @@ def effect_row(judged: Judged, library: Library, misfit: Misfit) -> dict[str, An
 def alias_row(alias: Alias) -> dict[str, Any]:
     """A rival that does as well."""
     return {
-        **alias.candidate.named(), "behind": alias.behind, "correlation": alias.correlation, "p_wrong": alias.wrong,
+        **alias.candidate.id_and_joints(), "behind": alias.behind, "correlation": alias.correlation, "p_wrong": alias.wrong,
     }  # fmt: skip
 
 
@@ -185,7 +185,7 @@ def amplitude_row(
 ) -> dict[str, Any]:
     """A parameter in wire units, its interval conditional on the library."""
     parameter = library.parameters[column]
-    unit, scale = reported(parameter.unit)
+    unit, scale = display_unit_and_scale(parameter.unit)
     return {
         "name": parameter.name, "value": value * scale, "unit": unit, "sigma": sigma * scale,
         "interval_low": interval[0] * scale, "interval_high": interval[1] * scale,
@@ -208,6 +208,6 @@ def untestable_row(u: Untestable) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _shown(places: tuple[Place, ...]) -> tuple[Place, ...]:
+def _places_to_report(places: tuple[Place, ...]) -> tuple[Place, ...]:
     sure = tuple(p for p in places if p.p_value < SURE)
     return sure[:MOST_PLACES] if len(sure) >= 10 else places[:10]

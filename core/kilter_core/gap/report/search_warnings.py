@@ -14,7 +14,7 @@ from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.prepare import Prepared
 from kilter_core.identify.report import large_residual
 from kilter_core.model import Calibration
-from kilter_core.parameters import degrees, reported
+from kilter_core.parameters import degrees, display_unit_and_scale
 
 LARGE_DEG = 2.0  # left between two encoders of a joint: worth a warning
 
@@ -61,7 +61,7 @@ def at_ends(calibration: Calibration) -> Iterator[dict[str, Any]]:
         )
         if end is None or end == p.value:
             continue
-        unit, scale = reported(p.unit)
+        unit, scale = display_unit_and_scale(p.unit)
         size = f"{end * scale:.3g} {unit}".removesuffix(" 1")
         yield {
             "code": "at_end_of_range", "parameter": p.name, "value": end * scale, "unit": unit,
@@ -73,9 +73,11 @@ def at_ends(calibration: Calibration) -> Iterator[dict[str, Any]]:
 def left_out_warnings(effects: Sequence[Judged]) -> Iterator[dict[str, Any]]:
     """Say which steps and drifts the version does without, and what would settle them."""
     out = [j for j in effects if not j.storable and j.verdict != CONTRADICTED]
+    names = ", ".join(dict.fromkeys(j.display_name for j in out))
     if out:
         yield {
-            "code": "not_settled", "effects": [j.evidence.candidate.label for j in out],
-            "message": f"The version leaves out what is not settled: {', '.join(dict.fromkeys(j.called for j in out))}. To "
-            "settle it, revisit poses at other times, or measure all in random order.",
-        }  # fmt: skip
+            "code": "not_settled",
+            "effects": [j.evidence.candidate.label for j in out],
+            "message": f"The version leaves out what is not settled: {names}. To settle it, revisit poses at other times, or "
+            "measure all in random order.",
+        }

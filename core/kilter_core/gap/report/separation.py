@@ -15,9 +15,9 @@ from kilter_core.gap.evidence.similarity.aliases import correlation
 from kilter_core.gap.evidence.similarity.testability import testability
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.next_poses import Proposal, separate
-from kilter_core.gap.report.told_apart import ToldApart, told_apart
+from kilter_core.gap.report.told_apart import ToldApart, assess_separation
 from kilter_core.gap.search.candidates import Candidate, Library
-from kilter_core.gap.search.linear.linearized import LinearizedProblem, fitted
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, estimate_linear_parameters
 from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.model import Calibration
@@ -69,14 +69,14 @@ def plan_separation(
     """
     begin = start or Calibration.nominal(robot)
     wanted = [first] if second is None else [first, second]
-    bare = _without(begin, wanted)
+    bare = _remove_effects(begin, wanted)
     options = replace(options or GapOptions(), effects=tuple(dict.fromkeys(name for name, _ in wanted)))
     if observations is None:
         options = replace(options, noise_mm=options.noise_mm or IMAGINED_NOISE_MM)
-    rows = imagined(begin, options) if observations is None else observations
+    rows = simulate_first_campaign(begin, options) if observations is None else observations
     (rows,), by_views, _ = seen_poses(begin, rows)
     prepared = prepare_data(bare, rows, options, unheard)
-    chosen = [_found(prepared.library, named) for named in wanted]
+    chosen = [_find_candidate(prepared.library, named) for named in wanted]
     for candidate in chosen:
         _refuse_still(candidate, prepared.problem, robot)
     target, rivals = chosen[0], chosen[1:]
@@ -87,14 +87,14 @@ def plan_separation(
     if not proposals:
         raise OptionError("Poses can be planned for measurements of the tool only: name campaigns with positions.")
     alike = correlation(prepared.problem.A, target.columns, rivals[0].columns) if rivals else 0.0
-    told = told_apart(proposals, target, rivals[0] if rivals else None, prepared.visits.observations, robot)
+    told = assess_separation(proposals, target, rivals[0] if rivals else None, prepared.visits.observations, robot)
     return Plan(proposals, (target.label, rivals[0].label if rivals else "geometry"), float(alike), told)
 
 
-def imagined(begin: Calibration, options: GapOptions) -> Observations:
+def simulate_first_campaign(begin: Calibration, options: GapOptions) -> Observations:
     """Random poses as a first campaign would measure them: both directions, the default load or none, in one hour."""
     rng = np.random.default_rng(options.seed)
-    q = Region.of(begin).draw(IMAGINED_POSES, rng)
+    q = Region.from_calibration(begin).draw(IMAGINED_POSES, rng)
     rows = Observations(
         q, direction=rng.choice([-1.0, 1.0], q.shape),
         temperature_c=20.0 + np.linspace(0.0, 1.0, len(q)), t=np.linspace(0.0, IMAGINED_S, len(q)),
@@ -105,7 +105,7 @@ def imagined(begin: Calibration, options: GapOptions) -> Observations:
     return replace(rows, position=begin.predict(rows).position + noise * rng.standard_normal((len(q), 3)))
 
 
-def _without(begin: Calibration, wanted: Sequence[Named]) -> Calibration:
+def _remove_effects(begin: Calibration, wanted: Sequence[Named]) -> Calibration:
     """The start less the effects to plan for: what was confirmed is a question again."""
     kept: list[Effect] = []
     for effect in begin.model.effects:
@@ -120,7 +120,7 @@ def _without(begin: Calibration, wanted: Sequence[Named]) -> Calibration:
     return begin.with_effects(kept)
 
 
-def _found(library: Library, wanted: Named) -> Candidate:
+def _find_candidate(library: Library, wanted: Named) -> Candidate:
     effect, joints = wanted
     own = [c for c in library.candidates if c.id == effect]
     exact = [c for c in own if joints is None or c.joints == tuple(joints)]
@@ -163,15 +163,15 @@ def _amounts(prepared: Prepared, target: Candidate, begin: Calibration, measured
     barely = np.where(np.isfinite(smallest), np.minimum(BARELY_SEEN * smallest, sigma), sigma)
     if measured is None:
         return np.asarray(barely)
-    values, covariance = fitted(prepared.problem, columns)
+    values, covariance = estimate_linear_parameters(prepared.problem, columns)
     seen = np.abs(values) > 2.0 * np.sqrt(np.diag(covariance))
     return np.asarray(np.where(seen, values, barely))
 
 
-def undecided(report: dict[str, Any]) -> tuple[Named, Named | None] | None:
+def undecided_effect_pair(report: dict[str, Any]) -> tuple[Named, Named | None] | None:
     """What a search's report (its document) left open: an effect and its nearest alias, or a name to make surer."""
 
-    def named(row: dict[str, Any]) -> Named:
+    def effect_and_joints(row: dict[str, Any]) -> Named:
         joints = row.get("joints")
         return row["id"], None if joints is None else tuple(j - 1 for j in joints)
 
@@ -179,6 +179,6 @@ def undecided(report: dict[str, Any]) -> tuple[Named, Named | None] | None:
     for effect in effects:
         rivals = [a for a in effect.get("alias_set") or () if a["correlation"] < 1.0 - 1e-4 and a["id"] in EFFECTS]
         if rivals:
-            return named(effect), named(rivals[0])
+            return effect_and_joints(effect), effect_and_joints(rivals[0])
     weak = [e for e in effects if e["verdict"] in ("provisional", "contradicted")]
-    return (named(weak[0]), None) if weak else None
+    return (effect_and_joints(weak[0]), None) if weak else None

@@ -22,16 +22,16 @@ from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.masses import with_masses
 from kilter_core.gap.search.start_model import SHIFT
 from kilter_core.identify.comparison.model_comparison import geometry_alone
-from kilter_core.identify.fleet.said import resting_on
+from kilter_core.identify.fleet.said import prior_dominated_mask
 from kilter_core.identify.identifiable.identifiability import identifiable, null_directions
 from kilter_core.identify.identifiable.load_model import load_rows
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.reference import named, registered, wanted_frames
-from kilter_core.identify.report import known_of, null_rows, rows_of, unobservable_names
+from kilter_core.identify.reference import frame_sources, register_nominal, wanted_frames
+from kilter_core.identify.report import build_parameter_rows, known_parameters, null_rows, unobservable_names
 from kilter_core.identify.uncertainty.predictive import Predictive
-from kilter_core.identify.uncertainty.workspace_uncertainty import spread_of
+from kilter_core.identify.uncertainty.workspace_uncertainty import estimate_workspace_spread
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.contacts import held as held_rows
+from kilter_core.measurement.contacts import has_contacts as held_rows
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.doubts import Doubt
@@ -66,10 +66,10 @@ class Stored:
         found, model = self.posterior, self.calibration.model
         known = identifiable(found.sigma, found.prior_sigma)
         known &= ~np.isin(found.names, list(unobservable_names(model, self.shown)))
-        rows = rows_of(self.calibration, found.names, found.sigma, known)
+        rows = build_parameter_rows(self.calibration, found.names, found.sigma, known)
         if model.of_type is None:
             return rows
-        rests = resting_on(model.of_type, found.names, found.sigma, found.prior_sigma)
+        rests = prior_dominated_mask(model.of_type, found.names, found.sigma, found.prior_sigma)
         return [{**row, "from_prior": bool(one)} for row, one in zip(rows, rests, strict=True)]
 
     def without_correction(self, of: Collection[str]) -> Stored:
@@ -90,16 +90,18 @@ class Stored:
         found = self.posterior
         if found.J is None:
             return []
-        known = known_of(self.calibration, found.names, found.covariance, found.prior_sigma)
+        known = known_parameters(self.calibration, found.names, found.covariance, found.prior_sigma)
         return null_rows(null_directions(found.J, found.names, found.prior_sigma), known)
 
-    def alike(self) -> Iterator[dict[str, Any]]:
+    def similar_pose_warnings(self) -> Iterator[dict[str, Any]]:
         """Warn of poses too alike to know the tool elsewhere, as an identification does."""
         if self.registered is None or (self.shown.position is None and self.shown.markers is None):
             return
         model = self.calibration.model
         free = indices(model.names, self.posterior.names)
-        spread = spread_of(model, free, self.posterior.covariance, self.calibration.values, self.shown.q)
+        spread = estimate_workspace_spread(
+            model, free, self.posterior.covariance, self.calibration.values, self.shown.q
+        )
         if spread is not None and spread.too_alike:
             yield spread.warning()
 
@@ -134,8 +136,8 @@ class Stored:
         ) -> dict[str, Errors]:
             if rows is None or (rows.position is None and rows.markers is None and not held_rows(rows)):
                 return {}
-            measurement = Measurement.of(rows, self.calibration.marker_points, held=True, anchor=anchor)
-            return {name: Errors.of(stage, measurement) for name, stage in of.items()}
+            measurement = Measurement.from_observations(rows, self.calibration.marker_points, held=True, anchor=anchor)
+            return {name: Errors.from_calibration(stage, measurement) for name, stage in of.items()}
 
         if held is not None and len(spikes):
             held = held.select(np.setdiff1d(np.arange(len(held)), spikes))
@@ -143,7 +145,7 @@ class Stored:
 
     def reference(self) -> dict[str, str]:
         """Where the frames a correction works in come from."""
-        return named(self.calibration)
+        return frame_sources(self.calibration)
 
 
 def _anchor(train: Observations) -> Measurement | None:
@@ -151,19 +153,19 @@ def _anchor(train: Observations) -> Measurement | None:
     return Measurement(train) if held_rows(train) else None
 
 
-def stored(
+def build_stored_version(
     found: SearchResult, begin: Calibration, rows: Observations, options: GapOptions, held: Observations | None = None
 ) -> Stored:
     """What is stored of a search that started at ``begin``; the effects' configuration comes from ``rows``."""
     settings = found.problem.settings
     source = settings.source
     model = _model(found, begin, rows)
-    calibration = source.calibrated(found.problem.values, model, begin)
+    calibration = source.to_calibration(found.problem.values, model, begin)
     wide = posterior(found, begin, calibration)
     shown = source.tool_measured(settings.used)
     if shown is None:
         return Stored(calibration, wide, source.observations)
-    nominal = registered(begin, shown)
+    nominal = register_nominal(begin, shown)
     asked = IdentifyOptions(
         base=options.base, tool=options.tool, reference=options.reference, free=options.free, fix=options.fix,
         loss="huber",
@@ -193,15 +195,17 @@ def _model(found: SearchResult, begin: Calibration, rows: Observations) -> Robot
     candidates = [found.selector.scorer.candidates[k] for k in found.chosen]
     q = source.observations.q
     named = (
-        e.with_measured_range(q) if isinstance(e, JointCurve) and e.class_on(begin.robot).id == JOINT_CURVE.id else e
-        for e in _merged(candidates, begin, rows)
+        e.with_measured_range(q)
+        if isinstance(e, JointCurve) and e.physical_class(begin.robot).id == JOINT_CURVE.id
+        else e
+        for e in _merge_effects(candidates, begin, rows)
     )
     effects = with_masses((*begin.model.effects, *named), source)
     frames = source.frames(begin)
     return replace(frames, effects=effects, load_chain=frames.load_chain if effects else None)
 
 
-def _merged(chosen: list[Candidate], begin: Calibration, rows: Observations) -> tuple[Effect, ...]:
+def _merge_effects(chosen: list[Candidate], begin: Calibration, rows: Observations) -> tuple[Effect, ...]:
     """Effects of the chosen candidates, one per effect where one configuration can hold them all."""
     robot = begin.robot
     out: list[Effect] = []
@@ -211,9 +215,9 @@ def _merged(chosen: list[Candidate], begin: Calibration, rows: Observations) -> 
         kind = type(parts[0])
         if kind.at_joints and "drivers" not in kind.counted and "partner" not in kind.counted:
             joints = tuple(sorted({j for e in parts for j in e.joints or ()}))
-            whole = kind(joints=joints).on(robot, rows)
+            whole = kind(joints=joints).configure_for_robot(robot, rows)
             # What a configuration took from the rows, as a range or the first time, must be that of the search.
-            alike = all(kind(joints=e.joints).on(robot, rows) == e for e in parts)
+            alike = all(kind(joints=e.joints).configure_for_robot(robot, rows) == e for e in parts)
             if alike and {p.name for p in whole.parameters(robot)} == wanted:
                 out.append(whole)
                 continue

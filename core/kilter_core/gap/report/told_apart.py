@@ -75,7 +75,7 @@ class ToldApart:
 Proposed = tuple[list[dict[str, Any]], ToldApart | None]  # poses as documents, and whether they tell two apart
 
 
-def told_apart(
+def assess_separation(
     proposals: Sequence[Proposal], target: Candidate, rival: Candidate | None, rows: Observations, robot: Robot
 ) -> ToldApart | None:
     """What the best of the proposals does for telling ``target`` from ``rival``; None without a rival or proposals."""
@@ -91,13 +91,13 @@ def told_apart(
     return ToldApart((target.label, rival.label), count, factor, enough, needed, instead)
 
 
-def never_told(target: Candidate, rival: Candidate, robot: Robot) -> bool:
+def are_never_separable(target: Candidate, rival: Candidate, robot: Robot) -> bool:
     """Whether no poses of this arm name one of the two: curves of a joint without the full revolution that a name needs."""
     one, other = target.effects[0], rival.effects[0]
-    if one.class_on(robot).id != other.class_on(robot).id or target.joints != rival.joints:
+    if one.physical_class(robot).id != other.physical_class(robot).id or target.joints != rival.joints:
         return False
     needs = Separator.TURN in one.separators(robot) and (rival.empirical or Separator.TURN in other.separators(robot))
-    followed = [own for effect in target.effects for own in effect.followed(robot.n_joints)]
+    followed = [own for effect in target.effects for own in effect.joint_frequencies(robot.n_joints)]
     return needs and any(factor * np.ptp(robot.limits[j]) < TURN for j, factor in followed)
 
 

@@ -18,7 +18,7 @@ POSE = 6  # scalars of a full pose: position, then orientation
 SEEN = 1e-9
 
 
-def contradicted(search: SearchResult, place: int) -> bool:
+def has_conflicting_amplitudes(search: SearchResult, place: int) -> bool:
     """Whether position and orientation give a chosen effect different amplitudes, and it makes one of them worse."""
     problem = search.problem
     size = problem.settings.whitener.shape[-1]
@@ -27,7 +27,7 @@ def contradicted(search: SearchResult, place: int) -> bool:
     selector = search.selector
     rest = selector.columns([k for k in search.chosen if k != place])
     basis = problem.basis(rest)
-    W = problem.projected(list(selector.scorer.candidates[place].columns))
+    W = problem.projected_columns(list(selector.scorer.candidates[place].columns))
     X = W - basis @ (basis.T @ W)
     r = residual_given(problem, rest)
     amount = np.asarray(np.linalg.lstsq(X, r, rcond=None)[0], dtype=np.float64)

@@ -35,7 +35,7 @@ class CandidateSets:
         return any(self.scorer.candidates[k].empirical for k in chosen)
 
     @cached_property
-    def _named(self) -> Ints:
+    def _name_indices(self) -> Ints:
         """The name (K,) that each candidate is: an effect at several joints is one, a shape each of its places."""
         shared: dict[str, set[int]] = {}
         for c in self.scorer.candidates:
@@ -50,13 +50,13 @@ class CandidateSets:
 
     def names(self, chosen: Sequence[int]) -> int:
         """How many names a set takes of those allowed."""
-        return len(set(self._named[list(chosen)].tolist()))
+        return len(set(self._name_indices[list(chosen)].tolist()))
 
     def another_name(self, chosen: Sequence[int]) -> Floats:
         """1 for each candidate (K,) that beside a set is a name more, 0 for one whose effect is in it at other joints."""
-        another = np.ones(len(self._named))  # as many names there are at most
-        another[self._named[list(chosen)]] = 0.0
-        return np.asarray(another[self._named])
+        another = np.ones(len(self._name_indices))  # as many names there are at most
+        another[self._name_indices[list(chosen)]] = 0.0
+        return np.asarray(another[self._name_indices])
 
     def faint_families(self, gram: Gram, chosen: Sequence[int]) -> list[int]:
         """Families that a set, of which an effect acts at several joints, may lack, the clearest first.
@@ -70,7 +70,7 @@ class CandidateSets:
             return []
         whole = {c.id for c in named if c.level == FAMILY}
         part = set(acting) - whole if whole else set[str]()
-        p = self.scorer.scores(gram.given(self.columns(chosen))).p
+        p = self.scorer.scores(gram.condition_on_columns(self.columns(chosen))).p
         able = [k for k, c in enumerate(self.scorer.candidates) if c.level == FAMILY and c.id not in whole]
         return sorted(
             (k for k in able if p[k] < TRACE or self.scorer.candidates[k].id in part), key=lambda k: float(p[k])
@@ -95,7 +95,7 @@ class CandidateSets:
         """Library columns of effects through which errors of the loads act."""
         return frozenset(k for c in self.scorer.candidates if c.bears for k in c.columns)
 
-    def without(self, gram: Gram, out: Collection[int], kept: Collection[int]) -> Gram:
+    def comparison_gram(self, gram: Gram, out: Collection[int], kept: Collection[int]) -> Gram:
         """Where sets that share the ``kept`` are to be compared, ``out`` being in one of them only.
 
         Errors of the loads act through effects that are there at the fit. They are held where one of these is not kept, also
@@ -106,10 +106,12 @@ class CandidateSets:
             return gram
         return gram if (gram.there & self._bearing).issubset(self.columns(tuple(kept))) else gram.firm
 
-    def beside(self, gram: Gram, chosen: Sequence[int], out: Collection[int]) -> tuple[tuple[int, ...], Gram]:
+    def remaining_set_and_gram(
+        self, gram: Gram, chosen: Sequence[int], out: Collection[int]
+    ) -> tuple[tuple[int, ...], Gram]:
         """What stays of a set without some members, and where it is compared with others beside it."""
         rest = tuple(k for k in chosen if k not in out)
-        return rest, self.without(gram, out, rest)
+        return rest, self.comparison_gram(gram, out, rest)
 
     def variance(self, gram: Gram, chosen: Sequence[int]) -> float:
         """Noise variance for comparisons at a set: 1 for repeats, more when structure is left."""
@@ -119,7 +121,7 @@ class CandidateSets:
 
     def tails(self, gram: Gram, chosen: tuple[int, ...]) -> list[float]:
         """Tail probability of each member given the others; 1 where its sign contradicts physics."""
-        return [self._tail(gram, chosen, k) if self.signed(gram, chosen, k) else 1.0 for k in chosen]
+        return [self._tail(gram, chosen, k) if self.has_plausible_sign(gram, chosen, k) else 1.0 for k in chosen]
 
     def _tail(self, gram: Gram, chosen: tuple[int, ...], place: int) -> float:
         """Tail probability of one member given the others: from the inverse of the whole set.
@@ -127,7 +129,7 @@ class CandidateSets:
         What a member takes beside the others is its coefficients in the inverse of its part of that inverse, so nothing is
         projected off anything.
         """
-        kept, gram = self.beside(gram, chosen, (place,))
+        kept, gram = self.remaining_set_and_gram(gram, chosen, (place,))
         columns, rest = self.columns(chosen), self.columns(kept)
         inverse, others = gram.inverse(columns)[0], set(rest)
         own = [n for n, k in enumerate(columns) if k not in others]
@@ -143,7 +145,7 @@ class CandidateSets:
         others_rank = round(len(stay) - RIDGE * (float(np.sum(diagonal[stay])) - copied))
         return self.scorer.tail_of_ratio(place, count, within + taken, within, gram.nu - others_rank)
 
-    def shown(self, gram: Gram, rest: Sequence[int], members: Sequence[int]) -> tuple[int, ...]:
+    def members_above_noise(self, gram: Gram, rest: Sequence[int], members: Sequence[int]) -> tuple[int, ...]:
         """Of joints beside the ``rest`` those that leave a trace, the faintest let go first; one at least.
 
         A joint that is there and not significant speaks for its family; one that noise could be speaks for nothing.
@@ -165,15 +167,15 @@ class CandidateSets:
 
     def plausible(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
         """Whether no parameter comes out clearly negative against its known sign, or beyond what is plausible."""
-        return self.within(gram, chosen, place) and self.signed(gram, chosen, place)
+        return self.is_within_limits(gram, chosen, place) and self.has_plausible_sign(gram, chosen, place)
 
-    def within(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
+    def is_within_limits(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
         """Whether no parameter of a member comes out clearly larger than is plausible."""
         amount, sigma = self._amounts(gram, chosen, place)
         limits = self.limits[list(self.scorer.candidates[place].columns)]
         return not np.any(np.abs(amount) > limits + CLEARLY_WRONG * sigma)
 
-    def signed(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
+    def has_plausible_sign(self, gram: Gram, chosen: Sequence[int], place: int) -> bool:
         """Whether no parameter of a member comes out clearly negative against its known sign."""
         if not self.scorer.candidates[place].positive:
             return True

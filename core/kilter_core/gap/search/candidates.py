@@ -9,7 +9,7 @@ from typing import Any
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS, Effect
 from kilter_core.errors import OptionError
-from kilter_core.gap.search.requested import Asked, wanted
+from kilter_core.gap.search.requested import Asked, joints_by_effect
 from kilter_core.observations import CONDITIONS, Observations
 from kilter_core.observations.motions import is_trajectory
 from kilter_core.parameters import Parameter
@@ -56,7 +56,7 @@ class Candidate:
             return f"{self.id} all"
         return f"{self.id} j{','.join(str(j + 1) for j in self.joints)}"
 
-    def named(self) -> dict[str, object]:
+    def id_and_joints(self) -> dict[str, object]:
         """Id and joints from 1."""
         return {"id": self.id, "joints": None if self.joints is None else [j + 1 for j in self.joints]}
 
@@ -82,7 +82,7 @@ class Library:
     refused: tuple[Untestable, ...]
 
 
-def library_of(robot: Robot, rows: Observations, started: Sequence[str] = (), only: Sequence[Asked] = ()) -> Library:
+def build_library(robot: Robot, rows: Observations, started: Sequence[str] = (), only: Sequence[Asked] = ()) -> Library:
     """Every effect that the rows have columns for and the robot can show.
 
     ``started`` are parameters that the starting model already has; ``only`` restricts the library to some effects,
@@ -92,7 +92,7 @@ def library_of(robot: Robot, rows: Observations, started: Sequence[str] = (), on
         OptionError: ``only`` names an effect or a joint that does not exist, or one that is not searched for.
 
     """
-    at = wanted(only)
+    at = joints_by_effect(only)
     for effect_id, joints in at.items():
         for j in sorted(joints or ()):
             if j >= robot.n_joints:
@@ -131,9 +131,9 @@ class _Shelf:
         if kind.event and is_trajectory(self.rows):
             return  # within a motion nothing is at rest between two rows
         at_joint: dict[int, list[Effect]] = {}
-        for config in kind.tried(self.robot, self.rows):
+        for config in kind.candidate_configurations(self.robot, self.rows):
             try:
-                whole = kind(**config).on(self.robot, self.rows)
+                whole = kind(**config).configure_for_robot(self.robot, self.rows)
                 whole.parameters(self.robot)
             except OptionError as error:
                 self.refused.append(Untestable(kind.id, None, error.message, kind.remedy, OF_THE_ROBOT))
@@ -155,7 +155,7 @@ class _Shelf:
             if named is not None and j not in named:
                 continue
             try:
-                one = kind(**{**config, "joints": (j,)}).on(self.robot, self.rows)
+                one = kind(**{**config, "joints": (j,)}).configure_for_robot(self.robot, self.rows)
             except OptionError:
                 continue
             if not self.started & {p.name for p in one.parameters(self.robot)}:
@@ -167,7 +167,9 @@ class _Shelf:
             for effect in single.values():
                 self._put(effect)
         else:
-            self._put(kind(**{**config, "joints": tuple(single)}).on(self.robot, self.rows) if cut else whole)
+            self._put(
+                kind(**{**config, "joints": tuple(single)}).configure_for_robot(self.robot, self.rows) if cut else whole
+            )
         if not kind.alone:
             return single
         for j, effect in single.items():
@@ -191,7 +193,7 @@ class _Shelf:
 
 def with_testable(library: Library, testable: Bools) -> tuple[Candidate, ...]:
     """Candidates that the data can see: families cut down to such joints, and left out below two of them."""
-    seen = {k: _seen(c, testable) for k, c in enumerate(library.candidates) if c.level != FAMILY}
+    seen = {k: _restrict_to_testable(c, testable) for k, c in enumerate(library.candidates) if c.level != FAMILY}
     out = []
     for k, c in enumerate(library.candidates):
         if c.level != FAMILY:
@@ -207,7 +209,7 @@ def with_testable(library: Library, testable: Bools) -> tuple[Candidate, ...]:
     return tuple(out)
 
 
-def _seen(candidate: Candidate, testable: Bools) -> Candidate | None:
+def _restrict_to_testable(candidate: Candidate, testable: Bools) -> Candidate | None:
     """One that is not a family with what of it the data can see; None where they cannot see enough of it for its name."""
     columns = tuple(k for k in candidate.columns if testable[k])
     in_part = candidate.level == WHOLE or all(e.in_part for e in candidate.effects)

@@ -16,11 +16,11 @@ import numpy as np
 from kilter_core.effects import Effect
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.linear.gram import VISIBLE
-from kilter_core.gap.search.linear.linearized import LinearizedProblem, linearize_at, with_columns_of
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, linearise_problem, with_columns_of
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
-from kilter_core.observations.clock import clock_of
+from kilter_core.observations.clock import read_clock
 from kilter_core.types import Bools, Floats, Ints
 
 VISITS_PER_SIDE = 4  # visits on either side: fewer are readings that went wrong, and set aside as such
@@ -40,9 +40,9 @@ class Course:
     timed: bool
 
     @staticmethod
-    def of(rows: Observations) -> Course | None:
+    def from_observations(rows: Observations) -> Course | None:
         """By a clock that never falls back, else by the numbers of the rows; None where neither is known."""
-        clock = clock_of(rows)
+        clock = read_clock(rows)
         if rows.t is not None and clock.trusted and np.all(np.diff(rows.t[clock.order]) >= 0.0):
             return Course(clock.order, np.asarray(rows.t[clock.order], dtype=np.float64), True)
         if rows.row is None:
@@ -84,12 +84,12 @@ class Profile:
         return np.asarray(self.taken - self.degrees * np.log(rows))
 
 
-def numbered(rows: Observations) -> Observations:
+def with_row_numbers(rows: Observations) -> Observations:
     """Rows with their numbers in the order of measurement, from 1, where they state none."""
     if rows.row is not None:
         return rows
     number = np.empty(len(rows), dtype=np.int64)
-    number[clock_of(rows).order] = np.arange(1, len(rows) + 1)
+    number[read_clock(rows).order] = np.arange(1, len(rows) + 1)
     return replace(rows, row=number)
 
 
@@ -98,7 +98,7 @@ def profiles(
 ) -> dict[int, Profile]:
     """Profiles of the ``wanted`` events (places among the candidates), each given geometry and the other ``chosen``."""
     source = problem.settings.source
-    course = Course.of(source.observations)
+    course = Course.from_observations(source.observations)
     if course is None or not wanted or not course.able.any():
         return {}
     columns = [k for c in wanted for k in candidates[c].columns]
@@ -117,7 +117,9 @@ def _always(settings: ProblemSettings, values: Floats, course: Course, columns: 
     never: dict[str, Any] = {"at_s": float(course.key[-1]) + 1.0, "at_row": None}
     if not course.timed:
         never = {"at_s": None, "at_row": int(course.key[-1]) + 1}
-    source = moved(settings.source, {key_of(e): replace(e, **never) for e in events_of(settings.source)})
+    source = replace_events(
+        settings.source, {event_key(e): replace(e, **never) for e in event_effects(settings.source)}
+    )
     return settings.whitening.columns(source.without_geometry().linear(values, None, columns).W)
 
 
@@ -129,9 +131,9 @@ def _profile(problem: LinearizedProblem, course: Course, B: Floats, others: Sequ
     out = np.hstack([soft(basis), soft.Q * np.sqrt(1.0 - (1.0 + soft.shrink) ** 2)])
     blocks = B.reshape(-1, size, B.shape[1])[course.order]
     along = out.reshape(-1, size, out.shape[1])[course.order]
-    H = _before(np.matmul(blocks.transpose(0, 2, 1), blocks))
-    Z = _before(np.matmul(along.transpose(0, 2, 1), blocks))
-    c = _before(np.einsum("vik,vi->vk", blocks, r.reshape(-1, size)[course.order]))
+    H = _exclusive_cumulative_sum(np.matmul(blocks.transpose(0, 2, 1), blocks))
+    Z = _exclusive_cumulative_sum(np.matmul(along.transpose(0, 2, 1), blocks))
+    c = _exclusive_cumulative_sum(np.einsum("vik,vi->vk", blocks, r.reshape(-1, size)[course.order]))
     norm = np.sqrt(np.maximum(np.diagonal(H, axis1=1, axis2=2), 1e-300))
     A = (H - np.matmul(Z.transpose(0, 2, 1), Z)) / (norm[:, :, None] * norm[:, None, :])
     w, V = np.linalg.eigh(A)
@@ -140,39 +142,39 @@ def _profile(problem: LinearizedProblem, course: Course, B: Floats, others: Sequ
     return Profile(course, np.where(course.able, np.sum(z**2, axis=1), -np.inf), seen.sum(axis=1))
 
 
-def _before(each: Floats) -> Floats:
+def _exclusive_cumulative_sum(each: Floats) -> Floats:
     """Sums over all before each place."""
     out = np.cumsum(each, axis=0)
     return np.asarray(np.subtract(out, each, out=out))
 
 
-def events_of(source: Source) -> tuple[Effect, ...]:
+def event_effects(source: Source) -> tuple[Effect, ...]:
     """Effects of the library that happen once."""
     return tuple(e for e in source.model.effects if e.event)
 
 
-def moved(source: Source, effects: dict[str, Effect]) -> Source:
+def replace_events(source: Source, effects: dict[str, Effect]) -> Source:
     """The source with these effects, by their ids, in place of the same elsewhere in time."""
     if not effects:
         return source
-    model = replace(source.model, effects=tuple(_at(e, effects) for e in source.model.effects))
+    model = replace(source.model, effects=tuple(_with_event_time(e, effects) for e in source.model.effects))
     return replace(source, model=model)  # type: ignore[type-var]
 
 
-def _at(effect: Effect, effects: dict[str, Effect]) -> Effect:
+def _with_event_time(effect: Effect, effects: dict[str, Effect]) -> Effect:
     """An effect at the time that ``effects`` say of its kind and joint."""
-    found = effects.get(key_of(effect))
+    found = effects.get(event_key(effect))
     if found is None or not effect.event:
         return effect
     return replace(effect, at_s=getattr(found, "at_s", None), at_row=getattr(found, "at_row", None))  # type: ignore[call-arg]
 
 
-def key_of(effect: Effect) -> str:
+def event_key(effect: Effect) -> str:
     """Name of a kind of event at its joint."""
     return effect.id if effect.joints is None else f"{effect.id}@{','.join(map(str, effect.joints))}"
 
 
-def placed(
+def place_events(
     problem: LinearizedProblem, candidates: Sequence[Candidate], chosen: Sequence[int] = ()
 ) -> tuple[LinearizedProblem, tuple[Candidate, ...]]:
     """The problem with every event where it takes most, given the chosen, and the candidates at these places."""
@@ -185,16 +187,16 @@ def placed(
     for k, profile in found.items():
         effect = candidates[k].effects[0]
         best = _best(profile, profile.course.place(effect), problem.rows)
-        at[key_of(effect)] = replace(effect, **profile.course.mark(best))
-        made[k] = replace(candidates[k], effects=(at[key_of(effect)],), places=int(profile.course.able.sum()))
-    source = moved(problem.settings.source, at)
+        at[event_key(effect)] = replace(effect, **profile.course.mark(best))
+        made[k] = replace(candidates[k], effects=(at[event_key(effect)],), places=int(profile.course.able.sum()))
+    source = replace_events(problem.settings.source, at)
     if source.model.effects == problem.settings.source.model.effects:
         return problem, tuple(made)
     settings = replace(problem.settings, source=source)
     others = [column for k, c in enumerate(made) if c != candidates[k] for column in c.columns]
     if np.any(source.library(problem.values)[others]):
         problem.resting()
-        return linearize_at(settings, problem.values), tuple(made)
+        return linearise_problem(settings, problem.values), tuple(made)
     return with_columns_of(problem, settings, others), tuple(made)
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.gap.search.agreement import contradicted
+from kilter_core.gap.search.agreement import has_conflicting_amplitudes
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.in_space import fit_rms
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, refit
@@ -21,7 +21,7 @@ def finalize(found: SearchResult, alpha: float) -> SearchResult:
     """Drop and replace until every member is significant at the final fit; each change is followed by a re-fit."""
     seen = {frozenset(found.chosen)}
     while found.chosen:
-        wrong = [k for k in found.chosen if contradicted(found, k)][:1]
+        wrong = [k for k in found.chosen if has_conflicting_amplitudes(found, k)][:1]
         after = tuple(k for k in found.chosen if k not in wrong) if wrong else _without_chance(found, alpha)
         if after == found.chosen:
             after = _with_causes(found, seen)
@@ -30,7 +30,7 @@ def finalize(found: SearchResult, alpha: float) -> SearchResult:
         seen.add(frozenset(after))
         found.problem.resting()
         problem = refit(found.problem.settings, found.problem.values, found.selector.columns(after))
-        found = replace(found, problem=problem, chosen=after, steps=found.stepped(problem, after))
+        found = replace(found, problem=problem, chosen=after, steps=found.extended_steps(problem, after))
     return found
 
 
@@ -39,7 +39,7 @@ def or_geometry_alone(found: SearchResult, geometry: LinearizedProblem) -> Searc
     better = found.problem.chi2 <= geometry.chi2 and fit_rms(found.problem) <= fit_rms(geometry)
     if found.chosen and better:
         return found
-    steps = (found.steps[0],) if not found.chosen else found.stepped(geometry, ())
+    steps = (found.steps[0],) if not found.chosen else found.extended_steps(geometry, ())
     return replace(found, problem=geometry, chosen=(), steps=steps)
 
 
@@ -53,7 +53,7 @@ def chance(found: SearchResult, place: int, alpha: float) -> float:
     scorer = found.selector.scorer
     rest = found.selector.columns([k for k in found.chosen if k != place])
     gram = found.problem.gram
-    scores = scorer.scores(gram.given(rest))
+    scores = scorer.scores(gram.condition_on_columns(rest))
     tests = len(scorer.candidates)
     p = found.null.family_wise(float(scores.p[place]), tests)
     if p <= alpha:
@@ -78,7 +78,7 @@ def _with_causes(found: SearchResult, seen: set[frozenset[int]]) -> tuple[int, .
     for place in (k for k in found.chosen if candidates[k].empirical):
         rest = tuple(k for k in found.chosen if k != place)
         taken = set(selector.columns(rest))
-        scores = selector.scorer.scores(gram.given(selector.columns(rest)))
+        scores = selector.scorer.scores(gram.condition_on_columns(selector.columns(rest)))
         value = scores.S / selector.variance(gram, found.chosen) - scores.d * np.log(selector.rows)
         value -= selector.scorer.paid
         for k in np.argsort(-value, kind="stable"):

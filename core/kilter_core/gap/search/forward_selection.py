@@ -10,11 +10,11 @@ import numpy as np
 
 from kilter_core.gap.budget import SEARCHING, Budget, OutOfTimeError
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.search.events import placed
-from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on, nearest, refit
+from kilter_core.gap.search.events import place_events
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, ignore_step, nearest, refit
 from kilter_core.gap.search.linear.settings import ProblemSettings
-from kilter_core.gap.search.re_evaluation import renewed, under
-from kilter_core.gap.search.scan import Null, Scorer, null_of
+from kilter_core.gap.search.re_evaluation import refit_with_updated_noise, under
+from kilter_core.gap.search.scan import Null, Scorer, null_distribution
 from kilter_core.gap.search.select import Selector
 from kilter_core.types import Floats, Progress
 
@@ -52,13 +52,13 @@ class SearchResult:
         return self.selector.columns(self.chosen)
 
     @property
-    def paired(self) -> bool:
+    def has_paired_entry(self) -> bool:
         """Whether two names entered at once."""
         return any(len(set(after.names) - set(before.names)) > 1 for before, after in itertools.pairwise(self.steps))
 
-    def stepped(self, problem: LinearizedProblem, chosen: tuple[int, ...]) -> tuple[Step, ...]:
+    def extended_steps(self, problem: LinearizedProblem, chosen: tuple[int, ...]) -> tuple[Step, ...]:
         """The steps with one more."""
-        step = step_of(problem, self.selector, chosen)
+        step = describe_step(problem, self.selector, chosen)
         return (*self.steps, step if self.noise is None else _in_units_of(self.noise, problem, step))
 
 
@@ -99,15 +99,15 @@ def _forward_selection(
     begin = problem
     scorer = selector.scorer
     first: Null | None = None
-    steps = [step_of(problem, selector, chosen)]
+    steps = [describe_step(problem, selector, chosen)]
     seen = {frozenset(chosen)}
     for round_ in itertools.count():
         if round_ >= selector.rounds(chosen, options.max_effects):
             break
         progress(min(0.9, round_ / 6.0), f"scan {round_ + 1}: {len(scorer.candidates)} candidates")
-        problem, selector = when(problem, selector, chosen, limits)
+        problem, selector = update_event_times(problem, selector, chosen, limits)
         scorer = selector.scorer
-        null = null_of(problem, selector.scorer, selector.columns(chosen), options.bootstraps, options.seed)
+        null = null_distribution(problem, selector.scorer, selector.columns(chosen), options.bootstraps, options.seed)
         first = first or null
         critical = null.critical(options.alpha)
         ticking = replace(selector, tick=budget.tick(SEARCHING, MORE)) if round_ else selector
@@ -136,9 +136,9 @@ def _forward_selection(
         problem, chosen = _renewed_in_time(other, selector.columns(after), tick), after
         # A column that was zero may move something by now: an error of the payload does beside a compliance.
         if problem is not other or np.any((problem.size > 0.0) & still):
-            selector = selector_at(problem, selector, limits)
+            selector = update_selector(problem, selector, limits)
         del other  # of thousands of poses it would fill the memory beside the next
-        steps.append(_in_units_of(begin.settings.noise.coordinate, problem, step_of(problem, selector, chosen)))
+        steps.append(_in_units_of(begin.settings.noise.coordinate, problem, describe_step(problem, selector, chosen)))
     assert first is not None
     noise = begin.settings.noise.coordinate
     critical, strict = first.critical(options.alpha), first.strict(options.alpha)
@@ -148,26 +148,26 @@ def _forward_selection(
 def _renewed_in_time(problem: LinearizedProblem, columns: list[int], tick: Tick) -> LinearizedProblem:
     """The problem with noise and outliers judged again; itself where there was no time for it."""
     try:
-        return renewed(problem, columns, tick, at_last=False)
+        return refit_with_updated_noise(problem, columns, tick, at_last=False)
     except OutOfTimeError:
         return problem
 
 
-def when(
-    problem: LinearizedProblem, selector: Selector, chosen: tuple[int, ...], limits: Floats, tick: Tick = go_on
+def update_event_times(
+    problem: LinearizedProblem, selector: Selector, chosen: tuple[int, ...], limits: Floats, tick: Tick = ignore_step
 ) -> tuple[LinearizedProblem, Selector]:
     """The search with every event at the row where it takes most, given what is chosen, and fitted again if one is."""
     candidates = selector.scorer.candidates
-    after, made = placed(problem, candidates, chosen)
+    after, made = place_events(problem, candidates, chosen)
     if made == candidates:
         return after, selector
     if any(made[k] != candidates[k] for k in chosen):
         after = refit(after.settings, after.values, selector.columns(chosen), tick)
     selector = replace(selector, scorer=replace(selector.scorer, candidates=made))
-    return after, selector_at(after, selector, limits)
+    return after, update_selector(after, selector, limits)
 
 
-def selector_at(problem: LinearizedProblem, selector: Selector, limits: Floats) -> Selector:
+def update_selector(problem: LinearizedProblem, selector: Selector, limits: Floats) -> Selector:
     """The same search at another fit, whose noise may be another and known better or worse."""
     scorer = selector.scorer.knowing(problem.settings.noise)
     return replace(selector, scorer=scorer, rows=problem.rows, limits=limits * problem.size)
@@ -202,7 +202,7 @@ def _in_units_of(noise: float, problem: LinearizedProblem, step: Step) -> Step:
     return replace(step, chi2_per_freedom=step.chi2_per_freedom * ratio**2)
 
 
-def step_of(problem: LinearizedProblem, selector: Selector, chosen: tuple[int, ...]) -> Step:
+def describe_step(problem: LinearizedProblem, selector: Selector, chosen: tuple[int, ...]) -> Step:
     """Describe a set at the fit that includes it."""
-    left = problem.gram.given(selector.columns(chosen))
+    left = problem.gram.condition_on_columns(selector.columns(chosen))
     return Step(tuple(selector.scorer.candidates[k].label for k in chosen), left.yy / max(left.nu, 1.0))

@@ -11,21 +11,21 @@ import scipy.linalg
 
 from kilter_core.errors import NotConvergedError, ObservationError, TooFewPosesError
 from kilter_core.gap.budget import Budget
-from kilter_core.gap.noise.from_repeats import approached, fit_noise, spikes
+from kilter_core.gap.noise.from_repeats import add_approach_noise, fit_noise, spikes
 from kilter_core.gap.noise.motion import (
-    averaged,
+    average_windows,
     blocks,
     correlation_length,
     motion_blocks,
-    windows_of,
+    split_into_windows,
 )
-from kilter_core.gap.noise.visits import Visits, visits_of
+from kilter_core.gap.noise.visits import Visits, average_visits
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.search.candidates import Library, library_of
-from kilter_core.gap.search.events import placed
-from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on, refit
+from kilter_core.gap.search.candidates import Library, build_library
+from kilter_core.gap.search.events import place_events
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, ignore_step, refit
 from kilter_core.gap.search.linear.settings import ProblemSettings
-from kilter_core.gap.search.masses import blurred, tool_source
+from kilter_core.gap.search.masses import blur_load_signs, tool_source
 from kilter_core.gap.search.re_evaluation import under, without_wrong
 from kilter_core.gap.search.rows.noise_reader import NoiseReader
 from kilter_core.gap.search.rows.row_warnings import (
@@ -39,11 +39,11 @@ from kilter_core.gap.search.sources.link_source import LinkSource
 from kilter_core.gap.search.sources.rounding import rounding
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.identify.estimate import estimate
-from kilter_core.identify.estimate import prepared as start_of
-from kilter_core.identify.fit.least_squares import Fit, fit_at
+from kilter_core.identify.estimate import prepare_problem as start_of
+from kilter_core.identify.fit.least_squares import Fit, build_fit
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.contacts import held
+from kilter_core.measurement.contacts import has_contacts
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.copies import identical_repeats
@@ -72,7 +72,7 @@ class Prepared:
     width: int  # rows in a window of a motion
     warnings: tuple[dict[str, Any], ...]
 
-    def judged_by(self, found: LinearizedProblem) -> Prepared:
+    def update_noise_and_outliers(self, found: LinearizedProblem) -> Prepared:
         """The same with noise and outliers as the search judged them at its end, the geometry fitted to what is left."""
         if found.settings is self.problem.settings:
             return self
@@ -123,34 +123,42 @@ class _Preparation:
         moving = is_trajectory(rows)
         self.progress(0.02, "fitting the geometry")
         spiked = np.zeros(0, dtype=np.int64)
-        windows = windows_of(rows)
-        visits = visits_of(rows.select(windows.middle) if moving else rows)
+        windows = split_into_windows(rows)
+        visits = average_visits(rows.select(windows.middle) if moving else rows)
         source, values, library = self._source(visits)
         if moving:
-            rows = self._windowed(rows, source, values)
-            visits = visits_of(replace(rows, pose_id=np.arange(len(rows))))
+            rows = self._average_motion_rows(rows, source, values)
+            visits = average_visits(replace(rows, pose_id=np.arange(len(rows))))
         else:
-            residual = source.residual_of_rows(values, rows, go_on)
+            residual = source.residual_of_rows(values, rows, ignore_step)
             spiky = spikes(residual, visits)
             if spiky.any():
                 spiked = np.flatnonzero(kept)[spiky]
                 kept[spiked] = False
                 rows = rows.select(~spiky)
-                visits = visits_of(rows)
-        source = blurred(source.on_rows(visits.observations), values)
+                visits = average_visits(rows)
+        source = blur_load_signs(source.on_rows(visits.observations), values)
         self.progress(0.3, "noise from repeats")
         noise = NoiseReader(source, values, rows, visits, library, self.options, self.warnings).read()
         one, held = (None, False) if moving else rounding(source, values, rows.q, visits, noise)
         self.warnings += rounding_warnings(one, source, held)
         left, every = source.residual(values), np.ones(len(visits), dtype=bool)
         settings = ProblemSettings(
-            source, approached(noise, left, every, source.lost(left.size)), every, visits.pose, trusted=noise.absolute,
+            source,
+            add_approach_noise(noise, left, every, source.geometry_freedom_share(left.size)),
+            every,
+            visits.pose,
+            trusted=noise.absolute,
             rounding=None if held else one,
-        )  # fmt: skip
+        )
         problem = self._enough(refit(settings, values, [], partial(self.progress, 0.45, "fitting the geometry again")))
-        problem = _weighed(placed(problem, library.candidates)[0])
+        problem = _refit_with_equal_weights(place_events(problem, library.candidates)[0])
         self.progress(0.6, "looking for outliers")
-        problem = self._correlated(problem, visits) if moving else without_wrong(problem, self.budget, self.progress)
+        problem = (
+            self._refit_with_correlation(problem, visits)
+            if moving
+            else without_wrong(problem, self.budget, self.progress)
+        )
         if not moving and not problem.settings.trusted and len(visits) >= FEWEST_ROWS:
             problem = self._in_order(problem, visits)
         outlying = np.union1d(spiked, _outlying(kept, visits, problem)).astype(np.int64)
@@ -200,16 +208,16 @@ class _Preparation:
 
     def _source(self, visits: Visits) -> tuple[Source, Floats, Library]:
         rows = visits.observations
-        if rows.link_q is not None and rows.position is None and rows.markers is None and not held(rows):
+        if rows.link_q is not None and rows.position is None and rows.markers is None and not has_contacts(rows):
             return self._link_source(rows)
         options = self.options
         identify = IdentifyOptions(
             loss="huber", free=options.free, fix=options.fix, base=options.base, tool=options.tool
         )
-        measurement = Measurement.of(rows, self.start.marker_points, held=True)
+        measurement = Measurement.from_observations(rows, self.start.marker_points, held=True)
         fit = self._geometry(measurement, identify)
         model = fit.problem.model
-        library = library_of(self.start.robot, rows, model.names, options.effects)
+        library = build_library(self.start.robot, rows, model.names, options.effects)
         source, values = tool_source(model, fit.values, fit.problem.free, measurement, library)
         names = source.fitted_names()
         for held_back in (name for k in fit.problem.free if (name := model.names[k]) not in names):
@@ -233,13 +241,13 @@ class _Preparation:
             "what it leaves with an identification.",
         )
         problem, values = start_of(self.start, measurement, options)
-        return fit_at(problem, values, problem.linearised(values, None), 0)
+        return build_fit(problem, values, problem.linearise(values, None), 0)
 
     def _link_source(self, rows: Observations) -> tuple[Source, Floats, Library]:
         model = self.start.model
-        library = library_of(self.start.robot, rows, model.names, self.options.effects)
+        library = build_library(self.start.robot, rows, model.names, self.options.effects)
         whole = replace(model, effects=(*model.effects, *library.effects))
-        source = LinkSource.of(whole, rows, len(library.parameters))
+        source = LinkSource.from_model(whole, rows, len(library.parameters))
         if not source.live.any():
             raise ObservationError("Every link-side encoder is constant: the channels are dead, upload others.")
         dead = [j + 1 for j in np.flatnonzero(~source.live)]
@@ -249,10 +257,10 @@ class _Preparation:
         values = np.concatenate([source.prior_mean, np.zeros(len(library.parameters))])
         return source, values, library
 
-    def _windowed(self, rows: Observations, source: Source, values: Floats) -> Observations:
+    def _average_motion_rows(self, rows: Observations, source: Source, values: Floats) -> Observations:
         now = partial(self.progress, 0.15, f"averaging {len(rows)} samples of a motion")
         now()
-        return windowed(rows, source, values, tick=now)
+        return average_motion_rows(rows, source, values, tick=now)
 
     def _enough(self, problem: LinearizedProblem) -> LinearizedProblem:
         if problem.nu < SPARE:
@@ -264,9 +272,9 @@ class _Preparation:
             )
         return problem
 
-    def _correlated(self, problem: LinearizedProblem, visits: Visits) -> LinearizedProblem:
+    def _refit_with_correlation(self, problem: LinearizedProblem, visits: Visits) -> LinearizedProblem:
         """Noise and its correlation from what the whole library could not explain; blocks instead of poses."""
-        rest = _unexplained(problem)
+        rest = _unexplained_residual(problem)
         length = correlation_length(rest)
         group = motion_blocks(visits.observations, length)
         self._warn(
@@ -274,11 +282,11 @@ class _Preparation:
             f"The rows are samples of a motion; one in {length:.0f} counts as independent, and blocks of "
             f"{int(np.bincount(group).max())} are shuffled and held out together.",
         )
-        return self._inflated(problem, visits, rest, group, length)
+        return self._refit_with_inflated_noise(problem, visits, rest, group, length)
 
     def _in_order(self, problem: LinearizedProblem, visits: Visits) -> LinearizedProblem:
         """The same for poses without repeats whose errors resemble those of the poses measured before and after."""
-        rest = _unexplained(problem)
+        rest = _unexplained_residual(problem)
         t = visits.observations.t
         order = np.arange(len(rest)) if t is None else np.argsort(t, kind="stable")
         length = correlation_length(rest[order])
@@ -291,9 +299,9 @@ class _Preparation:
             f"What no effect explains is alike from one pose to the next; one pose in {length:.1f} counts as "
             f"independent, and {int(np.bincount(group).max())} poses in a row are shuffled together.",
         )
-        return self._inflated(problem, visits, rest, group, length)
+        return self._refit_with_inflated_noise(problem, visits, rest, group, length)
 
-    def _inflated(
+    def _refit_with_inflated_noise(
         self, problem: LinearizedProblem, visits: Visits, rest: Floats, group: Ints, length: float
     ) -> LinearizedProblem:
         """Re-fit with noise from ``rest``, its variance times the correlation ``length``."""
@@ -308,14 +316,16 @@ class _Preparation:
         self.warnings.append({"code": code, "message": message})
 
 
-def windowed(
-    rows: Observations, source: Source, values: Floats, width: int | None = None, tick: Tick = go_on
+def average_motion_rows(
+    rows: Observations, source: Source, values: Floats, width: int | None = None, tick: Tick = ignore_step
 ) -> Observations:
     """Rows of motions averaged over windows, by the residuals they have at ``values``."""
-    return averaged(rows, source.residual_of_rows(values, rows, tick), windows_of(rows, width), source.live)
+    return average_windows(
+        rows, source.residual_of_rows(values, rows, tick), split_into_windows(rows, width), source.live
+    )
 
 
-def _weighed(problem: LinearizedProblem) -> LinearizedProblem:
+def _refit_with_equal_weights(problem: LinearizedProblem) -> LinearizedProblem:
     """The same with equal weights for all coordinates where the error of the model, not the noise, is what is left.
 
     The repeats of an arm that errs by twenty times their scatter say nothing of the shape of that error: see
@@ -328,7 +338,7 @@ def _weighed(problem: LinearizedProblem) -> LinearizedProblem:
     return refit(even, problem.values, [])
 
 
-def _unexplained(problem: LinearizedProblem) -> Floats:
+def _unexplained_residual(problem: LinearizedProblem) -> Floats:
     """Whitened residual (V, m) off geometry and the whole library, every parameter within its prior."""
     settings = problem.settings
     y, X = problem.within_priors()

@@ -10,15 +10,15 @@ from dataclasses import replace
 
 from kilter_core.gap.budget import MEASURING, Budget, OutOfTimeError
 from kilter_core.gap.search.finalize import finalize
-from kilter_core.gap.search.forward_selection import SearchResult, selector_at, when
-from kilter_core.gap.search.re_evaluation import renewed
+from kilter_core.gap.search.forward_selection import SearchResult, update_event_times, update_selector
+from kilter_core.gap.search.re_evaluation import refit_with_updated_noise
 from kilter_core.types import Floats
 
 AGAIN = "noise and wrong readings as the names leave them"
 ROUNDS = 3  # of names judged by the noise and noise judged by the names
 
 
-def rejudged(found: SearchResult, alpha: float, limits: Floats, budget: Budget | None = None) -> SearchResult:
+def re_evaluate_search(found: SearchResult, alpha: float, limits: Floats, budget: Budget | None = None) -> SearchResult:
     """Settle the names and renew noise and outliers in turn, until neither changes. ``limits (Q,)`` as of a search.
 
     The names are settled in any case: one that chance could have given is none. Once its share of the ``budget`` is over,
@@ -28,12 +28,12 @@ def rejudged(found: SearchResult, alpha: float, limits: Floats, budget: Budget |
     for round_ in range(ROUNDS):
         found = finalize(found, alpha)
         try:
-            at, selector = when(found.problem, found.selector, found.chosen, limits, tick)
-            problem = renewed(at, found.columns, tick, at_last=not round_)
+            at, selector = update_event_times(found.problem, found.selector, found.chosen, limits, tick)
+            problem = refit_with_updated_noise(at, found.columns, tick, at_last=not round_)
         except OutOfTimeError:
             return found
         if problem is found.problem:
             return replace(found, selector=selector)
-        selector = selector_at(problem, selector, limits)
-        found = replace(found, problem=problem, selector=selector, steps=found.stepped(problem, found.chosen))
+        selector = update_selector(problem, selector, limits)
+        found = replace(found, problem=problem, selector=selector, steps=found.extended_steps(problem, found.chosen))
     return finalize(found, alpha)

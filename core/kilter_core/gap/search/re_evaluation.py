@@ -14,9 +14,9 @@ import numpy as np
 import scipy.linalg
 
 from kilter_core.gap.budget import PREPARING, Budget, OutOfTimeError
-from kilter_core.gap.noise.from_repeats import FIT, Noise, approached, noise_again, refitted
+from kilter_core.gap.noise.from_repeats import FIT, Noise, add_approach_noise, noise_again, re_estimate_fit_noise
 from kilter_core.gap.search.linear.contrasts import fitted_away
-from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on, linearize_at, refit
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, ignore_step, linearise_problem, refit
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.rows.outliers import LARGE, outliers, stands_out
 from kilter_core.types import Bools, Floats, Progress
@@ -30,8 +30,8 @@ SEEN = 1e-12  # of the largest: smaller eigenvalues are directions that geometry
 ROUNDS = 3  # more of noise read from repeats and amounts fitted under it
 
 
-def renewed(
-    problem: LinearizedProblem, columns: Sequence[int], tick: Tick = go_on, at_last: bool = True
+def refit_with_updated_noise(
+    problem: LinearizedProblem, columns: Sequence[int], tick: Tick = ignore_step, at_last: bool = True
 ) -> LinearizedProblem:
     """The problem re-fitted with noise and outliers as the fit with these columns shows them; itself if unchanged.
 
@@ -40,10 +40,10 @@ def renewed(
     Visits are judged by all of the library, named or not: among many they are ``at_last``, and under another noise.
     ``tick`` is called at every step, and may raise: then nothing was judged again.
     """
-    before, problem = problem, _renewed(problem, columns, tick, at_last)
+    before, problem = problem, _update_noise_once(problem, columns, tick, at_last)
     for _ in range(ROUNDS if problem is not before and problem.settings.noise.repeats is not None else 0):
         after = _with_noise(problem.settings, problem, columns, problem.settings.used)
-        if _alike(problem.settings.noise, after.noise):
+        if _is_noise_unchanged(problem.settings.noise, after.noise):
             break
         problem.resting()
         problem = refit(after, problem.values, columns, tick)
@@ -55,7 +55,7 @@ def without_wrong(problem: LinearizedProblem, budget: Budget, progress: Progress
     tick = budget.tick(PREPARING, WRONG)
     for _ in range(FITS):
         try:
-            after = renewed(problem, (), tick)
+            after = refit_with_updated_noise(problem, (), tick)
         except OutOfTimeError:
             break
         if after is problem:
@@ -65,20 +65,22 @@ def without_wrong(problem: LinearizedProblem, budget: Budget, progress: Progress
     return problem
 
 
-def _renewed(problem: LinearizedProblem, columns: Sequence[int], tick: Tick, at_last: bool) -> LinearizedProblem:
+def _update_noise_once(
+    problem: LinearizedProblem, columns: Sequence[int], tick: Tick, at_last: bool
+) -> LinearizedProblem:
     settings = problem.settings
     if settings.inflation > 1.0:  # rows correlated in time: a disturbance looks like what they share
         return problem
     every = replace(settings, used=np.ones(len(settings.used), dtype=bool))
     every = _with_noise(every, problem, columns, settings.used)
-    known = not at_last and len(settings.used) > MANY and _alike(settings.noise, every.noise)
+    known = not at_last and len(settings.used) > MANY and _is_noise_unchanged(settings.noise, every.noise)
     if known or (len(settings.used) > LARGE and settings.used.all() and not stands_out(every, problem.values)):
         used = settings.used
     else:
         problem.resting()
-        used = ~outliers(linearize_at(every, problem.values), columns, tick)
+        used = ~outliers(linearise_problem(every, problem.values), columns, tick)
     after = _with_noise(replace(every, used=used), problem, columns, used)
-    if np.array_equal(used, settings.used) and _alike(settings.noise, after.noise):
+    if np.array_equal(used, settings.used) and _is_noise_unchanged(settings.noise, after.noise):
         return problem
     problem.resting()
     return refit(after, problem.values, columns, tick)
@@ -92,7 +94,7 @@ def under(settings: ProblemSettings, problem: LinearizedProblem, columns: Sequen
     return refit(settings, problem.values, columns)
 
 
-def _alike(before: Noise, after: Noise) -> bool:
+def _is_noise_unchanged(before: Noise, after: Noise) -> bool:
     """Whether nothing changed that a verdict could rest on."""
     if before is after:
         return True
@@ -127,8 +129,8 @@ def _with_noise(
     free = problem.U.shape[1] + len(columns)
     lost = min(0.9, free / max(used.sum() * residual.shape[1], 1))
     if not by_fit:
-        return replace(settings, noise=approached(settings.noise, residual, used, lost))
-    return replace(settings, noise=settings.source.even(refitted(settings.noise, residual, used, lost)))
+        return replace(settings, noise=add_approach_noise(settings.noise, residual, used, lost))
+    return replace(settings, noise=settings.source.even(re_estimate_fit_noise(settings.noise, residual, used, lost)))
 
 
 def unheld(problem: LinearizedProblem, columns: Sequence[int], residual: Floats) -> Floats:
@@ -145,7 +147,7 @@ def unheld(problem: LinearizedProblem, columns: Sequence[int], residual: Floats)
     H, b = X.T @ X, X.T @ problem.raw
     own = slice(0, G.shape[1])
     H[own, own] += np.eye(G.shape[1])
-    b[own] -= source.prior.apart(source.prior.away(source.geometry(problem.values)))
+    b[own] -= source.prior.whiten_deviation(source.prior.standardized_deviation(source.geometry(problem.values)))
     left = settings.whitening.back(problem.raw - X @ scipy.linalg.lstsq(H, b, cond=SEEN)[0])
     counts = settings.used[:, None] & ~np.isnan(residual)
     return np.where(counts, left, residual)

@@ -39,7 +39,7 @@ class Reach:
         """The linearised problem."""
         return self.whole.gram
 
-    def scanned(self, columns: Sequence[int], given: Gram, S: Floats, d: Ints) -> None:
+    def record_scan(self, columns: Sequence[int], given: Gram, S: Floats, d: Ints) -> None:
         """Remember a scan: chi-square ``S (K,)`` that candidates take beside the columns in ``d (K,)`` directions."""
         reaches = (self.gram.yy - given.yy + S) / self.variance - d * self.price[0] - self.price[1:]
         self.scans[frozenset(columns)] = np.where(self.scorer.one_sided & (S == 0.0), np.inf, reaches)

@@ -11,7 +11,7 @@ from kilter_core.errors import OptionError
 Asked = str | Mapping[str, Any]
 
 
-def wanted(only: Sequence[Asked]) -> dict[str, frozenset[int] | None]:
+def joints_by_effect(only: Sequence[Asked]) -> dict[str, frozenset[int] | None]:
     """Ids with the joints (from 0) to look at, None for all; of an effect named twice the joints of both.
 
     Raises:

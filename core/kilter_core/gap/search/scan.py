@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 from kilter_core.gap.kernels.reductions import reductions
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.candidates import Candidate
-from kilter_core.gap.search.linear.gram import RIDGE, VISIBLE, Gram, rooted
+from kilter_core.gap.search.linear.gram import RIDGE, VISIBLE, Gram, inverse_square_root
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.linear.projection import Projection
 from kilter_core.gap.search.linear.tails import tail
@@ -43,7 +43,7 @@ class Block:
     one_sided: Bools
 
     @cached_property
-    def signed(self) -> bool:
+    def has_known_sign(self) -> bool:
         """Whether any has a known sign."""
         return bool(self.one_sided.any())
 
@@ -68,7 +68,7 @@ class Scorer:
     freedom: float
 
     @staticmethod
-    def of(candidates: Sequence[Candidate], absolute: bool, freedom: float) -> Scorer:
+    def from_candidates(candidates: Sequence[Candidate], absolute: bool, freedom: float) -> Scorer:
         """Sort candidates by size."""
         sizes = sorted({len(c.columns) for c in candidates})
         blocks = []
@@ -102,7 +102,10 @@ class Scorer:
         """
         rarer = np.array([max((e.rarer for e in c.effects), default=1.0) for c in self.candidates])
         rows = np.array(
-            [len(c.columns) * np.log(max((e.told_by for e in c.effects), default=1.0)) for c in self.candidates]
+            [
+                len(c.columns) * np.log(max((e.informative_row_share for e in c.effects), default=1.0))
+                for c in self.candidates
+            ]
         )
         return np.asarray(2.0 * np.log(self.places * rarer) + rows)
 
@@ -114,26 +117,28 @@ class Scorer:
     def reductions(self, gram: Gram, data: Floats, among: Bools | None = None) -> tuple[Floats, Ints]:
         """Chi-square taken (B, K) for data ``c (B, Q)``, and degrees (K,); zero at will where not ``among`` them."""
         if len(data) == 1:
-            return self._of_one(gram, np.ascontiguousarray(data[0]), among)
+            return self._reductions_of_dataset(gram, np.ascontiguousarray(data[0]), among)
         S = np.zeros((len(data), len(self.candidates)))
         d = np.zeros(len(self.candidates), dtype=np.int64)
         for n, block in enumerate(self.blocks):
             half, d[block.place] = self._halves(gram, n)
             z = np.matmul(data[:, block.columns].transpose(1, 0, 2), half)
             taken = np.sum(z**2, axis=2).T
-            if block.signed:
+            if block.has_known_sign:
                 wrong = block.one_sided & (data[:, block.columns[:, 0]] < 0.0)
                 taken = np.where(wrong, 0.0, taken)
             S[:, block.place] = taken
         return S, d
 
-    def _of_one(self, gram: Gram, c: Floats, among: Bools | None) -> tuple[Floats, Ints]:
+    def _reductions_of_dataset(self, gram: Gram, c: Floats, among: Bools | None) -> tuple[Floats, Ints]:
         """The same of one data set ``c (Q,)``: a selection asks tens of thousands of times."""
         wanted = np.ones(len(self.candidates), dtype=bool) if among is None else among
         S, d = np.zeros(len(wanted)), np.zeros(len(wanted), dtype=np.int64)
         whole = gram.whole if gram.whole.flags.c_contiguous else gram.whole.T  # symmetric, so one form is compiled
-        reductions(np.ascontiguousarray(whole), c, *gram.projected, gram.free, wanted, *self._members, RIDGE, S, d)
-        S[self.one_sided & (c[self._first] < 0.0)] = 0.0
+        reductions(
+            np.ascontiguousarray(whole), c, *gram.projection_factors, gram.free, wanted, *self._members, RIDGE, S, d
+        )
+        S[self.one_sided & (c[self._first_columns] < 0.0)] = 0.0
         return S[None], d
 
     @cached_property
@@ -143,7 +148,7 @@ class Scorer:
         return starts, np.array([k for c in self.candidates for k in c.columns], dtype=np.int64)
 
     @cached_property
-    def _first(self) -> Ints:
+    def _first_columns(self) -> Ints:
         """First column of each candidate (K,)."""
         starts, columns = self._members
         return np.asarray(columns[starts[:-1]])
@@ -151,7 +156,9 @@ class Scorer:
     def _halves(self, gram: Gram, n: int) -> tuple[Floats, Ints]:
         """Roots (K, d, d) of the inverse of the own matrix of each candidate of block ``n``, and its rank (K,)."""
         block = self.blocks[n]
-        return gram.kept(("halves", self.number, n), (), lambda: _rooted(gram, block.columns))
+        return gram.cached_for_columns(
+            ("halves", self.number, n), (), lambda: _inverse_roots_and_ranks(gram, block.columns)
+        )
 
     def new_columns(self, beside: Sequence[int]) -> Ints:
         """How many columns each candidate (K,) adds to some."""
@@ -162,23 +169,23 @@ class Scorer:
             out[block.place] = new[block.columns].sum(axis=1)
         return out
 
-    def tail_of(self, gram: Gram, place: int, beside: Sequence[int] = ()) -> float:
+    def tail_probability(self, gram: Gram, place: int, beside: Sequence[int] = ()) -> float:
         """Tail probability of one candidate beside some columns, as :meth:`scores` has it: of its own columns alone."""
-        own, given = self.candidates[place].columns, gram.given(beside)
+        own, given = self.candidates[place].columns, gram.condition_on_columns(beside)
         taken = given.reduction(own)
         wrong = taken <= 0.0 or (self.one_sided[place] and given.c[own[0]] < 0.0)
         return 1.0 if wrong else self._tail(place, given.rank(own), taken, given.yy, given.nu)
 
     def scores(self, gram: Gram, among: Bools | None = None) -> Scores:
         """Scores of the data themselves, of all candidates or of those that are ``among`` them."""
-        return self.scores_of(gram, *self.reductions(gram, gram.c[None], among))
+        return self.scores_from_reductions(gram, *self.reductions(gram, gram.c[None], among))
 
-    def scores_of(self, gram: Gram, S: Floats, d: Ints) -> Scores:
+    def scores_from_reductions(self, gram: Gram, S: Floats, d: Ints) -> Scores:
         """The same of what :meth:`reductions` (1, K) has found."""
-        T = self.scaled(S, d, np.array([gram.yy]), gram.nu, np.ones(1))[0]
+        T = self.scale_by_noise_variance(S, d, np.array([gram.yy]), gram.nu, np.ones(1))[0]
         return Scores(S[0], d, T, self.tail(T[None], d, gram.nu)[0])
 
-    def scaled(self, S: Floats, d: Ints, yy: Floats, nu: float, noise: Floats) -> Floats:
+    def scale_by_noise_variance(self, S: Floats, d: Ints, yy: Floats, nu: float, noise: Floats) -> Floats:
         """S over the noise variance: that of what is left, or pooled with that of the repeats (``noise``, about 1)."""
         free = np.maximum(nu - d, 1.0)
         left = np.maximum(yy[:, None] - S, 0.0) / free
@@ -195,7 +202,7 @@ class Scorer:
         share = free / (free + self.freedom) if np.isfinite(self.freedom) else 0.0
         return np.asarray(np.maximum(left, share * left + (1.0 - share) * noise))
 
-    def known(self, free: Floats | float) -> Floats:
+    def noise_freedom(self, free: Floats | float) -> Floats:
         """Numbers that the noise variance rests on: what is left (``free``), and the repeats; infinite when it is stated."""
         if not self.absolute:
             return np.asarray(free, dtype=np.float64)
@@ -203,7 +210,7 @@ class Scorer:
 
     def tail(self, T: Floats, d: Ints, nu: float) -> Floats:
         """Tail probability (B, K) given ``nu`` numbers free, half of it where the sign is known, 1 where nothing is left."""
-        p = tail(T, d, self.known(np.maximum(nu - d, 1.0)))
+        p = tail(T, d, self.noise_freedom(np.maximum(nu - d, 1.0)))
         p = np.minimum(np.where(self.one_sided, 0.5 * p, p) * self.places, 1.0)
         return np.asarray(np.where((d > 0) & (T > 0.0), p, 1.0))
 
@@ -215,8 +222,8 @@ class Scorer:
         """The same by the chi-square ``taken`` of ``yy``."""
         if d == 0:
             return 1.0
-        T = self.scaled(np.array([[taken]]), np.array([d]), np.array([yy]), nu, np.ones(1))
-        p = float(tail(T, np.array([d]), self.known(np.array([max(nu - d, 1.0)])))[0, 0])
+        T = self.scale_by_noise_variance(np.array([[taken]]), np.array([d]), np.array([yy]), nu, np.ones(1))
+        p = float(tail(T, np.array([d]), self.noise_freedom(np.array([max(nu - d, 1.0)])))[0, 0])
         return min(1.0, (0.5 * p if self.one_sided[place] else p) * float(self.places[place]))
 
     def best_tail(self, T: Floats, d: Ints, nu: float) -> Floats:
@@ -225,7 +232,7 @@ class Scorer:
         best = np.ones(len(T))
         for kind in {(int(k), bool(o), float(n)) for k, o, n in zip(d, one, places, strict=True) if k > 0}:
             own = (d == kind[0]) & (one == kind[1]) & (places == kind[2])
-            known = self.known(max(nu - kind[0], 1.0))
+            known = self.noise_freedom(max(nu - kind[0], 1.0))
             p = tail(T[:, own].max(axis=1), kind[0], known) * (0.5 if kind[1] else 1.0) * kind[2]
             best = np.minimum(best, p)
         return best
@@ -268,19 +275,19 @@ class Null:
     def family_wise(self, p: float, tests: int) -> float:
         """Family-wise p-value: counted on the bootstrap, or beyond its reach by Bonferroni."""
 
-        def counted(sample: Floats) -> float:
+        def empirical_p_value(sample: Floats) -> float:
             return (1.0 + float(np.sum(sample <= p))) / (len(sample) + 1.0)
 
-        worst = max(counted(s) for s in (self.bootstrap, self.flips) if s is not None)
+        worst = max(empirical_p_value(s) for s in (self.bootstrap, self.flips) if s is not None)
         return worst if p * tests > 1.0 / (len(self.bootstrap) + 1.0) else min(worst, max(p * tests, 1e-300))
 
 
-def _rooted(gram: Gram, columns: Ints) -> tuple[Floats, Ints]:
+def _inverse_roots_and_ranks(gram: Gram, columns: Ints) -> tuple[Floats, Ints]:
     """Roots (K, d, d) of the inverses of the blocks of sets of columns (K, d), and their ranks (K,), as those of a Gram.
 
     Whatever data say of columns that are taken is rounding.
     """
-    roots = [rooted(block) for block in gram.blocks(columns)]
+    roots = [inverse_square_root(block) for block in gram.blocks(columns)]
     degrees = np.array([gram.directions(root, own) for root, own in zip(roots, columns, strict=True)], dtype=np.int64)
     return np.array([root.T for root in roots]) * gram.free[columns][:, :, None], degrees
 
@@ -289,10 +296,10 @@ def warm_up() -> None:
     """Compile what a scan calls."""
     kinds = [Candidate("", None, columns, "", False, False, "", ()) for columns in ((0,), (0, 1))]
     gram = Gram(np.array([[1.0, 0.2], [0.2, 1.0]]), np.ones(2), 4.0, 9.0)
-    Scorer.of(kinds, absolute=True, freedom=np.inf).scores(gram.given([0]))
+    Scorer.from_candidates(kinds, absolute=True, freedom=np.inf).scores(gram.condition_on_columns([0]))
 
 
-def null_of(problem: LinearizedProblem, scorer: Scorer, chosen: Sequence[int], draws: int, seed: int) -> Null:
+def null_distribution(problem: LinearizedProblem, scorer: Scorer, chosen: Sequence[int], draws: int, seed: int) -> Null:
     """Null distribution of the best candidate, given the chosen columns.
 
     Signs of whole poses are flipped in what the best candidate would leave (ter Braak's residuals of the full model).
@@ -301,11 +308,11 @@ def null_of(problem: LinearizedProblem, scorer: Scorer, chosen: Sequence[int], d
     correlated in time, all is flipped: what a disturbance and an effect have in common must not make the limit lenient.
     """
     rng = np.random.default_rng(seed)
-    gram = problem.gram.given(chosen)
+    gram = problem.gram.condition_on_columns(chosen)
     known = problem.settings.inflation > 1.0 or not scorer.candidates
     best = () if known else scorer.candidates[int(np.argmin(scorer.scores(gram).p))].columns
     drawn = bootstrap(gram, scorer, draws, rng)
-    flips = _Flips.of(problem, gram, scorer, chosen, draws // 2)
+    flips = _Flips.from_problem(problem, gram, scorer, chosen, draws // 2)
     if flips is None:
         return Null(drawn, None, None)
     calm = flips.tails(sorted({*chosen, *best}), rng)
@@ -322,7 +329,7 @@ def bootstrap(gram: Gram, scorer: Scorer, draws: int, rng: np.random.Generator) 
     S, d = scorer.reductions(gram, (z * np.sqrt(w[keep])) @ V[:, keep].T)
     finite = np.isfinite(scorer.freedom) and scorer.freedom > 0
     noise = rng.chisquare(scorer.freedom, draws) / scorer.freedom if finite else np.ones(draws)
-    return scorer.best_tail(scorer.scaled(S, d, yy, gram.nu, noise), d, gram.nu)
+    return scorer.best_tail(scorer.scale_by_noise_variance(S, d, yy, gram.nu, noise), d, gram.nu)
 
 
 @dataclass(frozen=True)
@@ -337,7 +344,9 @@ class _Flips:
     columns: Projection
 
     @staticmethod
-    def of(problem: LinearizedProblem, gram: Gram, scorer: Scorer, chosen: Sequence[int], draws: int) -> _Flips | None:
+    def from_problem(
+        problem: LinearizedProblem, gram: Gram, scorer: Scorer, chosen: Sequence[int], draws: int
+    ) -> _Flips | None:
         if int(problem.settings.group.max()) + 1 < FEWEST_FLIPS:
             return None
         basis = problem.basis(chosen)
@@ -351,10 +360,10 @@ class _Flips:
         full = problem.basis(taken)
         r = residual_given(problem, taken, full) / np.sqrt(1.0 - np.minimum(np.sum(full**2, axis=1), ALMOST_ALL))
         sums = grouping(group[problem.row_visit], poses, r)
-        c, along = flipped((self.columns.under(sums), sums @ self.basis), self.draws, rng)
+        c, along = sums_under_sign_flips((self.columns.under(sums), sums @ self.basis), self.draws, rng)
         yy = float(r @ r) - np.sum(along**2, axis=1)
         S, d = scorer.reductions(gram, c)
-        tails = scorer.scaled(S, d, np.maximum(yy, 0.0), gram.nu, np.ones(self.draws))
+        tails = scorer.scale_by_noise_variance(S, d, np.maximum(yy, 0.0), gram.nu, np.ones(self.draws))
         return scorer.best_tail(tails, d, gram.nu)
 
 
@@ -364,7 +373,7 @@ def residual_given(problem: LinearizedProblem, chosen: Sequence[int], basis: Flo
     return np.asarray(problem.y - basis @ (basis.T @ problem.y))
 
 
-def flipped(sums: Sequence[Floats], draws: int, rng: np.random.Generator) -> list[Floats]:
+def sums_under_sign_flips(sums: Sequence[Floats], draws: int, rng: np.random.Generator) -> list[Floats]:
     """Each of the sums (G, K) over the poses, under flips of their signs (draws, K)."""
     parts = []
     for k in range(0, draws, AT_A_TIME):

@@ -17,7 +17,7 @@ from kilter_core.gap.search.candidate_sets import CandidateSets
 from kilter_core.gap.search.candidates import FAMILY, JOINT
 from kilter_core.gap.search.linear.fewer import Fewer
 from kilter_core.gap.search.linear.gram import Gram
-from kilter_core.gap.search.linear.linearized import Tick, go_on
+from kilter_core.gap.search.linear.linearized import Tick, ignore_step
 from kilter_core.gap.search.reach import Reach
 from kilter_core.gap.search.scan import Scores
 from kilter_core.types import Bools, Floats
@@ -41,7 +41,7 @@ class Selector(CandidateSets):
 
     closed: frozenset[int] = frozenset()  # candidates that may not enter
     pairs: bool = True  # whether two that hide each other are looked for
-    tick: Tick = field(default=go_on, compare=False)  # called before every exchange; may raise
+    tick: Tick = field(default=ignore_step, compare=False)  # called before every exchange; may raise
 
     @property
     def causes(self) -> Selector:
@@ -67,17 +67,19 @@ class Selector(CandidateSets):
         self, gram: Gram, chosen: Sequence[int], critical: float, banned: Sequence[int] = ()
     ) -> tuple[int | None, Scores]:
         """Best candidate to add, None when the best is no better than noise; ``banned`` ones were tried without success."""
-        given = gram.given(self.columns(chosen))
+        given = gram.condition_on_columns(self.columns(chosen))
         scores = self.scorer.scores(given)
         if not len(scores.p):
             return None, scores
-        ranked = self.ranked(given, scores, chosen)
+        ranked = self.penalised_reductions(given, scores, chosen)
         able = (scores.p < critical) & (scores.d > 0)
         able[list(banned)] = False
-        k, _ = self._first(gram, tuple(chosen), ranked, able)
+        k, _ = self._best_allowed_candidate(gram, tuple(chosen), ranked, able)
         return (None if k is None else self._time_first(k, scores, able)), scores
 
-    def _first(self, gram: Gram, chosen: tuple[int, ...], value: Floats, able: Bools) -> tuple[int | None, float]:
+    def _best_allowed_candidate(
+        self, gram: Gram, chosen: tuple[int, ...], value: Floats, able: Bools
+    ) -> tuple[int | None, float]:
         """Best of the ``able`` whose sign is possible, and its value; one of an implausible amount is worth less by the
         margin. It is not banned: another name would then be given for what it explains, and be wrong.
         """
@@ -85,12 +87,12 @@ class Selector(CandidateSets):
         for k in map(int, np.argsort(-np.where(able, value, -np.inf), kind="stable")):
             if not able[k] or value[k] <= worth:
                 break
-            if k not in self.closed and self.signed(gram, (*chosen, k), k):
-                its = float(value[k]) - (0.0 if self.within(gram, (*chosen, k), k) else MARGIN)
+            if k not in self.closed and self.has_plausible_sign(gram, (*chosen, k), k):
+                its = float(value[k]) - (0.0 if self.is_within_limits(gram, (*chosen, k), k) else MARGIN)
                 best, worth = (k, its) if its > worth else (best, worth)
         return best, worth
 
-    def ranked(self, given: Gram, scores: Scores, chosen: Sequence[int]) -> Floats:
+    def penalised_reductions(self, given: Gram, scores: Scores, chosen: Sequence[int]) -> Floats:
         """S over the noise left, less the price (K,) beside a set, to a tenth: equal explanations keep the library's order."""
         free = np.maximum(given.nu - scores.d, 1.0)
         variance = float(np.min(self.scorer.variance((given.yy - scores.S) / free, free)))
@@ -100,26 +102,33 @@ class Selector(CandidateSets):
         """What each candidate (K,) costs beside a set, beyond its parameters."""
         return np.asarray(self.extra + FAMILY_MARGIN * self.another_name(chosen))
 
-    def improved(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+    def improve_selection(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Swap, merge and drop until nothing improves."""
         seen = {chosen}
         while True:
             after = chosen
-            for step in (self.swapped, self.divided, self.merged, self.dropped):  # each looks at a set once
-                after = gram.found(self._key(step.__name__, after, critical), partial(step, gram, after, critical))
+            for step in (
+                self.swap_members,
+                self.split_families,
+                self.merge_into_families,
+                self.drop_members,
+            ):  # each looks at a set once
+                after = gram.cached_for_data(
+                    self._key(step.__name__, after, critical), partial(step, gram, after, critical)
+                )
             if after == chosen or after in seen:
                 return after
             seen.add(after)
             chosen = after
 
-    def swapped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+    def swap_members(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace one or two members by one outside as long as the criterion grows, at most three times for each.
 
         It may go in a circle, since each set is judged at its own noise: no step is done twice.
         """
         path = [chosen]
         for left in reversed(range(3 * len(chosen))):
-            after = self._exchanged(gram, path[-1], critical)
+            after = self._exchange_members(gram, path[-1], critical)
             if after == path[-1]:
                 break
             if after in path:
@@ -128,13 +137,13 @@ class Selector(CandidateSets):
             path.append(after)
         return path[-1]
 
-    def _exchanged(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+    def _exchange_members(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace the one or two members by the one outside with which the criterion grows most, if it does.
 
         Sets come back in other orders, entry after entry: each is looked at once.
         """
         make = partial(self._exchange, gram, chosen, critical)
-        out, entered = gram.found(self._key("exchange", frozenset(chosen), critical), make)
+        out, entered = gram.cached_for_data(self._key("exchange", frozenset(chosen), critical), make)
         return chosen if entered is None else (*(m for m in chosen if m not in out), entered)
 
     def _key(self, step: str, chosen: Collection[int], critical: float) -> Hashable:
@@ -147,7 +156,7 @@ class Selector(CandidateSets):
         reaches: list[Reach] = []
         for out in [(m,) for m in chosen] + list(itertools.combinations(chosen, 2)):
             self.tick()
-            rest, problem = self.beside(gram, chosen, out)
+            rest, problem = self.remaining_set_and_gram(gram, chosen, out)
             reach = next((one for one in reaches if one.gram is problem), None)
             if reach is None:
                 reach = self._reach(problem, chosen)
@@ -162,19 +171,19 @@ class Selector(CandidateSets):
         variance = self.variance(gram, chosen)
         price, now = np.r_[np.log(self.rows), self.extra], self.criterion(gram, chosen, variance)
         reach = Reach(self.scorer, Fewer(gram, self.columns(chosen)), variance, price, now)
-        given = reach.whole.given
+        given = reach.whole.conditioned_gram
         S, d = self.scorer.reductions(given, given.c[None])
-        reach.scanned(reach.whole.columns, given, S[0], d)
+        reach.record_scan(reach.whole.columns, given, S[0], d)
         return reach
 
-    def divided(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+    def split_families(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Replace a family, or another of many parameters, by two others that together explain more with no more directions:
         it imitates both. More for more is what entries look for; shapes imitate anything, and replace no cause; nor do
         amounts that are not plausible one that is: no disc is 7 degrees off its centre, as a magnet may be.
         """
         all_ = self.scorer.candidates
         for family in (k for k in chosen if all_[k].level == FAMILY or len(all_[k].columns) >= BROAD):
-            rest, problem = self.beside(gram, chosen, (family,))
+            rest, problem = self.remaining_set_and_gram(gram, chosen, (family,))
             variance = self.variance(problem, chosen)
             directions, now = problem.rank(self.columns(chosen)), self.criterion(problem, chosen, variance)
             among, taken = self if self.scorer.empirical[family] else self.causes, set(chosen)
@@ -188,33 +197,35 @@ class Selector(CandidateSets):
                     continue
                 after = (*rest, first, second)
                 wider = problem.rank(self.columns(after)) > directions
-                odd = self.within(gram, chosen, family) and not all(self.within(gram, after, k) for k in after[-2:])
+                odd = self.is_within_limits(gram, chosen, family) and not all(
+                    self.is_within_limits(gram, after, k) for k in after[-2:]
+                )
                 if not (wider or odd) and max(self.tails(gram, after)[len(rest) :]) < critical:
                     chosen = after
                     break
         return chosen
 
-    def merged(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+    def merge_into_families(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Name an effect of most joints as a family, one of few joints by its joints, each significant alone."""
         for effect in sorted({self.scorer.candidates[k].id for k in chosen}):
             family = [k for k, c in enumerate(self.scorer.candidates) if c.id == effect and c.level == FAMILY]
             own = [k for k in chosen if self.scorer.candidates[k].id == effect]
             if not family or (own != family and len(own) < 2):
                 continue
-            rest, problem = self.beside(gram, chosen, own)
+            rest, problem = self.remaining_set_and_gram(gram, chosen, own)
             variance = self.variance(problem, (*rest, family[0]))
-            members = self.shown(gram, rest, self._members(problem, rest, family[0], variance))
+            members = self.members_above_noise(gram, rest, self._members(problem, rest, family[0], variance))
             whole = self.criterion(problem, (*rest, family[0]), variance)
             better = self.criterion(problem, (*rest, *members), variance) > whole + self._family_margin(
                 family[0], members
             )
             if better and max(self.tails(gram, (*rest, *members))[len(rest) :]) < critical:
                 chosen = (*rest, *members)
-            elif self.signed(gram, (*rest, family[0]), family[0]):
+            elif self.has_plausible_sign(gram, (*rest, family[0]), family[0]):
                 chosen = (*rest, family[0])
         return chosen
 
-    def dropped(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
+    def drop_members(self, gram: Gram, chosen: tuple[int, ...], critical: float) -> tuple[int, ...]:
         """Drop members that, given the others, noise could be, or whose sign contradicts physics."""
         while chosen:
             tails = self.tails(gram, chosen)
@@ -235,7 +246,7 @@ class Selector(CandidateSets):
         missing = joints - len(members)
         return MARGIN * missing if missing and len(members) >= MOST_JOINTS * joints else FAMILY_MARGIN
 
-    def searched(self, gram: Gram, critical: float, most: int) -> tuple[int, ...]:
+    def select_candidates(self, gram: Gram, critical: float, most: int) -> tuple[int, ...]:
         """Whole selection on one linearised problem, for resamples.
 
         A shape that enters first can keep the causes out that together explain more: then they are tried alone.
@@ -270,8 +281,11 @@ class Selector(CandidateSets):
             k, scores = self.entry(gram, chosen, critical, [*full, *banned])
             if k is None:
                 break
-            after = self.improved(gram, (*chosen, k), critical)
-            undone = frozenset(after) in seen and scores.S[k] > MOST_OF_IT * gram.given(self.columns(chosen)).yy
+            after = self.improve_selection(gram, (*chosen, k), critical)
+            undone = (
+                frozenset(after) in seen
+                and scores.S[k] > MOST_OF_IT * gram.condition_on_columns(self.columns(chosen)).yy
+            )
             if undone or self.names(after) > most:
                 after = (*chosen, k)  # improved it is too many, or did not do what the linearised problem promised
             # A significant addition needs no better price: the price compares explanations, noise was ruled out already.
@@ -281,14 +295,14 @@ class Selector(CandidateSets):
             banned.append(k)
         pair = self.pair(gram, chosen, critical) if self.names(chosen) + 2 <= most else None
         if pair is not None:
-            after = self.improved(gram, (*chosen, *pair), critical)
+            after = self.improve_selection(gram, (*chosen, *pair), critical)
             new = frozenset(after) not in {frozenset(chosen), *seen} and self.names(after) <= most
             if new and (set(after) > set(chosen) or self.beats(gram, after, chosen)):
                 return after
         after = self.with_family(gram, chosen, critical, most)
         if frozenset(after) not in {frozenset(chosen), *seen}:
             return after
-        after = self.improved(gram, chosen, critical)
+        after = self.improve_selection(gram, chosen, critical)
         if not chosen or self.names(after) > most or frozenset(after) in {frozenset(chosen), *seen}:
             return chosen
         failed = max(self.tails(gram, chosen)) >= critical
@@ -299,7 +313,7 @@ class Selector(CandidateSets):
         for k in self.faint_families(gram, chosen)[:TRIED]:
             self.tick()
             others = (m for m in chosen if self.scorer.candidates[m].id != self.scorer.candidates[k].id)
-            after = self.improved(gram, self.merged(gram, (*others, k), critical), critical)
+            after = self.improve_selection(gram, self.merge_into_families(gram, (*others, k), critical), critical)
             if self.names(after) > most or max(self.tails(gram, after), default=0.0) >= critical:
                 continue
             variance = min(self.variance(gram, one) for one in (after, chosen))
@@ -316,13 +330,13 @@ class Selector(CandidateSets):
         """
         if not self.pairs:
             return None
-        given = gram.given(self.columns(chosen))
+        given = gram.condition_on_columns(self.columns(chosen))
         if self.scorer.absolute and given.yy < given.nu + HIDING * np.sqrt(2.0 * max(given.nu, 1.0)):
             return None
         scores = self.scorer.scores(given)
         if not len(scores.p):
             return None
-        worth = np.where(scores.d > 0, self.ranked(given, scores, chosen), -np.inf)
+        worth = np.where(scores.d > 0, self.penalised_reductions(given, scores, chosen), -np.inf)
         best, most = None, -np.inf
         for k in map(int, np.argsort(-worth, kind="stable")[:PAIRED]):
             self.tick()
@@ -339,7 +353,7 @@ class Selector(CandidateSets):
 
     def beats(self, gram: Gram, one: tuple[int, ...], other: tuple[int, ...]) -> bool:
         """Whether a set's criterion is larger than another's, at the smaller noise of the two."""
-        gram = self.without(gram, set(other) ^ set(one), set(other) & set(one))
+        gram = self.comparison_gram(gram, set(other) ^ set(one), set(other) & set(one))
         variance = min(self.variance(gram, one), self.variance(gram, other))
         return self.criterion(gram, one, variance) > self.criterion(gram, other, variance) - self.slack(one)
 
@@ -351,25 +365,25 @@ class Selector(CandidateSets):
         columns, able = self.columns(rest), np.ones(len(self.scorer.candidates), dtype=bool)
         able[[*taken, *self.closed]] = False
         whole = Fewer(gram, columns) if reach is None else reach.whole
-        left = whole.without(set(whole.columns) - set(columns))
+        left = whole.without_columns(set(whole.columns) - set(columns))
         price = self.price(rest, [left.rank])
         if reach is not None:
             able &= reach.able(columns, price + FAMILY_MARGIN * self.another_name(rest), least)
             if not able.any():
                 return None, -np.inf
-        given = left.given
+        given = left.conditioned_gram
         reductions, d = self.scorer.reductions(given, given.c[None], None if reach is None else able)
         if reach is not None and len(rest) + 1 == len(taken):  # of smaller sets this says what they reach at most
-            reach.scanned(columns, given, np.where(able, reductions[0], np.inf), d)
+            reach.record_scan(columns, given, np.where(able, reductions[0], np.inf), d)
         value = np.round(reductions[0] / variance - d * np.log(self.rows) - self._beyond(rest), 1)
         able &= d > 0
         without = (gram.yy - left.yy) / variance - price
         if without + np.max(value, where=able, initial=-np.inf) < least - SAME:  # no tail needs to be computed
             return None, -np.inf
-        able &= self.scorer.scores_of(given, reductions, d).p < critical
+        able &= self.scorer.scores_from_reductions(given, reductions, d).p < critical
         if without + np.max(value, where=able, initial=-np.inf) < least - SAME:  # its signs need not be looked at
             return None, -np.inf
-        k, worth = self._first(gram, rest, np.asarray(value), able)
+        k, worth = self._best_allowed_candidate(gram, rest, np.asarray(value), able)
         return k, without + worth
 
     def _members(self, gram: Gram, rest: tuple[int, ...], family: int, variance: float) -> tuple[int, ...]:

@@ -23,17 +23,17 @@ def beginning(robot: Robot, start: Calibration | None, rows: Observations, optio
 
     """
     if start is None:
-        return _remounted(Calibration.nominal(robot), rows, options)
+        return _with_tool_per_session(Calibration.nominal(robot), rows, options)
     if (start.robot.name, start.robot.chain.elements) != (robot.name, robot.chain.elements):
         raise OptionError(
             f"The start is a version of robot {start.robot.name!r}, the rows are of {robot.name!r}: name a version of "
             f"{robot.name!r}, or leave start out.",
             option="start",
         )
-    return _remounted(replace(start, doubts=()), rows, options)
+    return _with_tool_per_session(replace(start, doubts=()), rows, options)
 
 
-def _remounted(begin: Calibration, rows: Observations, options: GapOptions) -> Calibration:
+def _with_tool_per_session(begin: Calibration, rows: Observations, options: GapOptions) -> Calibration:
     """Every session after the first has a tool of its own from the start, so that no step need be named for it."""
     if not options.refit or any(effect.id == SHIFT for effect in begin.model.effects):
         return begin
@@ -43,4 +43,4 @@ def _remounted(begin: Calibration, rows: Observations, options: GapOptions) -> C
             "the rows from where the marker was mounted again on another session number, or leave refit out.",
             option="refit",
         )
-    return begin.with_effects([*begin.model.effects, EFFECTS[SHIFT]().on(begin.robot, rows)])
+    return begin.with_effects([*begin.model.effects, EFFECTS[SHIFT]().configure_for_robot(begin.robot, rows)])

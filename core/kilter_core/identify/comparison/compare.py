@@ -17,7 +17,7 @@ from kilter_core.identify.comparison.model_comparison import Difference
 from kilter_core.identify.estimate import registration_only
 from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.contacts import LEAST_ROWS, contacts_of
+from kilter_core.measurement.contacts import LEAST_ROWS, group_contacts
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.spread import evenly
@@ -37,8 +37,8 @@ def errors_by_pose(calibration: Calibration, observations: Observations) -> Floa
         TooFewPosesError: too few poses for the frames. NotConvergedError: they have no best place.
 
     """
-    observations = observations.select(_measured(observations))
-    measurement = Measurement.of(observations)
+    observations = observations.select(_seen_row_mask(observations))
+    measurement = Measurement.from_observations(observations)
     try:
         fitted = registration_only(calibration, measurement, "huber")  # a few wrong rows must not move all the others
     except NotConvergedError:
@@ -49,7 +49,7 @@ def errors_by_pose(calibration: Calibration, observations: Observations) -> Floa
     return np.asarray(np.bincount(groups, weights=rows) / np.bincount(groups))
 
 
-def _measured(observations: Observations) -> Bools:
+def _seen_row_mask(observations: Observations) -> Bools:
     if observations.markers is None:
         return np.ones(len(observations), dtype=bool)
     return np.asarray(np.isfinite(observations.markers[:, :, 0]).any(axis=1))
@@ -76,7 +76,7 @@ def said_of_misfit(robot: Robot, observations: Observations, best: float) -> str
     if best <= DOUBTED * size:
         return None
     try:
-        refuse_foreign(Calibration.nominal(robot), Measurement.of(observations))
+        refuse_foreign(Calibration.nominal(robot), Measurement.from_observations(observations))
     except CoreError as error:
         return error.message
     if best <= NOTHING * size:
@@ -91,7 +91,7 @@ def setups(observations: Observations) -> list[Observations]:
     return [observations.select(observations.session == code) for code in np.unique(observations.session)]
 
 
-def thinned(observations: Observations, poses: int) -> Observations:
+def thin_poses(observations: Observations, poses: int) -> Observations:
     """At most so many poses, evenly chosen in their order, and a few rows of each.
 
     Of every socket, plane and bar at least so many rows stay as its own place takes, where it has them.
@@ -105,29 +105,29 @@ def thinned(observations: Observations, poses: int) -> Observations:
     repeat = np.empty(len(groups), dtype=np.int64)
     repeat[by_pose] = np.arange(len(groups)) - starts[groups[by_pose]]
     kept = np.isin(groups, chosen) & (repeat < ROWS_OF_A_POSE)
-    for contact in contacts_of(observations):
+    for contact in group_contacts(observations):
         if int(kept[contact.rows].sum()) < LEAST_ROWS[contact.kind]:
             kept[contact.rows[evenly(len(contact.rows), LEAST_ROWS[contact.kind])]] = True
     return observations.select(np.flatnonzero(kept))
 
 
-def poses_of(observations: Observations) -> int:
+def count_poses(observations: Observations) -> int:
     """Number of distinct poses."""
     return int(observations.pose_groups().max()) + 1 if len(observations) else 0
 
 
-def pooled(errors: Sequence[Floats]) -> Floats:
+def pool_setup_errors(errors: Sequence[Floats]) -> Floats:
     """Errors of several set-ups as one."""
     return np.concatenate(errors) if errors else np.zeros(0)
 
 
 __all__ = [
     "Difference",
+    "count_poses",
     "errors_by_pose",
     "lacking",
-    "pooled",
-    "poses_of",
+    "pool_setup_errors",
     "said_of_misfit",
     "setups",
-    "thinned",
+    "thin_poses",
 ]

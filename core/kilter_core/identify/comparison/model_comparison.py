@@ -63,7 +63,7 @@ class Difference:
         return bool(self.mean > self.margin)
 
     @staticmethod
-    def of(errors: Floats, others: Floats) -> Difference:
+    def from_paired_errors(errors: Floats, others: Floats) -> Difference:
         """Compare the errors (P,) m of two calibrations at the same poses, pose by pose."""
         paired = errors - others
         doubt = ERRORS_OF_DOUBT * float(np.std(paired, ddof=1)) / np.sqrt(len(paired))
@@ -81,7 +81,7 @@ class PoseErrors:
     remarks: tuple[dict[str, Any], ...] = ()
 
     @staticmethod
-    def of(stages: Mapping[str, Calibration | None], unseen: Measurement) -> PoseErrors:
+    def from_calibrations(stages: Mapping[str, Calibration | None], unseen: Measurement) -> PoseErrors:
         """Errors of calibrations on rows they did not see; stages that are None are left out."""
         unseen = unseen.of_tool()
         return PoseErrors({name: _by_pose(one, unseen) for name, one in stages.items() if one is not None})
@@ -103,7 +103,7 @@ class PoseErrors:
             before = self.stages.get(stage)
             told = None if before is None else grown(before, after)
             if before is not None and told is not None:
-                yield worse_warning(code, words, told, Difference.of(after, before).worse)
+                yield worse_warning(code, words, told, Difference.from_paired_errors(after, before).worse)
 
 
 def mean_mm(errors: Floats) -> float:
@@ -120,7 +120,7 @@ def worse_warning(code: str, words: str, told: Grown, beyond_chance: bool, unit:
     )
     scale = MM if unit == "mm" else DEG
     before, after = told.before * scale, told.after * scale
-    less, more = _apart(before, after)
+    less, more = _format_distinguishably(before, after)
     return {
         "code": code, f"simpler_{unit}": before, f"identified_{unit}": after, "quantity": told.quantity,
         "beyond_chance": beyond_chance,
@@ -129,7 +129,7 @@ def worse_warning(code: str, words: str, told: Grown, beyond_chance: bool, unit:
     }  # fmt: skip
 
 
-def _apart(*values: float) -> tuple[str, ...]:
+def _format_distinguishably(*values: float) -> tuple[str, ...]:
     """Numbers with as many digits as it takes to see that they differ."""
     said = [tuple(f"{value:.{digits}g}" for value in values) for digits in range(3, 9)]
     return next((words for words in said if len(set(words)) == len(words)), said[-1])
@@ -145,7 +145,7 @@ def geometry_alone(
     plain = begin.with_effects([e for e in begin.model.effects if e.instrument is not None or e.id in frames])
     if len(plain.model.effects) == len(begin.model.effects):
         return None
-    free, fix = (tuple(p for p in patterns if _some(p, plain.names)) for patterns in (options.free, options.fix))
+    free, fix = (tuple(p for p in patterns if _matches_any(p, plain.names)) for patterns in (options.free, options.fix))
     if options.free and not free:
         fix = (*fix, *plain.names[6 : plain.model.n_geometric - 6])
     method = "least_squares" if METHODS[options.method].continues else options.method
@@ -158,7 +158,7 @@ def geometry_alone(
     return fit.calibration()
 
 
-def _some(pattern: str, names: Sequence[str]) -> bool:
+def _matches_any(pattern: str, names: Sequence[str]) -> bool:
     return any(fnmatchcase(name, pattern) for name in names)
 
 

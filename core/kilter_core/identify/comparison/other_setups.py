@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_core.errors import TooFewPosesError
 from kilter_core.identify.comparison.model_comparison import Difference, PoseErrors, mean_mm
-from kilter_core.identify.estimate import refitted
+from kilter_core.identify.estimate import refit_frames
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 
@@ -35,13 +35,13 @@ def elsewhere(
         if set(anew) <= set(refit):
             continue
         try:
-            stages = {"there": refitted(calibration, measurement, tuple(refit)),
-                      "here": refitted(calibration, measurement, anew)}  # fmt: skip
+            stages = {"there": refit_frames(calibration, measurement, tuple(refit)),
+                      "here": refit_frames(calibration, measurement, anew)}  # fmt: skip
         except TooFewPosesError:
             return
-        errors = PoseErrors.of(stages, measurement).stages
+        errors = PoseErrors.from_calibrations(stages, measurement).stages
         there, here = errors["there"], errors["here"]
-        if np.mean(here) < RIGID * np.mean(there) and Difference.of(there, here).worse:
+        if np.mean(here) < RIGID * np.mean(there) and Difference.from_paired_errors(there, here).worse:
             yield _warning(anew, mean_mm(there), mean_mm(here), remedy)
             return
 

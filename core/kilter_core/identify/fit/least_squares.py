@@ -38,14 +38,14 @@ class Weights:
     rows: Floats | None = None
     others: Mapping[str, float] = field(default_factory=dict)
 
-    def of(self, group: str) -> float | Floats:
+    def group_sigma(self, group: str) -> float | Floats:
         """Standard deviation of a noise group; where nothing is known yet, about what good sensors have."""
         known: dict[str, float | Floats] = {POINTS: self.points, TURNS: self.turns, **self.others}
         return known.get(group, START_SIGMA)
 
     def whitening(self, group: str) -> ByDeviation:
         """How a block of that group is whitened."""
-        return ByDeviation(self.of(group))
+        return ByDeviation(self.group_sigma(group))
 
 
 @dataclass(frozen=True)
@@ -79,9 +79,9 @@ class Problem(LeastSquares[Linearised]):
     def __post_init__(self) -> None:
         parameters = [self.model.parameters[k] for k in self.free]
         object.__setattr__(self, "batch", self.model.batch(self.measurement.observations))
-        object.__setattr__(self, "prior", Prior.of(parameters, self.model.of_type))
+        object.__setattr__(self, "prior", Prior.from_parameters(parameters, self.model.of_type))
 
-    def reweighted(self, weights: Weights, held: Floats | None, loss: str | None = None) -> Problem:
+    def with_weights(self, weights: Weights, held: Floats | None, loss: str | None = None) -> Problem:
         """Return the same problem with other weights, held directions and perhaps loss; the batch is shared."""
         other = copy.copy(self)
         object.__setattr__(other, "loss", loss or self.loss)
@@ -95,12 +95,12 @@ class Problem(LeastSquares[Linearised]):
         object.__setattr__(other, "whole", True)
         return other
 
-    def whitened(self, values: Floats) -> Floats:
+    def whitened_residuals(self, values: Floats) -> Floats:
         """Whitened residuals (R,) whose squares sum to twice the loss; coordinates of unseen markers are zero."""
         scaled = self._over_sigma(self.measurement.residual(self.model.predict(self.batch, values)))
-        return _stacked(scaled, self._roots(scaled, _loss_root))
+        return _stack_blocks(scaled, self._roots(scaled, _loss_root))
 
-    def linearised(self, values: Floats, known: Residual | None = None) -> Linearised:
+    def linearise(self, values: Floats, known: Residual | None = None) -> Linearised:
         """Whitened residuals and the whitened Jacobian of the prediction, with the loss they stand for.
 
         ``known`` is the raw residual there with its Jacobian, where only weights changed since.
@@ -109,15 +109,15 @@ class Problem(LeastSquares[Linearised]):
         scaled = self._over_sigma(residual)
         roots = self._roots(scaled, _weight_root)
         stacked = [self._slope(root, block) for root, block in zip(roots, residual.blocks, strict=True)]
-        weighted, exact = self._both(scaled, roots, residual)
+        weighted, exact = self._gradient_and_loss_residuals(scaled, roots, residual)
         whole = stacked[0] if len(stacked) == 1 else np.concatenate(stacked)
-        return Linearised(weighted, whole, self.loss_at(values, exact), residual)
+        return Linearised(weighted, whole, self.total_loss(values, exact), residual)
 
     def _slope(self, root: Floats | None, block: Block) -> Floats:
         """Whitened derivative (R, F) of a block, weighed, zero where nothing was measured."""
-        spanned, columns = self._spanned(block), len(self.free)
+        spanned, columns = self._spanned_slopes(block), len(self.free)
         if spanned is not None:
-            return np.asarray((spanned.short[1] / self.weights.of(block.group)).reshape(-1, columns))
+            return np.asarray((spanned.short[1] / self.weights.group_sigma(block.group)).reshape(-1, columns))
         return _times(root, self.over_sigma_slope(block), 1).reshape(-1, columns)
 
     def over_sigma_slope(self, block: Block) -> Floats:
@@ -125,15 +125,15 @@ class Problem(LeastSquares[Linearised]):
         assert block.J is not None
         return self.weights.whitening(block.group).columns(block.J, block.r)
 
-    def _spanned(self, block: Block) -> Spanned | None:
+    def _spanned_slopes(self, block: Block) -> Spanned | None:
         """How the rows of a block follow a few numbers each, where those may stand for them."""
         if self.whole or self.loss != "linear" or not self.measurement.tool.plain_fits_only:
             return None
         return block.slopes if isinstance(block.slopes, Spanned) else None
 
-    def numbers_of(self, block: Block) -> int:
-        """How many numbers of :meth:`linearised` are of a block."""
-        spanned = self._spanned(block)
+    def block_size(self, block: Block) -> int:
+        """How many numbers of :meth:`linearise` are of a block."""
+        spanned = self._spanned_slopes(block)
         return block.r.size if spanned is None else spanned.short[1][..., 0].size
 
     @property
@@ -141,19 +141,19 @@ class Problem(LeastSquares[Linearised]):
         """Number of measured scalars."""
         return float(self.measurement.scalars())
 
-    def worth(self, loss: float) -> float:
+    def required_decrease(self, loss: float) -> float:
         """What a step must promise where a kind of measurement says so."""
         return self.measurement.relative_tolerance * (1.0 + loss)
 
-    def at(self, values: Floats) -> Linearised:
+    def evaluate(self, values: Floats) -> Linearised:
         """Linearise there."""
-        return self.linearised(values)
+        return self.linearise(values)
 
     def current(self, values: Floats) -> Floats:
         """Values of the free parameters."""
         return values[self.free]
 
-    def changed(self, values: Floats, change: Floats) -> Floats:
+    def apply_change(self, values: Floats, change: Floats) -> Floats:
         """Change the free parameters."""
         out = values.copy()
         out[self.free] += change
@@ -163,39 +163,41 @@ class Problem(LeastSquares[Linearised]):
         """What is at ``values (P,)``, a small ``step (F,)`` in prior sigmas from ``here``; the Jacobian stays."""
         residual = Residual(tuple(block.beyond(step * self.prior_sigma) for block in here.residual.blocks))
         scaled = self._over_sigma(residual)
-        r, exact = self._both(scaled, self._roots(scaled, _weight_root), residual)
-        return Linearised(r, here.J, self.loss_at(values, exact), residual)
+        r, exact = self._gradient_and_loss_residuals(scaled, self._roots(scaled, _weight_root), residual)
+        return Linearised(r, here.J, self.total_loss(values, exact), residual)
 
     def bend(self, values: Floats, here: Linearised, step: Floats) -> Floats:
         """How the prediction bends along a step; the numbers that rows follow are those ``here``."""
-        if all(self._spanned(block) is None for block in here.residual.blocks):
+        if all(self._spanned_slopes(block) is None for block in here.residual.blocks):
             return super().bend(values, here, step)
-        prediction = self.model.predict(self.batch, self.moved(values, BEND * step))
+        prediction = self.model.predict(self.batch, self.apply_step(values, BEND * step))
         scaled = self._over_sigma(self.measurement.residual(prediction))
-        return self._bent(here, self._shortened(scaled, here.residual), step)
+        return self._bent(here, self._compress_blocks(scaled, here.residual), step)
 
     def by_row(self, here: Linearised) -> tuple[Floats, Floats]:
         """Jacobian (N, R, F) in prior sigmas and residuals (N, R), whitened, of all that each row measured."""
         rows = len(self.measurement.observations)
-        ends = np.cumsum([self.numbers_of(block) for block in here.residual.blocks])[:-1]
+        ends = np.cumsum([self.block_size(block) for block in here.residual.blocks])[:-1]
         J, r = np.split(here.J * self.prior_sigma, ends), np.split(here.r, ends)
         A = [part.reshape(rows, -1, part.shape[1]) for part in J]
         return np.concatenate(A, axis=1), np.concatenate([part.reshape(rows, -1) for part in r], axis=1)
 
-    def _both(self, scaled: list[Floats], roots: list[Floats | None], residual: Residual) -> tuple[Floats, Floats]:
+    def _gradient_and_loss_residuals(
+        self, scaled: list[Floats], roots: list[Floats | None], residual: Residual
+    ) -> tuple[Floats, Floats]:
         """Residuals that have the slope of the loss, and residuals whose squares are twice the loss."""
-        weighted = _stacked(scaled, roots)
+        weighted = _stack_blocks(scaled, roots)
         if roots[0] is None:
-            return self._shortened(scaled, residual, weighted), weighted
-        return weighted, _stacked(scaled, self._roots(scaled, _loss_root))
+            return self._compress_blocks(scaled, residual, weighted), weighted
+        return weighted, _stack_blocks(scaled, self._roots(scaled, _loss_root))
 
-    def _shortened(self, scaled: list[Floats], at: Residual, stacked: Floats | None = None) -> Floats:
+    def _compress_blocks(self, scaled: list[Floats], at: Residual, stacked: Floats | None = None) -> Floats:
         """Whitened blocks in a row, those whose rows follow a few numbers ``at`` some values as these numbers."""
-        spanned = [self._spanned(block) for block in at.blocks]
+        spanned = [self._spanned_slopes(block) for block in at.blocks]
         if all(one is None for one in spanned):
-            return _stacked(scaled, [None] * len(scaled)) if stacked is None else stacked
+            return _stack_blocks(scaled, [None] * len(scaled)) if stacked is None else stacked
         short = [r if one is None else one.of_short(r) for one, r in zip(spanned, scaled, strict=True)]
-        return _stacked(short, [None] * len(short))
+        return _stack_blocks(short, [None] * len(short))
 
     def _over_sigma(self, residual: Residual) -> list[Floats]:
         """Whitened blocks (V, k, w), zero where nothing was measured."""
@@ -215,7 +217,7 @@ class Problem(LeastSquares[Linearised]):
         return [root(np.linalg.norm(block, axis=2, keepdims=True)) for block in scaled]
 
 
-def _stacked(scaled: list[Floats], roots: list[Floats | None]) -> Floats:
+def _stack_blocks(scaled: list[Floats], roots: list[Floats | None]) -> Floats:
     """All blocks, weighed, in a row (R,)."""
     parts = [_times(root, block).reshape(-1) for root, block in zip(roots, scaled, strict=True)]
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
@@ -272,10 +274,10 @@ def solve(
         NotConvergedError: no minimum within the iteration limit, or numbers that are not finite.
 
     """
-    found = minimise(problem, start, problem.linearised(start, known), progress, enough)
+    found = minimise(problem, start, problem.linearise(start, known), progress, enough)
     if not found.converged:
         raise _endless(problem, found)
-    return fit_at(problem, found.values, found.point, found.iterations)
+    return build_fit(problem, found.values, found.point, found.iterations)
 
 
 def _endless(problem: Problem, found: Minimum[Linearised]) -> NotConvergedError:
@@ -308,7 +310,7 @@ def _weight_root(size: Floats) -> Floats:
     return np.asarray(np.sqrt(HUBER_SIGMAS / np.maximum(size, HUBER_SIGMAS)))
 
 
-def fit_at(problem: Problem, values: Floats, here: Linearised, iterations: int = 0) -> Fit:
+def build_fit(problem: Problem, values: Floats, here: Linearised, iterations: int = 0) -> Fit:
     """Fit that ends at ``values (P,)``, with the covariance of the problem linearised there."""
     H, _ = problem.normal_equations(values, here)
     inverse = np.linalg.inv(H)
@@ -337,7 +339,7 @@ def freedom_by_group(fit: Fit) -> dict[str, float]:
         return {}
     numbers: dict[str, float] = {}
     for block in fit.residual.blocks:
-        seen = np.count_nonzero(~np.isnan(block.r)) / measurement.redundancy_of(block.group)
+        seen = np.count_nonzero(~np.isnan(block.r)) / measurement.group_redundancy(block.group)
         numbers[block.group] = numbers.get(block.group, 0.0) + seen
     taken = taken_by_group(fit)
     return {group: float(max(count - taken[group], 1.0)) for group, count in numbers.items()}
@@ -347,7 +349,7 @@ def taken_by_group(fit: Fit) -> dict[str, float]:
     """How many numbers of each noise group the parameters took."""
     start, taken = 0, dict[str, float]()
     for block in fit.residual.blocks:
-        J = fit.J[start : start + fit.problem.numbers_of(block)]
+        J = fit.J[start : start + fit.problem.block_size(block)]
         start += len(J)
         taken[block.group] = taken.get(block.group, 0.0) + float(np.sum((J.T @ J) * fit.covariance))
     return taken

@@ -127,19 +127,19 @@ class LeastSquares(ABC, Generic[W]):
         """Number of whitened residuals."""
 
     @abstractmethod
-    def worth(self, loss: float) -> float:
+    def required_decrease(self, loss: float) -> float:
         """How much of ``loss`` a step must promise to be worth taking, beside rounding."""
 
     @abstractmethod
-    def at(self, values: Floats) -> W:
+    def evaluate(self, values: Floats) -> W:
         """Linearise there."""
 
-    def weighed(self, values: Floats) -> Floats:
-        """The residuals (R,) that :meth:`at` has."""
-        return self.at(values).r
+    def weighted_residuals(self, values: Floats) -> Floats:
+        """The residuals (R,) that :meth:`evaluate` has."""
+        return self.evaluate(values).r
 
     def surely_higher(self, values: Floats, loss: float) -> bool:
-        """Whether the loss at ``values`` is known to be higher: where residuals alone cost as much as :meth:`at`, never."""
+        """Whether the loss at ``values`` is known to be higher; where residuals cost as much as :meth:`evaluate`, never."""
         return False
 
     @abstractmethod
@@ -151,19 +151,21 @@ class LeastSquares(ABC, Generic[W]):
         """Free parameters (F,) among the values."""
 
     @abstractmethod
-    def changed(self, values: Floats, change: Floats) -> Floats:
+    def apply_change(self, values: Floats, change: Floats) -> Floats:
         """Values with the free parameters changed by ``change (F,)``."""
 
-    def moved(self, values: Floats, step: Floats) -> Floats:
+    def apply_step(self, values: Floats, step: Floats) -> Floats:
         """Values after a step (F,) in prior sigmas."""
-        return self.changed(values, step * self.prior_sigma)
+        return self.apply_change(values, step * self.prior_sigma)
 
-    def loss_at(self, values: Floats, r: Floats) -> float:
+    def total_loss(self, values: Floats, r: Floats) -> float:
         """Half the sum of squares of ``r``, of the priors and of what strayed along held directions."""
-        away = self._away(values)
+        away = self._prior_deviation(values)
         with np.errstate(over="ignore"):  # a residual beyond all bounds is said in words by the solver
             return 0.5 * (
-                float(r @ r) + float(away @ self.prior.stiff(away)) + HOLD * float(np.sum(self._strayed(values) ** 2))
+                float(r @ r)
+                + float(away @ self.prior.stiff(away))
+                + HOLD * float(np.sum(self._held_displacement(values) ** 2))
             )
 
     def normal_equations(self, values: Floats, here: W) -> tuple[Floats, Floats]:
@@ -194,21 +196,21 @@ class LeastSquares(ABC, Generic[W]):
 
     def bend(self, values: Floats, here: W, step: Floats) -> Floats:
         """How the prediction bends along a step."""
-        return self._bent(here, self.weighed(self.moved(values, BEND * step)), step)
+        return self._bent(here, self.weighted_residuals(self.apply_step(values, BEND * step)), step)
 
     def _bent(self, here: W, there: Floats, step: Floats) -> Floats:
         one = bool(np.all(self.prior_sigma == 1.0))  # as a search has them: then no copy of the columns is made
         scaled = here.J if one else here.J * self.prior_sigma
         return np.asarray(scaled.T @ (here.r - there - scaled @ (BEND * step)) * (2.0 / BEND**2))
 
-    def _away(self, values: Floats) -> Floats:
+    def _prior_deviation(self, values: Floats) -> Floats:
         """How far (F,) the parameters are from their priors, in prior sigmas."""
-        return self.prior.away(self.current(values))
+        return self.prior.standardized_deviation(self.current(values))
 
     def _downhill(self, values: Floats, here: W) -> Floats:
-        return np.asarray(self.prior_sigma * (here.J.T @ here.r) - self.prior.stiff(self._away(values)))
+        return np.asarray(self.prior_sigma * (here.J.T @ here.r) - self.prior.stiff(self._prior_deviation(values)))
 
-    def _strayed(self, values: Floats) -> Floats:
+    def _held_displacement(self, values: Floats) -> Floats:
         """How far the held directions have moved, in prior sigmas."""
         if self.held is None or self.anchor is None:
             return np.zeros(0)
@@ -216,4 +218,4 @@ class LeastSquares(ABC, Generic[W]):
 
     def _pull_back(self, values: Floats) -> Floats:
         """Slope (F,) by which held directions are pulled back."""
-        return np.asarray(0.0 if self.held is None else HOLD * self.held.T @ self._strayed(values))
+        return np.asarray(0.0 if self.held is None else HOLD * self.held.T @ self._held_displacement(values))

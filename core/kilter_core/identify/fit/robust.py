@@ -76,7 +76,7 @@ def tukey_limit(dimension: int, efficiency: float = EFFICIENCY) -> float:
     return high
 
 
-def scale_of(size: Floats, dimension: int) -> float:
+def median_scale(size: Floats, dimension: int) -> float:
     """Standard deviation of one coordinate, from the median of the sizes: half of them may be wrong."""
     return float(np.median(size) / np.sqrt(chi2.median(dimension))) if len(size) else 0.0
 
@@ -97,13 +97,16 @@ def bulk_scale(size: Floats, dimension: int, first: float) -> float:
     return scale
 
 
-def undecided(size: Floats) -> bool:
+def never_stop_early(size: Floats) -> bool:
     """Say that the descent goes on until its weights are still."""
     return False
 
 
-def redescended(
-    sizes: Callable[[Floats], Floats], start: Floats, dimension: int, decided: Callable[[Floats], bool] = undecided
+def descend_to_tukey_weights(
+    sizes: Callable[[Floats], Floats],
+    start: Floats,
+    dimension: int,
+    decided: Callable[[Floats], bool] = never_stop_early,
 ) -> Robust:
     """Tukey weights by a descent from a limit that holds every row to one that holds the bulk.
 
@@ -113,10 +116,10 @@ def redescended(
     """
     final = tukey_limit(dimension)
     size, weight = start, np.ones(len(start))
-    farthest = float(start.max(initial=0.0)) / max(final * scale_of(start, dimension), SMALLEST)
+    farthest = float(start.max(initial=0.0)) / max(final * median_scale(start, dimension), SMALLEST)
     coarse = min(max(COARSEST, farthest), FARTHEST)
     for _ in range(PASSES):
-        scale = max(scale_of(size, dimension), SMALLEST)
+        scale = max(median_scale(size, dimension), SMALLEST)
         if coarse <= 1.0:
             scale = max(bulk_scale(size, dimension, scale), SMALLEST)
         after = Loss("tukey", max(coarse, 1.0) * final * scale).weight(size)
@@ -127,7 +130,7 @@ def redescended(
         size, last, coarse = sizes(weight), coarse <= 1.0, coarse * STEP
         if last and decided(size):
             break
-    return Robust(weight, size, bulk_scale(size, dimension, scale_of(size, dimension)))
+    return Robust(weight, size, bulk_scale(size, dimension, median_scale(size, dimension)))
 
 
 def covariance_factor(size: Floats, dimension: int, loss: Loss, parameters: int) -> float:

@@ -30,7 +30,7 @@ class RowErrors:
     at: Floats | None = None
 
     @staticmethod
-    def of(stages: Mapping[str, Calibration], measurement: Measurement, rows: Ints) -> RowErrors:
+    def from_stages(stages: Mapping[str, Calibration], measurement: Measurement, rows: Ints) -> RowErrors:
         """Errors of calibrations on a measurement whose rows have these numbers."""
         if not measurement.observes_places:
             return RowErrors({name: measurement.errors(stage)[0] for name, stage in stages.items()})
@@ -49,7 +49,7 @@ class RowErrors:
             return RowErrors(left)
         return RowErrors(left, np.concatenate(rows), np.concatenate(places))
 
-    def numbered(self, numbers: Ints | None) -> RowErrors:
+    def with_row_numbers(self, numbers: Ints | None) -> RowErrors:
         """The same rows by their numbers among all that were given; as they are with None."""
         return self if self.rows is None or numbers is None else replace(self, rows=numbers[self.rows])
 
@@ -62,10 +62,10 @@ class RowErrors:
 
 def _mean(stage: Calibration, measurement: Measurement) -> Floats:
     """Error (N, 3) m of each row in the frame of the measurements: of its point, or the mean of the markers it shows."""
-    return mean_of(measurement.residual(stage.predict(measurement.observations)).points)
+    return mean_marker_error(measurement.residual(stage.predict(measurement.observations)).points)
 
 
-def mean_of(points: Floats) -> Floats:
+def mean_marker_error(points: Floats) -> Floats:
     """Mean (N, 3) of what markers (N, m, 3) are off by, over those that a row shows; NaN where it shows none."""
     seen = np.asarray(~np.isnan(points).any(axis=2))
     count = np.where(seen.any(axis=1), seen.sum(axis=1), np.nan)

@@ -22,7 +22,7 @@ class SharedErrors:
     blocks: tuple[tuple[Ints, Floats, Floats], ...]
 
     @staticmethod
-    def of(blocks: Iterable[tuple[Ints, Floats]]) -> SharedErrors:
+    def from_blocks(blocks: Iterable[tuple[Ints, Floats]]) -> SharedErrors:
         """From the rows (r,) and columns (r, n) of each block."""
         made = []
         for rows, S in blocks:

@@ -63,10 +63,10 @@ class Objective(Protocol[P]):
     def rows(self) -> float:
         """Number of whitened residuals, which is about the sum of their squares at the minimum."""
 
-    def worth(self, loss: float) -> float:
+    def required_decrease(self, loss: float) -> float:
         """How much of ``loss`` a step must promise to be worth taking, beside rounding."""
 
-    def at(self, values: Floats) -> P:
+    def evaluate(self, values: Floats) -> P:
         """Look at ``values``: the loss there, and what its derivatives need."""
 
     def derivatives(self, values: Floats, here: P) -> tuple[Floats, Floats]:
@@ -75,7 +75,7 @@ class Objective(Protocol[P]):
     def slope(self, values: Floats, here: P) -> Floats:
         """Downhill slope (F,) alone."""
 
-    def moved(self, values: Floats, step: Floats) -> Floats:
+    def apply_step(self, values: Floats, step: Floats) -> Floats:
         """Values after a step (F,)."""
 
     def bend(self, values: Floats, here: P, step: Floats) -> Floats:
@@ -148,7 +148,7 @@ def minimise(
             return Minimum(values, here, iteration, last)
         gained = here.loss - taken.point.loss
         values, here, damping, last = taken.values, taken.point, taken.damping, taken.step
-        vain = vain + 1 if gained < objective.worth(here.loss) else 0
+        vain = vain + 1 if gained < objective.required_decrease(here.loss) else 0
         if taken.last or gained < enough * here.loss or vain == idle:
             return Minimum(values, here, iteration, last)
         slow += FADING * before < gained < SLOW * here.loss
@@ -168,12 +168,12 @@ def _marquardt(
         if _worthless(objective, here, step, g):
             return None
         if float(step @ g) < LAST * (1.0 + here.loss) and damping < 1e-3:
-            trial = objective.moved(values, step)
+            trial = objective.apply_step(values, step)
             return _Step(trial, objective.beyond(here, trial, step), step, True, damping)
-        trial = objective.moved(values, step)
+        trial = objective.apply_step(values, step)
         # Nearly every step is good, so its Jacobian is taken at once instead of after its loss; after one that was not, not.
         if not (attempt and objective.surely_higher(trial, here.loss)):
-            there = objective.at(trial)
+            there = objective.evaluate(trial)
             if there.loss < here.loss:
                 return _Step(trial, there, step, False, damping * 0.1)
         damping = max(damping * 10.0, 1e-9)
@@ -195,9 +195,9 @@ def _newton(objective: Objective[P], values: Floats, here: P, H: Floats, g: Floa
         last = float(step @ g) < LAST * (1.0 + here.loss)
         if not last:
             step = _bent(objective, values, here, step, g, partial(_over, V, size + damping))
-        trial = objective.moved(values, step)
+        trial = objective.apply_step(values, step)
         if not (attempt and objective.surely_higher(trial, here.loss)):
-            there = objective.at(trial)
+            there = objective.evaluate(trial)
             if there.loss < here.loss:
                 # Where the loss has kinks (Huber's) full steps go to and fro across one for ever smaller gains.
                 return _Step(trial, there, step, last or here.loss - there.loss < NOTHING, FIRST_DAMPING)
@@ -223,14 +223,14 @@ def _bent(
         after = step - solve(other)
         before, height = height, float((bent - after) @ (other - off))
         if not height <= NEARER * before:
-            return _accelerated(objective, values, here, step, solve)
+            return _add_geodesic_acceleration(objective, values, here, step, solve)
         bent, off = after, other
         if height <= ON_FLOOR * float(step @ g):
             break
     return bent
 
 
-def _accelerated(
+def _add_geodesic_acceleration(
     objective: Objective[P], values: Floats, here: P, step: Floats, solve: Callable[[Floats], Floats]
 ) -> Floats:
     acceleration = -solve(objective.bend(values, here, step))
@@ -241,7 +241,7 @@ def _accelerated(
 
 def _worthless(objective: Objective[P], here: P, step: Floats, g: Floats) -> bool:
     promised = float(step @ g)
-    worth = max(ROUNDING * (1.0 + here.loss), objective.worth(here.loss))
+    worth = max(ROUNDING * (1.0 + here.loss), objective.required_decrease(here.loss))
     return promised < worth or float(np.max(np.abs(step), initial=0.0)) < STEP_TOLERANCE
 
 
@@ -257,8 +257,8 @@ def with_curvature(objective: Objective[P], values: Floats, here: P, H: Floats) 
     weak = np.flatnonzero(w < WEAK * objective.rows)
     M, slope = np.diag(w), objective.slope(values, here)
     for k in weak:
-        ahead = objective.moved(values, DIFFERENCE * V[:, k])
-        M[:, k] = V.T @ (slope - objective.slope(ahead, objective.at(ahead))) / DIFFERENCE
+        ahead = objective.apply_step(values, DIFFERENCE * V[:, k])
+        M[:, k] = V.T @ (slope - objective.slope(ahead, objective.evaluate(ahead))) / DIFFERENCE
     M[np.ix_(weak, weak)] = 0.5 * (M[np.ix_(weak, weak)] + M[np.ix_(weak, weak)].T)
     M[weak, :] = M[:, weak].T
     if not np.all(np.isfinite(M)):

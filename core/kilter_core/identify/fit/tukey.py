@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from kilter_core.identify.fit.least_squares import HUBER_SIGMAS, Fit, Problem, Weights, solve
-from kilter_core.identify.fit.robust import Loss, Robust, redescended
-from kilter_core.identify.fit.row_errors import mean_of
+from kilter_core.identify.fit.robust import Loss, Robust, descend_to_tukey_weights
+from kilter_core.identify.fit.row_errors import mean_marker_error
 from kilter_core.measurement import Residual
 from kilter_core.parameters import mm
 from kilter_core.types import Floats
@@ -23,7 +23,7 @@ SET_ASIDE = 0.5  # rows that count less are named
 SMALLEST = 1e-7  # m, rad: below any instrument
 
 
-def dimension_of(problem: Problem) -> int:
+def row_dimension(problem: Problem) -> int:
     """Numbers of a row that are independent: three of a point, or of markers that move together, six of a pose."""
     if problem.measurement.observations.rotation is not None:
         return 6
@@ -32,10 +32,10 @@ def dimension_of(problem: Problem) -> int:
 
 def row_sizes(fit: Fit) -> Floats:
     """Size (N,) of what a fit leaves of every row."""
-    return sizes_of(fit.residual, fit.problem.weights.points, fit.problem.weights.turns)
+    return whitened_row_sizes(fit.residual, fit.problem.weights.points, fit.problem.weights.turns)
 
 
-def sizes_of(left: Residual, points: float | Floats, turns: float) -> Floats:
+def whitened_row_sizes(left: Residual, points: float | Floats, turns: float) -> Floats:
     """Size (N,) of what is ``left`` of every row: its length in standard deviations of a coordinate, ``points`` m.
 
     Rows show different numbers of markers: what counts is the mean square of the coordinates that were seen. Rotations are
@@ -69,15 +69,15 @@ def redescend(first: Fit) -> tuple[Fit, Robust]:
 
     def sizes(weight: Floats) -> Floats:
         nonlocal fit
-        fit = solve(weighed(fit.problem, weight), fit.values, None, None, ENOUGH)
+        fit = solve(with_row_weights(fit.problem, weight), fit.values, None, None, ENOUGH)
         return row_sizes(fit)
 
-    found = redescended(sizes, row_sizes(first), dimension_of(first.problem))
+    found = descend_to_tukey_weights(sizes, row_sizes(first), row_dimension(first.problem))
     weights = first.problem.weights
     points, turns = np.maximum(weights.points * found.scale, SMALLEST), max(weights.turns * found.scale, SMALLEST)
     others = {group: max(sigma * found.scale, SMALLEST) for group, sigma in weights.others.items()}
     scaled = Weights(float(points) if isinstance(weights.points, float) else points, turns, found.weight, others)
-    problem = weighed(fit.problem, found.weight).reweighted(scaled, first.problem.held)
+    problem = with_row_weights(fit.problem, found.weight).with_weights(scaled, first.problem.held)
     return solve(problem, fit.values), found
 
 
@@ -101,11 +101,11 @@ def set_aside(fit: Fit) -> list[dict[str, Any]]:
 
 def points_mm(left: Residual) -> list[float | None]:
     """How far (mm) the point of each row is from where a model says, of markers their mean; None where nothing was seen."""
-    length = mm(np.asarray(np.linalg.norm(mean_of(left.points), axis=1)))
+    length = mm(np.asarray(np.linalg.norm(mean_marker_error(left.points), axis=1)))
     return [float(one) if np.isfinite(one) else None for one in length]
 
 
-def weighed(problem: Problem, weight: Floats) -> Problem:
+def with_row_weights(problem: Problem, weight: Floats) -> Problem:
     """The problem with a quadratic loss in which the rows have these weights (N,)."""
     weights = replace(problem.weights, rows=weight)
-    return problem.reweighted(weights, problem.held, "tukey")
+    return problem.with_weights(weights, problem.held, "tukey")

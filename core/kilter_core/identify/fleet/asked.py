@@ -24,12 +24,12 @@ def of_its_type(
     """
     if options.prior is None:
         return begin, None
-    found = fleet_prior(begin.model, freed(begin, train, options), versions or ())
+    found = fleet_prior(begin.model, free_parameter_names(begin, train, options), versions or ())
     found = replace(found, left_one_out=left_one_out(begin.model, found.versions))
     return replace(begin, model=replace(begin.model, of_type=found.prior)), found
 
 
-def freed(begin: Calibration, train: Observations, options: IdentifyOptions) -> list[str]:
+def free_parameter_names(begin: Calibration, train: Observations, options: IdentifyOptions) -> list[str]:
     """Names of what a fit of these rows frees; views place base and tool by cameras and boards, which is the same gauge."""
     measurement = measurement_for(train, options, begin.marker_points)
     rotation, base = measurement.observes_orientation, measurement.observes_base

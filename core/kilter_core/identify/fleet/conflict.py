@@ -62,11 +62,11 @@ class Told:
         return np.asarray(log - 0.5 * (self.spare * np.log(noises**2) + self.left / noises**2)[:, None])
 
 
-def told_by(fit: Fit, prior: TypePrior) -> Told:
+def reduce_to_prior_parameters(fit: Fit, prior: TypePrior) -> Told:
     """What the rows of a ``fit`` say against a ``prior``; all other parameters take up what they can."""
     problem = fit.problem
     known, own = prior.places(fit.names)
-    here = problem.linearised(fit.values)
+    here = problem.linearise(fit.values)
     columns = here.J[:, known]
     left = here.r + columns @ (fit.values[problem.free][known] - prior.mean[own])
     others = np.delete(here.J, known, axis=1) * np.delete(problem.prior_sigma, known)
@@ -79,13 +79,13 @@ def told_by(fit: Fit, prior: TypePrior) -> Told:
     return Told(np.asarray(y), np.asarray(R), max(float(left @ left - y @ y), 0.0), max(spare, 0))
 
 
-def judged(fit: Fit, prior: TypePrior, noise_known: bool) -> PriorUse:
+def assess_prior_conflict(fit: Fit, prior: TypePrior, noise_known: bool) -> PriorUse:
     """How far to believe a ``prior`` of the arm that was fitted without it; with ``noise_known`` the fit's weights are true."""
-    told, own = told_by(fit, prior), prior.places(fit.names)[1]
+    told, own = reduce_to_prior_parameters(fit, prior), prior.places(fit.names)[1]
     noises = np.ones(1) if noise_known else NOISES
     names = [prior.names[k] for k in own]
     odd = _odd_ones(told, prior, names, noises)
-    covariance = prior.loosened(odd, LOOSE).covariance[np.ix_(own, own)]
+    covariance = prior.widen_parameters(odd, LOOSE).covariance[np.ix_(own, own)]
     likely = told.likelihood(covariance, noises, WIDTHS) - 0.5 * TAILS * (np.log(WIDTHS**2) + 1.0 / WIDTHS**2)
     likely = np.exp(likely - likely.max())
     noise = noises[int(np.argmax(likely.sum(axis=1)))]
@@ -107,7 +107,7 @@ def _odd_ones(told: Told, prior: TypePrior, names: list[str], noises: Floats) ->
     own, odd, one = prior.places(names)[1], list[str](), np.ones(1)
 
     def likelihood(loose: list[str]) -> float:
-        covariance = prior.loosened(loose, LOOSE).covariance[np.ix_(own, own)]
+        covariance = prior.widen_parameters(loose, LOOSE).covariance[np.ix_(own, own)]
         return float(np.logaddexp.reduce(told.likelihood(covariance, noises, one)[:, 0]))
 
     here = likelihood(odd)

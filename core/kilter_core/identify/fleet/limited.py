@@ -25,22 +25,24 @@ WIDTHS = np.geomspace(1.0, 30.0, 35)  # 10 % apart; the widest is about an ordin
 POSES = 200  # where both are compared, between the joint readings of the rows
 
 
-def limited(alone: Fit, prior: TypePrior, noise: float) -> float:
+def required_prior_widening(alone: Fit, prior: TypePrior, noise: float) -> float:
     """How many times as wide a ``prior`` has to be taken beside the fit without it; linear about that fit.
 
     ``noise`` is that of the rows in those of the fit: what few poses leave tells it badly, and the type tells more of it.
     """
     problem = alone.problem
-    values, here = alone.values[problem.free], problem.linearised(alone.values)
+    values, here = alone.values[problem.free], problem.linearise(alone.values)
     parameters = [problem.model.parameters[k] for k in problem.free]
     G = _tool(alone)
     most = (MOST * noise) ** 2 * float(np.einsum("ik,kl,il->", G, alone.covariance, G))
     for width in WIDTHS:
-        known = Prior.of(parameters, prior.widened(float(width)))
+        known = Prior.from_parameters(parameters, prior.widen_by_factor(float(width)))
         J = here.J * known.sigma / noise
         H = J.T @ J
         known.add_to(H)
-        step = known.sigma * np.linalg.solve(H, J.T @ here.r / noise - known.stiff(known.away(values)))
+        step = known.sigma * np.linalg.solve(
+            H, J.T @ here.r / noise - known.stiff(known.standardized_deviation(values))
+        )
         if float(np.sum((G @ step) ** 2)) <= most:
             return float(width)
     return float(WIDTHS[-1])

@@ -79,7 +79,7 @@ def fleet_prior(model: RobotModel, free: Sequence[str], versions: Sequence[Fleet
             code="fleet_too_few",
             robots=[v.robot for v in versions],
         )
-    asked = Gauge.of(model, free)
+    asked = Gauge.from_model(model, free)
     reasons = [asked.differs(version.gauge) for version in versions]
     out = tuple(LeftOut(v.robot, v.version, r) for v, r in zip(versions, reasons, strict=True) if r is not None)
     kept = tuple(v for v, r in zip(versions, reasons, strict=True) if r is None)
@@ -91,7 +91,7 @@ def fleet_prior(model: RobotModel, free: Sequence[str], versions: Sequence[Fleet
             code="fleet_gauge",
             robots=[one.robot for one in out],
         )
-    return FleetPrior(*_estimated(model, kept), left_out=out)
+    return FleetPrior(*_estimate_type_prior(model, kept), left_out=out)
 
 
 def said_left_out(out: Sequence[LeftOut]) -> str:
@@ -99,9 +99,11 @@ def said_left_out(out: Sequence[LeftOut]) -> str:
     return " ".join(f"Version {one.version} of {one.robot} is in another gauge: {one.reason}." for one in out)
 
 
-def _estimated(model: RobotModel, versions: tuple[FleetVersion, ...]) -> tuple[TypePrior, tuple[FleetVersion, ...]]:
-    names, width, groups = _shared(model, versions)
-    values, within = _scaled(versions, names, width)
+def _estimate_type_prior(
+    model: RobotModel, versions: tuple[FleetVersion, ...]
+) -> tuple[TypePrior, tuple[FleetVersion, ...]]:
+    names, width, groups = _shared_parameters(model, versions)
+    values, within = _scale_to_priors(versions, names, width)
     found = population(values, within, groups)
     covariance = found.of_another * np.outer(width, width)
     known = np.median(np.sqrt(np.diagonal(within, axis1=1, axis2=2)), axis=0) < KNOWN
@@ -116,18 +118,20 @@ def _freedom(robots: int) -> float:
 
 def left_one_out(model: RobotModel, versions: Sequence[FleetVersion]) -> tuple[LeftOneOut, ...]:
     """Each robot as the others predict it."""
-    names, width, groups = _shared(model, versions)
-    values, within = _scaled(versions, names, width)
+    names, width, groups = _shared_parameters(model, versions)
+    values, within = _scale_to_priors(versions, names, width)
     nominal = np.array([model.parameter(name).value for name in names]) / width
     out = []
     for k, version in enumerate(versions):
         rest = np.arange(len(versions)) != k
         found = population(values[rest], within[rest], groups)
-        out.append(_compared(version.robot, found, values[k], within[k], nominal, _freedom(int(rest.sum()))))
+        out.append(
+            _compare_left_out_robot(version.robot, found, values[k], within[k], nominal, _freedom(int(rest.sum())))
+        )
     return tuple(out)
 
 
-def _compared(
+def _compare_left_out_robot(
     robot: str, found: Population, values: Floats, within: Floats, nominal: Floats, freedom: float
 ) -> LeftOneOut:
     away = values - found.mean
@@ -137,7 +141,7 @@ def _compared(
     return LeftOneOut(robot, square, len(values), float(f.sf(square / len(values), len(values), freedom)), explained)
 
 
-def _shared(model: RobotModel, versions: Sequence[FleetVersion]) -> tuple[list[str], Floats, Ints]:
+def _shared_parameters(model: RobotModel, versions: Sequence[FleetVersion]) -> tuple[list[str], Floats, Ints]:
     """Names (K) of the type that every version was fitted for, the widths (K,) of their ordinary priors, their units (K,)."""
     names = [name for name in of_the_type(model) if all(name in version.names for version in versions)]
     parameters = [model.parameter(name) for name in names]
@@ -146,7 +150,7 @@ def _shared(model: RobotModel, versions: Sequence[FleetVersion]) -> tuple[list[s
     return names, np.array([p.prior_sigma for p in parameters]), groups
 
 
-def _scaled(versions: Sequence[FleetVersion], names: Sequence[str], width: Floats) -> tuple[Floats, Floats]:
+def _scale_to_priors(versions: Sequence[FleetVersion], names: Sequence[str], width: Floats) -> tuple[Floats, Floats]:
     """Values (n, K) and covariances (n, K, K) in widths of ordinary priors."""
     values, within = [], []
     for version in versions:

@@ -47,7 +47,7 @@ def population(values: Floats, within: Floats, groups: Ints, strength: float | N
     between = np.diag(np.maximum(np.var(values, axis=0, ddof=1), FLOOR**2))
     for _ in range(ROUNDS):
         before = np.sqrt(np.diag(between))
-        between = _shrunk(_expected(values, within, between), count, groups, weight)
+        between = _shrunk(_expected_scatter(values, within, between), count, groups, weight)
         after = np.sqrt(np.diag(between))
         if np.max(np.abs(after - before) / after) < SETTLED:
             break
@@ -61,16 +61,18 @@ def _mean(values: Floats, within: Floats, between: Floats) -> tuple[Floats, Floa
     return np.asarray(covariance @ np.einsum("nij,nj->i", weights, values)), np.asarray(covariance)
 
 
-def _expected(values: Floats, within: Floats, between: Floats) -> Floats:
+def _expected_scatter(values: Floats, within: Floats, between: Floats) -> Floats:
     """Sum (K, K) over the arms of the expected products of their deviations, the mean's own doubt included."""
     weights: Floats = np.asarray(np.linalg.inv(within + between), dtype=np.float64)
     mean, covariance = _mean(values, within, between)
     deviations = np.einsum("ij,njk,nk->ni", between, weights, values - mean)
-    unseen = len(values) * between - between @ (weights.sum(axis=0) - _squeezed(weights, covariance)) @ between
+    unseen = (
+        len(values) * between - between @ (weights.sum(axis=0) - _weights_lost_to_mean(weights, covariance)) @ between
+    )
     return np.asarray(deviations.T @ deviations + unseen)
 
 
-def _squeezed(weights: Floats, covariance: Floats) -> Floats:
+def _weights_lost_to_mean(weights: Floats, covariance: Floats) -> Floats:
     """What estimating the mean takes from the weights (K, K)."""
     return np.asarray(np.einsum("nij,jk,nkl->il", weights, covariance, weights, optimize=True))
 

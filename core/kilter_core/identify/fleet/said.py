@@ -20,10 +20,10 @@ ORDINARY = 0.5  # chance of an arm of the type to be as odd, from which on it is
 
 def resting(fit: Fit) -> Bools:
     """Which parameters (F,) of a fit rest on its type."""
-    return resting_on(fit.problem.model.of_type, fit.names, fit.sigma, fit.problem.prior_sigma)
+    return prior_dominated_mask(fit.problem.model.of_type, fit.names, fit.sigma, fit.problem.prior_sigma)
 
 
-def resting_on(prior: TypePrior | None, names: Sequence[str], sigma: Floats, prior_sigma: Floats) -> Bools:
+def prior_dominated_mask(prior: TypePrior | None, names: Sequence[str], sigma: Floats, prior_sigma: Floats) -> Bools:
     """Which parameters (F,) rest on a type: the rows take off less than half of the variance that it leaves them.
 
     Of those that no arm of the type could tell it says nothing.

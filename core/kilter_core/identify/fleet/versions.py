@@ -27,7 +27,7 @@ class Gauge:
     units: Mapping[str, str] = field(default_factory=dict)
 
     @staticmethod
-    def of(model: RobotModel, free: Sequence[str]) -> Gauge:
+    def from_model(model: RobotModel, free: Sequence[str]) -> Gauge:
         """Gauge of a fit of these parameters of a model; what only the measurement or the load has is left out."""
         own = set(of_the_type(model))
         effects = tuple(sorted(repr(e.to_document()) for e in model.effects if _of_the_arm(e)))
@@ -48,8 +48,8 @@ class Gauge:
                 return f"{name} is in {other.units[name]} there and in {self.units[name]} here"
         more, fewer = sorted(other.free - self.free), sorted(self.free - other.free)
         if more or fewer:
-            said = [f"{_listed(more)} {'was' if len(more) == 1 else 'were'} fitted there alone"] if more else []
-            said += [f"{_listed(fewer)} {'was' if len(fewer) == 1 else 'were'} not fitted there"] if fewer else []
+            said = [f"{_format_names(more)} {'was' if len(more) == 1 else 'were'} fitted there alone"] if more else []
+            said += [f"{_format_names(fewer)} {'was' if len(fewer) == 1 else 'were'} not fitted there"] if fewer else []
             return ", ".join(said)
         return None
 
@@ -66,13 +66,15 @@ class FleetVersion:
     gauge: Gauge
 
     @staticmethod
-    def of(robot: str, version: str, calibration: Calibration, covariance: Mapping[str, Any]) -> FleetVersion:
+    def from_calibration(
+        robot: str, version: str, calibration: Calibration, covariance: Mapping[str, Any]
+    ) -> FleetVersion:
         """The version ``version`` of a ``robot`` from its calibration and the covariance that is stored with it."""
         names = tuple(covariance.get("names") or ())
         value = dict(zip(calibration.names, calibration.values, strict=True))
         matrix = np.array(covariance.get("matrix") or np.zeros((0, 0)), dtype=np.float64)
         values = np.array([float(value.get(name, 0.0)) for name in names])
-        return FleetVersion(robot, version, names, values, matrix, Gauge.of(calibration.model, names))
+        return FleetVersion(robot, version, names, values, matrix, Gauge.from_model(calibration.model, names))
 
 
 def same_type(robot: Robot, other: Robot) -> bool:
@@ -86,7 +88,7 @@ def same_type(robot: Robot, other: Robot) -> bool:
 def of_the_type(model: RobotModel) -> list[str]:
     """Parameters of a model that arms of a type share: where an arm stands and what it carries are its own."""
     names = list(model.names[6 : model.n_geometric - 6])
-    for effect, where in model.placed:
+    for effect, where in model.effects_with_slices:
         names += model.names[where] if _of_the_arm(effect) else ()
     return names
 
@@ -100,5 +102,5 @@ def _chain(robot: Robot) -> Iterator[tuple[Any, ...]]:
         yield e.axis, e.joint, e.name, e.ratio, round(float(e.value), 9)
 
 
-def _listed(names: Sequence[str]) -> str:
+def _format_names(names: Sequence[str]) -> str:
     return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")

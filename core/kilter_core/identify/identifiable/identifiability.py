@@ -57,7 +57,7 @@ def null_directions(J: Floats, names: Sequence[str], prior_sigma: Floats) -> tup
     out = [_direction(v, names, size, 0.0, True) for v in own_members(Vt[structural]) * prior_sigma]
     learned = s**2 / (1.0 + s**2)
     weak = np.flatnonzero(~structural & (learned < WEAK))[::-1]
-    for alike in _alike(s[weak]):
+    for alike in _group_similar_values(s[weak]):
         for v, k in zip(_own_basis(Vt[weak[alike]]), weak[alike], strict=True):
             out.append(_direction(v * prior_sigma, names, size, float(learned[k]), False))
     return tuple(out)
@@ -71,7 +71,7 @@ def identifiable(posterior_sigma: Floats, prior_sigma: Floats) -> Bools:
     return np.asarray(1.0 - (posterior_sigma / prior_sigma) ** 2 >= KNOWN)
 
 
-def _alike(values: Floats) -> list[Ints]:
+def _group_similar_values(values: Floats) -> list[Ints]:
     """Places of sorted values (K,), those that are alike together."""
     if len(values) == 0:
         return []
@@ -111,7 +111,7 @@ def _first_largest(values: Floats) -> int:
 def _by_size(values: Floats) -> list[int]:
     """Places of the largest values first, of those alike in their order."""
     order = np.argsort(-values, kind="stable")
-    return [int(k) for alike in _alike(values[order]) for k in np.sort(order[alike])]
+    return [int(k) for alike in _group_similar_values(values[order]) for k in np.sort(order[alike])]
 
 
 def _direction(v: Floats, names: Sequence[str], size: Floats, learned: float, structural: bool) -> NullDirection:

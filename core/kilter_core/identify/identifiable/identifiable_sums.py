@@ -49,7 +49,7 @@ class Known:
         In units of reports: {parameters: [{name, coefficient}], value, unit, sigma, lower, upper, sentence}.
         """
         out: list[list[dict[str, Any]]] = [[] for _ in directions]
-        for group in _linked(directions):
+        for group in _group_by_shared_members(directions):
             names = sorted({n for k in group for n, _ in directions[k].weights}, key=self.names.index)
             if len(names) == len(group):
                 continue
@@ -133,7 +133,7 @@ def _term(name: str, coefficient: float) -> str:
     return f"{sign} {name}" if size == "1" else f"{sign} {size} {name}"
 
 
-def _linked(directions: Sequence[NullDirection]) -> list[list[int]]:
+def _group_by_shared_members(directions: Sequence[NullDirection]) -> list[list[int]]:
     """Places of directions that share members, together."""
     groups: list[tuple[set[str], list[int]]] = []
     for k, direction in enumerate(directions):

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from kilter_core.arm.loads.slopes import EACH, LIGHTEST_KG, weighed
+from kilter_core.arm.loads.slopes import EACH, LIGHTEST_KG, links_with_mass
 from kilter_core.effects.load_error import LoadError
 from kilter_core.identify.identifiable.identifiability import identifiable
 from kilter_core.model import Calibration
@@ -53,17 +53,17 @@ def load_rows(
             continue
         errors = calibration.values[where]
         own = [p.name for p in effect.parameters(model.robot)]
-        for name, error, one in zip(own, errors, _stated(calibration, effect, errors), strict=True):
+        for name, error, one in zip(own, errors, _stated_load_values(calibration, effect, errors), strict=True):
             if name in place:
                 k = place[name]
                 out.append(one.row(float(error), float(sigma[k]), float(prior_sigma[k]), bool(known[k])))
     return out
 
 
-def _stated(calibration: Calibration, effect: LoadError, errors: Floats) -> Iterator[Stated]:
+def _stated_load_values(calibration: Calibration, effect: LoadError, errors: Floats) -> Iterator[Stated]:
     """What the robot and the rows say of each load error, in their order. A first moment is a centre times the mass."""
     robot = calibration.robot
-    for n, k in enumerate(weighed(robot)):
+    for n, k in enumerate(links_with_mass(robot)):
         link = robot.links[k]
         mass = max(link.mass + float(errors[EACH * n]), LIGHTEST_KG)
         yield Stated(k + 1, "mass", "kg", link.mass, 1.0, 1.0)
@@ -79,7 +79,7 @@ def far_from_stated(rows: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any
     far = [row for row in rows if abs(row["value"] - row["stated"]) > FAR * row["prior_sigma"]]
     if not far:
         return
-    said = "; ".join(_said(row) for row in far)
+    said = "; ".join(_describe_deviation(row) for row in far)
     yield {
         "code": "mass_far_from_stated",
         "masses": [{key: row[key] for key in ("link", "parameter", "unit", "stated", "value")} for row in far],
@@ -88,7 +88,7 @@ def far_from_stated(rows: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any
     }  # fmt: skip
 
 
-def _said(row: Mapping[str, Any]) -> str:
+def _describe_deviation(row: Mapping[str, Any]) -> str:
     body = "the payload" if row["link"] is None else f"link {row['link']}"
     name = NAMED.get(row["parameter"], f"place along tool {row['parameter'][-1]}")
     return (

@@ -7,12 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.errors import NotConvergedError
-from kilter_core.identify.estimate import estimate, prepared
-from kilter_core.identify.fit.least_squares import Fit, fit_at
-from kilter_core.identify.fleet.believed import believed
+from kilter_core.identify.estimate import estimate, prepare_problem
+from kilter_core.identify.fit.least_squares import Fit, build_fit
+from kilter_core.identify.fleet.believed import fit_with_fleet_prior
 from kilter_core.identify.methods.kalman import Prior
-from kilter_core.identify.methods.loads import ROUNDS, continued, reloaded
-from kilter_core.identify.methods.signs import SHARPENINGS, likelier, sharpened, softened
+from kilter_core.identify.methods.loads import ROUNDS, continue_fit, model_with_updated_loads
+from kilter_core.identify.methods.signs import (
+    SHARPENINGS,
+    likelier,
+    model_with_sharpened_signs,
+    model_with_softened_signs,
+)
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.registry import METHODS
 from kilter_core.measurement import Measurement
@@ -35,7 +40,7 @@ def fit_by_method(
     """
     if start.model.of_type is None:
         return _by_method(start, measurement, options, progress, prior)
-    return believed(start, options, lambda begin: _by_method(begin, measurement, options, progress, prior))
+    return fit_with_fleet_prior(start, options, lambda begin: _by_method(begin, measurement, options, progress, prior))
 
 
 def _by_method(
@@ -47,16 +52,16 @@ def _by_method(
 ) -> Fit:
     asked = measurement, options, prior
     try:
-        fit = _loaded(start, _fitted(start, measurement, options, progress, prior), *asked)
+        fit = _refit_at_fitted_loads(start, _fit_once(start, measurement, options, progress, prior), *asked)
     except NotConvergedError as endless:  # the loss of sharp signs has steps, on which masses may walk to and fro
-        soft = softened(_at_start(start, measurement, options))
+        soft = model_with_softened_signs(_at_start(start, measurement, options))
         if soft is None:
             raise
         try:
             return _with_signs_of(soft, start, *asked)
         except NotConvergedError:
             raise endless from None
-    soft = softened(fit)
+    soft = model_with_softened_signs(fit)
     if soft is None:
         return fit
     try:
@@ -67,8 +72,8 @@ def _by_method(
 
 
 def _at_start(start: Calibration, measurement: Measurement, options: IdentifyOptions) -> Fit:
-    problem, values = prepared(start, measurement, options)
-    return fit_at(problem, values, problem.linearised(values))
+    problem, values = prepare_problem(start, measurement, options)
+    return build_fit(problem, values, problem.linearise(values))
 
 
 def _with_signs_of(
@@ -76,37 +81,39 @@ def _with_signs_of(
 ) -> Fit:
     """The fit that begins with signs as soft as those of a model."""
     begin = replace(start, model=replace(start.model, effects=soft.effects))
-    return _sharpened(start, _fitted(begin, measurement, options, None, prior), measurement, options, prior)
+    return _refit_with_sharper_signs(
+        start, _fit_once(begin, measurement, options, None, prior), measurement, options, prior
+    )
 
 
-def _loaded(
+def _refit_at_fitted_loads(
     start: Calibration, fit: Fit, measurement: Measurement, options: IdentifyOptions, prior: Prior | None
 ) -> Fit:
     """Fit again at the loads that a fit leads to, until they change nothing that counts."""
     for _ in range(ROUNDS - 1):
-        model = reloaded(fit)
+        model = model_with_updated_loads(fit)
         if model is None:
             break
         try:
-            fit = _again(start, model, fit, measurement, options, prior)
+            fit = _refit_with_model(start, model, fit, measurement, options, prior)
         except NotConvergedError:  # the fit that ended stands, at the loads that it took
             break
     return fit
 
 
-def _sharpened(
+def _refit_with_sharper_signs(
     start: Calibration, fit: Fit, measurement: Measurement, options: IdentifyOptions, prior: Prior | None
 ) -> Fit:
     """Fit again with signs as soft as the fit before leaves the loads, until that changes no sign that matters."""
     for _ in range(SHARPENINGS):
-        model = sharpened(fit, start.model, reloaded(fit))
+        model = model_with_sharpened_signs(fit, start.model, model_with_updated_loads(fit))
         if model is None:
             break
-        fit = _again(start, model, fit, measurement, options, prior)
+        fit = _refit_with_model(start, model, fit, measurement, options, prior)
     return fit
 
 
-def _again(
+def _refit_with_model(
     start: Calibration,
     model: RobotModel,
     fit: Fit,
@@ -117,14 +124,14 @@ def _again(
     """The fit with the loads of ``model``: from where it ended, or by a method that has to begin anew from the start."""
     again = METHODS[options.method].again
     if again and options.loss != "tukey" and not options.tilt_first:
-        found = continued(fit, model, options)
+        found = continue_fit(fit, model, options)
     else:
         begin = replace(start, model=replace(start.model, effects=model.effects, load_chain=model.load_chain))
-        found = _fitted(begin, measurement, replace(options, method=again or options.method), None, prior)
+        found = _fit_once(begin, measurement, replace(options, method=again or options.method), None, prior)
     return replace(found, iterations=fit.iterations + found.iterations, report={**fit.report, **found.report})
 
 
-def _fitted(
+def _fit_once(
     start: Calibration,
     measurement: Measurement,
     options: IdentifyOptions,
@@ -133,7 +140,7 @@ def _fitted(
 ) -> Fit:
     begin = start
     if options.tilt_first and _knows_no_effect(start):
-        begin = _tilted(start, measurement, options)
+        begin = _fit_effects_first(start, measurement, options)
     method = METHODS[options.method]
     known = (prior,) if method.continues else ()
     fit: Fit = method.fitter()(begin, measurement, options, progress, *known)
@@ -148,7 +155,7 @@ def _knows_no_effect(start: Calibration) -> bool:
     return some and np.array_equal(start.values[effects], start.model.values0()[effects])
 
 
-def _tilted(start: Calibration, measurement: Measurement, options: IdentifyOptions) -> Calibration:
+def _fit_effects_first(start: Calibration, measurement: Measurement, options: IdentifyOptions) -> Calibration:
     """The start with its effects fitted beside base and tool, the chain held."""
     model = start.model
     chain = model.names[6 : model.n_geometric - 6]

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.optimize
 
 from kilter_core.errors import NotConvergedError, OptionError
-from kilter_core.identify.estimate import estimate, prepared
+from kilter_core.identify.estimate import estimate, prepare_problem
 from kilter_core.identify.fit.least_squares import Fit, Problem
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
@@ -38,13 +38,13 @@ class _Search:
     span: Floats
     base: bool
 
-    def at(self, x: Floats) -> Floats:
+    def candidate_values(self, x: Floats) -> Floats:
         values = self.values.copy()
         values[self.searched] += x * self.span
         return values
 
     def __call__(self, x: Floats) -> float:
-        prediction = self.problem.model.predict(self.problem.batch, self.at(x))
+        prediction = self.problem.model.predict(self.problem.batch, self.candidate_values(x))
         left = self.problem.measurement.residual(prediction).points.reshape(-1, 3)
         if self.base:
             shape = self.problem.measurement.marker_points
@@ -71,18 +71,22 @@ def global_search(
         OptionError: no chain parameter is free. NotConvergedError: no minimum from either place.
 
     """
-    problem, values = prepared(start, measurement, options)
+    problem, values = prepare_problem(start, measurement, options)
     search = _search(problem, values, options)
-    best = _evolved(search, options.seed, progress)
-    there = np.concatenate([search.at(best.x), values[problem.model.n_geometric :]])
+    best = _run_differential_evolution(search, options.seed, progress)
+    there = np.concatenate([search.candidate_values(best.x), values[problem.model.n_geometric :]])
     found = Calibration(problem.model, there, start.marker_points)
-    fits = [fit for fit in (_tried(found, measurement, options, values), _tried(start, measurement, options)) if fit]
+    fits = [
+        fit
+        for fit in (_try_estimate(found, measurement, options, values), _try_estimate(start, measurement, options))
+        if fit
+    ]
     if not fits:
         raise NotConvergedError(
             "Neither the place the search found nor the start leads to a minimum: widen search_mm or search_deg, "
             "fix parameters, or look for swapped columns.",
         )
-    fit = fits[0] if _left(fits[0]) < BETTER * _left(fits[-1]) else fits[-1]
+    fit = fits[0] if _mean_squared_error(fits[0]) < BETTER * _mean_squared_error(fits[-1]) else fits[-1]
     report = {
         "evaluations": int(best.nfev), "best_mm": mm(float(best.fun)),
         "start_mm": mm(search(np.zeros(len(search.span)))), "needed": len(fits) == 1 or fit is not fits[-1],
@@ -107,7 +111,7 @@ def _search(problem: Problem, values: Floats, options: IdentifyOptions) -> _Sear
     return _Search(Problem(model, few, searched, problem.weights), values[:n], searched, span, base)
 
 
-def _evolved(search: _Search, seed: int, progress: Progress | None) -> Any:
+def _run_differential_evolution(search: _Search, seed: int, progress: Progress | None) -> Any:
     generation = 0
 
     def grown(intermediate_result: Any) -> None:
@@ -123,7 +127,7 @@ def _evolved(search: _Search, seed: int, progress: Progress | None) -> Any:
     )  # fmt: skip
 
 
-def _tried(
+def _try_estimate(
     begin: Calibration, measurement: Measurement, options: IdentifyOptions, anchor: Floats | None = None
 ) -> Fit | None:
     try:
@@ -132,5 +136,5 @@ def _tried(
         return None
 
 
-def _left(fit: Fit) -> float:
+def _mean_squared_error(fit: Fit) -> float:
     return float(np.nanmean(fit.residual.points**2))

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.errors import NotConvergedError, OptionError
-from kilter_core.identify.estimate import near, prepared, unobservable_directions, weights_of
-from kilter_core.identify.fit.least_squares import Fit, Problem, fit_at
+from kilter_core.identify.estimate import estimate_weights, has_sigma_settled, prepare_problem, unobservable_directions
+from kilter_core.identify.fit.least_squares import Fit, Problem, build_fit
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.rows.noise import repeat_sigma
 from kilter_core.measurement import Measurement
@@ -63,39 +63,39 @@ def kalman(
         TooFewPosesError: without a prior, fewer measured numbers than free parameters.
 
     """
-    problem, values = prepared(start, measurement, options, registered=prior is not None)
+    problem, values = prepare_problem(start, measurement, options, registered=prior is not None)
     names = tuple(problem.model.names[k] for k in problem.free)
     P0 = np.eye(len(names)) if prior is None else prior.over(problem, names)
     x0 = problem.prior_mean if prior is None else values[problem.free]
     repeats = repeat_sigma(measurement.observations)
     if options.noise_mm is None and repeats and measurement.observations.sigma is None:
-        problem = problem.reweighted(replace(problem.weights, points=repeats), None)
+        problem = problem.with_weights(replace(problem.weights, points=repeats), None)
     for step in range(PASSES):
         if progress is not None:
             progress(step / PASSES, f"pass {step + 1}")
         before = values[problem.free]
-        values[problem.free], P, innovation = filtered(problem, values, x0, P0)
+        values[problem.free], P, innovation = run_kalman_filter(problem, values, x0, P0)
         if not np.isfinite(values).all():
             raise NotConvergedError("The filter lost its way: begin with least_squares, or a better start.")
-        fit = _finished(problem, values, P, P0, innovation, fresh=prior is None)
-        wanted = weights_of(fit, options)
+        fit = _fit_from_state(problem, values, P, P0, innovation, fresh=prior is None)
+        wanted = estimate_weights(fit, options)
         unobservable = unobservable_directions(fit) if prior is None and step == 1 else np.zeros((0, len(names)))
         moved = float(np.max(np.abs(values[problem.free] - before) / fit.sigma, initial=0.0))
-        settled = near(float(np.mean(wanted.points)), float(np.mean(problem.weights.points)))
+        settled = has_sigma_settled(float(np.mean(wanted.points)), float(np.mean(problem.weights.points)))
         if step > 0 and moved < SETTLED and settled and len(unobservable) == 0:
             break
         P0 = P0 - unobservable.T @ unobservable  # known to stay where they are
-        problem = problem.reweighted(wanted, None)
+        problem = problem.with_weights(wanted, None)
     return fit
 
 
-def filtered(problem: Problem, values: Floats, x0: Floats, P0: Floats) -> tuple[Floats, Floats, float]:
+def run_kalman_filter(problem: Problem, values: Floats, x0: Floats, P0: Floats) -> tuple[Floats, Floats, float]:
     """State (F,) SI and covariance (F, F) in prior sigmas after all rows, from ``x0`` and ``P0``; mean innovation.
 
     The rows are linearised together at ``values (P,)`` and enter one after the other, so a pass ends where the batch
     solution of the same linearised rows ends. The mean square of the innovations is one when noise and P are right.
     """
-    J, r = problem.by_row(problem.linearised(values))
+    J, r = problem.by_row(problem.linearise(values))
     scale = problem.prior_sigma
     here, x, P = values[problem.free] / scale, x0 / scale, P0
     total, count = 0.0, 0
@@ -111,13 +111,13 @@ def filtered(problem: Problem, values: Floats, x0: Floats, P0: Floats) -> tuple[
     return x * scale, P, total / max(count, 1)
 
 
-def _finished(problem: Problem, values: Floats, P: Floats, P0: Floats, innovation: float, fresh: bool) -> Fit:
+def _fit_from_state(problem: Problem, values: Floats, P: Floats, P0: Floats, innovation: float, fresh: bool) -> Fit:
     """The fit; its Jacobian also carries what was known before, so that it is not reported as unseen.
 
     Only a ``fresh`` filter holds directions; one that continues may know some of them that well.
     """
     rows = len(problem.measurement.observations)
-    fit = fit_at(problem, values.copy(), problem.linearised(values), rows)
+    fit = build_fit(problem, values.copy(), problem.linearise(values), rows)
     size, turn = np.linalg.eigh(P0)
     before = np.sqrt(np.maximum(1.0 / np.maximum(size, 1e-12) - 1.0, 0.0))
     held = (size < 1e-9) & fresh  # unobservable directions were held, not learned

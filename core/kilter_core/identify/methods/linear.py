@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.identify.estimate import prepared, weights_of
-from kilter_core.identify.fit.least_squares import Fit, fit_at
+from kilter_core.identify.estimate import estimate_weights, prepare_problem
+from kilter_core.identify.fit.least_squares import Fit, build_fit
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
@@ -22,14 +22,14 @@ def linear_least_squares(
     ``linear_error`` in the report is what the linearisation missed: the largest change of a residual, in its standard
     deviations, between what the linear step promised and what the model then says.
     """
-    problem, values = prepared(start, measurement, options)
-    here = problem.linearised(values)
+    problem, values = prepare_problem(start, measurement, options)
+    here = problem.linearise(values)
     step = problem.whole_step(values, here)
-    values = problem.moved(values, step)
+    values = problem.apply_step(values, step)
     promised = problem.beyond(here, values, step)
-    first = fit_at(problem, values, problem.linearised(values), 1)
-    problem = problem.reweighted(weights_of(first, options), None)
-    fit = fit_at(problem, values, problem.linearised(values, first.residual), 1)
+    first = build_fit(problem, values, problem.linearise(values), 1)
+    problem = problem.with_weights(estimate_weights(first, options), None)
+    fit = build_fit(problem, values, problem.linearise(values, first.residual), 1)
     missed = first.residual.points - promised.residual.points
     size = float(np.nanmax(np.abs(missed / problem.weights.points), initial=0.0))
     if progress is not None:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.identify.estimate import WEIGHT_PASSES, near, weights_of
+from kilter_core.identify.estimate import WEIGHT_PASSES, estimate_weights, has_sigma_settled
 from kilter_core.identify.fit.least_squares import Fit, Weights, solve
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.model import RobotModel
@@ -21,17 +21,17 @@ ROUNDS = 3  # of loads: where the poses tell the chain, each moves it a hundredt
 SETTLED = 0.1
 
 
-def reloaded(fit: Fit) -> RobotModel | None:
+def model_with_updated_loads(fit: Fit) -> RobotModel | None:
     """The model of a fit with its loads on the chain that was fitted; None where that moves nothing that counts."""
     problem = fit.problem
     if not any("moments" in effect.needs for effect in problem.model.effects):
         return None
-    other = replace(problem, model=problem.model.loads_at(fit.values))
-    moved = np.linalg.norm(other.whitened(fit.values) - problem.whitened(fit.values))
+    other = replace(problem, model=problem.model.with_loads_at_values(fit.values))
+    moved = np.linalg.norm(other.whitened_residuals(fit.values) - problem.whitened_residuals(fit.values))
     return other.model if moved > SETTLED else None
 
 
-def continued(fit: Fit, model: RobotModel, options: IdentifyOptions) -> Fit:
+def continue_fit(fit: Fit, model: RobotModel, options: IdentifyOptions) -> Fit:
     """Fit another ``model`` of the same parameters from where a fit ended, its weights following the residuals.
 
     What that fit held stays held.
@@ -44,15 +44,19 @@ def continued(fit: Fit, model: RobotModel, options: IdentifyOptions) -> Fit:
     walked = found.iterations
     for _ in range(WEIGHT_PASSES):
         problem = found.problem
-        weights = weights_of(found, options)
-        if _alike(weights, problem.weights):
+        weights = estimate_weights(found, options)
+        if _are_weights_settled(weights, problem.weights):
             break
-        found = solve(problem.reweighted(weights, problem.held), found.values, known=found.residual)
+        found = solve(problem.with_weights(weights, problem.held), found.values, known=found.residual)
         walked += found.iterations
     return replace(found, iterations=walked)
 
 
-def _alike(one: Weights, other: Weights) -> bool:
+def _are_weights_settled(one: Weights, other: Weights) -> bool:
     sizes = (float(np.mean(one.points)), float(np.mean(other.points)))
-    groups = ((sigma, float(other.of(group))) for group, sigma in one.others.items())
-    return near(*sizes) and near(one.turns, other.turns) and all(near(*pair) for pair in groups)
+    groups = ((sigma, float(other.group_sigma(group))) for group, sigma in one.others.items())
+    return (
+        has_sigma_settled(*sizes)
+        and has_sigma_settled(one.turns, other.turns)
+        and all(has_sigma_settled(*pair) for pair in groups)
+    )

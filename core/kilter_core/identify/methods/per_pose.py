@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.errors import NotConvergedError
-from kilter_core.identify.estimate import prepared, weights_of
-from kilter_core.identify.fit.least_squares import Fit, Problem, fit_at
+from kilter_core.identify.estimate import estimate_weights, prepare_problem
+from kilter_core.identify.fit.least_squares import Fit, Problem, build_fit
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.rows.influence import relative_influence, step_of
-from kilter_core.identify.uncertainty.clustered import clustered
+from kilter_core.identify.rows.influence import imposed_step, relative_influence
+from kilter_core.identify.uncertainty.clustered import with_clustered_covariance
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.types import Floats, Progress
@@ -69,10 +69,10 @@ def _by_poses(
     weigh: Callable[[Problem, Floats], Floats],
     gain: float,
 ) -> Fit:
-    problem, values = prepared(start, measurement, options)
+    problem, values = prepare_problem(start, measurement, options)
     resolution = RESOLUTION_M / float(np.mean(problem.weights.points))
     for sweep in range(1, SWEEPS + 1):
-        J, r = problem.by_row(problem.linearised(values))
+        J, r = problem.by_row(problem.linearise(values))
         k = weigh(problem, J)
         steps = pose_solutions(J, r, k, gain, resolution)
         mean = steps.mean(axis=0)
@@ -83,19 +83,21 @@ def _by_poses(
             progress(1.0 - 0.99**sweep, f"sweep {sweep}")
         if np.max(np.abs(mean), initial=0.0) < SETTLED:
             break
-    return _finished(problem, values, sweep, steps, options)
+    return _fit_with_pose_scatter(problem, values, sweep, steps, options)
 
 
 def _influence_weights(problem: Problem, J: Floats) -> Floats:
-    steps = np.array([step_of(problem.model.parameters[k]) for k in problem.free]) / problem.prior_sigma
+    steps = np.array([imposed_step(problem.model.parameters[k]) for k in problem.free]) / problem.prior_sigma
     return relative_influence(np.linalg.norm(J[:, :3], axis=1) * steps)
 
 
-def _finished(problem: Problem, values: Floats, sweeps: int, steps: Floats, options: IdentifyOptions) -> Fit:
+def _fit_with_pose_scatter(
+    problem: Problem, values: Floats, sweeps: int, steps: Floats, options: IdentifyOptions
+) -> Fit:
     """The fit with its noise, and a covariance widened by how far the poses disagree about the mean, repeats as one."""
-    first = fit_at(problem, values, problem.linearised(values), sweeps)
-    problem = problem.reweighted(weights_of(first, options), None)
-    fit = clustered(fit_at(problem, values, problem.linearised(values), sweeps))
+    first = build_fit(problem, values, problem.linearise(values), sweeps)
+    problem = problem.with_weights(estimate_weights(first, options), None)
+    fit = with_clustered_covariance(build_fit(problem, values, problem.linearise(values), sweeps))
     groups = problem.measurement.observations.pose_groups()
     scaled = (steps - steps.mean(axis=0)) * problem.prior_sigma
     together = np.stack([np.bincount(groups, weights=column) for column in scaled.T], axis=1)

@@ -17,7 +17,7 @@ from kilter_core.identify.carried_masses import of_masses
 from kilter_core.identify.estimate import scatter
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.model import RobotModel
-from kilter_core.model.load_errors import blur_of
+from kilter_core.model.load_errors import load_sign_blur
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 
@@ -25,7 +25,7 @@ SHARPENINGS = 4
 CHANGED = 0.1  # of a width: less moves no sign that matters
 
 
-def softened(fit: Fit) -> RobotModel | None:
+def model_with_softened_signs(fit: Fit) -> RobotModel | None:
     """The model of a fit with signs as soft as the priors of the masses leave the loads; None where no sign is in doubt."""
     problem = fit.problem
     own = of_masses(problem.model)[problem.free]
@@ -36,7 +36,7 @@ def softened(fit: Fit) -> RobotModel | None:
     return made if np.any(_widths(made) > _widths(model)) else None
 
 
-def sharpened(fit: Fit, sharp: RobotModel, reloaded: RobotModel | None) -> RobotModel | None:
+def model_with_sharpened_signs(fit: Fit, sharp: RobotModel, reloaded: RobotModel | None) -> RobotModel | None:
     """The model of a fit with signs as soft as its posterior of the masses leaves the loads; None where nothing changes.
 
     ``sharp`` has the effects with widths of their own, below which none goes; ``reloaded`` is the model with its loads on
@@ -73,9 +73,9 @@ TINY = 1e-12
 def _as_soft(
     model: RobotModel, sharp: RobotModel, rows: Observations, values: Floats, covariance: Floats
 ) -> RobotModel:
-    batch = model.loaded(model.batch(rows), values)
-    soft = replace(batch, blur=blur_of(model.effects, batch, covariance))
-    return replace(model, effects=tuple(effect.softened(soft) for effect in sharp.effects))
+    batch = model.apply_load_errors(model.batch(rows), values)
+    soft = replace(batch, blur=load_sign_blur(model.effects, batch, covariance))
+    return replace(model, effects=tuple(effect.with_softened_signs(soft) for effect in sharp.effects))
 
 
 def _widths(model: RobotModel) -> Floats:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.model import Calibration
-from kilter_core.parameters import ANGLE_PRIOR_RAD, LENGTH_PRIOR_M, reported
+from kilter_core.parameters import ANGLE_PRIOR_RAD, LENGTH_PRIOR_M, display_unit_and_scale
 from kilter_core.types import Floats
 
 CODE = "another_arm"
@@ -40,7 +40,7 @@ class Difference:
     @property
     def sentence(self) -> str:
         """In words, mm and degrees."""
-        scale, unit = reported("rad" if self.turns else "m")[::-1]
+        scale, unit = display_unit_and_scale("rad" if self.turns else "m")[::-1]
         return f"{self.what}: {self.nominal * scale:.4g} {unit} as described, {self.found * scale:.4g} {unit} as found"
 
 
@@ -57,7 +57,11 @@ def differences(calibration: Calibration) -> list[Difference]:
             lengths = _distance(nominal, k, along), _distance(found, k, along)
             out.append(Difference(f"distance of {pair}", *lengths, turns=False))
     inner = range(1, len(turns) - 1)
-    sure = [k for k in inner if all(turns[k - 1 : k + 2]) and _apart(nominal, k) and _apart(found, k)]
+    sure = [
+        k
+        for k in inner
+        if all(turns[k - 1 : k + 2]) and _is_far_from_parallel(nominal, k) and _is_far_from_parallel(found, k)
+    ]
     ends = [Difference(f"length along axis {k + 1}", _along(nominal, k), _along(found, k), turns=False) for k in sure]
     return [*out, *ends]
 
@@ -98,7 +102,7 @@ def _sine(axes: tuple[Floats, Floats], k: int) -> float:
     return float(np.linalg.norm(np.cross(axes[1][k], axes[1][k + 1])))
 
 
-def _apart(axes: tuple[Floats, Floats], k: int) -> bool:
+def _is_far_from_parallel(axes: tuple[Floats, Floats], k: int) -> bool:
     """Whether an axis is far from parallel to both its neighbours."""
     return min(_sine(axes, k - 1), _sine(axes, k)) > PARALLEL
 

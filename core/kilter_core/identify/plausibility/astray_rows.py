@@ -39,15 +39,15 @@ def astray_warnings(begin: Calibration, rows: Observations) -> Iterator[dict[str
             found += [(int(index[k]) + 1, float(off[k]), usual) for k in far]
     if found:
         others_mm = mm(max(usual for _, _, usual in found))
-        yield _said([(row, mm(off)) for row, off, _ in sorted(found)], others_mm)
+        yield _astray_warning([(row, mm(off)) for row, off, _ in sorted(found)], others_mm)
 
 
-def renumbered(warnings: Iterable[dict[str, Any]], index: Ints) -> Iterator[dict[str, Any]]:
+def renumber_warnings(warnings: Iterable[dict[str, Any]], index: Ints) -> Iterator[dict[str, Any]]:
     """The same warnings of rows that are ``index`` (from 0) of more."""
     for one in warnings:
         if one["code"] == ASTRAY:
             found = [(int(index[row - 1]) + 1, off) for row, off in zip(one["rows"], one["off_mm"], strict=True)]
-            yield _said(found, one["others_mm"])
+            yield _astray_warning(found, one["others_mm"])
         else:
             yield one
 
@@ -66,7 +66,7 @@ def unless_astray(warnings: Iterable[dict[str, Any]]) -> Iterator[dict[str, Any]
     yield from (one for one in said if not (astray and one["code"] == "large_residual"))
 
 
-def _said(found: list[tuple[int, float]], others_mm: float) -> dict[str, Any]:
+def _astray_warning(found: list[tuple[int, float]], others_mm: float) -> dict[str, Any]:
     shown = ", ".join(f"row {row} by {off:.3g} mm" for row, off in found[:SHOWN])
     more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
     return {
@@ -88,14 +88,16 @@ def _set_ups(rows: Observations) -> Iterator[Ints]:
 
 def _distances(begin: Calibration, rows: Observations, part: Ints) -> tuple[Ints, Floats]:
     """Rows of a set-up whose tool can be told, and how far (m) each is from the arm placed by base and tool alone."""
-    whole = Measurement.of(rows.select(part), begin.marker_points, held=True)
-    index, tool = part[whole.tool.measured()], whole.of_tool()
-    sample = Sample.of(begin, tool) if len(index) >= FEWEST else None
+    whole = Measurement.from_observations(rows.select(part), begin.marker_points, held=True)
+    index, tool = part[whole.tool.measured_row_mask()], whole.of_tool()
+    sample = Sample.from_measurement(begin, tool) if len(index) >= FEWEST else None
     if sample is None or len(sample) < FEWEST:
         return index[:0], np.zeros(0)
     points, _, use = seen_tool(tool, tool.observations)
     placed = (
-        sample.placed if sample.placed.size <= NEAR_M else place_nearer(sample.flange, sample.points, sample.placed)
+        sample.fitted_placement
+        if sample.fitted_placement.size <= NEAR_M
+        else place_nearer(sample.flange, sample.points, sample.fitted_placement)
     )
-    flange = sample.flange_of(tool.observations.q[use])
-    return index[use], np.linalg.norm(points[use] - placed.at(flange), axis=1)
+    flange = sample.predict_flange(tool.observations.q[use])
+    return index[use], np.linalg.norm(points[use] - placed.predict_points(flange), axis=1)

@@ -29,7 +29,7 @@ def reach(robot: Robot) -> float:
 def believable(sample: Sample, mixed: Sequence[MixUp], read: Sample) -> bool:
     """Whether the rows of ``sample`` can be what ``read`` has after these mix-ups."""
     robot = sample.begin.robot
-    if np.linalg.norm(read.placed.tool) > max(LONGEST_TOOL * reach(robot), LEAST_TOOL_M):
+    if np.linalg.norm(read.fitted_placement.tool) > max(LONGEST_TOOL * reach(robot), LEAST_TOOL_M):
         return False
     units = [m.factor for m in mixed if m.of_units and m.factor is not None]
     if units and not _within_limits(robot, read):
@@ -48,7 +48,7 @@ def _tells(sample: Sample, read: Sample, factor: float) -> bool:
     tell, and what is missing as the rows are must be of the size that the other unit makes of it.
     """
     missing = TOLD * read.lengths * abs(1.0 / factor - 1.0)
-    return sample.placed.size > missing and read.placed.size < TOLD * read.lengths
+    return sample.fitted_placement.size > missing and read.fitted_placement.size < TOLD * read.lengths
 
 
 def _within_limits(robot: Robot, read: Sample) -> bool:

@@ -56,14 +56,14 @@ def _judge_tool(begin: Calibration, rows: Observations) -> list[dict[str, Any]]:
     warnings: list[dict[str, Any]] = []
     if rows.position is None and rows.markers is None:
         return warnings
-    for part in _parts(rows):
-        of_tool = Measurement.of(part, begin.marker_points, held=True).of_tool()
+    for part in _split_by_setup(rows):
+        of_tool = Measurement.from_observations(part, begin.marker_points, held=True).of_tool()
         refuse_feigned_turns(begin, of_tool)
         warnings += [w for w in refuse_foreign(begin, of_tool) if w not in warnings]
     return [*warnings, *astray_warnings(begin, rows)]
 
 
-def _parts(rows: Observations) -> list[Observations]:
+def _split_by_setup(rows: Observations) -> list[Observations]:
     if rows.setup is None or len(codes := np.unique(rows.setup)) < 2:
         return [rows]
     return [rows.select(rows.setup == code) for code in codes]

@@ -51,14 +51,14 @@ class Link:
 
 def find_lacking(sample: Sample) -> Lacking:
     """The one transform more between two joints with which base and tool leave least of the points."""
-    best = Lacking("", sample.placed.size)
+    best = Lacking("", sample.fitted_placement.size)
     for link in _links(sample):
         for start in _starts(sample, link):
             transform = _fit_transform(sample, link, start)
             size = _placed_size(sample, link, transform)
             if size < SURELY * best.left:  # of transforms that say the same the least rotation comes first
                 best = Lacking(_describe(link, transform, SHORT * sample.spread), size)
-        if best.left < ENOUGH * sample.placed.size:
+        if best.left < ENOUGH * sample.fitted_placement.size:
             break
     return best
 
@@ -109,7 +109,7 @@ def _fit_transform(sample: Sample, link: Link, start: Floats) -> Floats:
         moved = np.einsum("kij,kj->ki", after[:, :3, :3], before @ turned.T + x[3:6]) + after[:, :3, 3]
         return turned, base, before, moved
 
-    def left(x: Floats) -> Floats:
+    def residual_vector(x: Floats) -> Floats:
         _, base, _, moved = chain(x)
         return np.concatenate([(moved @ base.T + x[9:12] - sample.points).reshape(-1), RIDGE * x[:6]])
 
@@ -124,7 +124,7 @@ def _fit_transform(sample: Sample, link: Link, start: Floats) -> Floats:
         J[:, :, 12:] = carried @ turned @ flange[:, :3, :3]
         return np.vstack([J.reshape(-1, 15), np.eye(6, 15) * RIDGE])
 
-    found = least_squares(left, begin, slopes, method="lm", ftol=SETTLED, max_nfev=EVALUATIONS)
+    found = least_squares(residual_vector, begin, slopes, method="lm", ftol=SETTLED, max_nfev=EVALUATIONS)
     return np.asarray(start @ _pose(found.x[:6]))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.observations import Observations
-from kilter_core.observations.clock import clock_of
+from kilter_core.observations.clock import read_clock
 from kilter_core.parameters import degrees, mm
 from kilter_core.types import Floats
 
@@ -47,7 +47,7 @@ def _sides(rows: Observations) -> Floats:
         return rows.direction
     assert rows.command is not None
     out = np.zeros_like(rows.q)
-    order = clock_of(rows).order
+    order = read_clock(rows).order
     out[order[1:]] = np.sign(np.diff(rows.command[order], axis=0))
     return out
 

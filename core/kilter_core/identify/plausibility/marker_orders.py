@@ -8,7 +8,7 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.marker_checks import alike_orders, exchanged
+from kilter_core.measurement.marker_checks import alike_orders, format_exchanged_markers
 from kilter_core.measurement.marker_shape import fit_poses
 from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration
@@ -50,7 +50,8 @@ def refuse_feigned_turns(begin: Calibration, measurement: Measurement) -> None:
         place = np.flatnonzero(usable)[rows]
         raise ObservationError(
             f"In {len(rows)} of {len(rotations)} rows, the first is row {place[0] + 1}, the markers show the tool rotated by "
-            f"{degrees(off[rows[0]]):.0f} degrees against the robot, as if markers {exchanged(order)} had changed places: "
+            f"{degrees(off[rows[0]]):.0f} degrees against the robot, as if markers {format_exchanged_markers(order)} "
+            "had changed places: "
             "number them the same in all rows, and space them unevenly so that it is noticed at once.",
             code="markers_swapped",
             row=int(place[0]) + 1,
@@ -63,7 +64,7 @@ def _tool_rotations(
     begin: Calibration, measurement: Measurement, shape: Floats, markers: Floats
 ) -> tuple[Floats, Bools]:
     """Rotation (K, 3, 3) of the marker shape on the flange in every usable row, by the robot as it begins."""
-    middle = Measurement.of(_without_rotations(measurement, markers))
+    middle = Measurement.from_observations(_without_rotations(measurement, markers))
     T_base, _ = register(begin.model, begin.values, middle)
     _, rotation, usable = fit_poses(shape, markers)
     bare = begin.model.in_frames(T_base, np.eye(4))

@@ -26,7 +26,7 @@ PARALLEL = 0.999  # cosine of the angle of two axes that are
 JOIN = "join joints and measurements by pose number or time again, and upload again"
 
 
-def _shifted(by: int) -> Callable[[int], Ints]:
+def _make_row_shift(by: int) -> Callable[[int], Ints]:
     return lambda count: (np.arange(count) + by) % count
 
 
@@ -40,7 +40,7 @@ ELSEWHERE: dict[str, tuple[str, str, Callable[[int], Ints]]] = {
     **{
         f"{steps:+d}": (
             f"Each measurement looks to be of the joints {abs(steps) if abs(steps) > 1 else 'one'} row"
-            f"{'s' * (abs(steps) > 1)} {'above' if steps < 0 else 'below'}", JOIN, _shifted(steps),
+            f"{'s' * (abs(steps) > 1)} {'above' if steps < 0 else 'below'}", JOIN, _make_row_shift(steps),
         )
         for steps in (-1, 1, -2, 2, -3, 3)
     },
@@ -149,7 +149,7 @@ def _signs(n: int) -> Iterator[MixUp]:
         yield MixUp(
             f"Joint {j + 1} looks to count the other way round",
             f"change the sign of the column of joint {j + 1}, or reverse its axis in the robot (ratio -1)",
-            factor=_at(n, [j], -1.0),
+            factor=_per_joint_values(n, [j], -1.0),
         )
     yield MixUp(
         "All joints look to count the other way round", "change the sign of their columns", factor=np.full(n, -1.0)
@@ -168,7 +168,7 @@ def _units(robot: Robot) -> Iterator[MixUp]:
             yield MixUp(
                 f"{who} like {was} declared as {declared}",
                 f"give the columns, or the column map, the unit {was}",
-                factor=_at(n, which, factor),
+                factor=_per_joint_values(n, which, factor),
                 of_units=True,
             )
     for j in set(range(n)) - set(revolute):
@@ -176,7 +176,7 @@ def _units(robot: Robot) -> Iterator[MixUp]:
             yield MixUp(
                 f"Joint {j + 1} looks like {was} declared as {declared}",
                 f"give its column the unit {was}",
-                factor=_at(n, [j], factor),
+                factor=_per_joint_values(n, [j], factor),
                 of_units=True,
             )
 
@@ -188,7 +188,7 @@ def _zeros(robot: Robot) -> Iterator[MixUp]:
             yield MixUp(
                 f"The zero of joint {j + 1} looks {degrees} degrees off",
                 f"add {degrees} degrees to the column of joint {j + 1}, or to its offset in the robot (DH and MDH differ)",
-                offset=_at(n, [j], np.radians(degrees), 0.0),
+                offset=_per_joint_values(n, [j], np.radians(degrees), 0.0),
             )
 
 
@@ -221,7 +221,7 @@ def _directions(robot: Robot) -> Floats:
     return (screws.direction * screws.ratio[:, None])[[moving.index(k) for k in robot.chain.primary]]
 
 
-def _at(n: int, joints: list[int], value: float, rest: float = 1.0) -> Floats:
+def _per_joint_values(n: int, joints: list[int], value: float, rest: float = 1.0) -> Floats:
     out = np.full(n, rest)
     out[joints] = value
     return out

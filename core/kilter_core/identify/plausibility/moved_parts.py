@@ -14,7 +14,7 @@ from scipy.stats import f
 
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.plausibility.views.view_residuals import NUMBERS, Part, ViewResiduals
-from kilter_core.observations.clock import clock_of
+from kilter_core.observations.clock import read_clock
 from kilter_core.parameters import degrees, mm
 from kilter_core.types import QUANTILE, Bools, Floats, Ints
 
@@ -69,16 +69,16 @@ def _step(seen: ViewResiduals, part: Part) -> Step | None:
     if not able.any() or seen.freedom <= 2 * NUMBERS:
         return None
     B = part.columns
-    H = _after(B.transpose(0, 2, 1) @ B)
-    Z = _after(seen.A.transpose(0, 2, 1) @ B)
-    c = _after(np.einsum("kij,ki->kj", B, seen.left))
-    S = H - Z.transpose(0, 2, 1) @ (seen.taken @ Z)
+    H = _tail_sums(B.transpose(0, 2, 1) @ B)
+    Z = _tail_sums(seen.A.transpose(0, 2, 1) @ B)
+    c = _tail_sums(np.einsum("kij,ki->kj", B, seen.refitted_residuals))
+    S = H - Z.transpose(0, 2, 1) @ (seen.parameter_covariance @ Z)
     size = np.sqrt(np.diagonal(H, axis1=1, axis2=2))
     size = np.where(able[:, None] & (size > 0.0), size, 1.0)
     S = S / (size[:, :, None] * size[:, None, :]) + RIDGE * np.eye(NUMBERS)
     inverse = np.linalg.inv(S) / (size[:, :, None] * size[:, None, :])
     gain = np.where(able, np.einsum("ki,kij,kj->k", c, inverse, c), 0.0)
-    whole = float(np.sum(seen.left**2))
+    whole = float(np.sum(seen.refitted_residuals**2))
     k = int(np.argmax(gain))
     free = seen.freedom - NUMBERS
     variance = max(whole - float(gain[k]), 1e-9 * whole, 1e-30) / free
@@ -92,7 +92,7 @@ def _step(seen: ViewResiduals, part: Part) -> Step | None:
     )  # fmt: skip
 
 
-def _after(each: Floats) -> Floats:
+def _tail_sums(each: Floats) -> Floats:
     """Sums over all from each place on."""
     return np.asarray(np.cumsum(each[::-1], axis=0)[::-1])
 
@@ -106,10 +106,10 @@ class Found:
     order: Ints
 
     @staticmethod
-    def of(fit: Fit, seen: ViewResiduals) -> Found | None:
+    def from_fit(fit: Fit, seen: ViewResiduals) -> Found | None:
         """What moved, beyond chance; None where nothing did."""
         rows = fit.problem.measurement.observations
-        given = clock_of(rows).order if rows.row is None else np.argsort(rows.row, kind="stable")
+        given = read_clock(rows).order if rows.row is None else np.argsort(rows.row, kind="stable")
         rank = np.empty(len(rows), dtype=np.int64)
         rank[given] = np.arange(len(rows))
         order = np.argsort(rank[seen.rows], kind="stable")

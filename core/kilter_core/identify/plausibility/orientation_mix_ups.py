@@ -46,7 +46,7 @@ def rotation_faults(sample: Sample, stated: bool) -> tuple[Accusation | None, tu
     Returns an accusation (sentences, remedies, degrees left before and after) or None, and warnings.
     """
     assert sample.rotations is not None
-    flange = sample.placed.rotation @ sample.flange[:, :3, :3]
+    flange = sample.fitted_placement.rotation @ sample.flange[:, :3, :3]
     before, tool = scatter(flange, sample.rotations[None])
     if before <= NEAR_RAD:
         return None, _right_angle(sample, tool) if stated else ()
@@ -87,13 +87,15 @@ def _angles(reference: Floats, rotations: Floats) -> Floats:
 
 def _of_joints(sample: Sample) -> Iterator[Reading]:
     """Mix-ups of joints that the positions do not see, as of those behind the last bend."""
-    limit = POSITION * sample.placed.size + 1e-4
+    limit = POSITION * sample.fitted_placement.size + 1e-4
     for m in mix_ups(sample.begin.robot):
         if m.length != 1.0 or m.mirror or m.inverted or m.offset is not None:
             continue
-        read = sample.without(m)
-        if read.placed.size <= limit and read.rotations is not None:
-            yield Reading(m.sentence, m.remedy, read.placed.rotation @ read.flange[:, :3, :3], read.rotations[None])
+        read = sample.undo_mix_up(m)
+        if read.fitted_placement.size <= limit and read.rotations is not None:
+            yield Reading(
+                m.sentence, m.remedy, read.fitted_placement.rotation @ read.flange[:, :3, :3], read.rotations[None]
+            )
 
 
 def _of_rotations(sample: Sample, flange: Floats) -> Iterator[Reading]:

@@ -32,7 +32,7 @@ class Placed:
     miss: Floats
     size: float
 
-    def at(self, flange: Floats) -> Floats:
+    def predict_points(self, flange: Floats) -> Floats:
         """Points (K, 3) of flange poses (K, 4, 4)."""
         return (flange[:, :3, 3] + flange[:, :3, :3] @ self.tool) @ self.rotation.T + self.place
 
@@ -43,12 +43,12 @@ def place(flange: Floats, points: Floats, limit: float = np.inf) -> Placed:
     What leaves more than ``limit`` m with all rows is not placed again without the farthest.
     """
     near = np.ones(len(points), dtype=bool)
-    placed = _placed(flange, points, near, None)
+    placed = _fit_placement(flange, points, near, None)
     for _ in range(STEPS if placed.size <= limit else 0):
-        before, near = near, _near(placed.miss)
+        before, near = near, _inlier_mask(placed.miss)
         if np.array_equal(before, near):
             break
-        after = _placed(flange, points, near, placed.rotation)
+        after = _fit_placement(flange, points, near, placed.rotation)
         if after.size >= placed.size:
             break
         placed = after
@@ -59,27 +59,27 @@ def place_nearer(flange: Floats, points: Floats, placed: Placed) -> Placed:
     """Base and tool for the nearer half of the rows: where more than a few are nowhere near, they do not count at all."""
     for _ in range(ROUNDS):
         near = placed.miss <= np.quantile(placed.miss, HALF)
-        after = _placed(flange, points, near, None)
+        after = _fit_placement(flange, points, near, None)
         if np.quantile(after.miss, HALF) >= np.quantile(placed.miss, HALF):
             break
         placed = after
     return placed
 
 
-def _placed(flange: Floats, points: Floats, near: Bools, rotation: Floats | None) -> Placed:
+def _fit_placement(flange: Floats, points: Floats, near: Bools, rotation: Floats | None) -> Placed:
     """Base and tool that place the rows ``near`` best; near a base ``rotation`` (3, 3) where one is known."""
     base, tool = best_frames(flange[near, :3, 3], flange[near, :3, :3], points[near], np.zeros(3), near=rotation)
-    return _measured(Placed(base[:3, :3], base[:3, 3], tool, np.zeros(0), 0.0), flange, points)
+    return _with_residuals(Placed(base[:3, :3], base[:3, 3], tool, np.zeros(0), 0.0), flange, points)
 
 
-def _measured(placed: Placed, flange: Floats, points: Floats) -> Placed:
-    miss = np.linalg.norm(points - placed.at(flange), axis=1)
-    near = miss[_near(miss)]
+def _with_residuals(placed: Placed, flange: Floats, points: Floats) -> Placed:
+    miss = np.linalg.norm(points - placed.predict_points(flange), axis=1)
+    near = miss[_inlier_mask(miss)]
     size = np.sqrt(np.sum(near**2) / max(len(near) - FRAMES / 3.0, 1.0))
     return replace(placed, miss=miss, size=float(size))
 
 
-def _near(miss: Floats) -> Bools:
+def _inlier_mask(miss: Floats) -> Bools:
     last = int(KEPT * (len(miss) - 1))
     return np.asarray(miss <= np.partition(miss, last)[last])
 
@@ -102,7 +102,7 @@ class Sample:
     limit: float = np.inf  # m that the start of a placement may leave and still be refined
 
     @staticmethod
-    def of(begin: Calibration, measurement: Measurement) -> Sample:
+    def from_measurement(begin: Calibration, measurement: Measurement) -> Sample:
         """Take distinct poses evenly from the rows whose tool can be seen."""
         o = measurement.observations
         row = _of_each_pose(o.pose_groups())
@@ -122,7 +122,7 @@ class Sample:
     def __len__(self) -> int:
         return len(self.q)
 
-    def part(self, index: Ints) -> Sample:
+    def select_rows(self, index: Ints) -> Sample:
         """Some of the rows."""
         return replace(
             self, q=self.q[index], points=self.points[index], row=self.row[index], session=self.session[index],
@@ -130,7 +130,7 @@ class Sample:
             elsewhere={name: q[index] for name, q in self.elsewhere.items()},
         )  # fmt: skip
 
-    def without(self, mix_up: MixUp) -> Sample:
+    def undo_mix_up(self, mix_up: MixUp) -> Sample:
         """The rows read as they would have been without a mix-up."""
         unit = wire_units(self.begin.robot)
         q = self.elsewhere[mix_up.rows] if mix_up.rows else self.q
@@ -143,9 +143,9 @@ class Sample:
     @cached_property
     def flange(self) -> Floats:
         """Flange poses (K, 4, 4) in the robot's base frame, without effects."""
-        return self.flange_of(self.q)
+        return self.predict_flange(self.q)
 
-    def flange_of(self, q: Floats) -> Floats:
+    def predict_flange(self, q: Floats) -> Floats:
         """The same of other joints (K, n)."""
         seen = self.begin.predict(Observations(q=q))
         out = np.tile(np.eye(4), (len(q), 1, 1))
@@ -153,7 +153,7 @@ class Sample:
         return out
 
     @cached_property
-    def placed(self) -> Placed:
+    def fitted_placement(self) -> Placed:
         """The rows placed on the robot by base and tool alone."""
         return place(self.flange, self.points, self.limit)
 

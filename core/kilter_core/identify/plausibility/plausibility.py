@@ -69,16 +69,16 @@ def refuse_foreign(begin: Calibration, measurement: Measurement) -> tuple[dict[s
     o = measurement.observations
     if o.position is None and o.markers is None:
         return ()
-    copied = tuple(_copied(o.markers))
-    sample = Sample.of(begin, measurement)
+    copied = tuple(_duplicate_marker_warnings(o.markers))
+    sample = Sample.from_measurement(begin, measurement)
     if len(sample) < FEWEST_POSES:
         return copied
-    found = _diagnosed(sample) or _changed(sample) or _in_part(sample)
+    found = _diagnose_mix_up(sample) or _find_frame_change(sample) or _diagnose_partial_mix_up(sample)
     if found is not None and not _explained_otherwise(sample, found):
         moved = {} if found.moved is None else {"moved_mm": mm(found.moved)}
         _refuse(found.sentences, found.remedies, mm(found.before), mm(found.after), "mm", moved)
     odd = (*copied, *_description_warnings(sample))
-    if sample.rotations is None or _far(sample):
+    if sample.rotations is None or _has_gross_misfit(sample):
         return odd
     accused, warnings = rotation_faults(sample, o.rotation is not None)
     if accused is not None:
@@ -101,7 +101,7 @@ def _explained_otherwise(sample: Sample, found: Finding) -> bool:
     return find_lacking(sample).left * ALIKE <= find_lacking(found.read).left
 
 
-def _copied(markers: Floats | None) -> Iterator[dict[str, Any]]:
+def _duplicate_marker_warnings(markers: Floats | None) -> Iterator[dict[str, Any]]:
     pair = None if markers is None else equal_markers(markers)
     if pair is not None:
         a, b = pair
@@ -135,7 +135,7 @@ def _description_warnings(sample: Sample) -> Iterator[dict[str, Any]]:
         ObservationError: base and tool make no more of the rows than of shuffled ones.
 
     """
-    found = find_misfit(sample) if _far(sample) else None
+    found = find_misfit(sample) if _has_gross_misfit(sample) else None
     if found is None:
         return
     before, shuffled = mm(found.left), mm(found.shuffled)
@@ -155,29 +155,29 @@ def _description_warnings(sample: Sample) -> Iterator[dict[str, Any]]:
     }  # fmt: skip
 
 
-def _far(sample: Sample) -> bool:
+def _has_gross_misfit(sample: Sample) -> bool:
     """Whether base and tool alone leave more than real arms do."""
-    return sample.placed.size > max(NEAR_M, NEAR * sample.spread)
+    return sample.fitted_placement.size > max(NEAR_M, NEAR * sample.spread)
 
 
-def _diagnosed(sample: Sample) -> Finding | None:
+def _diagnose_mix_up(sample: Sample) -> Finding | None:
     """The mix-up, or the two together, that explain all rows."""
-    if not _far(sample):
+    if not _has_gross_misfit(sample):
         return None
     known = [m for m in mix_ups(sample.begin.robot) if sample.rotations is not None or not m.inverted]
-    hurried = replace(sample, limit=HOPELESS * sample.placed.size)
-    read = [(m, hurried.without(m)) for m in known]
+    hurried = replace(sample, limit=HOPELESS * sample.fitted_placement.size)
+    read = [(m, hurried.undo_mix_up(m)) for m in known]
     found = _certain(sample, [((m,), s) for m, s in read])
-    if found is not None or sample.placed.size < FAR * sample.spread:
+    if found is not None or sample.fitted_placement.size < FAR * sample.spread:
         return found
     pairs, done = [], set[frozenset[int]]()
     for first in _seeds(sample, read):
-        after = hurried.without(first)
+        after = hurried.undo_mix_up(first)
         for m in known:
             both = frozenset((id(first), id(m)))
             if len(both) == 2 and both not in done and not (m.rows or first.length != 1.0 != m.length):
                 done.add(both)
-                pairs.append(((first, m), after.without(m)))
+                pairs.append(((first, m), after.undo_mix_up(m)))
     return _certain(sample, pairs, PAIRS)
 
 
@@ -198,45 +198,47 @@ def _certain(sample: Sample, read: Sequence[tuple[tuple[MixUp, ...], Sample]], s
     if _misfit(best) * FACTOR * stricter > _misfit(sample) or _misfit(best) * stricter > GOOD:
         return None
     alike = [ms for ms, s in read if _misfit(s) <= ALIKE * _misfit(best)]
-    sentences = tuple(", and ".join(_then(m.sentence, k) for k, m in enumerate(ms)) for ms in alike)
+    sentences = tuple(", and ".join(_lower_unless_first(m.sentence, k) for k, m in enumerate(ms)) for ms in alike)
     remedies = tuple("; and ".join(m.remedy for m in ms) for ms in alike)
-    before, after = sample.placed.size, best.placed.size
+    before, after = sample.fitted_placement.size, best.fitted_placement.size
     return Finding(sentences, tuple(dict.fromkeys(remedies)), before, after, read=best if len(alike[0]) == 1 else None)
 
 
 def _misfit(sample: Sample) -> float:
     """Residual as a share of the workspace: points read a thousand times smaller leave less of anything."""
-    return sample.placed.size / max(_size(sample.points), 1e-12)
+    return sample.fitted_placement.size / max(_size(sample.points), 1e-12)
 
 
-def _then(sentence: str, place: int) -> str:
+def _lower_unless_first(sentence: str, place: int) -> str:
     return sentence if place == 0 else sentence[0].lower() + sentence[1:]
 
 
-def _changed(sample: Sample) -> Finding | None:
+def _find_frame_change(sample: Sample) -> Finding | None:
     """Base or tool that changed once during the campaign, in the order of sessions and time or in that of the rows."""
-    if not _far(sample) or len(sample) < 2 * FEWEST_POSES:
+    if not _has_gross_misfit(sample) or len(sample) < 2 * FEWEST_POSES:
         return None
     by_row = np.argsort(sample.row)
     again = np.any(np.diff(by_row) < 0)
-    return _changed_in_order(sample) or (_changed_in_order(sample.part(by_row)) if again else None)
+    return _changed_in_order(sample) or (_changed_in_order(sample.select_rows(by_row)) if again else None)
 
 
 def _changed_in_order(sample: Sample) -> Finding | None:
-    cut = min(_cuts(sample), key=lambda k: _apart(sample, k)[0])
+    cut = min(_cuts(sample), key=lambda k: _fit_two_sides(sample, k)[0])
     cut = _moved_cut(sample, cut)
-    size, head, tail = _apart(sample, cut)
-    if size * FACTOR > sample.placed.size or size > GOOD * sample.spread:
+    size, head, tail = _fit_two_sides(sample, cut)
+    if size * FACTOR > sample.fitted_placement.size or size > GOOD * sample.spread:
         return None
-    late = sample.part(np.arange(cut, len(sample)))
-    moved = float(np.sqrt(np.mean(np.sum((head.at(late.flange) - tail.at(late.flange)) ** 2, axis=1))))
+    late = sample.select_rows(np.arange(cut, len(sample)))
+    moved = float(
+        np.sqrt(np.mean(np.sum((head.predict_points(late.flange) - tail.predict_points(late.flange)) ** 2, axis=1)))
+    )
     if moved < max(CHANGED_M, 0.02 * sample.spread):
         return None
-    what, where = _what_moved(late, head, tail, size), f"row {sample.row[cut] + 1}"
+    what, where = _moved_frame_name(late, head, tail, size), f"row {sample.row[cut] + 1}"
     return Finding(
         (f"{what} looks changed by {mm(moved):.3g} mm from {where} on",),
         ("make a campaign of the rows before and one of those after it, and identify them apart",),
-        sample.placed.size, size, moved,
+        sample.fitted_placement.size, size, moved,
     )  # fmt: skip
 
 
@@ -250,21 +252,21 @@ def _cuts(sample: Sample) -> list[int]:
 def _moved_cut(sample: Sample, cut: int) -> int:
     """The cut where each row goes to the side that places it better."""
     for _ in range(3):
-        _, head, tail = _apart(sample, cut)
-        early, late = (np.sum((sample.points - p.at(sample.flange)) ** 2, axis=1) for p in (head, tail))
+        _, head, tail = _fit_two_sides(sample, cut)
+        early, late = (np.sum((sample.points - p.predict_points(sample.flange)) ** 2, axis=1) for p in (head, tail))
         cost = np.concatenate([[0.0], np.cumsum(early - late)])
         cut = int(np.clip(np.argmin(cost), FEWEST_POSES, len(sample) - FEWEST_POSES))
     return cut
 
 
-def _apart(sample: Sample, cut: int) -> tuple[float, Placed, Placed]:
+def _fit_two_sides(sample: Sample, cut: int) -> tuple[float, Placed, Placed]:
     """Residual of the two sides placed each on its own."""
     sides = [place(sample.flange[a:b], sample.points[a:b]) for a, b in pairwise((0, cut, len(sample)))]
     size = np.sqrt((cut * sides[0].size ** 2 + (len(sample) - cut) * sides[1].size ** 2) / len(sample))
     return float(size), sides[0], sides[1]
 
 
-def _what_moved(late: Sample, head: Placed, tail: Placed, size: float) -> str:
+def _moved_frame_name(late: Sample, head: Placed, tail: Placed, size: float) -> str:
     """Whether another tool point explains the later rows with the base of the earlier ones, or the other way round."""
     local = (late.points - head.place) @ head.rotation - late.flange[:, :3, 3]
     held = np.einsum("nji,nj->ni", late.flange[:, :3, :3], local)
@@ -282,31 +284,31 @@ def _same_tool(head: Placed, tail: Placed) -> bool:
     return float(np.linalg.norm(head.tool - tail.tool)) < CHANGED_M
 
 
-def _in_part(sample: Sample) -> Finding | None:
+def _diagnose_partial_mix_up(sample: Sample) -> Finding | None:
     """A mix-up of the first or last rows only, or of one session."""
-    if sample.placed.size < FAR * sample.spread or len(sample) < 2 * FEWEST_POSES:
+    if sample.fitted_placement.size < FAR * sample.spread or len(sample) < 2 * FEWEST_POSES:
         return None
-    for mixed, rest, where in _parts(sample):
-        if rest.placed.size * FACTOR < sample.placed.size and not _far(rest):
-            found = _diagnosed(mixed)
+    for mixed, rest, where in _partial_samples(sample):
+        if rest.fitted_placement.size * FACTOR < sample.fitted_placement.size and not _has_gross_misfit(rest):
+            found = _diagnose_mix_up(mixed)
             if found is not None:
                 sentences = tuple(f"{s} {where}" for s in found.sentences)
                 return Finding(sentences, found.remedies, found.before, found.after)
     return None
 
 
-def _parts(sample: Sample) -> list[tuple[Sample, Sample, str]]:
+def _partial_samples(sample: Sample) -> list[tuple[Sample, Sample, str]]:
     sessions = np.unique(sample.session)
     out = []
     for code in sessions if len(sessions) > 1 else ():
         mine = sample.session == code
         if FEWEST_POSES <= mine.sum() <= len(sample) - FEWEST_POSES:
             place_of = (np.flatnonzero(mine), np.flatnonzero(~mine), f"in session {code}")
-            out.append((sample.part(place_of[0]), sample.part(place_of[1]), place_of[2]))
+            out.append((sample.select_rows(place_of[0]), sample.select_rows(place_of[1]), place_of[2]))
     third = max(FEWEST_POSES, len(sample) // 3)
     rows = np.arange(len(sample))
-    out.append((sample.part(rows[-third:]), sample.part(rows[:third]), "in the later rows"))
-    out.append((sample.part(rows[:third]), sample.part(rows[-third:]), "in the earlier rows"))
+    out.append((sample.select_rows(rows[-third:]), sample.select_rows(rows[:third]), "in the later rows"))
+    out.append((sample.select_rows(rows[:third]), sample.select_rows(rows[-third:]), "in the earlier rows"))
     return out
 
 

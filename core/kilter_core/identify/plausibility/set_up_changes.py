@@ -50,14 +50,14 @@ def set_up_change(calibration: Calibration, parts: Sequence[Observations]) -> Se
     rows = [part.select(evenly(len(part), MOST_ROWS // len(rows))) for part in rows]
     try:
         joined = Observations.concatenate([replace(part, pose_id=None) for part in rows])
-        return _found(calibration, joined, np.repeat(np.arange(len(rows)), list(map(len, rows))))
+        return _find_set_up_change(calibration, joined, np.repeat(np.arange(len(rows)), list(map(len, rows))))
     except (CoreError, np.linalg.LinAlgError):  # rows that differ in what was measured, or lack what an effect reads
         return None
 
 
-def _found(calibration: Calibration, rows: Observations, part: Ints) -> SetUpChange | None:
+def _find_set_up_change(calibration: Calibration, rows: Observations, part: Ints) -> SetUpChange | None:
     model, values = calibration.model.absorb_frame_increments(calibration.values)
-    measurement = Measurement.of(rows, calibration.marker_points, held=True).of_tool()
+    measurement = Measurement.from_observations(rows, calibration.marker_points, held=True).of_tool()
     free = np.arange(len(model.names))
     residual = linearised_residual(model, measurement, model.batch(measurement.observations), values, free)
     block = next((one for one in residual.blocks if one.group == POINTS), None)

@@ -93,16 +93,16 @@ def sheet_orders(robot: Robot, sheets: Sequence[Observations]) -> list[SheetOrde
     if judged:
         best = _best(read)
         for place, k in enumerate(judged):
-            out[k] = _judged(robot, read, best, place)
+            out[k] = _evaluate_sheet(robot, read, best, place)
     return out
 
 
-def _judged(robot: Robot, read: list[list[_Read]], best: tuple[int, ...], place: int) -> SheetOrder:
+def _evaluate_sheet(robot: Robot, read: list[list[_Read]], best: tuple[int, ...], place: int) -> SheetOrder:
     """The order of one sheet, the others in the orders that fit best with each of its own."""
     with_each = [_best(read, place, quarters) for quarters in range(4)]
     losses = np.array([_loss(read, orders)[0] for orders in with_each])
     likeliest = best[place]
-    left = [_left(read, orders, place) for orders in with_each]
+    left = [_sheet_misfit(read, orders, place) for orders in with_each]
     freedom = 3 * (2 * HARMONICS + 1) - 6 - robot.n_joints
     chi = left[likeliest][0] / max(freedom, 1)
     lead = (losses - losses[likeliest]) / (2.0 * max(1.0, chi))
@@ -131,7 +131,7 @@ def _loss(read: list[list[_Read]], orders: Sequence[int]) -> tuple[float, Floats
     return float(sum(c.r @ c.r for c in chosen) - g @ x), np.asarray(x)
 
 
-def _left(read: list[list[_Read]], orders: Sequence[int], place: int) -> tuple[float, float]:
+def _sheet_misfit(read: list[list[_Read]], orders: Sequence[int], place: int) -> tuple[float, float]:
     """Chi-square and rms m of what is left of one sheet."""
     one = read[place][orders[place]]
     rest = (one.r - one.A @ _loss(read, orders)[1])[: one.rows].reshape(-1, 3)
@@ -165,7 +165,7 @@ class _Circle:
     harmonics: Floats
     sigma: Floats
 
-    def carried(self, quarters: int) -> Floats:
+    def shifted_positions(self, quarters: int) -> Floats:
         """Positions (n, 3) if the points were given ``quarters`` too late; heights were logged, and stay."""
         there, here = (_basis(angle) @ self.harmonics for angle in (self.angle - quarters * np.pi / 2, self.angle))
         error = np.column_stack([there[:, 0] + self.radius, there[:, 1], here[:, 2]])
@@ -201,7 +201,7 @@ def _around(robot: Robot, rows: Observations) -> _Circle | None:
     read = READ_M if rows.sigma is None else float(np.sqrt(np.mean(rows.sigma**2)))
     c, s, zero, one = np.cos(angle), np.sin(angle), np.zeros(len(p)), np.ones(len(p))
     ways = np.stack([np.stack(way, axis=1) for way in ((c, s, zero), (-s, c, zero), (zero, zero, one))], axis=1)
-    return _Circle(centre, radius, angle, ways @ axes.T, *_smoothed(angle, error, read))
+    return _Circle(centre, radius, angle, ways @ axes.T, *_fit_harmonics(angle, error, read))
 
 
 def _clockwise(wanted: Floats) -> bool:
@@ -210,7 +210,7 @@ def _clockwise(wanted: Floats) -> bool:
     return float(np.median(x[:-1] * y[1:] - x[1:] * y[:-1])) < 0
 
 
-def _smoothed(angle: Floats, error: Floats, read: float) -> tuple[Floats, Floats]:
+def _fit_harmonics(angle: Floats, error: Floats, read: float) -> tuple[Floats, Floats]:
     """Harmonics (2 HARMONICS + 1, 3) of the errors, and the sigma (3,) of one row that covers noise and model."""
     B = _basis(angle)
     harmonics = np.linalg.lstsq(B, error, rcond=None)[0]
@@ -225,7 +225,7 @@ def _smoothed(angle: Floats, error: Floats, read: float) -> tuple[Floats, Floats
 
 def _read(robot: Robot, rows: Observations, circle: _Circle, quarters: int) -> _Read:
     """The errors of a sheet carried to where they belong in one order, the base of the sheet taken out."""
-    position = circle.carried(quarters)
+    position = circle.shifted_positions(quarters)
     moved = replace(rows, position=position, rotation=None, markers=None, direction=last_motion(rows.q))
     moved = moved.carrying(LOAD_KG, (0.0, 0.0, 0.0))
     model, _ = _in_place(robot, moved)

@@ -39,8 +39,12 @@ class Misfit:
 
 def find_misfit(sample: Sample) -> Misfit | None:
     """What rows leave that are not of the arm described; None where zeros of the joints or errors of an arm explain it."""
-    left = sample.placed.size
-    if sample.spread < MOVED_M or left < FAR * sample.spread or with_zeros(sample).placed.size < EXPLAINED * left:
+    left = sample.fitted_placement.size
+    if (
+        sample.spread < MOVED_M
+        or left < FAR * sample.spread
+        or with_zeros(sample).fitted_placement.size < EXPLAINED * left
+    ):
         return None
     shuffled, lacking = _residual_of_shuffled_rows(sample), find_lacking(sample)
     if lacking.left <= EXPLAINED * left:
@@ -64,51 +68,53 @@ def mastered_otherwise(sample: Sample, left: float) -> bool:
     found = with_zeros(sample)
     moved = np.abs(found.q[0] - sample.q[0])
     turns = np.array([joint.kind == "revolute" for joint in sample.begin.robot.joints])
-    return found.placed.size <= left and bool(np.all(moved <= np.where(turns, FARTHEST_RAD, FARTHEST_M)))
+    return found.fitted_placement.size <= left and bool(np.all(moved <= np.where(turns, FARTHEST_RAD, FARTHEST_M)))
 
 
 def with_zeros(sample: Sample) -> Sample:
     """The sample with the zeros of the joints fitted too, from where they are."""
     now = sample
     for _ in range(STEPS):
-        changed = _zeroed(now)
-        if changed.placed.size >= 0.999 * now.placed.size:
+        changed = _step_joint_zeros(now)
+        if changed.fitted_placement.size >= 0.999 * now.fitted_placement.size:
             break
         now = changed
     return now
 
 
-def _zeroed(sample: Sample) -> Sample:
+def _step_joint_zeros(sample: Sample) -> Sample:
     """The sample after one damped step in the zeros of its joints, base and tool following."""
-    n, placed = sample.q.shape[1], sample.placed
-    here = placed.at(sample.flange)
-    columns = [(_moved(sample, _one(n, k)) - here).reshape(-1) / DIFFERENCE_RAD for k in range(n)]
+    n, placed = sample.q.shape[1], sample.fitted_placement
+    here = placed.predict_points(sample.flange)
+    columns = [
+        (_points_after_joint_step(sample, _joint_step(n, k)) - here).reshape(-1) / DIFFERENCE_RAD for k in range(n)
+    ]
     frames = [_frame(sample, k) for k in range(9)]
     J = np.column_stack([*columns, *frames])
     r = (sample.points - here).reshape(-1)
     H = J.T @ J
     x = np.linalg.solve(H + 1e-6 * np.trace(H) / len(H) * np.eye(len(H)), J.T @ r)
     tried = [replace(sample, q=sample.q + share * x[:n]) for share in (1.0, 0.5, 0.25)]
-    return min(tried, key=lambda s: s.placed.size)
+    return min(tried, key=lambda s: s.fitted_placement.size)
 
 
-def _one(n: int, k: int) -> Floats:
+def _joint_step(n: int, k: int) -> Floats:
     return np.asarray(DIFFERENCE_RAD * np.eye(n)[k])
 
 
-def _moved(sample: Sample, by: Floats) -> Floats:
+def _points_after_joint_step(sample: Sample, by: Floats) -> Floats:
     """Points (K, 3) of the placed sample with its joints moved."""
     seen = sample.begin.predict(Observations(q=sample.q + by))
     flange = np.tile(np.eye(4), (len(sample), 1, 1))
     flange[:, :3, :3], flange[:, :3, 3] = seen.rotation, seen.position
-    return sample.placed.at(flange)
+    return sample.fitted_placement.predict_points(flange)
 
 
 def _frame(sample: Sample, k: int) -> Floats:
     """Derivative (3 K,) of the placed points by a number of the base (rotation, place) or of the tool point."""
-    placed, axis = sample.placed, np.eye(3)[k % 3]
+    placed, axis = sample.fitted_placement, np.eye(3)[k % 3]
     if k < 3:
-        return np.asarray(np.cross(axis, placed.at(sample.flange) - placed.place).reshape(-1))
+        return np.asarray(np.cross(axis, placed.predict_points(sample.flange) - placed.place).reshape(-1))
     if k < 6:
         return np.tile(axis, len(sample))
     return np.asarray((placed.rotation @ sample.flange[:, :3, :3] @ axis).reshape(-1))

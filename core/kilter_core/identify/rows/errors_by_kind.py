@@ -18,7 +18,7 @@ from kilter_core.identify.rows.noise import pooled_columns
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.kind import Kind
 from kilter_core.model import Calibration
-from kilter_core.parameters import reported
+from kilter_core.parameters import display_unit_and_scale
 from kilter_core.types import Bools, Floats
 
 SHARPER = 2.0  # times more certain, from which a parameter is named
@@ -27,7 +27,7 @@ KindErrors = dict[str, dict[str, Floats]]
 """Squared errors (K,) of each stage, by kind."""
 
 
-def errors_of(stages: Stages, measurement: Measurement) -> KindErrors:
+def squared_errors_by_kind(stages: Stages, measurement: Measurement) -> KindErrors:
     """What each stage leaves of each kind."""
     return {
         kind.name: {name: np.sum(kind.errors(stage)[0] ** 2, axis=1) for name, stage in stages.items()}
@@ -35,7 +35,7 @@ def errors_of(stages: Stages, measurement: Measurement) -> KindErrors:
     }
 
 
-def pooled(parts: list[KindErrors]) -> KindErrors:
+def pool_kind_errors(parts: list[KindErrors]) -> KindErrors:
     """Pool folds, or set-ups."""
     names = dict.fromkeys(name for part in parts for name in part)
     return {
@@ -69,30 +69,30 @@ class Shares:
     together: tuple[str, ...]
 
     @staticmethod
-    def of(fit: Fit, names: tuple[str, ...]) -> Shares:
+    def from_fit(fit: Fit, names: tuple[str, ...]) -> Shares:
         """Split the information of a fit by kind; only the parameters ``names`` are named."""
         measurement = fit.problem.measurement
         told = _information(fit)
         whole = sum(told.values(), np.zeros((len(fit.names),) * 2))
-        all_known, left = _known(whole), _left(whole)
+        all_known, left = _identifiable_mask(whole), _relative_sigma(whole)
         shares, alone_at_all = [], np.zeros(len(fit.names), dtype=bool)
         for kind in measurement.kinds:
-            alone = _known(told[kind.name])
+            alone = _identifiable_mask(told[kind.name])
             others = sum((H for name, H in told.items() if name != kind.name), np.zeros_like(told[kind.name]))
-            only = all_known & ~_known(others)
+            only = all_known & ~_identifiable_mask(others)
             alone_at_all |= alone
-            more = _left(others) / left
-            named = _named(fit, alone, names), _named(fit, only, names)
+            more = _relative_sigma(others) / left
+            named = _select_names(fit, alone, names), _select_names(fit, only, names)
             sharper = all_known & ~only & (more > SHARPER) & np.isin(fit.names, list(names))
             times = {fit.names[k]: float(more[k]) for k in np.flatnonzero(sharper)}
-            shares.append(Share(kind, _noise(fit, kind), _repeated(fit, kind), *named, times))
-        return Shares(tuple(shares), _named(fit, all_known & ~alone_at_all, names))
+            shares.append(Share(kind, _noise(fit, kind), _sigma_from_repeats(fit, kind), *named, times))
+        return Shares(tuple(shares), _select_names(fit, all_known & ~alone_at_all, names))
 
     def to_document(self, train: KindErrors, held: KindErrors) -> dict[str, Any]:
         """The ``measurements`` of the result, in mm or degrees, and what they tell together."""
         rows = []
         for share in self.each:
-            unit, scale = reported(share.kind.unit)
+            unit, scale = display_unit_and_scale(share.kind.unit)
             rows.append({
                 "kind": share.kind.name,
                 "unit": unit,
@@ -110,29 +110,29 @@ class Shares:
 
 def _information(fit: Fit) -> dict[str, Floats]:
     """Information (F, F) of each kind, per prior sigma."""
-    here = fit.problem.linearised(fit.values, fit.residual)
+    here = fit.problem.linearise(fit.values, fit.residual)
     scaled, start, seen, out = here.J * fit.problem.prior_sigma, 0, 0, {}
     measurement = fit.problem.measurement
     prediction = fit.problem.model.predict(fit.problem.batch, fit.values)
     for kind in measurement.kinds:
         blocks = here.residual.blocks[seen : seen + len(kind.blocks(prediction))]
-        seen, size = seen + len(blocks), sum(fit.problem.numbers_of(block) for block in blocks)
+        seen, size = seen + len(blocks), sum(fit.problem.block_size(block) for block in blocks)
         own = scaled[start : start + size]
         out[kind.name] = np.asarray(own.T @ own)
         start += size
     return out
 
 
-def _left(information: Floats) -> Floats:
+def _relative_sigma(information: Floats) -> Floats:
     """Posterior over prior standard deviation (F,)."""
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(information + np.eye(len(information))))))
 
 
-def _known(information: Floats) -> Bools:
-    return identifiable(_left(information), np.ones(len(information)))
+def _identifiable_mask(information: Floats) -> Bools:
+    return identifiable(_relative_sigma(information), np.ones(len(information)))
 
 
-def _named(fit: Fit, which: Bools, names: tuple[str, ...]) -> tuple[str, ...]:
+def _select_names(fit: Fit, which: Bools, names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for name, told in zip(fit.names, which, strict=True) if told and name in names)
 
 
@@ -143,10 +143,10 @@ def _groups(fit: Fit, kind: Kind) -> list[str]:
 
 def _noise(fit: Fit, kind: Kind) -> float:
     """Standard deviation by which the first block of the kind was weighed."""
-    return float(np.mean(fit.problem.weights.of(_groups(fit, kind)[0])))
+    return float(np.mean(fit.problem.weights.group_sigma(_groups(fit, kind)[0])))
 
 
-def _repeated(fit: Fit, kind: Kind) -> float | None:
+def _sigma_from_repeats(fit: Fit, kind: Kind) -> float | None:
     """The same from repeats of a pose, which owe nothing to the model; None without, and of lengths between rows."""
     rows = fit.problem.measurement.observations
     block = kind.blocks(fit.problem.model.predict(fit.problem.batch, fit.values))[0]

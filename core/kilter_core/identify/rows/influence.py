@@ -11,7 +11,7 @@ import numpy as np
 
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.parameters import Parameter, indices, mm, reported
+from kilter_core.parameters import Parameter, display_unit_and_scale, indices, mm
 from kilter_core.types import Floats
 
 STEP_RAD = math.radians(0.05)  # the deviations of thesis 3.5
@@ -42,7 +42,7 @@ class Influence:
         first = np.bincount(np.argmax(k, axis=1), minlength=len(self.names)) / len(k)
         rows = []
         for c in np.argsort(-self.moved.mean(axis=0), kind="stable"):
-            unit, scale = reported(self.units[c])
+            unit, scale = display_unit_and_scale(self.units[c])
             column = mm(self.moved[:, c])
             rows.append({
                 "name": self.names[c], "step": float(self.steps[c]) * scale, "unit": unit,
@@ -52,7 +52,7 @@ class Influence:
         return rows
 
 
-def influence_of(calibration: Calibration, observations: Observations, names: Sequence[str]) -> Influence:
+def parameter_influence(calibration: Calibration, observations: Observations, names: Sequence[str]) -> Influence:
     """Impose +0.05 deg on angles and +0.1 mm on lengths, one at a time, at every pose (thesis 3.5, figure 3.8).
 
     Raises:
@@ -63,7 +63,7 @@ def influence_of(calibration: Calibration, observations: Observations, names: Se
     batch = model.batch(observations)
     still = model.predict(batch, values).position
     chosen = indices(model.names, names)
-    steps = np.array([step_of(model.parameters[k]) for k in chosen])
+    steps = np.array([imposed_step(model.parameters[k]) for k in chosen])
     moved = np.empty((len(still), len(chosen)))
     for c, k in enumerate(chosen):
         there = values.copy()
@@ -72,7 +72,7 @@ def influence_of(calibration: Calibration, observations: Observations, names: Se
     return Influence(tuple(names), tuple(model.parameters[k].unit for k in chosen), steps, moved)
 
 
-def step_of(parameter: Parameter) -> float:
+def imposed_step(parameter: Parameter) -> float:
     """Deviation imposed on a parameter, SI."""
     return {"rad": STEP_RAD, "m": STEP_M}.get(parameter.unit, STEP_SHARE * parameter.prior_sigma)
 

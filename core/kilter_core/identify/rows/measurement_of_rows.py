@@ -28,7 +28,7 @@ def measurement_for(
         ObservationError: nothing measured. OptionError: a method that does not go with these rows.
 
     """
-    made = Measurement.of(
+    made = Measurement.from_observations(
         observations,
         points,
         relative=options.base == "removed",

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, f
 
-from kilter_core.identify.fit.robust import scale_of
+from kilter_core.identify.fit.robust import median_scale
 from kilter_core.measurement import Residual
 from kilter_core.observations import Observations
 from kilter_core.observations.copies import identical_repeats
 from kilter_core.observations.directions import with_directions
-from kilter_core.observations.groups import unbiased
+from kilter_core.observations.groups import unbiased_deviations
 from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats, Ints
 
@@ -43,7 +43,7 @@ class Repeats:
     copies: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @staticmethod
-    def of(observations: Observations, left: Residual | None = None) -> Repeats:
+    def from_observations(observations: Observations, left: Residual | None = None) -> Repeats:
         """Read the repeats; from what a fit ``left`` of them where it is known, so that readings need not be equal.
 
         Where no column says from which side a pose was approached, the order of the rows says which way each joint moved
@@ -72,14 +72,18 @@ class Repeats:
 def _read(observations: Observations, flat: Floats) -> Repeats:
     condition, visit = observations.conditions(), observations.visits()
     rows = np.flatnonzero(~np.isnan(flat).any(axis=1))
-    shots, _, off = _pooled(flat[rows], visit[rows])
+    shots, _, off = _pooled_sigma(flat[rows], visit[rows])
     wrong = [rows[off]]
     rows = rows[~off]
     _, first, place, count = np.unique(visit[rows], return_index=True, return_inverse=True, return_counts=True)
     mean = np.stack([np.bincount(place, weights=c) for c in flat[rows].T], axis=1) / count[:, None]
-    spread, freedom, off = _pooled(mean, condition[rows][first])
+    spread, freedom, off = _pooled_sigma(mean, condition[rows][first])
     wrong.append(rows[off[place]])
-    between = None if spread is None else float(np.hypot(spread, (shots or 0.0) * np.sqrt(_lost(count[~off]))))
+    between = (
+        None
+        if spread is None
+        else float(np.hypot(spread, (shots or 0.0) * np.sqrt(_averaged_variance_share(count[~off]))))
+    )
     return Repeats(between, shots, np.sort(np.concatenate(wrong)), freedom)
 
 
@@ -109,7 +113,7 @@ def repeat_sigma(observations: Observations) -> float | None:
 
     Markers count as their own points; rows with an unseen marker are left out.
     """
-    return Repeats.of(observations).between
+    return Repeats.from_observations(observations).between
 
 
 def _points(observations: Observations, left: Residual | None) -> Floats | None:
@@ -119,7 +123,7 @@ def _points(observations: Observations, left: Residual | None) -> Floats | None:
     return None if points is None else points.reshape(len(points), -1)
 
 
-def _lost(count: Ints) -> float:
+def _averaged_variance_share(count: Ints) -> float:
     """Share of the variance of a shot that the mean of a visit has lost."""
     return float(np.mean(1.0 - 1.0 / count)) if len(count) else 0.0
 
@@ -129,26 +133,26 @@ def pooled_columns(values: Floats, group: Ints) -> float | None:
     square, freedom = 0.0, 0
     for column in values.T:
         seen = ~np.isnan(column)
-        spread, free, _ = _pooled(column[seen, None], group[seen])
+        spread, free, _ = _pooled_sigma(column[seen, None], group[seen])
         if spread is not None:
             square, freedom = square + free * spread**2, freedom + free
     return float(np.sqrt(square / freedom)) if freedom else None
 
 
-def _pooled(values: Floats, group: Ints) -> tuple[float | None, int, Bools]:
+def _pooled_sigma(values: Floats, group: Ints) -> tuple[float | None, int, Bools]:
     """Standard deviation of a coordinate within groups, its freedom, and which values (N,) are too far off to count."""
     kept = np.ones(len(values), dtype=bool)
     width = values.shape[1] if len(values) else 1
     limit = float(np.sqrt(chi2.isf(CHANCE / max(len(values), 1), width)))
     for _ in range(PASSES):
-        off, free = unbiased(values, group, kept)
+        off, free = unbiased_deviations(values, group, kept)
         count = np.bincount(group[kept], minlength=int(group.max(initial=-1)) + 1)
         size = np.where(kept & (count[group] > 1), np.linalg.norm(off, axis=1), 0.0)
         told = size[kept & (count[group] > 1)]
         if not len(told):
             break
-        far = size > limit * scale_of(told, width)
-        if not far.any() or scale_of(told, width) == 0.0:
+        far = size > limit * median_scale(told, width)
+        if not far.any() or median_scale(told, width) == 0.0:
             break
         # Of a group the worst goes first: it drags the mean that makes the others look wrong.
         worst = np.zeros(len(count))

@@ -15,9 +15,15 @@ from scipy.special import chdtri
 
 from kilter_core.identify.fit.least_squares import Fit, taken_by_group
 from kilter_core.identify.options import FRAME_NAMES
-from kilter_core.identify.uncertainty.clustered import as_normal, mixed, products, sandwich, scores_by_pose
+from kilter_core.identify.uncertainty.clustered import (
+    as_normal,
+    products,
+    sandwich,
+    scores_by_pose,
+    shrink_score_covariance,
+)
 from kilter_core.identify.uncertainty.predictive import CHANCE, Predictive
-from kilter_core.identify.views.cameras import rig_at, unknown_rig
+from kilter_core.identify.views.cameras import rig_from_values, unknown_rig
 from kilter_core.measurement.camera.view_scatter import ViewScatter
 from kilter_core.model.placed_rig import PlacedRig, Unknown
 from kilter_core.parameters import Parameter
@@ -33,7 +39,7 @@ def view_scatter(fit: Fit) -> ViewScatter:
     return views.tool_errors(fit.calibration()).scatter(fit.effective - inner, inner)
 
 
-def place_beside(fit: Fit) -> float | None:
+def tool_sigma_from_views(fit: Fit) -> float | None:
     """Standard deviation (m) of a coordinate of the tool by views beside a tracker; None where no view tells.
 
     Corners say how noisy a view is, whatever a model lacks. So views say how far off the tool is where a tracker's points, each
@@ -55,7 +61,7 @@ def by_views(fit: Fit, found: ViewScatter) -> Fit:
     assert views is not None
     taken = float(np.mean(problem.weights.points)) / views.metres_per_px
     factor = max(found.beyond, 1.0) * (found.sigma_px / taken) ** 2
-    return by_poses(fit, *problem.by_row(problem.linearised(fit.values, fit.residual)), found, factor)
+    return by_poses(fit, *problem.by_row(problem.linearise(fit.values, fit.residual)), found, factor)
 
 
 def by_poses(fit: Fit, A: Floats, r: Floats, found: ViewScatter, factor: float = 1.0) -> Fit:
@@ -64,7 +70,7 @@ def by_poses(fit: Fit, A: Floats, r: Floats, found: ViewScatter, factor: float =
     total, known = products(A, A), problem.prior_information()
     bread = np.asarray(np.linalg.inv(total + known), dtype=np.float64)
     poses = scores_by_pose(A, r, problem.measurement.observations.pose_groups(), bread)
-    around = sandwich(total + known, mixed(factor * total, *poses), known, known)
+    around = sandwich(total + known, shrink_score_covariance(factor * total, *poses), known, known)
     scale = as_normal(problem.prior_sigma, found.freedom)
     return replace(fit, covariance=around * np.outer(scale, scale), freedom=found.freedom)
 
@@ -75,7 +81,7 @@ def predictive_of_views(fit: Fit, found: ViewScatter) -> Predictive:
     That the tool is rotated beyond what the model explains counts where views scatter by more than chance: the likeliest width
     of something that is not there is above 0, and tilts of views are so noisy that it would hide a part of every change.
     """
-    rig, views = rig_at(fit.problem.model, fit.values), fit.problem.measurement.pixels
+    rig, views = rig_from_values(fit.problem.model, fit.values), fit.problem.measurement.pixels
     assert rig is not None
     assert views is not None
     seen, frames = {p.name for _, p in _unknowns(fit)}, _frames(rig, fit)
@@ -104,11 +110,15 @@ def _frames(rig: PlacedRig, fit: Fit) -> list[tuple[str, Floats]]:
     ball = any(name.startswith("tool_") for name in fit.names)  # told by contacts, and a parameter like any other
     T = inverse(fit.calibration().model.T_base)
     at = {key: (rig.cameras if key[0] else rig.boards)[key[1]] for key in (room, tool)}
-    base = ("base", -_adjoint(T @ at[room].pose) @ at[room].twist @ _selected(fit, *room))
-    return [base] if ball else [base, ("tool", _adjoint(at[tool].pose) @ at[tool].twist @ _selected(fit, *tool))]
+    base = ("base", -_adjoint(T @ at[room].pose) @ at[room].twist @ _pose_increment_rows(fit, *room))
+    return (
+        [base]
+        if ball
+        else [base, ("tool", _adjoint(at[tool].pose) @ at[tool].twist @ _pose_increment_rows(fit, *tool))]
+    )
 
 
-def _selected(fit: Fit, camera: bool, place: int) -> Floats:
+def _pose_increment_rows(fit: Fit, camera: bool, place: int) -> Floats:
     """Rows (6, F) that pick the increments of a part; zero where they were not fitted."""
     out = np.zeros((6, len(fit.names)))
     for unknown, parameter in _unknowns(fit):
@@ -132,7 +142,7 @@ def _adjoint(T: Floats) -> Floats:
     return out
 
 
-def sigmas_of(fit: Fit) -> dict[str, float]:
+def rig_sigmas(fit: Fit) -> dict[str, float]:
     """Standard deviations of what was fitted of cameras and boards, SI and px."""
     names = {p.name for _, p in _unknowns(fit)}
     return {name: float(s) for name, s in zip(fit.names, fit.sigma, strict=True) if name in names}

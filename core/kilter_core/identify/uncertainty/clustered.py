@@ -20,7 +20,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from kilter_core.identify.fit.least_squares import HUBER_SIGMAS, Fit, freedom_by_group
 from kilter_core.identify.fit.problem import HOLD
 from kilter_core.identify.fit.robust import Loss, tukey_limit
-from kilter_core.identify.fit.tukey import dimension_of, row_sizes
+from kilter_core.identify.fit.tukey import row_dimension, row_sizes
 from kilter_core.identify.uncertainty.row_numbers import RowNumbers
 from kilter_core.identify.uncertainty.settling import scatter_of_poses
 from kilter_core.measurement.kind import TURNS
@@ -30,7 +30,7 @@ FOLLOWED = 0.02  # share of the noise below which the fit follows a pose in a di
 SMALL = 1e-12  # share of the largest below which a direction of the scores is none
 
 
-def clustered(fit: Fit) -> Fit:
+def with_clustered_covariance(fit: Fit) -> Fit:
     """The fit with the covariance clustered by pose, and the ``freedom`` of its scale.
 
     Poses that weigh themselves by all of their covariance, as views do, need no scatter to tell how theirs is: the fit follows
@@ -45,21 +45,25 @@ def clustered(fit: Fit) -> Fit:
     groups = problem.measurement.observations.pose_groups()
     if not problem.measurement.observes_places:
         return fit
-    if len(fit.J) > sum(problem.numbers_of(block) for block in fit.residual.blocks):
+    if len(fit.J) > sum(problem.block_size(block) for block in fit.residual.blocks):
         return fit  # a filter goes on from what it knew, and takes the noise it is given
-    each = RowNumbers.of(fit)
+    each = RowNumbers.from_fit(fit)
     A, r = each.A, each.r
     total = products(A, A)
     eye, known = np.eye(len(total)), problem.prior_information()
     held = eye[:0] if problem.held is None else problem.held
-    bend = bend_of(fit)
+    bend = robust_curvature_factor(fit)
     H = bend * total + known + HOLD * held.T @ held
     bread: Floats = np.asarray(np.linalg.inv(H), dtype=np.float64)
     numbers = problem.measurement.numbers()
     left = max(numbers - bend * float(np.trace(bread @ total)), 1.0)
     weighed = problem.measurement.observations.pose_weight is not None
-    shared = total if weighed else _shared(each, groups, _lost(fit, each, bend * bread, numbers / left))
-    meat = mixed(shared, *scores_by_pose(A, r, groups, bread))
+    shared = (
+        total
+        if weighed
+        else _pooled_score_covariance(each, groups, _residual_inflation(fit, each, bend * bread, numbers / left))
+    )
+    meat = shrink_score_covariance(shared, *scores_by_pose(A, r, groups, bread))
     around = sandwich(H, meat, H - bend * total, known)
     scale = as_normal(problem.prior_sigma, left)
     return replace(fit, covariance=around * np.outer(scale, scale) + _of_few(fit, left), freedom=left)
@@ -92,7 +96,7 @@ def _of_few(fit: Fit, left: float) -> Floats:
     """
     apart, start, more = freedom_by_group(fit), 0, np.zeros_like(fit.covariance)
     for block in fit.residual.blocks if apart else ():
-        J = fit.J[start : start + fit.problem.numbers_of(block)]
+        J = fit.J[start : start + fit.problem.block_size(block)]
         start += len(J)
         own, all_kinds = (float(scipy.stats.t.ppf(0.975, f)) for f in (min(apart[block.group], left), left))
         moved = J @ fit.covariance
@@ -100,18 +104,18 @@ def _of_few(fit: Fit, left: float) -> Floats:
     return more
 
 
-def bend_of(fit: Fit) -> float:
+def robust_curvature_factor(fit: Fit) -> float:
     """Mean slope of a robust loss's pull over its mean weight, by which the normal matrix is too certain (Huber 1981)."""
     if fit.problem.loss == "linear":
         return 1.0
-    size, dimension = row_sizes(fit), dimension_of(fit.problem)
+    size, dimension = row_sizes(fit), row_dimension(fit.problem)
     loss = Loss("huber", HUBER_SIGMAS) if fit.problem.loss == "huber" else Loss("tukey", tukey_limit(dimension))
     weight = loss.weight(size)
     bend = (1.0 - 1.0 / dimension) * weight + loss.slope(size) / dimension
     return float(np.mean(bend) / np.mean(weight))
 
 
-def _lost(fit: Fit, each: RowNumbers, bread: Floats, of_all: float) -> Floats:
+def _residual_inflation(fit: Fit, each: RowNumbers, bread: Floats, of_all: float) -> Floats:
     """What makes up (R,) for what the parameters took of each number, of which ``of_all`` is the mean.
 
     Where several kinds were measured each has its own: a dozen points give up a third of theirs, and thousands of corners
@@ -127,22 +131,22 @@ def _lost(fit: Fit, each: RowNumbers, bread: Floats, of_all: float) -> Floats:
     return out
 
 
-def _shared(each: RowNumbers, groups: Ints, lost: Floats) -> Floats:
+def _pooled_score_covariance(each: RowNumbers, groups: Ints, lost: Floats) -> Floats:
     """Covariance (F, F) of the scores, had all poses the same scatter: shared by the rows of a pose, and each row's own.
 
     ``lost (R,)`` makes up for what the parameters took from the poses. Numbers that a row has not say nothing of the scatter.
     """
     A, told = each.A, each.told.astype(np.float64)
-    count = _summed(told, groups)
+    count = _sum_by_pose(told, groups)
     seen, own_count = count > 0.0, np.maximum(count, 1.0)
-    mean = _summed(each.r, groups) / own_count
+    mean = _sum_by_pose(each.r, groups) / own_count
     apart = (each.r - mean[groups]) * told
     both = np.asarray(seen.T @ seen.astype(np.float64))
     own = apart.T @ apart / np.maximum(told.T @ told - both, 1.0)
     scaled = np.sqrt(lost) * mean
     common = scaled.T @ scaled / np.maximum(both, 1.0)
     if len(A) > len(count):
-        common = _bounded(common - own * float(np.mean(1.0 / own_count[seen])), own, int(count.max()))
+        common = _bound_common_covariance(common - own * float(np.mean(1.0 / own_count[seen])), own, int(count.max()))
     order = np.argsort(groups, kind="stable")
     start = np.searchsorted(groups[order], np.arange(len(count)))
     whole = np.add.reduceat(A[order], start)
@@ -153,7 +157,7 @@ def _shared(each: RowNumbers, groups: Ints, lost: Floats) -> Floats:
     return products(whole, of_poses @ whole) + products(A, own @ A)
 
 
-def _summed(values: Floats, groups: Ints) -> Floats:
+def _sum_by_pose(values: Floats, groups: Ints) -> Floats:
     """Sums (G, R) of values (N, R) over the rows of each pose."""
     return np.stack([np.bincount(groups, weights=column) for column in values.T], axis=1)
 
@@ -177,7 +181,7 @@ def scores_by_pose(A: Floats, r: Floats, groups: Ints, bread: Floats) -> tuple[F
     return np.concatenate(scores), unseen
 
 
-def mixed(shared: Floats, scores: Floats, unseen: Floats) -> Floats:
+def shrink_score_covariance(shared: Floats, scores: Floats, unseen: Floats) -> Floats:
     """The middle of the sandwich (F, F).
 
     What the poses say by themselves counts as far as it differs from what they share by more than chance makes it.
@@ -194,7 +198,7 @@ def mixed(shared: Floats, scores: Floats, unseen: Floats) -> Floats:
     return np.asarray(back @ (share * np.eye(len(seen)) + (1.0 - share) * seen) @ back.T)
 
 
-def _bounded(common: Floats, own: Floats, most: int) -> Floats:
+def _bound_common_covariance(common: Floats, own: Floats, most: int) -> Floats:
     """What rows share, as estimated; where chance makes it negative, no further than the mean of ``most`` rows allows.
 
     Cut off at zero it would be too large on average.

@@ -34,9 +34,9 @@ def beside_drawn_masses(plain: Fit, fit: Fit, errors: LoadError) -> Fit:
     rng = np.random.default_rng(0)
     half = rng.standard_normal((DRAWS // 2, len(parameters))) * [p.prior_sigma for p in parameters]
     drawn = np.clip(np.vstack([half, -half]), [p.lower for p in parameters], [p.upper for p in parameters])
-    J, steps = before.linearised(plain.values, plain.residual).J.copy(), []
+    J, steps = before.linearise(plain.values, plain.residual).J.copy(), []
     for one in drawn:
-        here = problem.linearised(np.concatenate([plain.values, one]))
+        here = problem.linearise(np.concatenate([plain.values, one]))
         J[:, moving] = here.J
         steps.append(np.linalg.solve(*before.derivatives(plain.values, replace(here, J=J))))
     moved = np.array(steps) * before.prior_sigma

@@ -12,10 +12,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.identify.fit.least_squares import Fit, fit_at
+from kilter_core.identify.fit.least_squares import Fit, build_fit
 from kilter_core.identify.uncertainty.by_views import by_poses, view_scatter
 from kilter_core.identify.uncertainty.clustered import products
-from kilter_core.identify.views.cameras import rig_at, unknown_rig
+from kilter_core.identify.views.cameras import rig_from_values, unknown_rig
 from kilter_core.measurement import Block
 from kilter_core.measurement.camera.view_scatter import SMALLEST_M, SMALLEST_RAD, ViewScatter
 from kilter_core.measurement.camera.views import sight_by_tool
@@ -41,16 +41,16 @@ def beside_held_arm(fit: Fit) -> Fit:
     """
     if not holds_arm(fit):
         return fit
-    problem = fit.problem if fit.problem.held is None else fit.problem.reweighted(fit.problem.weights, None)
+    problem = fit.problem if fit.problem.held is None else fit.problem.with_weights(fit.problem.weights, None)
     for _ in range(ROUNDS):
-        A, r = _whitened(fit, view_scatter(fit))
-        away = problem.prior.stiff(problem.prior.away(problem.current(fit.values)))
+        A, r = _whiten_with_tool_error(fit, view_scatter(fit))
+        away = problem.prior.stiff(problem.prior.standardized_deviation(problem.current(fit.values)))
         downhill = np.einsum("nrk,nr->k", A, r) - away
         step: Floats = np.asarray(
             np.linalg.solve(products(A, A) + problem.prior_information(), downhill), dtype=np.float64
         )
-        values = problem.moved(fit.values, step)
-        fit = replace(fit_at(problem, values, problem.linearised(values), fit.iterations), report=fit.report)
+        values = problem.apply_step(fit.values, step)
+        fit = replace(build_fit(problem, values, problem.linearise(values), fit.iterations), report=fit.report)
         if float(np.max(np.abs(step), initial=0.0)) < SETTLED:
             break
     return fit
@@ -62,16 +62,16 @@ def by_held_arm(fit: Fit, found: ViewScatter) -> Fit:
     Views of one pose share what the arm is off by there: what each pose says counts as in
     :mod:`~kilter_core.identify.uncertainty.clustered`.
     """
-    return by_poses(fit, *_whitened(fit, found), found)
+    return by_poses(fit, *_whiten_with_tool_error(fit, found), found)
 
 
-def _whitened(fit: Fit, found: ViewScatter) -> tuple[Floats, Floats]:
+def _whiten_with_tool_error(fit: Fit, found: ViewScatter) -> tuple[Floats, Floats]:
     """Jacobian (N, R, F) in prior sigmas and residuals (N, R), by corners and a tool that is off as was found."""
     problem, views = fit.problem.wholly(), fit.problem.measurement.pixels
-    rig = rig_at(problem.model, fit.values)
+    rig = rig_from_values(problem.model, fit.values)
     assert views is not None
     assert rig is not None
-    here = problem.linearised(fit.values)
+    here = problem.linearise(fit.values)
     A, r = problem.by_row(here)
     seen = views.views(problem.model.predict(problem.batch, fit.values))
     by_tool = sight_by_tool(rig, seen, views.pixels.shape[1])[1]
@@ -84,7 +84,7 @@ def _whitened(fit: Fit, found: ViewScatter) -> tuple[Floats, Floats]:
     along, size, _ = np.linalg.svd(B * wide / corner, full_matrices=False)
     less = 1.0 - 1.0 / np.sqrt(1.0 + size**2)  # of what is along the motions of the tool, beside what corners say
 
-    def by(x: Floats) -> Floats:
+    def apply_whitening(x: Floats) -> Floats:
         return np.asarray((x - along @ (less[:, :, None] * (along.transpose(0, 2, 1) @ x))) / corner)
 
-    return by(A), by(r[:, :, None])[:, :, 0]
+    return apply_whitening(A), apply_whitening(r[:, :, None])[:, :, 0]

@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_core.errors import NotConvergedError
 from kilter_core.identify.fit.least_squares import Fit, solve
-from kilter_core.types import QUANTILE, Bools, Each, Floats, Ints, Progress, one_by_one
+from kilter_core.types import QUANTILE, Bools, Each, Floats, Ints, Progress, run_sequentially
 
 CONFIDENCE = 0.95
 RESAMPLES = 1000
@@ -30,7 +30,7 @@ class Intervals:
     upper: Floats
     stands_in: Bools
 
-    def widened(self, factor: Floats) -> Intervals:
+    def widen_by_factor(self, factor: Floats) -> Intervals:
         """The intervals of each parameter times a factor (F,)."""
         return replace(self, lower=self.lower * factor, upper=self.upper * factor)
 
@@ -58,24 +58,24 @@ def bootstrap(fit: Fit, seed: int, progress: Progress, resamples: int = RESAMPLE
     return Intervals("bootstrap", low, high, np.zeros(len(low), dtype=bool))
 
 
-def profile(fit: Fit, progress: Progress, each: Each = one_by_one) -> Intervals:
+def profile(fit: Fit, progress: Progress, each: Each = run_sequentially) -> Intervals:
     """Where the loss, minimised over all other parameters, has risen by what 95 % allow (1.92), on either side.
 
     Each parameter takes up to ``2 * TRIALS`` fits and knows nothing of the others: ``each`` computes them.
     """
     tasks = [(fit, c) for c in range(len(fit.names))]
-    found = each(ends_of, tasks, lambda fraction, stage: progress(fraction, f"profile {stage}"))
+    found = each(profile_ends, tasks, lambda fraction, stage: progress(fraction, f"profile {stage}"))
     lower, upper, stands_in = zip(*found, strict=True)
     return Intervals("profile", np.array(lower), np.array(upper), np.array(stands_in, dtype=bool))
 
 
-def ends_of(task: tuple[Fit, int], progress: Progress) -> tuple[float, float, bool]:
+def profile_ends(task: tuple[Fit, int], progress: Progress) -> tuple[float, float, bool]:
     """Lower and upper end of one parameter's profile, and whether 1.96 sigma stand in for an end that is not there."""
     fit, c = task
     sigma, ends, stands_in = float(fit.sigma[c]), [], False
     for side, sign in enumerate((-1.0, 1.0)):
         progress(0.5 * side, fit.names[c])
-        end = _end(fit, c, sign * sigma)
+        end = _find_profile_end(fit, c, sign * sigma)
         stands_in |= end is None
         ends.append(sign * QUANTILE * sigma if end is None else end)
     return ends[0], ends[1], stands_in
@@ -83,7 +83,7 @@ def ends_of(task: tuple[Fit, int], progress: Progress) -> tuple[float, float, bo
 
 def _by_pose(fit: Fit, groups: Ints) -> tuple[Floats, Floats]:
     """Normal matrices (G, F, F) and slopes (G, F) of each pose, in prior sigmas."""
-    here = fit.problem.linearised(fit.values)
+    here = fit.problem.linearise(fit.values)
     scaled = here.J * fit.problem.prior_sigma
     rows = len(groups)
     owner = np.concatenate([np.repeat(groups, block.r.size // rows) for block in here.residual.blocks])
@@ -95,7 +95,7 @@ def _by_pose(fit: Fit, groups: Ints) -> tuple[Floats, Floats]:
     return H, g
 
 
-def _end(fit: Fit, c: int, sigma: float) -> float | None:
+def _find_profile_end(fit: Fit, c: int, sigma: float) -> float | None:
     """Move of parameter ``c`` at which the root of twice the loss reaches the quantile; None if it never does."""
     try:
         return profile_end(lambda move: _root(fit, c, move), QUANTILE * sigma, QUANTILE, TRIALS)

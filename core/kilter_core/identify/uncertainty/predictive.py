@@ -89,7 +89,7 @@ class Predictive:
         of the measurement, are left out.
         """
         arm = acting(calibration, rows)
-        free, C = self._of(arm.names)
+        free, C = self._known_covariance(arm.names)
         out = np.empty((len(rows), 3))
         for part in _slices(len(rows)):
             J = arm.model.jacobian(rows.select(part), arm.values, free, False)[1][:, :3]
@@ -102,18 +102,18 @@ class Predictive:
         ``refit`` frames were fitted to these rows: what they take up is no longer uncertain.
         """
         frames = {f"{frame}_{k}" for frame in refit for k in FRAME_NAMES}
-        free, C = self._of(calibration.names, frames)
+        free, C = self._known_covariance(calibration.names, frames)
         noise = self.noise**2 + self.inadequacy**2
         if refit:
             J = np.concatenate([part for _, part in _mean_jacobians(calibration, measurement, free)])
-            J, lever = _beside(J, np.array([calibration.names[k] in frames for k in free]))
+            J, lever = _project_out_frames(J, np.array([calibration.names[k] in frames for k in free]))
             return _widths(J, C, noise * (1.0 - lever))
         out = np.empty((len(measurement.observations), 3))
         for where, J in _mean_jacobians(calibration, measurement, free):
             out[where] = _widths(J, C, noise)
         return out
 
-    def parts(self, calibration: Calibration, measurement: Measurement, refit: Sequence[str] = ()) -> Parts:
+    def variance_parts(self, calibration: Calibration, measurement: Measurement, refit: Sequence[str] = ()) -> Parts:
         """What the covariance contributes to each measured row, told apart by frames and everything else.
 
         Where the frames are is known only together with the other parameters, for a base can take up what a first link does.
@@ -123,18 +123,18 @@ class Predictive:
         """
         fitted = {f"{frame}_{k}" for frame in refit for k in FRAME_NAMES}
         frames = {f"{frame}_{k}" for frame in ("base", "tool") for k in FRAME_NAMES}
-        free, C = self._of(calibration.names, fitted)
+        free, C = self._known_covariance(calibration.names, fitted)
         J = np.concatenate([part for _, part in _mean_jacobians(calibration, measurement, free)])
         again = np.zeros(J.shape[:2])
         if refit:
-            J, lever = _beside(J, np.array([calibration.names[k] in fitted for k in free]))
+            J, lever = _project_out_frames(J, np.array([calibration.names[k] in fitted for k in free]))
             again = (self.noise**2 + self.inadequacy**2) * lever
         own = np.array([calibration.names[k] in frames for k in free], dtype=bool)
-        total, alone = _quadratic(J, C), _quadratic(J[:, :, own], _given(C, own))
+        total, alone = _quadratic(J, C), _quadratic(J[:, :, own], _conditional_covariance(C, own))
         apart = _quadratic(J[:, :, own], C[np.ix_(own, own)]), _quadratic(J[:, :, ~own], C[np.ix_(~own, ~own)])
         return Parts(alone + again, np.maximum(total - alone, 0.0), _correlation(total, *apart))
 
-    def _of(self, names: Sequence[str], more: Collection[str] = ()) -> tuple[Ints, Floats]:
+    def _known_covariance(self, names: Sequence[str], more: Collection[str] = ()) -> tuple[Ints, Floats]:
         """Where the known of these names are, with ``more`` that count as known exactly, and their covariance."""
         free = [k for k, name in enumerate(names) if name in self.names or name in more]
         place = [c for c, k in enumerate(free) if names[k] in self.names]
@@ -175,7 +175,7 @@ def predictive(
     that than these say that the tool is off (``by_views`` m of a coordinate).
     """
     of_noise = freedom_by_group(fit).get(POINTS, fit.freedom or np.inf)
-    left, freedom, kind = left_of(fit), repeats.freedom, fit.problem.measurement.tool.name
+    left, freedom, kind = residual_sigma(fit), repeats.freedom, fit.problem.measurement.tool.name
     sigma = fit.problem.measurement.observations.sigma
     noise = stated if stated is not None else repeats.between
     if noise is None and sigma is not None:
@@ -195,7 +195,7 @@ def predictive(
 
 def noise_of_rows(rows: Observations) -> float | None:
     """Standard deviation (m) of a coordinate by the rows' own repeats, or as stated with them; None where neither tells."""
-    between = Repeats.of(rows).between
+    between = Repeats.from_observations(rows).between
     if between is not None or rows.sigma is None:
         return between
     return float(np.sqrt(np.nanmean(rows.sigma**2)))
@@ -208,7 +208,7 @@ def _reaching(variance: float, left: float, structure: Structure | None) -> floa
     return float(np.sqrt(variance + structure.lacking * (structure.reach**2 - 1.0) * left**2))
 
 
-def left_of(fit: Fit) -> float:
+def residual_sigma(fit: Fit) -> float:
     """Standard deviation (m) of a coordinate about the fit, corrected for what the parameters took from the poses."""
     problem, points = fit.problem, fit.residual.points
     groups = problem.measurement.observations.pose_groups()
@@ -252,7 +252,7 @@ def _quadratic(J: Floats, C: Floats) -> Floats:
     return np.asarray(np.einsum("nip,nip->ni", J @ C, J))
 
 
-def _given(C: Floats, own: Bools) -> Floats:
+def _conditional_covariance(C: Floats, own: Bools) -> Floats:
     """Covariance of some parameters where all others are known: their Schur complement, scaled so that it can be computed."""
     size = np.sqrt(np.maximum(np.diag(C), 0.0))
     size = np.where(size > 0.0, size, 1.0)
@@ -275,7 +275,7 @@ def _slices(count: int) -> Iterator[slice]:
         yield slice(start, min(start + SLICE, count))
 
 
-def _beside(J: Floats, frames: Bools) -> tuple[Floats, Floats]:
+def _project_out_frames(J: Floats, frames: Bools) -> tuple[Floats, Floats]:
     """Jacobian (N, 3, P) of what frames fitted to the same rows leave, and their leverage (N, 3)."""
     flat = J.reshape(-1, J.shape[2])
     Q = np.linalg.qr(flat[:, frames])[0]

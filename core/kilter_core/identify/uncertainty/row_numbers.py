@@ -30,20 +30,20 @@ class RowNumbers:
     group: tuple[str, ...]
 
     @staticmethod
-    def of(fit: Fit) -> RowNumbers:
+    def from_fit(fit: Fit) -> RowNumbers:
         """Of the rows of a fit; views in a fit whose numbers are shortened already, and rows of a filter, as they are."""
         problem, rows = fit.problem, len(fit.problem.measurement.observations)
-        here = problem.linearised(fit.values, fit.residual)
+        here = problem.linearise(fit.values, fit.residual)
         A, r = problem.by_row(here)
         L, start, parts = levers(fit), 0, []
         for block, root in zip(fit.residual.blocks, problem.roots(fit.residual), strict=True):
-            each = problem.numbers_of(block) // rows
+            each = problem.block_size(block) // rows
             own = slice(start, start + each)
             start += each
             told = ~np.isnan(block.r).reshape(rows, -1)
             part = RowNumbers(A[:, own], r[:, own], L[:, own], told[:, :each], (block.group,) * each)
             if isinstance(block.slopes, Spanned) and each == told.shape[1]:  # not shortened yet
-                part = part.followed(block.slopes.span, root, told)
+                part = part.project_on_span(block.slopes.span, root, told)
             parts.append(part)
         return RowNumbers(
             np.concatenate([p.A for p in parts], axis=1), np.concatenate([p.r for p in parts], axis=1),
@@ -51,7 +51,7 @@ class RowNumbers:
             tuple(group for p in parts for group in p.group),
         )  # fmt: skip
 
-    def followed(self, span: Floats, root: Floats | None, told: Floats) -> RowNumbers:
+    def project_on_span(self, span: Floats, root: Floats | None, told: Floats) -> RowNumbers:
         """As the numbers that move along a ``span (N, R, k)``, each row's own; a robust loss weighs them by a ``root``."""
         weight = (
             np.ones(told.shape) if root is None else np.broadcast_to(root, (*root.shape[:2], 2)).reshape(told.shape)

@@ -46,7 +46,7 @@ def scatter_of_poses(mean: Floats, lever: Floats, common: Floats, known: Floats,
     share = np.concatenate([[1.0], np.zeros(n)])
     for _ in range(ROUNDS):
         inverse = np.asarray(np.linalg.inv(_together(share, flat, scaled) + known), dtype=np.float64)
-        share = 0.5 * (share + _scored(inverse, mean, scaled, flat))
+        share = 0.5 * (share + _estimate_scatter_shares(inverse, mean, scaled, flat))
         share[0] = max(share[0], LEAST)
     return _together(share, flat, scaled)
 
@@ -55,7 +55,7 @@ def _together(share: Floats, flat: Floats, scaled: Floats) -> Floats:
     return np.asarray(share[0] * flat + (scaled * share[1:]) @ scaled.transpose(0, 2, 1))
 
 
-def _scored(inverse: Floats, mean: Floats, scaled: Floats, flat: Floats) -> Floats:
+def _estimate_scatter_shares(inverse: Floats, mean: Floats, scaled: Floats, flat: Floats) -> Floats:
     """Shares (1 + n,), none negative, that the residuals of the poses ask for under these inverse covariances."""
     n = scaled.shape[2]
     scaled_inverse = inverse @ scaled

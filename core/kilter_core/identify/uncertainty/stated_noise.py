@@ -18,7 +18,7 @@ from scipy.stats import f
 from kilter_core.identify.carried_masses import of_masses
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.rows.noise import Repeats
-from kilter_core.identify.uncertainty.predictive import EXACT, left_of
+from kilter_core.identify.uncertainty.predictive import EXACT, residual_sigma
 from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats, Ints
 
@@ -60,12 +60,12 @@ class BeyondNoise:
         return self.factor if self.widened else 1.0
 
     @staticmethod
-    def of(fit: Fit, repeats: Repeats, stated: float | None) -> BeyondNoise | None:
+    def from_fit(fit: Fit, repeats: Repeats, stated: float | None) -> BeyondNoise | None:
         """Judge a clustered fit; ``stated`` is the noise (m) of a coordinate, else that of the rows counts; None if fine."""
-        noise, points = _stated(fit, repeats, stated), fit.residual.points
+        noise, points = _known_noise(fit, repeats, stated), fit.residual.points
         if noise is None or len(points) != len(fit.problem.measurement.observations):
             return None
-        left = left_of(fit)
+        left = residual_sigma(fit)
         by_chance = float(f.isf(CHANCE, max(fit.freedom or 1.0, 1.0), EXACT))
         if left**2 <= noise**2 * max(by_chance, CLEARLY**2):
             return None
@@ -91,11 +91,11 @@ class BeyondNoise:
             "code": "more_than_stated_noise", "stated_mm": mm(self.noise), "left_mm": mm(self.left),
             "factor": self.factor, "widened_by": self.widening, "rows": rows.tolist(), "near_sign_change": near.tolist(),
             "message": f"The fit leaves {mm(self.left):.3g} mm in a coordinate, {self.factor:.2g} times the noise of "
-            f"{mm(self.noise):.3g} mm that is known of the rows: the model lacks something. {self._where(rows, near)} "
+            f"{mm(self.noise):.3g} mm that is known of the rows: the model lacks something. {self._describe_rows(rows, near)} "
             f"{self._intervals()}{self._remedy()}",
         }  # fmt: skip
 
-    def _where(self, rows: Ints, near: Ints) -> str:
+    def _describe_rows(self, rows: Ints, near: Ints) -> str:
         listed = ", ".join(map(str, rows))
         where = f"Of what is left (squared) {self.share:.0%} is in {'row' if len(rows) == 1 else 'rows'} {listed}"
         if not self.signs:
@@ -121,7 +121,7 @@ class BeyondNoise:
         )
 
 
-def _stated(fit: Fit, repeats: Repeats, stated: float | None) -> float | None:
+def _known_noise(fit: Fit, repeats: Repeats, stated: float | None) -> float | None:
     """Noise (m) of a coordinate that is known without the fit; where repeats show more, that is the noise."""
     sigma = fit.problem.measurement.observations.sigma
     known = stated if stated is not None or sigma is None else float(np.sqrt(np.nanmean(sigma**2)))

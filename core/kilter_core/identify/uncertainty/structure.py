@@ -18,7 +18,7 @@ from scipy.special import expit, ive, logit, logsumexp
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.uncertainty.row_numbers import RowNumbers
 from kilter_core.observations import Observations
-from kilter_core.observations.clock import clock_of
+from kilter_core.observations.clock import read_clock
 from kilter_core.types import QUANTILE, Bools, Floats, Ints
 
 HARMONICS = 2  # of one joint; of pairs of joints the first
@@ -50,27 +50,29 @@ class Structure:
         return min(self.lacking + (1.0 - self.lacking) * self.share, self.share + self.lacking * rough)
 
     @staticmethod
-    def of(fit: Fit) -> Structure | None:
+    def from_fit(fit: Fit) -> Structure | None:
         """Read the residuals of a fit; None where rows measure no places, or too few are left to tell."""
         problem = fit.problem
         rows = problem.measurement.observations
         if not problem.measurement.observes_places or len(fit.residual.points) != len(rows):
             return None
-        if len(fit.J) > sum(problem.numbers_of(block) for block in fit.residual.blocks):
+        if len(fit.J) > sum(problem.block_size(block) for block in fit.residual.blocks):
             return None  # a filter goes on from what it knew
-        poses, each = _Poses.of(rows), RowNumbers.of(fit)
+        poses, each = _Poses.from_observations(rows), RowNumbers.from_fit(fit)
         A, r, L = poses.mean(each.A), poses.mean(each.r), poses.mean(each.L)
         of_points = np.zeros(r.shape, dtype=bool)
         of_points[:, : fit.residual.points[0].size] = True
         said = (np.abs(A).max(axis=2) > 0.0).reshape(-1)
-        basis = _followed(A.reshape(len(said), -1)[said])
-        left, points = _beside(basis, r.reshape(-1)[said]), of_points.reshape(-1)[said]
+        basis = _fitted_directions(A.reshape(len(said), -1)[said])
+        left, points = _remove_fitted_part(basis, r.reshape(-1)[said]), of_points.reshape(-1)[said]
         freedom = len(left) - basis.shape[1]
         if freedom < EQUATIONS_PER_JOINT * L.shape[2] or not np.any(left):
             return None
         sliding = np.array([joint.kind == "prismatic" for joint in problem.model.robot.joints])
         kernels = [*_over_joints(L, rows.q[poses.first], sliding), _over_time(L, poses.when, of_points)]
-        found = _read([_beside(basis, one.reshape(len(said), -1)[said]) for one in kernels], left, freedom, points)
+        found = _read(
+            [_remove_fitted_part(basis, one.reshape(len(said), -1)[said]) for one in kernels], left, freedom, points
+        )
         without = _without_pose(basis, left, np.nonzero(said)[0] // r.shape[1])[points]
         return replace(found, reach=_reach(without / np.sqrt(left @ left / freedom)))
 
@@ -88,11 +90,11 @@ class _Poses:
     root: Floats
 
     @staticmethod
-    def of(rows: Observations) -> _Poses:
+    def from_observations(rows: Observations) -> _Poses:
         groups = rows.pose_groups()
         first = np.unique(groups, return_index=True)[1]
         visited = np.unique(np.stack([groups, rows.visits()]), axis=1)[0]
-        place = np.argsort(clock_of(rows).order)
+        place = np.argsort(read_clock(rows).order)
         return _Poses(groups, first, place[first] / max(len(rows) - 1, 1), np.sqrt(np.bincount(visited)))
 
     def mean(self, values: Floats) -> Floats:
@@ -151,14 +153,14 @@ def _likelihoods(columns: Floats, left: Floats, freedom: int, ratios: Floats) ->
     )
 
 
-def _followed(J: Floats) -> Floats:
+def _fitted_directions(J: Floats) -> Floats:
     """Orthonormal directions (R, k) of the residuals that the fit has followed; ``J (R, F)`` per prior sigma."""
     squares, V = np.linalg.eigh(J.T @ J)
     kept = squares > TAKEN / (1.0 - TAKEN)
     return np.asarray(np.linalg.qr(J @ V[:, kept])[0])
 
 
-def _beside(basis: Floats, columns: Floats) -> Floats:
+def _remove_fitted_part(basis: Floats, columns: Floats) -> Floats:
     return np.asarray(columns - basis @ (basis.T @ columns))
 
 

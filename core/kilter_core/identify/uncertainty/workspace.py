@@ -46,7 +46,7 @@ class Workspace:
     measured: Floats
 
     @staticmethod
-    def of(calibration: Calibration, known: Predictive, rows: Observations, seed: int = 0) -> Workspace:
+    def from_calibration(calibration: Calibration, known: Predictive, rows: Observations, seed: int = 0) -> Workspace:
         """Half widths of the 95 % interval of a coordinate of the tool point, noise of the instrument not among them.
 
         Poses are drawn evenly within the limits of the joints, of a joint without limits where ``rows`` had it; loads,

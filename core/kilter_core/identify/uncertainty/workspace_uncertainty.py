@@ -52,10 +52,12 @@ def workspace_uncertainty(fit: Fit) -> WorkspaceUncertainty | None:
     problem = fit.problem
     if not problem.measurement.observes_base:
         return None
-    return spread_of(problem.model, problem.free, fit.covariance, fit.values, problem.measurement.observations.q)
+    return estimate_workspace_spread(
+        problem.model, problem.free, fit.covariance, fit.values, problem.measurement.observations.q
+    )
 
 
-def spread_of(
+def estimate_workspace_spread(
     model: RobotModel, free: Ints, covariance: Floats, values: Floats, q: Floats
 ) -> WorkspaceUncertainty | None:
     """Spread of the poses ``q (N, n)`` of a fit with parameters ``free (F,)`` of the model's ``values (P,)``."""

@@ -36,4 +36,4 @@ def known_zeros(calibration: Calibration, table: ClosestTable, known: Predictive
     variance = np.einsum("jp,pq,jq->j", J, known.covariance, J)
     own = zero_names(calibration.robot)
     held = np.array([name in calibration.names and name not in known.names for name in own], dtype=bool)
-    return KnownZeros(QUANTILE * np.sqrt(np.maximum(variance, 0.0)), held | ~table.zeros.told())
+    return KnownZeros(QUANTILE * np.sqrt(np.maximum(variance, 0.0)), held | ~table.zeros.identifiable_zeros())

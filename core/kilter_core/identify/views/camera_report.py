@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from kilter_core.identify.views.cameras import rig_of
+from kilter_core.identify.views.cameras import rig_from_calibration
 from kilter_core.measurement.camera.view_scatter import ViewScatter
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import Place, PlacedRig
@@ -17,8 +17,8 @@ from kilter_core.types import Floats
 
 def on_the_robot(calibration: Calibration) -> PlacedRig | None:
     """The rig of a calibration with fixed parts in the robot's base frame and the others in that of its flange."""
-    rig, model = rig_of(calibration), calibration.model.absorb_frame_increments(calibration.values)[0]
-    return None if rig is None else rig.moved(base=inverse(model.T_base), tool=model.T_tool)
+    rig, model = rig_from_calibration(calibration), calibration.model.absorb_frame_increments(calibration.values)[0]
+    return None if rig is None else rig.transform_frames(base=inverse(model.T_base), tool=model.T_tool)
 
 
 def cameras_document(calibration: Calibration, sigmas: Mapping[str, float] | None = None) -> dict[str, Any]:

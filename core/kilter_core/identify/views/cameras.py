@@ -63,10 +63,10 @@ def with_cameras(begin: Calibration, train: Observations, measurement: Measureme
     seen = train if train.camera is None else train.select(train.camera >= 0)
     seen = replace(seen, position=None, rotation=None, markers=None, sigma=None)  # views begin by themselves
     here = Calibration(model, values, begin.marker_points)
-    views = Measurement.of(seen, held=True).pixels
+    views = Measurement.from_observations(seen, held=True).pixels
     assert views is not None
     known = None if measurement.observes_places else begin.rig
-    rig = views.started(replace(here, rig=known).predict(seen)).settled()
+    rig = views.initial_rig(replace(here, rig=known).predict(seen)).with_folded_increments()
     effects = (*(e for e in begin.model.effects if not isinstance(e, Cameras)), Cameras(rig=rig))
     found = begin.with_effects(effects)
     start = found.values.copy()
@@ -78,7 +78,7 @@ def with_rig(calibration: Calibration, measurement: Measurement) -> Calibration:
     """The calibration with cameras and boards where they fit other rows best, all of the arm held."""
     views = measurement.pixels
     assert views is not None
-    return replace(calibration, rig=views.fitted(calibration.predict(measurement.observations)))
+    return replace(calibration, rig=views.fit_rig_to_rows(calibration.predict(measurement.observations)))
 
 
 def unknown_rig(model: RobotModel) -> PlacedRig | None:
@@ -86,15 +86,15 @@ def unknown_rig(model: RobotModel) -> PlacedRig | None:
     return next((e.rig for e in model.effects if isinstance(e, Cameras)), None)
 
 
-def rig_of(calibration: Calibration) -> PlacedRig | None:
+def rig_from_calibration(calibration: Calibration) -> PlacedRig | None:
     """Cameras and boards as a calibration has them, the fitted ones where it has an effect of them."""
-    fitted = rig_at(calibration.model, calibration.values)
-    return calibration.rig if fitted is None else fitted.settled()
+    fitted = rig_from_values(calibration.model, calibration.values)
+    return calibration.rig if fitted is None else fitted.with_folded_increments()
 
 
-def rig_at(model: RobotModel, values: Floats) -> PlacedRig | None:
+def rig_from_values(model: RobotModel, values: Floats) -> PlacedRig | None:
     """Cameras and boards of an effect of a model, with the increments that ``values (P,)`` are; None where it has none."""
-    for effect, at in model.placed:
+    for effect, at in model.effects_with_slices:
         if isinstance(effect, Cameras) and effect.rig is not None:
-            return effect.rig.at(values[at])
+            return effect.rig.with_values(values[at])
     return None

@@ -13,8 +13,8 @@ import numpy as np
 from kilter_core.errors import ObservationError
 from kilter_core.measurement.camera.board_poses import board_poses
 from kilter_core.measurement.camera.pixels import Pixels
-from kilter_core.measurement.camera.rig_fit import FittedRig, fit_rig, placed_by
-from kilter_core.measurement.camera.views import Views, pairs_of
+from kilter_core.measurement.camera.rig_fit import FittedRig, estimate_start_rig, fit_rig
+from kilter_core.measurement.camera.views import Views, camera_board_pairs
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.rig import Camera, Rig
@@ -38,9 +38,9 @@ def refuse_misplaced_corners(views: Pixels) -> None:
     cameras, boards = views.observations.camera, views.observations.board
     assert cameras is not None
     assert boards is not None
-    for c, b in pairs_of(cameras, boards):
+    for c, b in camera_board_pairs(cameras, boards):
         camera, board = views.rig.cameras[c], views.rig.boards[b]
-        mine = np.flatnonzero((cameras == c) & (boards == b) & views.measured())
+        mine = np.flatnonzero((cameras == c) & (boards == b) & views.measured_row_mask())
         pixels = views.pixels[mine[:: max(1, -(-len(mine) // MOST_VIEWS))]][:, : len(board.corners)]
         rms = board_poses(camera, np.array(camera.values), board, pixels)[2]
         told = np.isfinite(rms)  # where no pose was found, nothing is known of the corners
@@ -74,11 +74,13 @@ def refuse_other_camera(begin: Calibration, rows: Observations, rig: Rig, camera
         return
     found = begin.predict(rows)
     views = Views(rows.camera, rows.board, found.position, found.rotation)
-    held = freed = _fitted(rig.held(), views, rows)
+    held = freed = _fit_rig_from_views(rig.with_fixed_parameters(), views, rows)
     for zoom in ZOOMS:
         freed = min(freed, _own_intrinsics(rig, camera, zoom, views, rows, held), key=lambda fit: fit.sigma_px)
     own = freed.rig.cameras[camera].values
-    if freed.sigma_px > EXPLAINED * held.sigma_px or not _better_within(rows, rig, camera, _freed(stated), own):
+    if freed.sigma_px > EXPLAINED * held.sigma_px or not _better_within(
+        rows, rig, camera, _free_intrinsics(stated), own
+    ):
         return
     fx, fy, cx, cy = own[:4]
     given = f"{stated.focal[0]:.4g}, {stated.focal[1]:.4g}; {stated.centre[0]:.4g}, {stated.centre[1]:.4g} px"
@@ -93,11 +95,11 @@ def refuse_other_camera(begin: Calibration, rows: Observations, rig: Rig, camera
 
 def _own_intrinsics(rig: Rig, place: int, zoom: float, views: Views, rows: Observations, held: FittedRig) -> FittedRig:
     """The best fit with intrinsics of a camera's own, begun with so much of the focal lengths as stated; else ``held``."""
-    now, best = _freed(rig.cameras[place]), held
+    now, best = _free_intrinsics(rig.cameras[place]), held
     now = replace(now, focal=(zoom * now.focal[0], zoom * now.focal[1]))
     for _ in range(ROUNDS):
         try:
-            found = _fitted(_with(rig.held(), place, now), views, rows)
+            found = _fit_rig_from_views(_replace_camera(rig.with_fixed_parameters(), place, now), views, rows)
         except ObservationError:  # no board stands before a camera so far off
             break
         best = min(best, found, key=lambda fit: fit.sigma_px)
@@ -121,16 +123,16 @@ def _better_within(rows: Observations, rig: Rig, place: int, freed: Camera, own:
     return bool(np.nanmedian(as_own) < np.nanmedian(as_stated))
 
 
-def _freed(camera: Camera) -> Camera:
+def _free_intrinsics(camera: Camera) -> Camera:
     """The camera with unknown intrinsics; one without a lens may have Brown's."""
     free = replace(camera, intrinsics="free", sigmas=None)
     return replace(free, model="brown", distortion=(0.0,) * BROWN) if camera.model == "none" else free
 
 
-def _with(rig: Rig, place: int, camera: Camera) -> Rig:
+def _replace_camera(rig: Rig, place: int, camera: Camera) -> Rig:
     return replace(rig, cameras=tuple(camera if k == place else one for k, one in enumerate(rig.cameras)))
 
 
-def _fitted(rig: Rig, views: Views, rows: Observations) -> FittedRig:
+def _fit_rig_from_views(rig: Rig, views: Views, rows: Observations) -> FittedRig:
     assert rows.pixels is not None
-    return fit_rig(placed_by(rig, views, rows.pixels), views, rows.pixels, rows.pixel_sigma)
+    return fit_rig(estimate_start_rig(rig, views, rows.pixels), views, rows.pixels, rows.pixel_sigma)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.measurement.camera.views import Views, pairs_of, sight_by_tool
+from kilter_core.measurement.camera.views import Views, camera_board_pairs, sight_by_tool
 from kilter_core.measurement.pose_weights import Scale, weights
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
@@ -35,11 +35,13 @@ class PlannedViews:
     scale: Scale
 
     @staticmethod
-    def of(known: Calibration, rig: PlacedRig, rows: Observations, sigma_px: float, scale: Scale) -> PlannedViews:
+    def from_measured_views(
+        known: Calibration, rig: PlacedRig, rows: Observations, sigma_px: float, scale: Scale
+    ) -> PlannedViews:
         """From the views ``rows`` that were measured."""
         assert rows.camera is not None
         assert rows.board is not None
-        pairs = pairs_of(rows.camera, rows.board)
+        pairs = camera_board_pairs(rows.camera, rows.board)
         bare = known.with_effects(())  # others look for columns that planned poses lack, and move them by millimetres
         made = PlannedViews(bare, rig, tuple(pairs), (), sigma_px, scale)
         sides = []
@@ -57,7 +59,7 @@ class PlannedViews:
         for (c, b), side in zip(self.pairs, self.sides, strict=True):
             views = self._views(rows, c, b)
             pixels, by_tool = sight_by_tool(self.rig, views, len(self.rig.rig.boards[b].corners))
-            seen = self._in_sight(pixels, c) & self._shown(self._cosines(views, c, b), side)
+            seen = self._in_sight(pixels, c) & self._shows_printed_side(self._cosines(views, c, b), side)
             A = (by_tool * seen[:, None, None, None]).reshape(len(rows), -1, 6) / self.sigma_px
             H += A.transpose(0, 2, 1) @ A
         out = np.zeros_like(H)
@@ -78,7 +80,7 @@ class PlannedViews:
             inside = (pixels >= RIM * size) & (pixels <= (1.0 - RIM) * size - 1.0)
         return np.asarray(inside.all(axis=(1, 2)))
 
-    def _shown(self, cosine: Floats, side: float) -> Bools:
+    def _shows_printed_side(self, cosine: Floats, side: float) -> Bools:
         """Whether a flat board shows its printed side, and not too slanted; of a solid always."""
         return np.asarray((cosine * side >= SLANTED) | (side == 0.0))
 

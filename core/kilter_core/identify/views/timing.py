@@ -22,16 +22,16 @@ def bad_timing(fit: Fit) -> Iterator[dict[str, Any]]:
     if _clear(found.pictures):
         late = found.pictures
         side = "after" if late.s > 0.0 else "before"
-        yield _said(
+        yield _timing_warning(
             "pictures_late", late, found.views,
-            f"Pictures were taken {_told(late)} {side} their joints were read: corners are off along the motion by "
+            f"Pictures were taken {_format_delay(late)} {side} their joints were read: corners are off along the motion by "
             f"{late.rms_px:.2g} px (rms). Let the arm rest at every pose, or move the times of the pictures by that much.",
         )  # fmt: skip
     if _clear(found.lines):
         lines = found.lines
-        yield _said(
+        yield _timing_warning(
             "rolling_shutter", lines, found.views,
-            f"The camera reads its picture line by line, over {_told(lines)}, while the arm moves: corners are off by "
+            f"The camera reads its picture line by line, over {_format_delay(lines)}, while the arm moves: corners are off by "
             f"{lines.rms_px:.2g} px (rms). Let the arm rest at every pose, or take a camera with a global shutter.",
         )  # fmt: skip
 
@@ -40,11 +40,11 @@ def _clear(one: Delay) -> bool:
     return one.chance < CHANCE and one.rms_px > LITTLE_PX
 
 
-def _told(one: Delay) -> str:
+def _format_delay(one: Delay) -> str:
     return f"{abs(one.s):.3g} s (95 %: within {QUANTILE * one.sigma:.1g} s)"
 
 
-def _said(code: str, one: Delay, views: int, message: str) -> dict[str, Any]:
+def _timing_warning(code: str, one: Delay, views: int, message: str) -> dict[str, Any]:
     return {
         "code": code, "time_s": one.s, "u95_s": QUANTILE * one.sigma, "rms_px": one.rms_px,
         "views": views, "p_value": one.chance, "message": message,

@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kilter_core.measurement.camera.camera_model import normalised, project_held
+from kilter_core.measurement.camera.camera_model import project_held, undistort_pixels
 from kilter_core.measurement.camera.views import cross
 from kilter_core.observations.rig import Board, Camera
 from kilter_core.transforms import nearest_rotation
@@ -37,33 +37,33 @@ def board_poses(camera: Camera, intrinsics: Floats, board: Board, pixels: Floats
         np.ascontiguousarray(given, dtype=np.float64) for given in (intrinsics, board.corners, pixels)
     )
     if seen.nbytes > MOST_BYTES:
-        return _found(camera.model, lens, corners, seen)
-    return _kept(camera.model, lens.tobytes(), corners.tobytes(), seen.shape, seen.tobytes())
+        return _solve_poses(camera.model, lens, corners, seen)
+    return _cached_poses(camera.model, lens.tobytes(), corners.tobytes(), seen.shape, seen.tobytes())
 
 
 @lru_cache(maxsize=MOST_KEPT)
-def _kept(model: str, intrinsics: bytes, corners: bytes, shape: tuple[int, ...], pixels: bytes) -> Found:
-    """As :func:`_found`, of the same numbers once."""
+def _cached_poses(model: str, intrinsics: bytes, corners: bytes, shape: tuple[int, ...], pixels: bytes) -> Found:
+    """As :func:`_solve_poses`, of the same numbers once."""
     lens, places, seen = (np.frombuffer(given) for given in (intrinsics, corners, pixels))
-    found = _found(model, lens, places.reshape(-1, 3), seen.reshape(shape))
+    found = _solve_poses(model, lens, places.reshape(-1, 3), seen.reshape(shape))
     for one in found:
         one.flags.writeable = False
     return found
 
 
-def _found(model: str, intrinsics: Floats, corners: Floats, pixels: Floats) -> Found:
-    centre, frame, flat = _plane_of(corners)
+def _solve_poses(model: str, intrinsics: Floats, corners: Floats, pixels: Floats) -> Found:
+    centre, frame, flat = _fit_plane(corners)
     local = (corners - centre) @ frame
     seen: Bools = np.asarray(~np.isnan(pixels).any(axis=2))
     usable = seen.sum(axis=1) >= (4 if flat else FEWEST_IN_SPACE)
     if not usable.all():
         return _of_usable(model, intrinsics, corners, pixels, usable)
-    flats = np.where(seen[..., None], normalised(model, intrinsics, pixels), 0.0)
+    flats = np.where(seen[..., None], undistort_pixels(model, intrinsics, pixels), 0.0)
     lens = model, intrinsics
-    p, R, rms = _refined(lens, local, *(_by_homography if flat else _in_space)(local, flats, seen), pixels)
+    p, R, rms = _refine_poses(lens, local, *(_by_homography if flat else _in_space)(local, flats, seen), pixels)
     starts = [(p, _other_side(p, R))] if flat else []
     for start in (*starts, *_from_afar(local, flats, seen)):
-        p, R, rms = _better((p, R, rms), _refined(lens, local, *start, pixels))
+        p, R, rms = _better((p, R, rms), _refine_poses(lens, local, *start, pixels))
     R_board = R @ frame.T
     return p - R_board @ centre, R_board, rms, np.asarray(np.isfinite(rms) & (p[:, 2] > 0.0))
 
@@ -73,11 +73,11 @@ def _of_usable(model: str, intrinsics: Floats, corners: Floats, pixels: Floats, 
     n = len(pixels)
     p, R, rms, told = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.full(n, np.nan), np.zeros(n, dtype=bool)
     if usable.any():
-        p[usable], R[usable], rms[usable], told[usable] = _found(model, intrinsics, corners, pixels[usable])
+        p[usable], R[usable], rms[usable], told[usable] = _solve_poses(model, intrinsics, corners, pixels[usable])
     return p, R, rms, told
 
 
-def _plane_of(corners: Floats) -> tuple[Floats, Floats, bool]:
+def _fit_plane(corners: Floats) -> tuple[Floats, Floats, bool]:
     """Centre (3,), axes (3, 3) of the corners, the last across them, and whether they lie in a plane."""
     centre = corners.mean(axis=0)
     _, s, Vt = np.linalg.svd(corners - centre, full_matrices=False)
@@ -93,10 +93,10 @@ def _by_homography(local: Floats, flats: Floats, seen: Bools) -> tuple[Floats, F
     A[..., 1, 6:] = -flats[..., 1, None] * board
     A *= seen[..., None, None]
     H = _smallest(A).reshape(-1, 3, 3) / np.array([size, size, 1.0])
-    return _pose_from(H[:, :, 0], H[:, :, 1], H[:, :, 2])
+    return _pose_from_columns(H[:, :, 0], H[:, :, 1], H[:, :, 2])
 
 
-def _pose_from(first: Floats, second: Floats, place: Floats) -> tuple[Floats, Floats]:
+def _pose_from_columns(first: Floats, second: Floats, place: Floats) -> tuple[Floats, Floats]:
     scale = (
         0.5 * (np.linalg.norm(first, axis=1) + np.linalg.norm(second, axis=1)) * np.where(place[:, 2] < 0.0, -1.0, 1.0)
     )
@@ -171,7 +171,7 @@ def _better(one: tuple[Floats, Floats, Floats], other: tuple[Floats, Floats, Flo
     return p, R, rms
 
 
-def _refined(lens: Lens, local: Floats, p: Floats, R: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats]:
+def _refine_poses(lens: Lens, local: Floats, p: Floats, R: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats]:
     """Gauss-Newton steps of every view by itself, each halved while it would not gain, until it comes to rest."""
     p, R, best = p.copy(), R.copy(), np.full(len(p), np.inf)
     kept_p, kept_R, step = p.copy(), R.copy(), np.zeros((len(p), 6))

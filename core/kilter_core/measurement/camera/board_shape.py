@@ -58,7 +58,7 @@ def board_shapes(views: Pixels, prediction: Prediction, rig: PlacedRig) -> Itera
         moves = _bent(rig, views.views(prediction).only(rows), b, modes, views.pixels.shape[1])
         X = np.concatenate([moves, slopes.by_unknown(rows)], axis=-1) * w[rows][..., None]
         T = slopes.by_tool[rows] * w[rows][..., None]
-        yield _found(board.name, modes, _Left.of(left[rows], told[rows], T, X), pose[rows])
+        yield _estimate_shape(board.name, modes, _Left.from_residuals(left[rows], told[rows], T, X), pose[rows])
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class _Left:
     X: Floats
 
     @staticmethod
-    def of(left: Floats, told: Bools, by_motion: Floats, X: Floats) -> _Left:
+    def from_residuals(left: Floats, told: Bools, by_motion: Floats, X: Floats) -> _Left:
         n = len(left)
         A, X = ((one * told[..., None]).reshape(n, -1, one.shape[-1]) for one in (by_motion, X))
         both = np.concatenate([np.nan_to_num(left).reshape(n, -1, 1), X], axis=2)
@@ -78,7 +78,7 @@ class _Left:
         return _Left(both[:, :, 0], both[:, :, 1:])
 
 
-def _found(name: str, modes: Floats, left: _Left, pose: Ints) -> BoardShape:
+def _estimate_shape(name: str, modes: Floats, left: _Left, pose: Ints) -> BoardShape:
     X, r = left.X, left.r
     size = np.sqrt(np.einsum("nri,nri->i", X, X))
     size = np.where(size > 0.0, size, 1.0)

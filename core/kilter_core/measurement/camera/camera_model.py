@@ -59,7 +59,7 @@ def _by_point(by_ab: Floats, a: Floats, b: Floats, z: Floats, focal: Floats) -> 
     return out
 
 
-def normalised(model: str, intrinsics: Floats, pixels: Floats) -> Floats:
+def undistort_pixels(model: str, intrinsics: Floats, pixels: Floats) -> Floats:
     """Directions (..., 2), x/z and y/z, that are seen at ``pixels (..., 2)``: distortion undone by Newton's method."""
     flat = (pixels - intrinsics[2:4]) / intrinsics[:2]
     if model == "none":
@@ -67,7 +67,7 @@ def normalised(model: str, intrinsics: Floats, pixels: Floats) -> Floats:
     found = flat.copy()
     for _ in range(UNDISTORTING):
         here, by_ab, _ = (_fisheye if model == "fisheye" else _radial)(found[..., 0], found[..., 1], intrinsics[4:])
-        step = _solved(by_ab, flat - here)
+        step = _solve_2x2(by_ab, flat - here)
         size = np.linalg.norm(step, axis=-1, keepdims=True)
         found = found + step * np.minimum(1.0, 0.5 / np.maximum(size, 0.5))
         if np.nanmax(size, initial=0.0) < SETTLED:
@@ -75,7 +75,7 @@ def normalised(model: str, intrinsics: Floats, pixels: Floats) -> Floats:
     return found
 
 
-def _solved(M: Floats, v: Floats) -> Floats:
+def _solve_2x2(M: Floats, v: Floats) -> Floats:
     determinant = M[..., 0, 0] * M[..., 1, 1] - M[..., 0, 1] * M[..., 1, 0]
     x = M[..., 1, 1] * v[..., 0] - M[..., 0, 1] * v[..., 1]
     y = M[..., 0, 0] * v[..., 1] - M[..., 1, 0] * v[..., 0]

@@ -46,8 +46,8 @@ def solve_axzb(T_p: Floats, T_R: Floats, M_p: Floats, M_R: Floats) -> HandEye:
     _refuse_one_axis(T_R)
     used = np.ones(len(T_p), dtype=bool)
     for _ in range(PASSES):
-        found = _solved(T_p, T_R, M_p, M_R, used)
-        far = _far(found.left_m) | _far(found.left_rad)
+        found = _solve_closed_form(T_p, T_R, M_p, M_R, used)
+        far = _outlier_mask(found.left_m) | _outlier_mask(found.left_rad)
         if np.array_equal(~far, used) or (~far).sum() < max(FEWEST_VIEWS, len(T_p) // 2):
             break
         used = ~far
@@ -65,11 +65,11 @@ def _refuse_one_axis(R: Floats) -> None:
         )
 
 
-def _far(left: Floats) -> Bools:
+def _outlier_mask(left: Floats) -> Bools:
     return np.asarray(left > FAR * max(float(np.median(left)), 1e-9))
 
 
-def _solved(T_p: Floats, T_R: Floats, M_p: Floats, M_R: Floats, used: Bools) -> HandEye:
+def _solve_closed_form(T_p: Floats, T_R: Floats, M_p: Floats, M_R: Floats, used: Bools) -> HandEye:
     K = np.einsum("nij,nkl->ikjl", T_R[used], M_R[used]).reshape(9, 9)
     U, _, Vt = np.linalg.svd(K)
     B, A = U[:, 0].reshape(3, 3), Vt[0].reshape(3, 3)
@@ -91,7 +91,7 @@ def grown(T_p: Floats, T_R: Floats, M_p: Floats, found: HandEye) -> tuple[float,
     The camera's lengths have the noise, so they are what is explained; the deviation is infinite where the poses move the
     arm only about one point, for then nothing of its lengths is seen.
     """
-    used, n = ~_far(found.left_m), len(T_p)
+    used, n = ~_outlier_mask(found.left_m), len(T_p)
     seen = M_p @ found.world_side[:3, :3].T
     placed = np.concatenate([T_R, np.broadcast_to(-np.eye(3), (n, 3, 3))], axis=2)
     A, lengths, right = placed[used].reshape(-1, 6), T_p[used].reshape(-1), seen[used].reshape(-1)

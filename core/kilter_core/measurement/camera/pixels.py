@@ -14,10 +14,10 @@ from typing import cast
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.measurement.camera.rig_fit import fit_rig, fit_rig_beside_arm, placed_by, thinned
+from kilter_core.measurement.camera.rig_fit import estimate_start_rig, fit_rig, fit_rig_beside_arm, thin_views
 from kilter_core.measurement.camera.view_scatter import ToolErrors
-from kilter_core.measurement.camera.views import Views, pairs_of, sight, sight_and_slopes, sight_by_tool
-from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, Spanned, anchor_of
+from kilter_core.measurement.camera.views import Views, camera_board_pairs, sight, sight_and_slopes, sight_by_tool
+from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, Spanned, find_anchor
 from kilter_core.model import Calibration, Prediction
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
@@ -39,13 +39,13 @@ class Pixels(Kind):
     anchor: Pixels | None = None
 
     @classmethod
-    def of(cls, rows: Rows) -> Kind | None:
+    def from_rows(cls, rows: Rows) -> Kind | None:
         """Rows that have pixels; where nothing else tells of the tool, they do."""
         o = rows.observations
         if o.pixels is None or o.rig is None or rows.relative:
             return None
         alone = o.position is None and o.markers is None
-        return (PixelsAlone if alone else Pixels)(o, cast("Pixels | None", anchor_of(cls.name, rows)))
+        return (PixelsAlone if alone else Pixels)(o, cast("Pixels | None", find_anchor(cls.name, rows)))
 
     @property
     def rig(self) -> Rig:
@@ -67,18 +67,19 @@ class Pixels(Kind):
 
     def check(self) -> None:
         """Refuse views of a camera and a board that move together."""
-        for c, b in pairs_of(*self._places):
+        for c, b in camera_board_pairs(*self._places):
             one, other = self.rig.cameras[c], self.rig.boards[b]
             if one.mount == other.mount:
                 raise ObservationError(
-                    f"Camera {one.name!r} and board {other.name!r} are both {_where(one.mount)}: such views do not follow the "
+                    f"Camera {one.name!r} and board {other.name!r} are both {_describe_mount(one.mount)}: such views "
+                    "do not follow the "
                     "arm. Correct the mount of one of them, or leave these rows out.",
                     code="mounts_alike",
                     camera=one.name,
                     board=other.name,
                 )
 
-    def measured(self) -> Bools:
+    def measured_row_mask(self) -> Bools:
         """Rows with corners."""
         return np.asarray(~np.isnan(self.pixels).all(axis=(1, 2)))
 
@@ -120,39 +121,43 @@ class Pixels(Kind):
         """The views of a predicted arm."""
         return Views(*self._places, prediction.position, prediction.rotation)
 
-    def fitted(self, prediction: Prediction) -> PlacedRig:
+    def fit_rig_to_rows(self, prediction: Prediction) -> PlacedRig:
         """The rig where it fits these rows best, the arm held as predicted, which need not be right."""
         views = self.views(prediction)
-        start = placed_by(self.rig, views, self.pixels)
+        start = estimate_start_rig(self.rig, views, self.pixels)
         return fit_rig_beside_arm(start, views, self.pixels, self.observations.pixel_sigma).rig
 
-    def started(self, prediction: Prediction) -> PlacedRig:
+    def initial_rig(self, prediction: Prediction) -> PlacedRig:
         """Where a fit begins: places as known or as they fit, intrinsics and scales as stated, for an arm not yet fitted
         would be made up for by them.
         """
         known = prediction.instrument
         if known is not None and known.rig.has(self.rig):
-            return known.rig.of(self.rig)
+            return known.rig.select_parts(self.rig)
         whole, sigma = self.views(prediction), self.observations.pixel_sigma
-        some = np.concatenate([thinned(which, self.pixels) for which, _, _ in whole.pairs()])
+        some = np.concatenate([thin_views(which, self.pixels) for which, _, _ in whole.pairs()])
         views, pixels = whole.only(some), self.pixels[some]
-        held = placed_by(self.rig, views, pixels).described_by(self.rig.held())
-        return fit_rig(held, views, pixels, None if sigma is None else sigma[some]).rig.described_by(self.rig)
+        held = estimate_start_rig(self.rig, views, pixels).with_description(self.rig.with_fixed_parameters())
+        return fit_rig(held, views, pixels, None if sigma is None else sigma[some]).rig.with_description(self.rig)
 
-    def placed(self, prediction: Prediction) -> PlacedRig:
+    def resolve_rig(self, prediction: Prediction) -> PlacedRig:
         """The rig as it is known; where a prediction knows nothing of these cameras, as it fits these rows best."""
         known = prediction.instrument
-        return known.rig.of(self.rig) if known is not None and known.rig.has(self.rig) else self.fitted(prediction)
+        return (
+            known.rig.select_parts(self.rig)
+            if known is not None and known.rig.has(self.rig)
+            else self.fit_rig_to_rows(prediction)
+        )
 
     def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
         """Measured minus predicted corners (N, M, 2), whitened by what is known of each, in m at the boards."""
-        w, given = self.weights, (self.placed(prediction), self.views(prediction), self.pixels.shape[1])
+        w, given = self.weights, (self.resolve_rig(prediction), self.views(prediction), self.pixels.shape[1])
         if J is None:
             return (Block(self.group, w * (self.pixels - sight(*given))),)
         pixels, slopes = sight_and_slopes(*given)
         r = w * (self.pixels - pixels)
         n, m = r.shape[:2]
-        span, of_rig = slopes.spanned()
+        span, of_rig = slopes.low_rank_factors()
         span *= w if isinstance(w, float) else w[..., None]
         unseen = np.isnan(r)
         if unseen.any():
@@ -184,29 +189,29 @@ class Pixels(Kind):
 
     def tool_errors(self, calibration: Calibration) -> ToolErrors:
         """Motions of the tool that explain what is left of each view best."""
-        for known, values, found in self._told:
+        for known, values, found in self._recent_errors:
             if known is calibration and np.array_equal(values, calibration.values):
                 return found
         prediction = calibration.predict(self.observations)
-        rig = self._known(calibration, prediction)
+        rig = self._resolve_calibration_rig(calibration, prediction)
         seen, by_tool = sight_by_tool(rig, self.views(prediction), self.pixels.shape[1])
         w = np.broadcast_to(self.weights, self.pixels.shape) / self.metres_per_px
-        made = ToolErrors.of(w * (self.pixels - seen), by_tool * w[..., None])
-        self._told.append((calibration, calibration.values.copy(), made))
+        made = ToolErrors.from_residuals(w * (self.pixels - seen), by_tool * w[..., None])
+        self._recent_errors.append((calibration, calibration.values.copy(), made))
         return made
 
     @cached_property
-    def _told(self) -> deque[tuple[Calibration, Floats, ToolErrors]]:
+    def _recent_errors(self) -> deque[tuple[Calibration, Floats, ToolErrors]]:
         """The last few errors: a report asks for those of one stage several times over."""
         return deque(maxlen=MOST_TOLD)
 
-    def _known(self, calibration: Calibration, prediction: Prediction) -> PlacedRig:
+    def _resolve_calibration_rig(self, calibration: Calibration, prediction: Prediction) -> PlacedRig:
         """The rig of a calibration; where it has none, as it fits the anchor, or else these rows."""
         known = prediction.instrument
         if (known is not None and known.rig.has(self.rig)) or self.anchor is None:
-            return self.placed(prediction)
-        found = self.anchor.placed(calibration.predict(self.anchor.observations))
-        return found.of(self.rig) if found.has(self.rig) else self.fitted(prediction)
+            return self.resolve_rig(prediction)
+        found = self.anchor.resolve_rig(calibration.predict(self.anchor.observations))
+        return found.select_parts(self.rig) if found.has(self.rig) else self.fit_rig_to_rows(prediction)
 
 
 class PixelsAlone(Pixels):
@@ -219,7 +224,7 @@ class PixelsAlone(Pixels):
     plain_fits_only = True
 
 
-def _where(mount: str) -> str:
+def _describe_mount(mount: str) -> str:
     return "fixed in the room" if mount == "fixed" else "on the flange"
 
 

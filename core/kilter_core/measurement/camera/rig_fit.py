@@ -38,7 +38,7 @@ class FittedRig:
     sigma_px: float
 
 
-def placed_by(rig: Rig, views: Views, pixels: Floats) -> PlacedRig:
+def estimate_start_rig(rig: Rig, views: Views, pixels: Floats) -> PlacedRig:
     """Start values: each board's pose in each view, then AX = ZB of each pair of a camera and a board, of so many views
     (``MOST_TO_START``) of each pair, spread over all of them.
 
@@ -52,7 +52,7 @@ def placed_by(rig: Rig, views: Views, pixels: Floats) -> PlacedRig:
     for which, c, b in views.pairs():
         camera, board = rig.cameras[c], rig.boards[b]
         values = np.array(camera.values)
-        which = thinned(which, pixels)
+        which = thin_views(which, pixels)
         p, R, _, usable = board_poses(camera, values, board, pixels[which][:, : len(board.corners)])
         pairs.append((int(usable.sum()), c, b, which[usable], p[usable], R[usable]))
     for count, c, b, which, p, R in sorted(pairs, key=lambda pair: (-pair[0], pair[1], pair[2])):
@@ -72,7 +72,7 @@ def placed_by(rig: Rig, views: Views, pixels: Floats) -> PlacedRig:
     return PlacedRig.at_poses(rig, cameras, boards)
 
 
-def thinned(which: Ints, pixels: Floats) -> Ints:
+def thin_views(which: Ints, pixels: Floats) -> Ints:
     """So many of the views ``which`` that a start needs, of those of ``pixels (N, M, 2)`` that show enough corners."""
     enough = which[(~np.isnan(pixels[which]).any(axis=2)).sum(axis=1) >= FEWEST_IN_SPACE]
     some = enough if len(enough) else which
@@ -118,12 +118,12 @@ def fit_rig(start: PlacedRig, views: Views, pixels: Floats, sigma: Floats | None
 
     ``sigma (N, M, 2)`` px are the corners' own standard deviations, up to one factor that the residuals tell.
     """
-    rig = start.settled()
+    rig = start.with_folded_increments()
     prior = np.array([p.prior_sigma for p in rig.parameters])
     mean = np.array([p.value for p in rig.parameters])
     weight = _weight(sigma)
     values, damping, width, corners = rig.values, 1e-6, np.inf, pixels.shape[1]
-    seen, slopes = sight_and_slopes(rig.at(values), views, corners)
+    seen, slopes = sight_and_slopes(rig.with_values(values), views, corners)
     loss = np.inf
     for step in range(STEPS):
         r, before = weight * (pixels - seen), width
@@ -134,7 +134,7 @@ def fit_rig(start: PlacedRig, views: Views, pixels: Floats, sigma: Floats | None
         while True:
             move = np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
             # Nearly every step is good, so its derivatives are taken at once.
-            there, ahead = sight_and_slopes(rig.at(values + move * prior), views, corners)
+            there, ahead = sight_and_slopes(rig.with_values(values + move * prior), views, corners)
             new = _loss(weight * (pixels - there) / width, (values + move * prior - mean) / prior)
             if new <= loss or damping > 1e6 or float(move @ g) < ROUNDING * loss:
                 break
@@ -147,7 +147,7 @@ def fit_rig(start: PlacedRig, views: Views, pixels: Floats, sigma: Floats | None
         if steady and rests:
             break
     covariance = np.asarray(np.linalg.inv(H) * np.outer(prior, prior), dtype=np.float64)
-    return FittedRig(rig.at(values).settled(), covariance, float(width))
+    return FittedRig(rig.with_values(values).with_folded_increments(), covariance, float(width))
 
 
 def fit_rig_beside_arm(start: PlacedRig, views: Views, pixels: Floats, sigma: Floats | None = None) -> FittedRig:
@@ -170,7 +170,7 @@ def tool_errors(rig: PlacedRig, views: Views, pixels: Floats, sigma: Floats | No
     """How far the tool of each view is from where these cameras and boards have it."""
     seen, by_tool = sight_by_tool(rig, views, pixels.shape[1])
     weight = np.broadcast_to(_weight(sigma), pixels.shape)
-    return ToolErrors.of(weight * (pixels - seen), weight[..., None] * by_tool)
+    return ToolErrors.from_residuals(weight * (pixels - seen), weight[..., None] * by_tool)
 
 
 def _weight(sigma: Floats | None) -> float | Floats:
@@ -198,14 +198,14 @@ def fit_rig_of_arm(
     mean = np.array([p.value for p in rig.parameters])
     told, values, weight = ~np.isnan(pixels), rig.values, np.broadcast_to(_weight(sigma), pixels.shape)
     for _ in range(STEPS):
-        seen, slopes = sight_and_slopes(rig.at(values), views, pixels.shape[1])
+        seen, slopes = sight_and_slopes(rig.with_values(values), views, pixels.shape[1])
         told = told & ~np.isnan(seen)
-        span, inner = slopes.spanned()
+        span, inner = slopes.low_rank_factors()
         counts = np.where(told, weight, 0.0)
         A = (span * counts[..., None]).reshape(len(span), -1, span.shape[3])
         r = np.where(told, counts * (pixels - seen), 0.0).reshape(len(span), -1, 1)
         root = np.where(told, 1.0 / sigma_px, 0.0).reshape(r.shape)
-        root *= _root((r - _shared(A, r, root, known)) / sigma_px)
+        root *= _root((r - _project_on_tool_motion(A, r, root, known)) / sigma_px)
         B, s = root * A, root * r
         tool = B[..., :6]
         rest = np.linalg.inv(np.diag(known) + tool.transpose(0, 2, 1) @ tool) @ tool.transpose(0, 2, 1)
@@ -218,10 +218,10 @@ def fit_rig_of_arm(
         if float(np.max(np.abs(move), initial=0.0)) < SETTLED:
             break
     covariance = np.asarray(np.linalg.inv(H) * np.outer(prior, prior), dtype=np.float64)
-    return FittedRig(rig.at(values).settled(), covariance, sigma_px)
+    return FittedRig(rig.with_values(values).with_folded_increments(), covariance, sigma_px)
 
 
-def _shared(A: Floats, r: Floats, root: Floats, known: Floats) -> Floats:
+def _project_on_tool_motion(A: Floats, r: Floats, root: Floats, known: Floats) -> Floats:
     """What of residuals (N, R, 1) px a motion of the tool explains, whose six numbers are ``known (6,)`` that well."""
     tool, weighed = A[..., :6], (root**2 * A[..., :6]).transpose(0, 2, 1)
     return np.asarray(tool @ np.linalg.solve(np.diag(known) + weighed @ tool, weighed @ r))
@@ -232,7 +232,7 @@ def _equations(
 ) -> tuple[Floats, Floats]:
     told, root = ~np.isnan(r), _root(r / width) / width
     n, size = len(r), r[0].size
-    span, inner = seen.spanned()
+    span, inner = seen.low_rank_factors()
     A = (span * np.where(told, root * weight, 0.0)[..., None]).reshape(n, size, -1)
     inner = inner * prior
     scaled = np.where(told, r * root, 0.0).reshape(n, size, 1)

@@ -50,7 +50,7 @@ def timing(views: Pixels, calibration: Calibration) -> Timing | None:
     if qd is None or not np.any(qd):
         return None
     prediction = calibration.predict(rows)
-    rig = views.placed(prediction)
+    rig = views.resolve_rig(prediction)
     seen, by_tool = sight_by_tool(rig, views.views(prediction), views.pixels.shape[1])
     w = np.broadcast_to(views.weights, views.pixels.shape) / views.metres_per_px
     left = w * (views.pixels - seen)
@@ -66,7 +66,7 @@ def timing(views: Pixels, calibration: Calibration) -> Timing | None:
     pose = rows.pose_groups()[some]
     late = (w * by_time)[some]
     by_line = np.nan_to_num(late * line[..., None])
-    rest = _unmoved(by_tool[some] * w[some][..., None], told[some], np.nan_to_num(left[some]), by_line)
+    rest = _project_out_board_motion(by_tool[some] * w[some][..., None], told[some], np.nan_to_num(left[some]), by_line)
     whole = np.nan_to_num(left[some]).reshape(len(some), -1), late.reshape(len(some), -1)
     return Timing(_delay(*whole, pose), _delay(*rest, pose), len(some))
 
@@ -98,7 +98,7 @@ def _twists(calibration: Calibration, rows: Observations, qd: Floats) -> Floats:
     return np.hstack([ahead.position - behind.position, spin]) / (2.0 * STEP_S)
 
 
-def _unmoved(by_motion: Floats, told: Bools, left: Floats, slope: Floats) -> tuple[Floats, Floats]:
+def _project_out_board_motion(by_motion: Floats, told: Bools, left: Floats, slope: Floats) -> tuple[Floats, Floats]:
     """What is left (n, R), and how it follows, beyond every motion of each board."""
     n = len(left)
     Q = np.linalg.qr((by_motion * told[..., None]).reshape(n, -1, 6))[0]

@@ -49,7 +49,7 @@ class ViewScatter:
         return float(np.sqrt(3.0) * self.place)
 
 
-def scatter_of(e: Floats, C: Floats, rest: float, numbers: float, used: float = 0.0) -> ViewScatter:
+def estimate_view_scatter(e: Floats, C: Floats, rest: float, numbers: float, used: float = 0.0) -> ViewScatter:
     """Widths from motions ``e (N, 6)`` with covariances ``C (N, 6, 6)`` for corners of 1 px.
 
     ``rest`` px² is what poses of their own leave of all corners, in as many ``numbers``; ``used`` numbers went into a model
@@ -140,7 +140,7 @@ class ToolErrors:
     numbers: int
 
     @staticmethod
-    def of(left: Floats, by_tool: Floats) -> ToolErrors:
+    def from_residuals(left: Floats, by_tool: Floats) -> ToolErrors:
         """From what is ``left (N, M, 2)`` px of corners, whose pixels follow the tool ``by_tool (N, M, 2, 6)``.
 
         Corners on one line tell no pose: nothing says how the tool is rotated about that line.
@@ -187,4 +187,4 @@ class ToolErrors:
                 f"No view shows {FEWEST_CORNERS} corners or more: none tells a pose. Measure views that show more of a board.",
                 code="no_view",
             )
-        return scatter_of(self.motion, self.covariance, self.rest, self.numbers - within, used)
+        return estimate_view_scatter(self.motion, self.covariance, self.rest, self.numbers - within, used)

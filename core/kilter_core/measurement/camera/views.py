@@ -15,7 +15,7 @@ from kilter_core.model.placed_rig import Place, PlacedRig
 from kilter_core.types import Bools, Floats, Ints
 
 
-def pairs_of(camera: Ints, board: Ints) -> list[tuple[int, int]]:
+def camera_board_pairs(camera: Ints, board: Ints) -> list[tuple[int, int]]:
     """Every camera (N,) with each board (N,) that it saw; rows that no camera saw have -1."""
     seen = np.unique(np.stack([camera, board], axis=1)[camera >= 0], axis=0)
     return [(int(c), int(b)) for c, b in seen]
@@ -36,7 +36,7 @@ class Views:
 
     def pairs(self) -> Iterator[tuple[Ints, int, int]]:
         """Rows of each pair of a camera and a board."""
-        for c, b in pairs_of(self.camera, self.board):
+        for c, b in camera_board_pairs(self.camera, self.board):
             yield np.flatnonzero((self.camera == c) & (self.board == b)), c, b
 
 
@@ -55,7 +55,7 @@ class Slopes:
     by_own: Floats
     own: Ints
 
-    def spanned(self) -> tuple[Floats, Floats]:
+    def low_rank_factors(self) -> tuple[Floats, Floats]:
         """Derivatives (N, M, 2, 6 + O) by the few numbers that pixels follow, and those of these (N, 6 + O, K)."""
         inner = np.zeros((len(self.carried), 6 + self.own.shape[1], self.carried.shape[2]))
         inner[:, :6] = self.carried
@@ -92,24 +92,24 @@ def sight_by_tool(rig: PlacedRig, views: Views, corners: int) -> tuple[Floats, F
     for which, c, b in views.pairs():
         seen = _Pair(rig, c, b, views.position[which], views.rotation[which])
         m = seen.pixels.shape[1]
-        pixels[which, :m], by_tool[which, :m] = seen.pixels, seen.told(seen.by_tool())
+        pixels[which, :m], by_tool[which, :m] = seen.pixels, seen.zero_unseen_slopes(seen.by_tool())
     return pixels, by_tool
 
 
-def carried_by(rig: PlacedRig, views: Views) -> Floats:
+def equivalent_tool_motions(rig: PlacedRig, views: Views) -> Floats:
     """How the tool would have to move (N, 6, K) to show what the unknowns of the rig do, as :class:`Slopes` has it."""
     out = np.zeros((len(views.position), 6, len(rig.unknowns)))
     for which, c, b in views.pairs():
         pair = _Pair(rig, c, b, views.position[which], views.rotation[which])
-        for one in _parts_of(rig, c, b):
+        for one in _pair_unknowns(rig, c, b):
             if one.what == "pose":
-                out[which, :, one.columns] = pair.carried(one.camera)
+                out[which, :, one.columns] = pair.equivalent_tool_motion(one.camera)
     return out
 
 
 def sight_and_slopes(rig: PlacedRig, views: Views, corners: int) -> tuple[Floats, Slopes]:
     """As :func:`sight`, and how the pixels follow."""
-    rows, pairs = len(views.position), [(which, c, b, _parts_of(rig, c, b)) for which, c, b in views.pairs()]
+    rows, pairs = len(views.position), [(which, c, b, _pair_unknowns(rig, c, b)) for which, c, b in views.pairs()]
     most = max((sum(one.width for one in parts if one.what != "pose") for _, _, _, parts in pairs), default=0)
     pixels, by_tool = np.full((rows, corners, 2), np.nan), np.zeros((rows, corners, 2, 6))
     carried = np.zeros((rows, 6, len(rig.unknowns)))
@@ -119,13 +119,13 @@ def sight_and_slopes(rig: PlacedRig, views: Views, corners: int) -> tuple[Floats
         seen = _Pair(rig, c, b, views.position[which], views.rotation[which], lens=lens)
         m = seen.pixels.shape[1]
         pixels[which, :m] = seen.pixels
-        by_tool[which, :m] = seen.told(seen.by_tool())
+        by_tool[which, :m] = seen.zero_unseen_slopes(seen.by_tool())
         for one in parts:
             if one.what == "pose":
-                carried[which, :, one.columns] = seen.carried(one.camera)
+                carried[which, :, one.columns] = seen.equivalent_tool_motion(one.camera)
                 continue
             there = slice(place, place + one.width)
-            by_own[which, :m, :, there] = seen.told(seen.by_intrinsics if one.camera else seen.by_scale())
+            by_own[which, :m, :, there] = seen.zero_unseen_slopes(seen.by_intrinsics if one.camera else seen.by_scale())
             own[which, there] = np.arange(one.columns.start, one.columns.stop)
             place = there.stop
     return pixels, Slopes(by_tool, carried, by_own, own)
@@ -145,12 +145,12 @@ class _Part(NamedTuple):
         return int(self.columns.stop - self.columns.start)
 
 
-def _parts_of(rig: PlacedRig, c: int, b: int) -> list[_Part]:
+def _pair_unknowns(rig: PlacedRig, c: int, b: int) -> list[_Part]:
     """The unknowns of one camera and one board."""
-    return [one for one in _parts(rig) if one.place == (c if one.camera else b)]
+    return [one for one in _group_unknowns(rig) if one.place == (c if one.camera else b)]
 
 
-def _parts(rig: PlacedRig) -> Iterator[_Part]:
+def _group_unknowns(rig: PlacedRig) -> Iterator[_Part]:
     """The unknowns of a rig by what they are of: those of one thing follow each other, all of it."""
     start = 0
     for (camera, place, what), each in groupby(rig.unknowns, lambda one: (one[0].camera, one[0].place, one[0].what)):
@@ -203,7 +203,7 @@ class _Pair:
         return self.to_camera @ self.rotation if self.outside else self.to_camera
 
     @cached_property
-    def _seen(self) -> tuple[Floats, Floats, Floats | None]:
+    def _projected_corners(self) -> tuple[Floats, Floats, Floats | None]:
         there = self.arms + self.position[:, None] if self.outside else self.arms @ self.rotation
         points = (there - self.X[:3, 3]) @ self.X[:3, :3]
         if self.free_lens:
@@ -213,25 +213,25 @@ class _Pair:
     @property
     def pixels(self) -> Floats:
         """Pixels (n, m, 2)."""
-        return self._seen[0]
+        return self._projected_corners[0]
 
     @property
     def by_point(self) -> Floats:
         """Their derivatives (n, m, 2, 3) by the points before the camera."""
-        return self._seen[1]
+        return self._projected_corners[1]
 
     @property
     def by_intrinsics(self) -> Floats:
         """Their derivatives (n, m, 2, K) by the intrinsics, of a lens that is free."""
-        assert self._seen[2] is not None
-        return self._seen[2]
+        assert self._projected_corners[2] is not None
+        return self._projected_corners[2]
 
     @cached_property
     def unseen(self) -> Bools:
         """Corners (n, m) behind the camera."""
         return np.asarray(np.isnan(self.pixels[..., 0]))
 
-    def told(self, slopes: Floats) -> Floats:
+    def zero_unseen_slopes(self, slopes: Floats) -> Floats:
         """Slopes (n, m, 2, K), zero of a corner behind the camera."""
         if self.unseen.any():
             slopes = np.where(self.unseen[..., None, None], 0.0, slopes)
@@ -247,7 +247,7 @@ class _Pair:
         """Derivative (n, m, 2, K) by moves (m, K, 3) of the corners in the frame of the board."""
         return np.asarray(_in_axes(self.by_point, self.board_rotation) @ (moves @ self.Y.T).transpose(0, 2, 1))
 
-    def carried(self, camera: bool) -> Floats:
+    def equivalent_tool_motion(self, camera: bool) -> Floats:
         """Motions (n, 6, 6) of the tool that show the same as the six increments of the camera's pose, or the board's."""
         place, pose = (self.lens, self.X) if camera else (self.sheet, self.Y_whole)
         on_tool = camera is not self.outside

@@ -11,7 +11,7 @@ Ints = NDArray[np.int64]
 
 
 @njit(cache=True)
-def linked(points: Floats, along: Floats, near: float, window: float) -> Ints:
+def label_components(points: Floats, along: Floats, near: float, window: float) -> Ints:
     """Number (N,) of the component of each point (N, n): neighbours are within ``near`` in every coordinate.
 
     ``along (N,)`` ascends, and neighbours differ in it by no more than ``window``.

@@ -38,7 +38,7 @@ class _Outside:
     def unit(self) -> str:
         return "mm" if self.joint.kind == "prismatic" else "deg"
 
-    def take(self, first: int, cells: Floats) -> None:
+    def add_readings(self, first: int, cells: Floats) -> None:
         q = cells * self.column.factor
         beyond = np.maximum(self.joint.lower - q, q - self.joint.upper)
         rows = np.flatnonzero(beyond > TOLERANCE[self.unit])
@@ -59,7 +59,7 @@ class _Outside:
         low, high = self.joint.lower / self.column.factor, self.joint.upper / self.column.factor
         return f"{low:.6g} to {high:.6g} of joint {self.joint.name!r}"
 
-    def said(self) -> str:
+    def describe_violation(self) -> str:
         size = self.worst * (1e3 if self.unit == "mm" else 180.0 / math.pi)
         more = f" and {self.count - SHOWN} more" if self.count > SHOWN else ""
         rows = ", ".join(map(str, self.rows[:SHOWN]))
@@ -74,7 +74,7 @@ class JointLimits:
 
     def check(self, column: Column, joint: Joint, cells: Floats, first: int) -> None:
         """Look at the next readings of a joint; ``first`` is the number of the first row."""
-        self._found.setdefault(column.name, _Outside(column, joint)).take(first, cells)
+        self._found.setdefault(column.name, _Outside(column, joint)).add_readings(first, cells)
 
     def finish(self) -> tuple[dict[str, Any], ...]:
         """Return a warning about readings a little outside the limits; refuse others.
@@ -87,7 +87,7 @@ class JointLimits:
         if not found:
             return ()
         rows = sorted({row for one in found for row in one.rows})[:MOST_ROWS]
-        listed = "; ".join(one.said() for one in found)
+        listed = "; ".join(one.describe_violation() for one in found)
         if all(one.is_doubtful for one in found):
             what = f"Readings are a little outside the limits of their joints: {listed}. "
             what += "They count. Correct the limits of the robot, or leave these rows out."

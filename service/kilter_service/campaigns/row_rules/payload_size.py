@@ -35,7 +35,7 @@ class PayloadSize:
         self._robot = robot
         self._largest: tuple[float, str] = (0.0, "")
 
-    def take(self, column: Column, cells: Floats) -> None:
+    def add_payloads(self, column: Column, cells: Floats) -> None:
         """Remember the largest payload of the next rows."""
         self._largest = max(self._largest, (float(np.nanmax(cells, initial=0.0)) * column.factor, column.name))
 

@@ -49,7 +49,7 @@ class RowRules:
         self._views = views
         self.robot = robot
         self.rows = 0
-        self._beside = _beside(columns)
+        self._beside = _optional_quantities(columns)
         self._limits = JointLimits()
         self._payload = PayloadSize(robot)
         self._belonging = Belonging(columns, robot, conditions)
@@ -78,7 +78,7 @@ class RowRules:
         if self._views is not None:
             self._views.check(cells, self.rows)
         self._remember(cells)
-        self._belonging.take(table)
+        self._belonging.add_rows(table)
         self.rows += table.num_rows
 
     def finish(self) -> tuple[dict[str, Any], ...]:
@@ -90,7 +90,7 @@ class RowRules:
                 unit.
 
         """
-        found = self._belonging.found()
+        found = self._belonging.check_collected_rows()
         if not self._unchecked:
             self._check_units(next((one for one in found.warnings if one["code"] == "rows_astray"), None))
         # Another unit, sign or zero explains limits better than wrong rows.
@@ -125,7 +125,7 @@ class RowRules:
         if column.quantity in ("payload", "load_kg"):
             self._refuse(cells < 0, column.name, "is negative", cells)
         if column.quantity == "payload":
-            self._payload.take(column, cells)
+            self._payload.add_payloads(column, cells)
         if column.quantity in ("sx", "sy", "sz"):
             self._check_position(column)
             self._refuse(cells <= 0, column.name, "is not a standard deviation: it must be above 0", cells)
@@ -262,7 +262,7 @@ def _refuse_upright(columns: Sequence[Column], robot: Robot) -> None:
             )
 
 
-def _beside(columns: Sequence[Column]) -> frozenset[str]:
+def _optional_quantities(columns: Sequence[Column]) -> frozenset[str]:
     """Quantities that may be missing in some rows, because other sensors measured those."""
     groups = (PLACE, ("link",), TILTS, ("marker_x",), ("pixel_u",))
     kinds = sum(any(c.quantity in group for c in columns) for group in groups)

@@ -13,7 +13,7 @@ from kilter_core.observations.rig import Rig
 from kilter_core.types import Bools, Floats
 from kilter_service.contract.columns import NAMED, PIXELS
 from kilter_service.ground.tables.columns import Column, has
-from kilter_service.ground.tables.views import rig_of
+from kilter_service.ground.tables.views import rig_from_conditions
 
 EDGE = 0.5  # px: the picture ends half a pixel beyond the centres of its outermost pixels
 
@@ -95,7 +95,7 @@ def views_rules(columns: Sequence[Column], conditions: Mapping[str, Any] | None)
     """
     if not has(columns, "pixel_u"):
         return None
-    rig = None if conditions is None else rig_of(conditions)
+    rig = None if conditions is None else rig_from_conditions(conditions)
     if conditions is not None and rig is None:
         raise ObservationError(
             "The upload has pixels, and the campaign describes no cameras and boards: make a campaign whose conditions have "

@@ -9,7 +9,7 @@ from typing import Any
 
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.kept_facts import facts_of
+from kilter_service.campaigns.kept_facts import cached_campaign_facts
 from kilter_service.campaigns.suspicious import store
 from kilter_service.campaigns.suspicious.store import Said
 from kilter_service.contract.campaigns import Campaign
@@ -30,7 +30,7 @@ def of_campaign(database: Database, campaign_id: str) -> SuspiciousRows:
         ServiceError: no such campaign, or parts of it are missing.
 
     """
-    return _of(database, campaigns.get(database, campaign_id))
+    return _collect_suspicious_rows(database, campaigns.get(database, campaign_id))
 
 
 def of_campaigns(database: Database, ids: Iterable[str]) -> list[SuspiciousRows]:
@@ -44,12 +44,12 @@ def of_campaigns(database: Database, ids: Iterable[str]) -> list[SuspiciousRows]
     return out
 
 
-def _of(database: Database, campaign: Campaign) -> SuspiciousRows:
+def _collect_suspicious_rows(database: Database, campaign: Campaign) -> SuspiciousRows:
     starts = [0, *accumulate(upload.rows for upload in campaign.uploads)]
     found: list[SuspiciousRow] = []
     count = 0
     try:
-        facts = facts_of(database, campaign)
+        facts = cached_campaign_facts(database, campaign)
     except CoreError:
         facts = None  # nothing was uploaded, or rows that cannot be read: the versions' word stays
     if facts is not None:
@@ -77,14 +77,16 @@ def sentence(rows: int, count: int) -> str:
 
 def _by_job(session: Session, campaign: str, starts: Sequence[int]) -> Iterator[SuspiciousRow]:
     """What the jobs that made versions say of rows of a campaign."""
-    for said in store.said_of(session, campaign):
+    for said in store.iter_set_aside_rows(session, campaign):
         by: SaidBy = "search" if said.kind == "gap" else "identification"
         for one in as_written(list[SetAside], said.rows):
             values = {"mm": one.residual_mm, "sigma": one.residual_sigma, "weight": one.weight}
-            yield _row(one.row, starts, by, _why(one, by), held_out=bool(one.held_out), said=said, **values)
+            yield _row(
+                one.row, starts, by, _set_aside_reason(one, by), held_out=bool(one.held_out), said=said, **values
+            )
 
 
-def _why(one: SetAside, by: SaidBy) -> str:
+def _set_aside_reason(one: SetAside, by: SaidBy) -> str:
     if one.held_out:
         return f"no model of this {by} predicts it, and it was left out of the errors on held-out rows"
     if one.weight:

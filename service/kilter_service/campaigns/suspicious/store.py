@@ -23,7 +23,7 @@ class Said:
     rows: list[dict[str, Any]]
 
 
-def said_of(session: Session, campaign_id: str) -> Iterator[Said]:
+def iter_set_aside_rows(session: Session, campaign_id: str) -> Iterator[Said]:
     """Yield what the versions of a campaign's robot say of rows of the campaign, oldest first."""
     version, aside = VersionRow, VersionRow.report["set_aside"]
     query = (

@@ -29,10 +29,10 @@ LEFT_OUT = (AuditRow, EndedJobsRow, HeartbeatRow, LoginRow)
 
 def listen(sessions: sessionmaker[Session]) -> None:
     """Record what the sessions of a maker change."""
-    event.listen(sessions, "after_flush", _flushed)
-    event.listen(sessions, "do_orm_execute", _executed)
+    event.listen(sessions, "after_flush", _record_flush)
+    event.listen(sessions, "do_orm_execute", _record_bulk_statement)
     event.listen(sessions, "before_commit", _append)
-    event.listen(sessions, "after_commit", _tell)
+    event.listen(sessions, "after_commit", _log_audit_head)
 
 
 def note(session: Session, thing: str, before: object, after: object) -> None:
@@ -45,7 +45,7 @@ def _keep(session: Session, thing: str, before: str, after: str) -> None:
         session.info.setdefault(CHANGES, []).append({"thing": thing, "before": before, "after": after})
 
 
-def _flushed(session: Session, _context: Any) -> None:
+def _record_flush(session: Session, _context: Any) -> None:
     # The keys of new rows are known now, and what was changed in the others still is.
     for row in session.new:
         _row(session, row, None, _values(row))
@@ -90,7 +90,7 @@ def hash_when_long(value: Any) -> Any:
     return value
 
 
-def _executed(state: ORMExecuteState) -> None:
+def _record_bulk_statement(state: ORMExecuteState) -> None:
     """Record deletions and updates of many rows by one statement, which touch no object."""
     if state.is_delete or state.is_update:
         table = getattr(state.statement, "table", None)
@@ -98,10 +98,10 @@ def _executed(state: ORMExecuteState) -> None:
         if name == LoginRow.__tablename__:
             return
         verb = "deleted" if state.is_delete else "changed"
-        _keep(state.session, f"{name}/*", _text(f"{verb} where {_where(state)}"), "")
+        _keep(state.session, f"{name}/*", _text(f"{verb} where {_format_where_clause(state)}"), "")
 
 
-def _where(state: ORMExecuteState) -> str:
+def _format_where_clause(state: ORMExecuteState) -> str:
     assert isinstance(state.statement, ClauseElement)
     compiled = state.statement.compile()
     return f"{str(compiled).partition('WHERE')[2].strip()} {dict(compiled.params)}"
@@ -116,12 +116,12 @@ def _append(session: Session) -> None:
     last = session.execute(select(AuditRow.number, AuditRow.sha256).order_by(AuditRow.number.desc()).limit(1)).first()
     number, previous = (1, "") if last is None else (last.number + 1, last.sha256)
     content = _content(number, caller, changes)
-    sha256 = hash_of(previous, content)
+    sha256 = hash_entry(previous, content)
     session.execute(insert(AuditRow).values(number=number, previous=previous, sha256=sha256, content=content))
     session.info[TOLD] = number, sha256
 
 
-def _tell(session: Session) -> None:
+def _log_audit_head(session: Session) -> None:
     """Write the end of the audit into the log: whoever rewrites or cuts the database does not reach the journal."""
     told = session.info.pop(TOLD, None)
     if told is not None:
@@ -145,6 +145,6 @@ def _content(number: int, caller: Caller, changes: list[dict[str, str]]) -> str:
     )
 
 
-def hash_of(previous: str, content: str) -> str:
+def hash_entry(previous: str, content: str) -> str:
     """Return the hash of an entry."""
     return hashlib.sha256(f"{previous}\n{content}".encode()).hexdigest()

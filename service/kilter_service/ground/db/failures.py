@@ -98,9 +98,9 @@ def _of_driver(error: BaseException | None, *, away: bool = False) -> ServiceErr
     if error is None:
         return None
     if isinstance(error, sqlite3.Error):
-        return _first(SQLITE, str(error), str.__contains__)
+        return _first_matching_error(SQLITE, str(error), str.__contains__)
     state = getattr(error, "sqlstate", None)
-    if state is not None and (found := _first(POSTGRESQL, state, str.startswith)):
+    if state is not None and (found := _first_matching_error(POSTGRESQL, state, str.startswith)):
         return found
     if state is not None and state.startswith(("28", "3D")):
         return ServiceError(REFUSED.format(reason=_reason(error)), code=REFUSED_CODE)
@@ -111,7 +111,7 @@ def _of_driver(error: BaseException | None, *, away: bool = False) -> ServiceErr
     return None
 
 
-def _first(
+def _first_matching_error(
     table: tuple[tuple[str, str, str], ...], text: str, matches: Callable[[str, str], bool]
 ) -> ServiceError | None:
     return next((ServiceError(sentence, code=code) for part, code, sentence in table if matches(text, part)), None)

@@ -84,25 +84,25 @@ def _complete(connection: Connection, sealer: Sealer, whole: DatabaseSeal, table
 
 def _lacking(connection: Connection, table: Table) -> dict[str, str]:
     """Seals of rows that lack the digest of a column."""
-    wanted = {column.name for column in seals.columns_of(table)}
+    wanted = {column.name for column in seals.sealed_columns(table)}
     query = select(SEALS.c.id, SEALS.c.digests).where(SEALS.c.thing == table.name)
     return {key: text for key, text in connection.execute(query) if wanted - seals.read(text).keys()}
 
 
 def stored(connection: Connection, table: Table) -> Iterator[tuple[str, dict[str, Any]]]:
     """Rows of a table as SQLite stores them, by their keys; nothing in them is decoded, however damaged."""
-    columns = seals.columns_of(table)
+    columns = seals.sealed_columns(table)
     if connection.dialect.name == "sqlite":
         yield from _of_sqlite(connection, table)
         return
     shown = [cast(c, Text).label(c.name) if isinstance(c.type, JSON) else c for c in columns]
     for row in connection.execute(select(*shown).execution_options(yield_per=AT_ONCE_READ)).mappings():
         values = {c.name: row[c.name] if isinstance(c.type, JSON) else seals.raw(c, row[c.name]) for c in columns}
-        yield seals.id_of(values[c.name] for c in table.primary_key.columns), values
+        yield seals.format_row_key(values[c.name] for c in table.primary_key.columns), values
 
 
 def _of_sqlite(connection: Connection, table: Table) -> Iterator[tuple[str, dict[str, Any]]]:
-    names = [column.name for column in seals.columns_of(table)]
+    names = [column.name for column in seals.sealed_columns(table)]
     keys = [column.name for column in table.primary_key.columns]
     quoted = ", ".join(f'"{name}"' for name in names)
     driver: Any = connection.connection.driver_connection
@@ -112,7 +112,7 @@ def _of_sqlite(connection: Connection, table: Table) -> Iterator[tuple[str, dict
         driver.text_factory = _text
         for row in cursor.execute(f'SELECT {quoted} FROM "{table.name}" NOT INDEXED'):  # noqa: S608 (names of our tables)
             values = dict(zip(names, row, strict=True))
-            yield seals.id_of(values[key] for key in keys), values
+            yield seals.format_row_key(values[key] for key in keys), values
     finally:
         cursor.close()
         driver.text_factory = before

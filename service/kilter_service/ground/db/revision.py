@@ -62,7 +62,7 @@ def check(database: Database) -> None:
 
 def _refuse_newer(found: str | None) -> None:
     """Refuse a revision that this code does not know: migrating does not help, and nothing may be written."""
-    if found is None or found in known():
+    if found is None or found in known_revisions():
         return
     raise ServiceError(
         f"The database is of a newer Kilter: it has revision {found}, and this one knows no later than {HEAD}. Run the newer "
@@ -87,7 +87,7 @@ def has_seals(database: Database) -> bool:
         return inspect(session.connection()).has_table(SealRow.__tablename__)
 
 
-def known() -> frozenset[str]:
+def known_revisions() -> frozenset[str]:
     """Return the revisions that this code has, read from the files: alembic takes a second to import."""
     found = (REVISION.search(path.read_text(encoding="utf-8")) for path in (migrations() / "versions").glob("*.py"))
     return frozenset(match[1] for match in found if match)

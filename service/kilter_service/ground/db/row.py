@@ -11,14 +11,14 @@ from sqlalchemy.orm import DeclarativeBase
 MOMENT = timedelta(microseconds=1)  # by which the databases tell times apart
 
 
-def now() -> datetime:
+def utc_now() -> datetime:
     """Return the time in UTC."""
     return datetime.now(UTC)
 
 
 def days_since(moment: datetime) -> int:
     """Return the whole days since a time; 0 where a clock that is fast has it ahead."""
-    return max((now() - moment).days, 0)
+    return max((utc_now() - moment).days, 0)
 
 
 class Instant(TypeDecorator[datetime]):

@@ -28,7 +28,7 @@ def other_key(connection: Connection, sealer: Sealer) -> str:
     return "" if keyed_by == sealer.number else describe_other_key(keyed_by, sealer)
 
 
-def altered(connection: Connection, sealer: Sealer, name: str) -> Iterator[str]:
+def describe_altered_rows(connection: Connection, sealer: Sealer, name: str) -> Iterator[str]:
     """Sentences about the rows of a table that are not as they were stored."""
     whole = read_database_seal(connection, sealer)
     known = dict(connection.execute(select(SEALS.c.id, SEALS.c.digests).where(SEALS.c.thing == name)).all())
@@ -49,18 +49,18 @@ def _rows(connection: Connection, sealer: Sealer, name: str, known: dict[str, st
     missing = set(known)
     for key, values in stored(connection, TABLES[name]):
         if key not in known:
-            yield f"Table {name}, row {_shown(key)}: it was put in past Kilter."
+            yield f"Table {name}, row {_printable_key(key)}: it was put in past Kilter."
             continue
         missing.discard(key)
         digests = seals.read(known[key])
         other = [c for c, value in values.items() if digests.get(c) != sealer.digest(name, key, c, value)]
         if other:
-            yield f"Table {name}, row {_shown(key)}: {', '.join(other)} {'was' if len(other) == 1 else 'were'} altered."
+            yield f"Table {name}, row {_printable_key(key)}: {', '.join(other)} {'was' if len(other) == 1 else 'were'} altered."
     for key in sorted(missing):
-        yield f"Table {name}, row {_shown(key)} is missing."
+        yield f"Table {name}, row {_printable_key(key)} is missing."
 
 
-def _shown(key: str) -> str:
+def _printable_key(key: str) -> str:
     return key.encode("utf-8", "backslashreplace").decode()[:100]
 
 
@@ -73,7 +73,7 @@ def whole_altered(connection: Connection, sealer: Sealer) -> Iterator[str]:
     if not whole.fits:
         yield "The seal over all tables does not fit: a table was put back to an earlier state, or a total was altered."
     for name in connection.execute(select(SEALS.c.thing).where(SEALS.c.thing.not_in(TABLES)).distinct()).scalars():
-        yield f"Table seals, rows of {_shown(name)}: they were put in past Kilter, there is no such table."
+        yield f"Table seals, rows of {_printable_key(name)}: they were put in past Kilter, there is no such table."
     for key in connection.execute(select(WHOLE.c.id).where(WHOLE.c.id != ONLY)).scalars():
         yield f"Table {WHOLE.name}, row {key}: it was put in past Kilter."
     end = audit_end(connection)

@@ -82,7 +82,7 @@ class Pending:
     def _rows(self, connection: Connection, table: str, keys: set[str]) -> tuple[int, int]:
         """Write the seals of rows; returns by how much the number of rows and their total grow."""
         more, heavier = 0, 0
-        known = _known(connection, table, sorted(keys))
+        known = _stored_digests(connection, table, sorted(keys))
         new, other, gone = [], [], []
         for key in sorted(keys):
             place, had = (table, key), known.get(key)
@@ -128,7 +128,7 @@ def hex_total(weight: int) -> str:
     return f"{weight % MODULUS:064x}"
 
 
-def _known(connection: Connection, table: str, keys: Sequence[str]) -> dict[str, str]:
+def _stored_digests(connection: Connection, table: str, keys: Sequence[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for some in in_parts(keys):
         found.update(connection.execute(_KNOWN, {"b_thing": table, "b_ids": some}).all())
@@ -146,9 +146,9 @@ def listen(sessions: sessionmaker[Session], sealer: Sealer) -> None:
         for row in session.deleted:
             _cascade(session.connection(), pending(session), row.__table__, [_key(row)])
 
-    def flushed(session: Session, _context: Any) -> None:
+    def seal_flushed_rows(session: Session, _context: Any) -> None:
         for row in (one for one in session.new if one.__tablename__ in TABLES):
-            columns = seals.columns_of(TABLES[row.__tablename__])
+            columns = seals.sealed_columns(TABLES[row.__tablename__])
             pending(session).store(_place(row), _digests(sealer, row, {column.name for column in columns}))
         for row in (one for one in session.deleted if one.__tablename__ in TABLES):
             pending(session).remove(_place(row))
@@ -158,7 +158,7 @@ def listen(sessions: sessionmaker[Session], sealer: Sealer) -> None:
             if digests:
                 pending(session).change(_place(row), digests)
 
-    def executed(state: ORMExecuteState) -> None:
+    def seal_bulk_statement(state: ORMExecuteState) -> None:
         if state.is_delete or state.is_update:
             _by_statement(state, pending(state.session))
 
@@ -169,8 +169,8 @@ def listen(sessions: sessionmaker[Session], sealer: Sealer) -> None:
             (changed or Pending(sealer)).apply(session.connection(), told)
 
     event.listen(sessions, "before_flush", flushing)
-    event.listen(sessions, "after_flush", flushed)
-    event.listen(sessions, "do_orm_execute", executed)
+    event.listen(sessions, "after_flush", seal_flushed_rows)
+    event.listen(sessions, "do_orm_execute", seal_bulk_statement)
     event.listen(sessions, "before_commit", committing)
 
 
@@ -184,12 +184,12 @@ def _place(row: Row) -> Place:
 
 
 def _id(table: Table, key: Sequence[Any]) -> str:
-    return seals.id_of(seals.raw(c, v) for c, v in zip(table.primary_key.columns, key, strict=True))
+    return seals.format_row_key(seals.raw(c, v) for c, v in zip(table.primary_key.columns, key, strict=True))
 
 
 def _digests(sealer: Sealer, row: Row, names: Iterable[str]) -> Digests:
     table, key = _place(row)
-    columns = {column.name: column for column in seals.columns_of(TABLES[table])}
+    columns = {column.name: column for column in seals.sealed_columns(TABLES[table])}
     return {
         name: sealer.digest(table, key, name, seals.raw(columns[name], getattr(row, name)))
         for name in names

@@ -22,7 +22,7 @@ from kilter_service.ground.db.row import Row
 from kilter_service.ground.db.seal_tables import DatabaseSealRow, SealRow
 from kilter_service.ground.db.tables import AuditRow, EndedJobsRow, HeartbeatRow
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import secret_in
+from kilter_service.ground.files.private_files import read_secret_file
 
 # The audit has a chain of its own, that a process is alive lasts for seconds, and on how many jobs ended rests nothing but
 # a metric. Nor does anything on the progress of a job, which workers note beside each other, and the bytes of chunks and
@@ -71,11 +71,11 @@ def sealer() -> Sealer:
 
     """
     named = os.environ.get(KEY_VARIABLE)
-    return Sealer(_key_in(Path(named))) if named else Sealer()
+    return Sealer(_read_key_file(Path(named))) if named else Sealer()
 
 
-def _key_in(file: Path) -> bytes:
-    return secret_in(file, "key", LEAST_KEY, 0o077 & ~_right_of_credential(file), _unusable)
+def _read_key_file(file: Path) -> bytes:
+    return read_secret_file(file, "key", LEAST_KEY, 0o077 & ~_right_of_credential(file), _unusable)
 
 
 def _right_of_credential(file: Path) -> int:
@@ -88,12 +88,12 @@ def _unusable(what: str) -> ServiceError:
     return ServiceError(f"The file that {KEY_VARIABLE} names {what}.", code="seal_key_unusable")
 
 
-def columns_of(table: Table) -> list[Column[Any]]:
+def sealed_columns(table: Table) -> list[Column[Any]]:
     """Columns of a table that have digests."""
     return [column for column in table.columns if (table.name, column.name) not in OPEN]
 
 
-def id_of(raw: Iterable[Any]) -> str:
+def format_row_key(raw: Iterable[Any]) -> str:
     """Key of a row as text."""
     return "/".join(str(part) for part in raw)
 

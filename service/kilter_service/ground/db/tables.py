@@ -23,7 +23,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import Mapped, Mapper, mapped_column
 
-from kilter_service.ground.db.row import MOMENT, Row, now
+from kilter_service.ground.db.row import MOMENT, Row, utc_now
 
 
 class RobotRow(Row):
@@ -37,7 +37,7 @@ class RobotRow(Row):
     id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(String(64), unique=True)
     document: Mapped[dict[str, Any]]
-    created_at: Mapped[datetime] = mapped_column(default=now)
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
     chain: Mapped[dict[str, Any] | None]
     sha256: Mapped[str] = mapped_column(String(64), default="", server_default="")
     source_sha256: Mapped[str] = mapped_column(String(64), default="", server_default="")
@@ -59,7 +59,7 @@ class CampaignRow(Row):
     role: Mapped[str] = mapped_column(String(16))
     conditions: Mapped[dict[str, Any]]
     notes: Mapped[str]
-    created_at: Mapped[datetime] = mapped_column(default=now)
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
     staged: Mapped[bool] = mapped_column(default=False, server_default=false())
     measured_at: Mapped[datetime | None]
     instrument: Mapped[str | None] = mapped_column(String(64))
@@ -78,7 +78,7 @@ class UploadRow(Row):
     rows: Mapped[int]
     columns: Mapped[list[Any]]
     media_type: Mapped[str] = mapped_column(String(64))
-    created_at: Mapped[datetime] = mapped_column(default=now)
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
 
 
 class ChunkRow(Row):
@@ -120,7 +120,7 @@ class JobRow(Row):
     cancel_requested: Mapped[bool] = mapped_column(default=False)
     error: Mapped[dict[str, Any] | None]
     result: Mapped[dict[str, Any] | None]
-    created_at: Mapped[datetime] = mapped_column(default=now)
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
     started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]
     name: Mapped[str] = mapped_column(String(200), default="", server_default="")
@@ -162,7 +162,7 @@ class VersionRow(Row):
     campaigns: Mapped[list[Any]]
     limits: Mapped[dict[str, Any]]
     code_version: Mapped[str] = mapped_column(String(64))
-    created_at: Mapped[datetime] = mapped_column(default=now)
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
     hash_scheme: Mapped[int] = mapped_column(default=1, server_default="1")
     robot_sha256: Mapped[str] = mapped_column(String(64), default="", server_default="")
     name: Mapped[str] = mapped_column(String(200), default="", server_default="")
@@ -183,7 +183,7 @@ class ActivationRow(Row):
     version_id: Mapped[str] = mapped_column(ForeignKey("versions.id", ondelete="RESTRICT"))
     action: Mapped[str] = mapped_column(String(16))
     actor: Mapped[str] = mapped_column(String(64))
-    at: Mapped[datetime] = mapped_column(default=now)
+    at: Mapped[datetime] = mapped_column(default=utc_now)
     forced: Mapped[bool] = mapped_column(default=False, server_default=false())
     reason: Mapped[str] = mapped_column(String(500), default="", server_default="")
     objections: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
@@ -237,7 +237,7 @@ class TokenRow(Row):
     sha256: Mapped[str] = mapped_column(String(64), unique=True)
     role: Mapped[str] = mapped_column(String(16))
     robots: Mapped[list[Any] | None] = mapped_column(JSON(none_as_null=True))
-    created_at: Mapped[datetime] = mapped_column(default=now)
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
     created_by: Mapped[str] = mapped_column(String(64))
     expires_at: Mapped[datetime | None]
     revoked_at: Mapped[datetime | None]
@@ -263,7 +263,7 @@ class LoginRow(Row):
     __tablename__ = "logins"
     sha256: Mapped[str] = mapped_column(String(64), primary_key=True)
     token_sha256: Mapped[str] = mapped_column(String(64), index=True)
-    created_at: Mapped[datetime] = mapped_column(default=now)
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
     expires_at: Mapped[datetime] = mapped_column(index=True)
 
 
@@ -274,7 +274,7 @@ class AnsweredRow(Row):
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
     body_sha256: Mapped[str] = mapped_column(String(64))
     answer: Mapped[dict[str, Any]] = mapped_column(JSON)
-    at: Mapped[datetime] = mapped_column(default=now, index=True)
+    at: Mapped[datetime] = mapped_column(default=utc_now, index=True)
 
 
 class FleetJobRow(Row):
@@ -285,7 +285,7 @@ class FleetJobRow(Row):
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     name: Mapped[str] = mapped_column(String(200), default="", server_default="")
     request: Mapped[dict[str, Any]]
-    created_at: Mapped[datetime] = mapped_column(default=now)
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
     cancelled_at: Mapped[datetime | None]
 
 
@@ -316,7 +316,7 @@ class MeshRow(Row):
     triangles: Mapped[int]
     sha256: Mapped[str] = mapped_column(String(64))
     content: Mapped[bytes] = mapped_column(LargeBinary)
-    created_at: Mapped[datetime] = mapped_column(default=now)
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
 
 
 class InstrumentRow(Row):
@@ -336,7 +336,7 @@ class InstrumentRow(Row):
     certified_on: Mapped[str | None] = mapped_column(String(10))
     valid_until: Mapped[str | None] = mapped_column(String(10))
     notes: Mapped[str]
-    created_at: Mapped[datetime] = mapped_column(default=now)
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
 
 
 class RepairRow(Row):
@@ -348,7 +348,7 @@ class RepairRow(Row):
     at: Mapped[datetime]
     what: Mapped[str] = mapped_column(String(200))
     actor: Mapped[str] = mapped_column(String(64))
-    created_at: Mapped[datetime] = mapped_column(default=now)
+    created_at: Mapped[datetime] = mapped_column(default=utc_now)
 
 
 class CreepingRow(Row):
@@ -357,10 +357,10 @@ class CreepingRow(Row):
     __tablename__ = "creeping"
     robot_id: Mapped[int] = mapped_column(ForeignKey("robots.id", ondelete="CASCADE"), primary_key=True)
     job_id: Mapped[str] = mapped_column(String(32))
-    told_at: Mapped[datetime] = mapped_column(default=now)
+    told_at: Mapped[datetime] = mapped_column(default=utc_now)
 
 
-def _come_last(_mapper: Mapper[Any], connection: Connection, row: Any) -> None:
+def _assign_creation_time(_mapper: Mapper[Any], connection: Connection, row: Any) -> None:
     """Date a row after the others (of its robot): the clock may have been set back, and `latest` is the newest."""
     if row.created_at is None:
         others = type(row).__table__.c
@@ -368,11 +368,11 @@ def _come_last(_mapper: Mapper[Any], connection: Connection, row: Any) -> None:
         if "robot_id" in others:
             query = query.where(others.robot_id == row.robot_id)
         newest = connection.execute(query).scalar()
-        row.created_at = now() if newest is None else max(now(), newest + MOMENT)
+        row.created_at = utc_now() if newest is None else max(utc_now(), newest + MOMENT)
 
 
 for _dated in (CampaignRow, FleetJobRow, JobRow, TokenRow, VersionRow):
-    event.listen(_dated, "before_insert", _come_last)
+    event.listen(_dated, "before_insert", _assign_creation_time)
 
 OF_PEOPLE = frozenset({"name", "notes", "retired_at", "retired_by"})  # what may change of a version
 

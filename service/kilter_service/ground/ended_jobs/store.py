@@ -17,7 +17,7 @@ NEVER_RAN = 0
 def count(session: Session, row: JobRow) -> None:
     """Count a job that has just ended, in the transaction that ends it."""
     took = _took(row)
-    key = (row.kind, row.state, NEVER_RAN if took is None else _bin_of(took))
+    key = (row.kind, row.state, NEVER_RAN if took is None else _duration_bin(took))
     counted = session.get(EndedJobsRow, key)
     if counted is None:
         counted = EndedJobsRow(kind=row.kind, state=row.state, at_most_ms=key[2], jobs=0, seconds=0.0)
@@ -32,6 +32,6 @@ def _took(row: JobRow) -> timedelta | None:
     return max(timedelta(0), row.finished_at - row.started_at)  # the clock may have been set back
 
 
-def _bin_of(took: timedelta) -> int:
+def _duration_bin(took: timedelta) -> int:
     at = bisect_left(AT_MOST_MS, took / timedelta(milliseconds=1))
     return AT_MOST_MS[at] if at < len(AT_MOST_MS) else LONGER_MS

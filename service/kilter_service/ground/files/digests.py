@@ -22,7 +22,7 @@ def check_digest(headers: Mapping[str, str], sha256: str) -> None:
 
     """
     for name in HEADERS:
-        for stated in _stated(name, headers.get(name, "")):
+        for stated in _parse_digest_header(name, headers.get(name, "")):
             if stated != bytes.fromhex(sha256):
                 raise ServiceError(
                     f"What arrived is not what was sent: its SHA-256 is {sha256}, {name.title()} says {stated.hex()}. "
@@ -32,7 +32,7 @@ def check_digest(headers: Mapping[str, str], sha256: str) -> None:
                 )
 
 
-def _stated(name: str, text: str) -> list[bytes]:
+def _parse_digest_header(name: str, text: str) -> list[bytes]:
     found = []
     for member in filter(str.strip, text.split(",")):
         match = MEMBER.fullmatch(member)

@@ -50,7 +50,7 @@ def private_file(path: Path) -> None:
     keep_private(path)
 
 
-def secret_in(file: Path, what: str, least: int, others: int, unusable: Callable[[str], ServiceError]) -> bytes:
+def read_secret_file(file: Path, what: str, least: int, others: int, unusable: Callable[[str], ServiceError]) -> bytes:
     """Return ``what`` a file holds: at least so many bytes, and nobody may have the rights ``others``.
 
     Raises:
@@ -103,16 +103,16 @@ class Scratch:
     def __init__(self, shared: Path) -> None:
         private_folder(shared)
         keep_private(shared)
-        with _held(shared / LOCK):
+        with _exclusive_lock(shared / LOCK):
             clean(shared)
             self.folder = Path(tempfile.mkdtemp(prefix=f"{os.getpid()}-", dir=shared))
-            self._lock = held(self.folder)
+            self._lock = hold_scratch_folder(self.folder)
 
     @classmethod
-    def shared_at(cls, folder: Path) -> Scratch:
+    def from_shared_folder(cls, folder: Path) -> Scratch:
         """Share the folder of another process."""
         made = cls.__new__(cls)
-        made.folder, made._lock = folder, held(folder)
+        made.folder, made._lock = folder, hold_scratch_folder(folder)
         return made
 
     @contextmanager
@@ -143,9 +143,9 @@ def scratch_for_sockets(data: Path) -> Scratch:
     return Scratch(shared)
 
 
-def held(folder: Path) -> IO[str] | None:
+def hold_scratch_folder(folder: Path) -> IO[str] | None:
     """Keep a folder of :class:`Scratch` for as long as the file returned is open, as several processes may at once."""
-    return _locked(folder / LOCK, fcntl.LOCK_SH)
+    return _try_lock_file(folder / LOCK, fcntl.LOCK_SH)
 
 
 def clean(shared: Path) -> None:
@@ -153,21 +153,21 @@ def clean(shared: Path) -> None:
     for folder in shared.iterdir():
         if not folder.is_dir() or folder.is_symlink():
             continue
-        lock = _locked(folder / LOCK, fcntl.LOCK_EX)
+        lock = _try_lock_file(folder / LOCK, fcntl.LOCK_EX)
         if lock is not None:
             shutil.rmtree(folder, ignore_errors=True)
             lock.close()
 
 
 @contextmanager
-def _held(path: Path) -> Iterator[None]:
+def _exclusive_lock(path: Path) -> Iterator[None]:
     """Hold a lock for a moment: no folder may be looked at between its making and its own lock."""
     with path.open("w", encoding="ascii") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield
 
 
-def _locked(path: Path, how: int) -> IO[str] | None:
+def _try_lock_file(path: Path, how: int) -> IO[str] | None:
     """Lock a file; None when another process holds it, or its folder is gone."""
     try:
         file = path.open("w", encoding="ascii")

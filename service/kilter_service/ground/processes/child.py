@@ -90,7 +90,7 @@ class Child(ABC):
 
     def _say_if_frozen(self) -> None:
         """Say that somebody stopped the process (SIGSTOP, a debugger); whoever did it may want to go on."""
-        frozen = stopped(self.pid)
+        frozen = is_process_stopped(self.pid)
         if frozen == self._frozen:
             return
         self._frozen = frozen
@@ -113,7 +113,7 @@ def running(pid: int | None) -> bool:
     return _state(pid) not in "TtZX"
 
 
-def stopped(pid: int | None) -> bool:
+def is_process_stopped(pid: int | None) -> bool:
     """Whether somebody stopped a process. One whose threads end one after another is not: its first is dead, no more."""
     return _state(pid) in "Tt"
 

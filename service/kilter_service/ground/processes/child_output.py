@@ -34,7 +34,9 @@ class ChildOutput:
         """Pass on what comes out until it ends."""
         assert output is not None
         self._line = ""
-        self._thread = threading.Thread(target=self._pass_on, args=(output,), daemon=True, name=f"{self._name}-output")
+        self._thread = threading.Thread(
+            target=self._forward_output, args=(output,), daemon=True, name=f"{self._name}-output"
+        )
         self._thread.start()
 
     def last_line(self) -> str:
@@ -47,7 +49,7 @@ class ChildOutput:
         if self._thread is not None:
             self._thread.join(GRACE_S)
 
-    def _pass_on(self, output: IO[bytes]) -> None:
+    def _forward_output(self, output: IO[bytes]) -> None:
         with output:
             for line in output:
                 text = line.decode(errors="replace")

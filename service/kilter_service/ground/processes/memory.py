@@ -65,11 +65,11 @@ class ShortPauses:
     def __init__(self, long_s: float = LONG_PAUSE_S) -> None:
         self._long_s, self._began = long_s, 0.0
 
-    def begin(self) -> None:
+    def watch_collections(self) -> None:
         """Watch the collections of this process from now on."""
-        gc.callbacks.append(self._seen)
+        gc.callbacks.append(self._freeze_after_slow_collection)
 
-    def _seen(self, phase: str, info: dict[str, int]) -> None:
+    def _freeze_after_slow_collection(self, phase: str, info: dict[str, int]) -> None:
         if info["generation"] < 2:
             return
         if phase == "start":

@@ -69,18 +69,18 @@ def run(module: str, folder: Path, arguments: Sequence[str], limits: Limits, env
         except subprocess.TimeoutExpired:
             late, code = True, -signal.SIGKILL
         finally:
-            _end(process)
-    return Ended(code, late or code == -signal.SIGXCPU, _last(folder / "words"))
+            _kill_process_group(process)
+    return Ended(code, late or code == -signal.SIGXCPU, _read_output_tail(folder / "words"))
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _kill_process_group(process: subprocess.Popen[bytes]) -> None:
     """End it with whatever it started: the process leads a group of its own."""
     if process.poll() is None:
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
 
 
-def _last(path: Path) -> str:
+def _read_output_tail(path: Path) -> str:
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - LAST_WORDS))
         return file.read().decode("utf-8", "replace")

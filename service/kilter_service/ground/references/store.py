@@ -12,7 +12,7 @@ from sqlalchemy import ColumnElement, Select, and_, or_, select
 from kilter_service.contract.references import Kind
 from kilter_service.ground.caller import allowed_robots, may_see
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow, TombstoneRow, VersionRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
@@ -36,28 +36,32 @@ class Found(NamedTuple):
     in_use: bool
 
 
-def beginning_with(session: Session, kind: Kind, robot_id: int | None, text: str) -> list[Found]:
+def find_by_id_prefix(session: Session, kind: Kind, robot_id: int | None, text: str) -> list[Found]:
     """Return what has an id that begins with ``text``, with or without what ids of the kind begin with, newest first."""
     table, prefix = TABLES[kind], PREFIXES[kind]
     whole = text if text.startswith(prefix) else prefix + text
-    return _found(session, _of(kind, robot_id).where(table.id.startswith(whole, autoescape=True)))
+    return _fetch_references(
+        session, _select_references(kind, robot_id).where(table.id.startswith(whole, autoescape=True))
+    )
 
 
-def called(session: Session, kind: Kind, robot_id: int | None, name: str) -> list[Found]:
+def find_by_name(session: Session, kind: Kind, robot_id: int | None, name: str) -> list[Found]:
     """Return what has a name, newest first."""
-    return _found(session, _of(kind, robot_id).where(TABLES[kind].name == name)) if name else []
+    return (
+        _fetch_references(session, _select_references(kind, robot_id).where(TABLES[kind].name == name)) if name else []
+    )
 
 
 def newest(session: Session, kind: Kind, robot_id: int | None, most: int = 1) -> list[Found]:
     """Return the newest that are not retired, of jobs also those that failed; of each robot where none is given."""
     if robot_id is not None:
-        query = _of(kind, robot_id).limit(most)
-        return _found(session, query if kind == "job" else query.where(_in_use(kind)))
+        query = _select_references(kind, robot_id).limit(most)
+        return _fetch_references(session, query if kind == "job" else query.where(_in_use(kind)))
     everywhere = session.execute(select(RobotRow.id).where(RobotRow.retired_at.is_(None))).scalars().all()
     return [found for one in everywhere for found in newest(session, kind, one, most)]
 
 
-def _of(kind: Kind, robot_id: int | None) -> Select[str, str, str, datetime, bool]:
+def _select_references(kind: Kind, robot_id: int | None) -> Select[str, str, str, datetime, bool]:
     table = TABLES[kind]
     query = select(table.id, RobotRow.name.label("robot"), table.name, table.created_at, _in_use(kind).label("in_use"))
     query = query.join(RobotRow, RobotRow.id == table.robot_id)
@@ -78,7 +82,7 @@ def _in_use(kind: Kind) -> ColumnElement[bool]:
     return JobRow.state.not_in(("failed", "cancelled"))
 
 
-def _found(session: Session, query: Select[str, str, str, datetime, bool]) -> list[Found]:
+def _fetch_references(session: Session, query: Select[str, str, str, datetime, bool]) -> list[Found]:
     return [Found(*row) for row in session.execute(query)]
 
 
@@ -90,7 +94,7 @@ def check_name(session: Session, kind: Kind, robot_id: int, name: str, own_id: s
 
     """
     check_form(kind, name)
-    others = [one for one in called(session, kind, robot_id, name) if one.in_use and one.id != own_id]
+    others = [one for one in find_by_name(session, kind, robot_id, name) if one.in_use and one.id != own_id]
     if others:
         remedy = f", add to that one with --campaign {others[0].id}" if kind == "campaign" else ""
         retire = "" if kind == "job" else f", or retire that one (kilter {kind}s retire {others[0].id})"
@@ -125,7 +129,7 @@ def check_form(kind: Kind, name: str) -> None:
 def free_name(session: Session, kind: Kind, robot_id: int, name: str) -> str:
     """Return a name, with a number behind it where another of the robot has it."""
     tried, number = name, 1
-    while any(one.in_use for one in called(session, kind, robot_id, tried)):
+    while any(one.in_use for one in find_by_name(session, kind, robot_id, tried)):
         number += 1
         tried = f"{name[:190]} ({number})"
     return tried
@@ -144,7 +148,7 @@ def retire(session: Session, whose: Whose, key: str | int, actor: str) -> None:
     """Take something out of use; nothing changes when it already is."""
     row = session.get_one(KEPT[whose], key)
     if row.retired_at is None:
-        row.retired_at, row.retired_by = now(), actor
+        row.retired_at, row.retired_by = utc_now(), actor
         session.flush()
 
 
@@ -186,10 +190,10 @@ def tombstones(session: Session, robot: str | None, page: Page) -> list[Tombston
     if page.moment is not None:
         moment, key = page.moment
         query = query.where(or_(row.at < moment, and_(row.at == moment, row.id > key)))
-    return [_tombstone(found) for found in session.execute(query.limit(page.fetched)).scalars()]
+    return [_tombstone(found) for found in session.execute(query.limit(page.fetch_limit)).scalars()]
 
 
-def tombstone_of(session: Session, kind: str, id_: str) -> TombstoneRecord | None:
+def find_tombstone(session: Session, kind: str, id_: str) -> TombstoneRecord | None:
     """Return what is left of something that was purged, if it was."""
     query = select(TombstoneRow).where(TombstoneRow.kind == kind, TombstoneRow.id == id_)
     row = session.execute(query.order_by(TombstoneRow.at.desc()).limit(1)).scalar_one_or_none()
@@ -198,7 +202,7 @@ def tombstone_of(session: Session, kind: str, id_: str) -> TombstoneRecord | Non
 
 def gone(session: Session, kind: str, id_: str) -> str:
     """Say that something was purged, if it was; empty else."""
-    found = tombstone_of(session, kind, id_)
+    found = find_tombstone(session, kind, id_)
     if found is None or not may_see(found.robot):
         return ""
     return f" It was purged by {found.by} on {found.at:%Y-%m-%d %H:%M} UTC (sha256 {found.sha256[:12]})."

@@ -57,7 +57,7 @@ def observations(table: pa.Table, columns: Sequence[Column], conditions: dict[st
     fields["link_wrench"] = _on_links(si, table.num_rows, LOAD_PARTS[1:])
     fields["markers"] = _markers(si)
     fields |= views(si, conditions, table.num_rows)
-    return Observations(**_filled(fields, conditions, table.num_rows))
+    return Observations(**_fill_from_conditions(fields, conditions, table.num_rows))
 
 
 def with_default_load(rows: Observations, robot: Robot) -> Observations:
@@ -140,7 +140,7 @@ def _markers(si: dict[tuple[str, int | None], Floats]) -> Floats | None:
     return np.stack([np.stack([si[f"marker_{axis}", k] for axis in "xyz"], axis=1) for k in numbers], axis=1)
 
 
-def _filled(fields: dict[str, Any], conditions: dict[str, Any], rows: int) -> dict[str, Any]:
+def _fill_from_conditions(fields: dict[str, Any], conditions: dict[str, Any], rows: int) -> dict[str, Any]:
     for name in ("payload_kg", "temperature_c"):
         if fields[name] is None and conditions.get(name) is not None:
             fields[name] = np.full(rows, float(conditions[name]))

@@ -128,7 +128,7 @@ def _read(name: str, kinds: Sequence[str]) -> Column:
         return Column(name, f"marker_{match[2]}", int(match[1]) - 1, factor)
     if match := _PLAIN.fullmatch(name):
         return Column(name, match[1], None, _factor(name, match[1], match[2] or "", PLAIN_UNITS[match[1]]))
-    near = get_close_matches(name, _known(kinds), n=3)
+    near = get_close_matches(name, _known_column_names(kinds), n=3)
     hint = f"Near it: {', '.join(near)}." if near else "The reference of observations lists all columns."
     raise refuse(f"Column {name!r} is unknown. {hint}", name, near=near)
 
@@ -213,7 +213,7 @@ def _conflicts(present: set[str], markers: set[int]) -> None:
         raise refuse(f"Column 'm{absent}x' is missing: number the markers 1, 2, 3, ... without a gap.", f"m{absent}x")
 
 
-def _known(kinds: Sequence[str]) -> list[str]:
+def _known_column_names(kinds: Sequence[str]) -> list[str]:
     names = [f"{stem}_{unit}".rstrip("_") for stem, units in PLAIN_UNITS.items() for unit in units]
     for quantity, units_of in JOINT_UNITS.items():
         names += [

@@ -18,7 +18,7 @@ class Names:
         self._met: dict[str, list[str]] = {column: [] for column in self._of}
 
     @staticmethod
-    def stated(conditions: Mapping[str, Any] | None) -> Names:
+    def from_conditions(conditions: Mapping[str, Any] | None) -> Names:
         """Those that a campaign's conditions name; with None whatever comes."""
         if conditions is None:
             return Names(dict.fromkeys(NAMED))
@@ -27,7 +27,7 @@ class Names:
     def __contains__(self, column: str) -> bool:
         return column in self._of
 
-    def numbered(self, table: pa.Table, first: int) -> pa.Table:
+    def replace_names_by_numbers(self, table: pa.Table, first: int) -> pa.Table:
         """The table with numbers for names; ``first`` is the number of its first row.
 
         Raises:

@@ -29,7 +29,7 @@ def parquet_names(path: Path) -> list[str]:
         ObservationError: not a Parquet file, too many columns, or invalid names.
 
     """
-    with _opened(path) as file:
+    with _open_parquet(path) as file:
         return list(file.schema_arrow.names)
 
 
@@ -40,27 +40,27 @@ def parquet_tables(path: Path, named: Names) -> Iterator[pa.Table]:
         ObservationError: other types than numbers, or more than may be decoded.
 
     """
-    with _opened(path) as file:
+    with _open_parquet(path) as file:
         _check_size(file.metadata)
         columns = file.schema_arrow.names
         schema = pa.schema([(name, pa.string() if name in named else pa.float64()) for name in columns])
         rows = max(1, min(PIECE_ROWS, BATCH_CELLS // len(columns)))
-        with _explained():
+        with _translate_arrow_errors():
             for batch in file.iter_batches(batch_size=rows, use_threads=False):
                 yield pa.Table.from_batches([batch]).cast(schema)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[ParquetFile]:
+def _open_parquet(path: Path) -> Iterator[ParquetFile]:
     check_pages(path)
-    with _explained():
+    with _translate_arrow_errors():
         file = parquet.ParquetFile(path, buffer_size=BUFFER_BYTES)
     with file:
         if file.metadata.num_columns > MAX_COLUMNS:
             raise ObservationError(
                 f"The upload has {file.metadata.num_columns} columns, at most {MAX_COLUMNS} are allowed."
             )
-        with _explained():
+        with _translate_arrow_errors():
             schema = file.schema_arrow
             names = schema.names
         _numeric(schema)
@@ -69,7 +69,7 @@ def _opened(path: Path) -> Iterator[ParquetFile]:
 
 
 @contextmanager
-def _explained() -> Iterator[None]:
+def _translate_arrow_errors() -> Iterator[None]:
     """Put an error of Arrow into Kilter's words."""
     try:
         yield

@@ -83,7 +83,7 @@ def tables(path: Path, media: str, names: Names | None = None) -> Iterator[pa.Ta
     for table in pieces:
         if (first - 1 + table.num_rows) * table.num_columns > MAX_CELLS:
             raise ObservationError(f"The upload has more than {MAX_CELLS} cells: split it.")
-        table = named.numbered(table, first)
+        table = named.replace_names_by_numbers(table, first)
         _finite(table, first)
         first += table.num_rows
         if table.num_rows:
@@ -174,7 +174,7 @@ def _find_fault(path: Path, names: Sequence[str], named: Names) -> None:
             for number, cells in enumerate(rows, 1):
                 _find_fault_in(number, cells, names, named)
         except csv.Error as error:
-            raise _at(
+            raise _cell_error(
                 number + 1, None, f"cannot be read ({error}): look for a quotation mark that is not closed"
             ) from error
     if number == 0:
@@ -187,13 +187,13 @@ def _lines(file: io.BufferedReader) -> Iterator[str]:
         if not line:
             return
         if len(line) > MAX_LINE_BYTES:
-            raise _at(number, None, f"is longer than {MAX_LINE_BYTES} bytes: end each row with a line break")
+            raise _cell_error(number, None, f"is longer than {MAX_LINE_BYTES} bytes: end each row with a line break")
         yield line.decode("utf-8-sig" if number == 0 else "utf-8", errors="replace")
 
 
 def _find_fault_in(number: int, cells: Sequence[str], names: Sequence[str], named: Names) -> None:
     if len(cells) != len(names):
-        raise _at(
+        raise _cell_error(
             number,
             None,
             f"has {len(cells)} cells where the header has {len(names)}: give every row all columns, "
@@ -201,7 +201,7 @@ def _find_fault_in(number: int, cells: Sequence[str], names: Sequence[str], name
         )
     for name, cell in zip(names, cells, strict=True):
         if cell and name not in named and (len(cell) > MAX_CELL or not _NUMBER.fullmatch(cell)):
-            raise _at(number, name, f"is {cell[:40]!r}, which is not a number: write it like -12.5")
+            raise _cell_error(number, name, f"is {cell[:40]!r}, which is not a number: write it like -12.5")
 
 
 def _json(path: Path) -> dict[str, list[Any]]:
@@ -240,7 +240,7 @@ def _json_tables(path: Path, named: Names) -> Iterator[pa.Table]:
     longest = max((len(column) for column in document.values()), default=0)
     for name, column in document.items():
         if len(column) != longest:
-            raise _at(len(column) + 1, name, "is missing: give every column as many values")
+            raise _cell_error(len(column) + 1, name, "is missing: give every column as many values")
         _cells(name, column, name in named)
     yield pa.table({
         name: pa.array(map(str, column), pa.string(), size=longest) if name in named
@@ -267,9 +267,9 @@ def _cells(name: str, column: list[Any], named: bool) -> None:
         if named and isinstance(cell, str):
             continue
         if cell is not None and (isinstance(cell, bool) or not isinstance(cell, int | float)):
-            raise _at(number, name, f"is {str(cell)[:40]!r}, which is not a number")
+            raise _cell_error(number, name, f"is {str(cell)[:40]!r}, which is not a number")
         if isinstance(cell, int) and cell.bit_length() > HUGE_BITS:
-            raise _at(number, name, "is too large for a measurement")
+            raise _cell_error(number, name, "is too large for a measurement")
 
 
 def _finite(table: pa.Table, first: int) -> None:
@@ -277,9 +277,9 @@ def _finite(table: pa.Table, first: int) -> None:
         finite = pc.is_finite(column)
         if not pc.all(finite, skip_nulls=True, min_count=0).as_py():
             row = pc.index(finite, False).as_py()
-            raise _at(first + row, name, f"is {column[row].as_py()}: leave the row out, or measure it again")
+            raise _cell_error(first + row, name, f"is {column[row].as_py()}: leave the row out, or measure it again")
 
 
-def _at(row: int, column: str | None, what: str) -> ObservationError:
+def _cell_error(row: int, column: str | None, what: str) -> ObservationError:
     place = f"Row {row}" if column is None else f"Row {row}, column {column!r}"
     return ObservationError(f"{place} {what}.", row=row, column=column)

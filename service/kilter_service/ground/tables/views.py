@@ -14,7 +14,7 @@ from kilter_service.ground.wire import to_metres
 PERCENT = 1e-2
 
 
-def rig_of(conditions: Mapping[str, Any]) -> Rig | None:
+def rig_from_conditions(conditions: Mapping[str, Any]) -> Rig | None:
     """The cameras and boards of a campaign, SI; None where it names none.
 
     Raises:
@@ -42,7 +42,7 @@ def _board(one: Mapping[str, Any]) -> Board:
 
 def views(si: Mapping[tuple[str, int | None], Floats], conditions: Mapping[str, Any], rows: int) -> dict[str, Any]:
     """Fields of the observations; none without pixels, or where nobody describes the cameras."""
-    rig = rig_of(conditions)
+    rig = rig_from_conditions(conditions)
     if rig is None or not any(quantity == "pixel_u" for quantity, _ in si):
         return {}
     pixels = _corners(si, rig.most_corners, "", rows)

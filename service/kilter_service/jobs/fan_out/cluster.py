@@ -46,17 +46,17 @@ class DaskCluster:
         return True
 
     @contextmanager
-    def opened(self, parts: int) -> Iterator[Opened]:
+    def open_executor(self, parts: int) -> Iterator[Opened]:
         """Connect to the scheduler for these parts alone, so that one that was restarted is found again by the next."""
         from distributed import KilledWorker
         from distributed.comm.core import CommClosedError
 
-        client = self._connected()
+        client = self._connect_client()
         executor = client.get_executor(pure=False)  # or it would take the time to see which parts are equal
         try:
-            yield Opened(executor, check=_Watch(client, self._away))
+            yield Opened(executor, check=_Watch(client, self._unreachable_error))
         except (CancelledError, CommClosedError) as error:  # the scheduler has forgotten the parts
-            raise self._away() from error
+            raise self._unreachable_error() from error
         except RuntimeError as error:
             if not isinstance(error.__cause__, ImportError):
                 raise
@@ -77,15 +77,15 @@ class DaskCluster:
             with suppress(Exception):
                 client.close(timeout=CLOSE_S)
 
-    def _connected(self) -> Client:
+    def _connect_client(self) -> Client:
         from distributed import Client
 
         try:
             return Client(self._address, timeout=CONNECT_S, set_as_default=False, name="kilter")
         except (OSError, ValueError) as error:  # also a timeout
-            raise self._away() from error
+            raise self._unreachable_error() from error
 
-    def _away(self) -> CoreError:
+    def _unreachable_error(self) -> CoreError:
         return ServiceError(
             f"The Dask scheduler at {self._address} does not answer. Start it, or correct KILTER_DASK, and ask for the job "
             "again; without KILTER_DASK the worker computes in processes of its own.",
@@ -110,11 +110,11 @@ class _Watch:
             return "the scheduler is away"
         self._gone_at = None
         if now > self._ask_at:
-            self._state = self._asked()
+            self._state = self._query_cluster_state()
             self._ask_at = time.monotonic() + ASK_S
         return self._state
 
-    def _asked(self) -> str:
+    def _query_cluster_state(self) -> str:
         scheduler = self._client.scheduler
         assert scheduler is not None  # while it is connected
         try:

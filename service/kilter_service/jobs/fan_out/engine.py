@@ -32,7 +32,7 @@ class Engine(Protocol):
         """Whether so many parts, of which each takes so many seconds, are ready sooner there than here."""
         ...
 
-    def opened(self, parts: int) -> AbstractContextManager[Opened]:
+    def open_executor(self, parts: int) -> AbstractContextManager[Opened]:
         """Open an executor. When the context ends, what is pending is cancelled, and nothing is waited for.
 
         Raises:

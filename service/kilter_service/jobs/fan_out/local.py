@@ -31,11 +31,11 @@ class LocalProcesses:
         return count > 1 and parts * each_s > START_S + parts * each_s / count
 
     @contextmanager
-    def opened(self, parts: int) -> Iterator[Opened]:
+    def open_executor(self, parts: int) -> Iterator[Opened]:
         """Start processes. Parts travel in files: a process that is killed can leave no half of one in a shared pipe."""
         context = multiprocessing.get_context("spawn")  # this process has threads: a fork of it might wait for ever
         theirs, ours = context.Pipe(duplex=False)
-        pool = ProcessPoolExecutor(min(self._count, parts), context, end_with, (theirs,))
+        pool = ProcessPoolExecutor(min(self._count, parts), context, exit_when_closed, (theirs,))
         with tempfile.TemporaryDirectory(prefix="kilter-parts-") as folder:
             try:
                 yield Opened(pool, Path(folder))
@@ -45,12 +45,12 @@ class LocalProcesses:
                 theirs.close()
 
 
-def end_with(other: Connection) -> None:
+def exit_when_closed(other: Connection) -> None:
     """End this process when the other end of the connection is closed: its owner is done, or was killed."""
-    threading.Thread(target=_end_after, args=(other,), name="end-with-worker", daemon=True).start()
+    threading.Thread(target=_wait_and_exit, args=(other,), name="end-with-worker", daemon=True).start()
 
 
-def _end_after(other: Connection) -> None:
+def _wait_and_exit(other: Connection) -> None:
     try:
         other.recv_bytes()
     except (EOFError, OSError):

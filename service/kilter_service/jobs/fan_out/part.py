@@ -35,7 +35,7 @@ def compute(packed: Packed, wanted: str) -> Packed:
 
     The answer holds what the work returned, or the error that it raised.
     """
-    answer = pickle.dumps(_computed(packed, wanted), pickle.HIGHEST_PROTOCOL)
+    answer = pickle.dumps(_run_packed_part(packed, wanted), pickle.HIGHEST_PROTOCOL)
     if isinstance(packed, bytes):
         return answer
     path = packed.with_suffix(".answer")
@@ -56,7 +56,7 @@ def unpack(answer: Packed) -> Any:
     return found
 
 
-def _computed(packed: Packed, wanted: str) -> tuple[Any, Exception | None]:
+def _run_packed_part(packed: Packed, wanted: str) -> tuple[Any, Exception | None]:
     if release() != wanted:
         message = (
             f"The worker of the cluster on {platform.node()} has {release()}; the job is computed with {wanted}. "

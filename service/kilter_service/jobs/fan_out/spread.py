@@ -8,7 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from typing import TypeVar
 
 from kilter_core.errors import CoreError
-from kilter_core.types import one_by_one
+from kilter_core.types import run_sequentially
 from kilter_service.jobs.fan_out.engine import Engine, Opened
 from kilter_service.jobs.fan_out.part import Packed, compute, pack, release, unpack
 from kilter_service.jobs.kind import Progress
@@ -40,11 +40,11 @@ class FanOut:
         first: list[Answer] = []
         if self._engine.tries_first:
             begun = time.perf_counter()
-            first = one_by_one(
+            first = run_sequentially(
                 work, tasks[:1], lambda f, stage: progress(f / n, stage.replace("1 of 1", f"1 of {n}", 1))
             )
             if not self._engine.pays(n - 1, time.perf_counter() - begun):
-                return first + one_by_one(work, tasks[1:], _later(progress, n))
+                return first + run_sequentially(work, tasks[1:], _later(progress, n))
         left = tasks[len(first) :]
         found = dict(self.as_completed(work, left, _progress_of_parts(progress, len(first), n)))
         return first + [found[k] for k in range(len(left))]
@@ -62,8 +62,8 @@ class FanOut:
         """
         left, breaks = dict(enumerate(tasks)), 0
         while left:
-            with self._engine.opened(len(left)) as opened:
-                for k, answer in _round(opened, work, dict(left), _counted(look, len(tasks), opened)):
+            with self._engine.open_executor(len(left)) as opened:
+                for k, answer in _round(opened, work, dict(left), _progress_from_waiting(look, len(tasks), opened)):
                     del left[k]
                     breaks = 0
                     yield k, answer
@@ -88,17 +88,17 @@ def _round(
         while waiting:
             look(len(waiting))
             done, waiting = wait(waiting, LOOK_S, FIRST_COMPLETED)
-            for future in sorted(done, key=_failed):
+            for future in sorted(done, key=_has_failed):
                 yield places[future], unpack(future.result())
     except BrokenExecutor:
         return
 
 
-def _failed(future: Future[Packed]) -> bool:
+def _has_failed(future: Future[Packed]) -> bool:
     return future.cancelled() or future.exception() is not None
 
 
-def _counted(look: Callable[[int, str], None], n: int, opened: Opened) -> Callable[[int], None]:
+def _progress_from_waiting(look: Callable[[int, str], None], n: int, opened: Opened) -> Callable[[int], None]:
     return lambda waiting: look(n - waiting, opened.check())
 
 
@@ -114,19 +114,19 @@ def _sent(opened: Opened, k: int, work: Work[Task, Answer], task: Task) -> Packe
 def _progress_of_parts(progress: Progress, first: int, n: int) -> Callable[[int, str], None]:
     """What hears of the parts after the ``first`` ones of ``n``."""
 
-    def told(done: int, state: str) -> None:
+    def report_progress(done: int, state: str) -> None:
         done += first
         progress(done / n, f"{min(done + 1, n)} of {n}" + (f", {state}" if state else ""))
 
-    return told
+    return report_progress
 
 
 def _later(progress: Progress, n: int) -> Progress:
     """Progress of all tasks but the first as part of all ``n``."""
 
-    def tell(fraction: float, stage: str) -> None:
+    def report_shifted_progress(fraction: float, stage: str) -> None:
         number, _, words = stage.partition(" of ")
         words = words.partition(", ")[2]
         progress((1 + fraction * (n - 1)) / n, f"{int(number) + 1} of {n}" + (f", {words}" if words else ""))
 
-    return tell
+    return report_shifted_progress

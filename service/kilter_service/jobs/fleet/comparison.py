@@ -16,14 +16,14 @@ from kilter_service.versions.guard import judge_unstored
 from kilter_service.versions.store import Training
 
 
-def compared(
+def compare_with_previous(
     database: Database, job_id: str, version: VersionContent | None, used: Sequence[UsedRecord]
 ) -> dict[str, Any] | None:
     """Return what the fleet's report says of a version that is not stored yet; None: its job is of no fleet job."""
     if version is None:
         return None
     with database.reading() as session:
-        found = store.before(session, job_id)
+        found = store.version_before_fleet_job(session, job_id)
         job = jobs.get(session, job_id)
     if found is None:
         return None

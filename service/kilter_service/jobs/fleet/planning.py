@@ -26,7 +26,7 @@ from kilter_service.versions import store as versions
 MOST = 1000  # robots of one fleet job: it is planned and queued within a request
 
 
-def named(session: Session, fleet: NewFleetJob) -> list[str]:
+def resolve_robot_names(session: Session, fleet: NewFleetJob) -> list[str]:
     """Return the names of the robots, each once.
 
     Raises:
@@ -55,7 +55,7 @@ def named(session: Session, fleet: NewFleetJob) -> list[str]:
     return found
 
 
-def planned(database: Database, fleet: NewFleetJob, robot: str) -> Planned:
+def plan_robot_job(database: Database, fleet: NewFleetJob, robot: str) -> Planned:
     """Plan one robot; what its job would be refused with is its refusal."""
     with database.reading() as session:
         robot_id = robots.get(session, robot).id
@@ -63,7 +63,7 @@ def planned(database: Database, fleet: NewFleetJob, robot: str) -> Planned:
         before = None if last is None else last.version_id
         try:
             job = _job(session, fleet, robot, robot_id, before)
-            service.checked(session, job, IDENTIFY)
+            service.validate_job(session, job, IDENTIFY)
         except CoreError as error:
             return Planned(robot_id, before, refusal=(error.code, error.message))
     if fleet.options is None:  # those that are given for all were checked once
@@ -122,7 +122,7 @@ def _of_version(session: Session, version_id: str) -> tuple[set[str], set[str], 
 
 def _with_rows(session: Session, robot_id: int) -> Sequence[CampaignRecord]:
     found = campaigns.campaigns_on_page(session, robot_id, staged=False, page=ALL)
-    return [one for one in found if campaigns.uploads_of(session, one.id)]
+    return [one for one in found if campaigns.uploads_of_campaign(session, one.id)]
 
 
 def _options(session: Session, before: str | None) -> IdentifyOptions:

@@ -11,7 +11,7 @@ from kilter_service.ground.paging import Page, in_time
 from kilter_service.jobs.fleet import planning, store, wire
 from kilter_service.jobs.kinds.identify import IDENTIFY
 from kilter_service.jobs.records import Asked
-from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_of
+from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_document
 from kilter_service.web.observability import logs, tracing
 
 ANSWER = TypeAdapter(FleetJobSummary)
@@ -24,17 +24,17 @@ def submit(database: Database, fleet: NewFleetJob, once: Once = NOT_REPEATED) ->
         ServiceError: no such robot, or too many. CoreError: options that do not go together.
 
     """
-    body = hash_of(fleet)
+    body = hash_document(fleet)
     with database.reading() as session:
-        known = once.first(session, body, ANSWER)
+        known = once.first_answer(session, body, ANSWER)
         if known is not None:
             return known
-        names = planning.named(session, fleet)
+        names = planning.resolve_robot_names(session, fleet)
     if fleet.options is not None:
         IDENTIFY.check(fleet.options)
-    planned = [planning.planned(database, fleet, robot) for robot in names]
+    planned = [planning.plan_robot_job(database, fleet, robot) for robot in names]
     with database.transaction() as session:
-        known = once.first(session, body, ANSWER)
+        known = once.first_answer(session, body, ANSWER)
         if known is not None:
             return known
         fleet_id = store.add(session, fleet, planned, Asked(logs.request_id(), tracing.traceparent()))
@@ -72,4 +72,4 @@ def cancel(database: Database, fleet_id: str) -> FleetJob:
 
 
 def _fleet_job(session: Session, fleet_id: str) -> FleetJob:
-    return wire.fleet_job(store.get(session, fleet_id), store.robots_of(session, fleet_id))
+    return wire.fleet_job(store.get(session, fleet_id), store.robots_of_fleet_job(session, fleet_id))

@@ -12,7 +12,7 @@ from kilter_service.contract.jobs.fleet import NewFleetJob
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.ground.caller import allowed_robots
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import FleetJobRow, FleetRobotRow, JobRow, RobotRow, VersionRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
@@ -76,7 +76,7 @@ def newest_fleet_jobs(session: Session, page: Page) -> list[FleetRecord]:
     if page.moment is not None:
         moment, key = page.moment
         query = query.where(row.created_at <= moment, or_(row.created_at < moment, row.id > key))
-    return _records(session, session.execute(query.limit(page.fetched)).scalars().all())
+    return _records(session, session.execute(query.limit(page.fetch_limit)).scalars().all())
 
 
 def _beyond(robots: frozenset[str]) -> Any:
@@ -103,7 +103,7 @@ def _records(session: Session, rows: Sequence[FleetJobRow]) -> list[FleetRecord]
     return [FleetRecord(row.id, row.name, row.created_at, row.cancelled_at, found[row.id]) for row in rows]
 
 
-def robots_of(session: Session, fleet_id: str) -> list[FleetRobotRecord]:
+def robots_of_fleet_job(session: Session, fleet_id: str) -> list[FleetRobotRecord]:
     """Return the robots of a fleet job by name, without the results of their jobs."""
     one = FleetRobotRow
     query = (
@@ -129,11 +129,11 @@ def cancel(session: Session, fleet_id: str) -> bool:
         jobs.cancel(session, job_id)
     row = session.get_one(FleetJobRow, fleet_id)
     if left and row.cancelled_at is None:
-        row.cancelled_at = now()
+        row.cancelled_at = utc_now()
     return bool(left)
 
 
-def before(session: Session, job_id: str) -> tuple[str | None] | None:
+def version_before_fleet_job(session: Session, job_id: str) -> tuple[str | None] | None:
     """Return the version that was active when the fleet job of a job was asked for; None: it is of no fleet job."""
     query = select(FleetRobotRow.before_id).where(FleetRobotRow.job_id == job_id)
     found = session.execute(query).first()

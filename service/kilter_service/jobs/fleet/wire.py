@@ -37,7 +37,7 @@ def _summary_fields(record: FleetRecord) -> dict[str, Any]:
         "robots": robots,
         "counts": counts,
         "created_at": record.created_at,
-        "finished_at": _finished_at(record) if over == robots else None,
+        "finished_at": _finish_time(record) if over == robots else None,
     }
 
 
@@ -49,7 +49,7 @@ def _state(record: FleetRecord, counts: FleetCounts, over: bool) -> State:
     return "succeeded" if counts.succeeded else "failed"
 
 
-def _finished_at(record: FleetRecord) -> datetime:
+def _finish_time(record: FleetRecord) -> datetime:
     """The last end of its jobs; where no robot got one it was over at once."""
     return max((one.finished_at for one in record.counts if one.finished_at is not None), default=record.created_at)
 

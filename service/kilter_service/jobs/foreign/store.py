@@ -27,7 +27,7 @@ def retires(kind: str, code: str) -> bool:
     return kind == KIND and code in REFUSED
 
 
-def refused(session: Session, job_id: str, code: str, message: str) -> str:
+def retire_refused_campaign(session: Session, job_id: str, code: str, message: str) -> str:
     """Retire the campaign of a check whose rows were refused, and say so behind the message of the refusal.
 
     Such rows prove nothing of this arm: too few poses, another arm, tool or temperature. A campaign stays where it was sent to

@@ -17,7 +17,7 @@ def with_direction_warning(kind: str, output: JobOutput, job: JobInput) -> JobOu
     said = (
         f"{names}: directions were derived from the order of the rows. State dir1 ... where another order was driven."
     )
-    return output.warned({"code": "directions_derived", "message": said, "campaigns": derived})
+    return output.with_warnings({"code": "directions_derived", "message": said, "campaigns": derived})
 
 
 def _follows_directions(output: JobOutput, job: JobInput) -> bool:

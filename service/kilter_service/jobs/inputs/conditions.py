@@ -19,7 +19,7 @@ QUANTILE = 1.959963984540054  # of a 95 % interval (kilter_core.types, which loa
 SHIFT = ("x", "y", "z")
 
 
-def conditions_of(job: JobInput, noise: float | None) -> Conditions:
+def build_check_conditions(job: JobInput, noise: float | None) -> Conditions:
     """Conditions of a check or a re-zeroing whose noise of a coordinate is ``noise`` m, None where nobody stated it."""
     stated = to_metres_if_known(job.options.setup_mm)
     setup = learned_setup(job.fit.agreeing) if stated is None else stated

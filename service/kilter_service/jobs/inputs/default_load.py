@@ -14,11 +14,11 @@ THESIS = ("clearance_tilt", "backlash_load", "axial_compliance")  # of level 3 w
 
 def with_load_warning(kind: str, output: JobOutput, job: JobInput) -> JobOutput:
     """Add to result and version that a default load, or none, was taken, and for which campaigns."""
-    remark = _default(job) or unstated(kind, job)
-    return output if remark is None else output.warned(remark)
+    remark = _default(job) or unstated_load_warning(kind, job)
+    return output if remark is None else output.with_warnings(remark)
 
 
-def unstated(kind: str, job: JobInput) -> dict[str, Any] | None:
+def unstated_load_warning(kind: str, job: JobInput) -> dict[str, Any] | None:
     """Say which campaigns state no payload, where nothing counted and an effect of the job follows the load; else None."""
     following = _following(kind, job) if job.no_load else []
     if not following:

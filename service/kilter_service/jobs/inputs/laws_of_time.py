@@ -16,12 +16,12 @@ def with_clock_warnings(output: JobOutput, job: JobInput) -> JobOutput:
     held = {c: rows for c, rows in job.rows_by_campaign.items() if c not in job.campaigns}
     if output.version is not None and held:
         made = core_model.Calibration.from_document(job.robot, output.version.calibration)
-        output = output.warned(*clock_remarks(made, held, job.names))
+        output = output.with_warnings(*clock_remarks(made, held, job.names))
     anew = {c: rows for c, rows in job.campaigns.items() if c not in job.made_from}
     continued = output.version is not None and len(anew) < len(job.campaigns)
     if job.calibration is None or continued:
         return output
-    return output.warned(*clock_remarks(job.calibration, anew, job.names))
+    return output.with_warnings(*clock_remarks(job.calibration, anew, job.names))
 
 
 def clock_remarks(

@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from kilter_service.ground.core import core_model, predictive
-from kilter_service.jobs.inputs.plain import plain
-from kilter_service.versions.suggested import WORKSPACE, suggested
+from kilter_service.jobs.inputs.plain import to_json_types
+from kilter_service.versions.suggested import WORKSPACE, suggest_limits
 
 if TYPE_CHECKING:
     from kilter_service.jobs.kind import JobInput, JobOutput
@@ -20,6 +20,6 @@ def with_limits(output: JobOutput, job: JobInput) -> JobOutput:
         return output
     calibration = core_model.Calibration.from_document(job.robot, version.calibration)
     known = predictive.Predictive.from_document(version.covariance, version.report)
-    limits, workspace = suggested(calibration, known, version.limits)
-    report = {**version.report, WORKSPACE: plain(workspace)}
+    limits, workspace = suggest_limits(calibration, known, version.limits)
+    report = {**version.report, WORKSPACE: to_json_types(workspace)}
     return replace(output, version=replace(version, limits=limits, report=report))

@@ -34,7 +34,7 @@ class Pose:
     session: int | None = None
 
 
-def poses_of(
+def poses_from_rows(
     rows: Observations, kind: str = "new", change: str | None = None, factors: Sequence[float] = ()
 ) -> list[Pose]:
     """Rows of a plan as poses; ``factors`` say how much more is known after each."""
@@ -58,7 +58,7 @@ def _centre(rows: Observations, k: int) -> tuple[float, float, float] | None:
     return x, y, z
 
 
-def document_of(robot: Robot, poses: Sequence[Pose]) -> dict[str, Any]:
+def poses_document(robot: Robot, poses: Sequence[Pose]) -> dict[str, Any]:
     """Poses within the robot's limits, as rows and as the text of a CSV file of contract columns."""
     rows = [_row(robot, pose) for pose in poses]
     return {"count": len(rows), "poses": rows, "csv": _csv(robot, rows)}

@@ -27,19 +27,19 @@ class Setups:
     devices: dict[str, str]
     known: list[tuple[str, int | None]] = field(default_factory=list)
 
-    def marked(self, campaigns: Iterable[tuple[str, Observations]]) -> list[Observations]:
+    def number_setups(self, campaigns: Iterable[tuple[str, Observations]]) -> list[Observations]:
         """Rows with the number of their set-up; campaigns whose frame is not their own share number 0."""
-        return [self._marked(campaign, rows) for campaign, rows in campaigns]
+        return [self._number_setups_in_rows(campaign, rows) for campaign, rows in campaigns]
 
-    def _marked(self, campaign: str, rows: Observations) -> Observations:
+    def _number_setups_in_rows(self, campaign: str, rows: Observations) -> Observations:
         if not self._has_own_frame(campaign) or (rows.position is None and rows.markers is None):
             return replace(rows, setup=np.full(len(rows), ALL_OTHERS, dtype=np.int64))
         sessions = np.zeros(len(rows), dtype=np.int64) if rows.session is None else rows.session
         found, place = np.unique(sessions, return_inverse=True)
-        codes = [self._numbered(campaign, int(number), len(found) == 1) for number in found]
+        codes = [self._setup_number(campaign, int(number), len(found) == 1) for number in found]
         return replace(rows, setup=np.array(codes, dtype=np.int64)[place.reshape(-1)])
 
-    def _numbered(self, campaign: str, session: int, alone: bool) -> int:
+    def _setup_number(self, campaign: str, session: int, alone: bool) -> int:
         """The number of a set-up; a session that has a name is one set-up in all campaigns."""
         own = (campaign, None if alone and session < NAMED_SESSIONS else session)
         same = (k for k, (_, known) in enumerate(self.known, 1) if known == session and session >= NAMED_SESSIONS)
@@ -53,7 +53,7 @@ class Setups:
             return bool(self.own)
         return self.devices.get(campaign, "").strip().lower() in LAID_AGAIN
 
-    def named(self, refitted: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    def describe_refitted_frames(self, refitted: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         """What was refitted, by campaign and session; the campaigns that share a frame are not named one by one."""
         out = []
         for frame in refitted:

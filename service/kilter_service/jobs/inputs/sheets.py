@@ -38,7 +38,7 @@ def doubts(
         if option != GIVEN and devices.get(campaign, "").strip().lower() in LAID_AGAIN
         for session, sheet in _sheets(rows)
     ]
-    return list(_judged(robot, drawn)) if drawn else []
+    return list(_check_sheet_orders(robot, drawn)) if drawn else []
 
 
 def bar_lengths(
@@ -52,7 +52,7 @@ def bar_lengths(
     asked = [(name, rows, *one) for name, rows in campaigns for one in bar_length.other_lengths(nominal, rows)]
     out = []
     for campaign, rows, bar, read, length in asked:
-        other = again(campaign, bar_length.scaled(rows, bar, length / read))
+        other = again(campaign, bar_length.scale_bar_readings(rows, bar, length / read))
         if other is None:
             wrong = bar in {number for number, _, _ in bar_length.other_lengths(found.calibration, rows)}
         else:
@@ -80,7 +80,7 @@ def _sheets(rows: Observations) -> Iterator[tuple[int | None, Observations]]:
         yield int(session), rows.select(rows.session == session)
 
 
-def _judged(robot: Robot, drawn: list[tuple[str, Observations]]) -> Iterator[dict[str, Any]]:
+def _check_sheet_orders(robot: Robot, drawn: list[tuple[str, Observations]]) -> Iterator[dict[str, Any]]:
     """Judge all sheets together: they are of one arm, and an order that helps one of them must not spoil another."""
     for (name, _), found in zip(drawn, sheet_order.sheet_orders(robot, [sheet for _, sheet in drawn]), strict=True):
         if found is None:

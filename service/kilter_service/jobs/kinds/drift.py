@@ -10,10 +10,10 @@ from kilter_core.errors import CoreError, ObservationError, OptionError
 from kilter_service.contract.jobs.drift import DriftOptions
 from kilter_service.ground.core import core_measurement, core_watch_check, estimate, metrics, predictive
 from kilter_service.ground.wire import to_mm
-from kilter_service.jobs.budgets import budget_of
-from kilter_service.jobs.inputs.conditions import conditions_of
+from kilter_service.jobs.budgets import uncertainty_budget
+from kilter_service.jobs.inputs.conditions import build_check_conditions
 from kilter_service.jobs.inputs.other_instrument import counted_noise, remark
-from kilter_service.jobs.inputs.plain import plain
+from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, refuse_nothing
 from kilter_service.versions.drift import wire
@@ -43,17 +43,17 @@ STAYS = (
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Check the rows of the campaign against the version named, else the active one."""
     progress(0.0, "comparing")
-    rows, known = rows_of(job), known_of(job)
-    found = checked(job, rows, known)
-    return JobOutput(plain(_document(job, rows, known, found)))
+    rows, known = comparable_rows(job), get_predictive(job)
+    found = run_drift_check(job, rows, known)
+    return JobOutput(to_json_types(_document(job, rows, known, found)))
 
 
 def preview_job(job: JobInput, found: JobPreview) -> None:
     """Check, which takes no time, and say only what would be refused."""
-    found.learn_from(*job.campaigns.values())
+    found.count_fitted_rows(*job.campaigns.values())
     with found.noting_refusals():
         try:
-            checked(job, rows_of(job), known_of(job))
+            run_drift_check(job, comparable_rows(job), get_predictive(job))
         except CoreError as error:
             if error.code not in REFUSED:
                 raise
@@ -63,18 +63,18 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
             ) from None
 
 
-def checked(job: JobInput, rows: Observations, known: Predictive) -> Check:
+def run_drift_check(job: JobInput, rows: Observations, known: Predictive) -> Check:
     """Return what the core says of the rows."""
     options: DriftOptions = job.options
-    calibration = calibration_of(job)
+    calibration = applied_calibration(job)
     noise = counted_noise(job, known)
     return core_watch_check.check(
         calibration, rows, known, noise=noise, new_setup=options.new_setup, fitted_c=job.fit.temperatures_c,
-        conditions=conditions_of(job, noise),
+        conditions=build_check_conditions(job, noise),
     )  # fmt: skip
 
 
-def rows_of(job: JobInput) -> Observations:
+def comparable_rows(job: JobInput) -> Observations:
     """The rows of the one campaign of which the version can say where the tool should be.
 
     Raises:
@@ -100,7 +100,7 @@ def _unknown_sides(job: JobInput) -> NDArray[np.bool_]:
     return job.calibration.unknown_sides(rows)
 
 
-def calibration_of(job: JobInput) -> Calibration:
+def applied_calibration(job: JobInput) -> Calibration:
     """The version as it predicts the rows of the one campaign."""
     ((campaign, _),) = job.campaigns.items()
     found = job.applied_to(campaign)
@@ -108,7 +108,7 @@ def calibration_of(job: JobInput) -> Calibration:
     return found
 
 
-def known_of(job: JobInput) -> predictive.Predictive:
+def get_predictive(job: JobInput) -> predictive.Predictive:
     """What the version knows of itself.
 
     Raises:
@@ -139,7 +139,7 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
     return {
         "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, since),
         "agreed_at": None if since is None else since.isoformat(),
-        "remedy": wire.remedy(found, calibration_of(job).names), "causes": causes,
+        "remedy": wire.remedy(found, applied_calibration(job).names), "causes": causes,
         "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": core_watch_check.FALSE_ALARM,
         "chi_square": found.chi_square, "numbers": found.numbers, "poses": found.poses,
         "lengths": "by_views" if found.by_views else "at_tool", "misfit_mm": to_mm(found.misfit),
@@ -181,11 +181,13 @@ def _errors(job: JobInput, rows: Observations, known: Predictive, found: Check) 
 
     Base and tool of the nominal robot are not fitted to a few poses beside it: they would take up most of the errors.
     """
-    calibration = calibration_of(job)
-    measurement = core_measurement.Measurement.of(rows, calibration.marker_points, held=True)
-    errors = metrics.Errors.of(estimate.refitted(calibration, measurement, found.new_setup), measurement)
+    calibration = applied_calibration(job)
+    measurement = core_measurement.Measurement.from_observations(rows, calibration.marker_points, held=True)
+    errors = metrics.Errors.from_calibration(
+        estimate.refit_frames(calibration, measurement, found.new_setup), measurement
+    )
     ((campaign, _),) = job.campaigns.items()
-    budget = budget_of(calibration, known, rows, job.instruments.get(campaign), found.new_setup)
+    budget = uncertainty_budget(calibration, known, rows, job.instruments.get(campaign), found.new_setup)
     return {"n": len(errors.points), "left_out": 0, "identified": errors.to_document(), "budget": budget}
 
 

@@ -8,7 +8,7 @@ from kilter_core.errors import OptionError
 from kilter_service.contract.fits import with_earlier_names
 from kilter_service.contract.jobs.evaluate import EvaluateOptions
 from kilter_service.ground.core import compare, core_evaluate, core_model, iso9283, predictive
-from kilter_service.jobs.budgets import budget_of
+from kilter_service.jobs.budgets import uncertainty_budget
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 
@@ -44,7 +44,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
         metrics[campaign] = with_earlier_names(core_evaluate.evaluate(calibration, seen, options.refit, known))
         rows[campaign] = metrics[campaign].pop("rows")
         used = job.instruments.get(campaign)
-        metrics[campaign]["budget"] = budget_of(calibration, known, seen, used, options.refit)
+        metrics[campaign]["budget"] = uncertainty_budget(calibration, known, seen, used, options.refit)
         metrics[campaign]["fitted"] = job.fit.fitted.get(campaign, 0)
         metrics[campaign]["name"] = name = job.names.get(campaign, campaign)
         said = [*metrics[campaign].pop("warnings"), *_flattering(metrics[campaign]["fitted"], len(seen))]
@@ -61,7 +61,7 @@ def _calibration(job: JobInput, campaign: str | None = None) -> core_model.Calib
 
 
 def _criteria(commanded: Calibration, rows: Observations, asked: Any) -> dict[str, Any]:
-    return iso9283.criteria(iso9283.Trial.of(commanded.predict(rows), rows), asked)
+    return iso9283.criteria(iso9283.Trial.from_observations(commanded.predict(rows), rows), asked)
 
 
 def _flattering(fitted: int, rows: int) -> list[dict[str, Any]]:
@@ -78,21 +78,21 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
     """Evaluate some of the rows, or see which criteria all of them support."""
     options: EvaluateOptions = job.options
     calibration = _calibration(job)
-    found.learn_from(*job.campaigns.values())
+    found.count_fitted_rows(*job.campaigns.values())
     for campaign, rows in job.campaigns.items():
         with found.noting_refusals():
             if options.metrics == "errors":
                 core_evaluate.evaluate(
-                    job.applied_to(campaign) or calibration, compare.thinned(rows, MOST_CHECKED), options.refit, None
+                    job.applied_to(campaign) or calibration, compare.thin_poses(rows, MOST_CHECKED), options.refit, None
                 )
                 continue
-            refused = _criteria(calibration.wanted(), rows, options.criteria)["refused"]
+            refused = _criteria(calibration.nominal_in_wanted_frames(), rows, options.criteria)["refused"]
             found.missing += [Lack(f"{one['symbol']} of {campaign}", one["message"], REMEDY) for one in refused]
 
 
 def _iso9283(job: JobInput, calibration: Calibration, progress: Progress) -> JobOutput:
     """Criteria of every campaign; commanded is where the nominal chain in the version's wanted frames says."""
-    commanded, reports = calibration.wanted(), {}
+    commanded, reports = calibration.nominal_in_wanted_frames(), {}
     for number, (campaign, rows) in enumerate(job.campaigns.items()):
         progress(number / len(job.campaigns), f"campaign {number + 1} of {len(job.campaigns)}")
         reports[campaign] = _criteria(commanded, rows, job.options.criteria)

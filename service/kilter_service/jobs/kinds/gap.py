@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.observations import Observations
-from kilter_service.campaigns.store import numbered
+from kilter_service.campaigns.store import renumber_poses_and_sessions
 from kilter_service.contract.fits import metrics_with_earlier_names
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_check, core_gap, core_wanted, holding_out, next_poses, of_type
 from kilter_service.ground.wire import to_metres
 from kilter_service.jobs.cancellable import cancellable
-from kilter_service.jobs.inputs.plain import plain
-from kilter_service.jobs.inputs.poses import Pose, document_of
+from kilter_service.jobs.inputs.plain import to_json_types
+from kilter_service.jobs.inputs.poses import Pose, poses_document
 from kilter_service.jobs.inputs.rows_of_campaigns import by_campaign
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
@@ -39,7 +39,7 @@ def check(options: GapOptions) -> None:
         OptionError: an effect that is not searched for, or an option of one that the gap search chooses itself.
 
     """
-    core_wanted.wanted(_core(options).effects)
+    core_wanted.joints_by_effect(_core(options).effects)
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
@@ -52,16 +52,16 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
     options = _core(job.options)
     rows, validation, confirmation = _rows(job)
     progress(0.0, "fitting the geometry")
-    train, held = holding_out.parted(rows, validation, options.seed)
+    train, held = holding_out.split_held_out_rows(rows, validation, options.seed)
     known = _of_type(job, train)
     start = job.start if known is None else known.start
     report = core_gap.find_gap(job.robot, rows, options, start, validation, progress, confirmation)
     if known is not None:
         report = replace(report, warnings=(*known.warnings(), *report.warnings))
-    share = holding_out.share_of(rows, None) if validation is None and held is not None else None
+    share = holding_out.held_out_share(rows, None) if validation is None and held is not None else None
     found = report.to_document()
     aside = _set_aside(job, found.pop("set_aside"), found.pop("held_aside"))
-    result = plain(
+    result = to_json_types(
         {
             **found,
             "set_aside": aside,
@@ -99,8 +99,8 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
     options = _core(job.options)
     with found.noting_refusals():
         rows, validation, confirmation = _rows(job)
-        found.learn_from(rows)
-        train, held = holding_out.parted(rows, validation, options.seed)
+        found.count_fitted_rows(rows)
+        train, held = holding_out.split_held_out_rows(rows, validation, options.seed)
         known = _of_type(job, train)
         start = job.start if known is None else known.start
         if isinstance(validation, Observations):
@@ -133,7 +133,7 @@ def _file(job: JobInput, poses: list[dict[str, Any]]) -> str | None:
         )
         for row in poses
     ]
-    return str(document_of(job.robot, made)["csv"]) if made else None
+    return str(poses_document(job.robot, made)["csv"]) if made else None
 
 
 def _metres(place_mm: Sequence[float] | None) -> tuple[float, float, float] | None:
@@ -148,7 +148,7 @@ def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Obs
     job.refuse_rows_of_start()
     held = job.validation if isinstance(job.validation, dict) else {}
     given = [*job.campaigns.values(), *held.values(), *job.confirmation.values()]
-    parts = iter(numbered(map(_as_session, given) if job.options.refit else given))
+    parts = iter(renumber_poses_and_sessions(map(_as_session, given) if job.options.refit else given))
     groups = [[next(parts) for _ in campaigns] for campaigns in (job.campaigns, held, job.confirmation)]
     rows, others, confirmation = (Observations.concatenate(group) if group else None for group in groups)
     assert rows is not None
@@ -188,7 +188,9 @@ def _version(
         HELD_OUT: share,
     }
     limits = job.options.limits or CorrectionLimits()
-    return VersionContent(stored.calibration.to_document(), plain(document), plain(stored.covariance()), limits)
+    return VersionContent(
+        stored.calibration.to_document(), to_json_types(document), to_json_types(stored.covariance()), limits
+    )
 
 
 def _core(options: GapOptions) -> core_gap.GapOptions:

@@ -9,8 +9,8 @@ import numpy as np
 
 from kilter_core.observations import Observations
 from kilter_core.observations.shared_rows import refuse_shared_rows
-from kilter_core.types import one_by_one
-from kilter_service.campaigns.store import numbered
+from kilter_core.types import run_sequentially
+from kilter_service.campaigns.store import renumber_poses_and_sessions
 from kilter_service.contract.fits import metrics_with_earlier_names
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.contract.versions import CorrectionLimits
@@ -23,7 +23,7 @@ from kilter_service.ground.core import (
     measurement_of_rows,
 )
 from kilter_service.jobs.budgets import add_to_metrics
-from kilter_service.jobs.inputs.plain import plain
+from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.inputs.rows_of_campaigns import by_campaign
 from kilter_service.jobs.inputs.setups import FRAMES, Setups
 from kilter_service.jobs.inputs.sheets import bar_lengths, doubts
@@ -52,16 +52,16 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     """Identify the robot from all campaigns together."""
     options = _core(job.options)
     setups = Setups(options.refit, job.devices)
-    named = _named(job)
+    named = _campaigns_with_validation(job)
     remarks = doubts(job.robot, named, job.devices, job.options.sheet_order)
     train, validation = _rows(job, setups)
-    each = job.each or one_by_one
+    each = job.each or run_sequentially
     found = core_identify.identify(
         job.robot, train, validation, options, job.start, progress, _prior(job), each, job.fleet
     )
     report = found.to_document()
     remarks += bar_lengths(found, job.robot, named, lambda name, rows: _refit(job, name, rows))
-    report |= {f"{which}_refitted": setups.named(report[f"{which}_refitted"]) for which in FRAMES}
+    report |= {f"{which}_refitted": setups.describe_refitted_frames(report[f"{which}_refitted"]) for which in FRAMES}
     apart = validation if isinstance(validation, Observations) else None
     held = tuple(job.validation) if isinstance(job.validation, dict) else ()
     add_to_metrics(report["metrics"], found, train, apart, job.instruments, tuple(job.campaigns), held)
@@ -74,7 +74,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
         found.calibration.to_document(), report, covariance, job.options.limits or CorrectionLimits()
     )
     drawn = identify_figures(found, report, job) | uncertainty_figure(found, train, options.seed)
-    return JobOutput({**report, "figures": plain(drawn)}, content)
+    return JobOutput({**report, "figures": to_json_types(drawn)}, content)
 
 
 def _refit(job: JobInput, campaign: str, rows: Observations) -> Identification | None:
@@ -93,9 +93,9 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
     """Say what would be fitted and held out, and which parameters the poses tell."""
     options = _core(job.options)
     with found.noting_refusals():
-        doubts(job.robot, _named(job), job.devices, job.options.sheet_order)
+        doubts(job.robot, _campaigns_with_validation(job), job.devices, job.options.sheet_order)
         train, validation = _rows(job, Setups(options.refit, job.devices))
-        found.learn_from(train)
+        found.count_fitted_rows(train)
         _refuse_mixed_up(job, train, validation)
         if isinstance(validation, Observations):
             refuse_shared_rows(train, validation, "validation")
@@ -120,14 +120,14 @@ def _refuse_mixed_up(job: JobInput, train: Observations, validation: Observation
             belonging.refuse_mixed_up(begin, rows)
 
 
-def _named(job: JobInput) -> list[tuple[str, Observations]]:
+def _campaigns_with_validation(job: JobInput) -> list[tuple[str, Observations]]:
     return [*job.campaigns.items(), *(job.validation.items() if isinstance(job.validation, dict) else ())]
 
 
 def _rows(job: JobInput, setups: Setups) -> tuple[Observations, Observations | float | core_identify.Folds | None]:
     """Rows to fit or to split, and what validates, poses and sessions numbered apart."""
     job.refuse_rows_of_start()
-    parts = numbered(setups.marked(_named(job)))
+    parts = renumber_poses_and_sessions(setups.number_setups(_campaigns_with_validation(job)))
     if isinstance(job.validation, dict):
         train, held = parts[: len(job.campaigns)], parts[len(job.campaigns) :]
         return Observations.concatenate(train), Observations.concatenate(held)

@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
-from kilter_service.campaigns.store import numbered
+from kilter_service.campaigns.store import renumber_poses_and_sessions
 from kilter_service.contract.jobs.joint_parameters import JointParametersOptions as Options
 from kilter_service.ground.core import core_inclinometer_poses, inclinometers, link_encoders
 from kilter_service.ground.wire import joint_scale, joint_scale_back, joint_units, to_deg, to_metres, to_rad
@@ -46,12 +46,12 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     options: Options = job.options
     if options.propose is not None:
         progress(0.1, "choosing configurations")
-        return JobOutput({"joint": options.propose, **_proposed(job.robot, options)})
+        return JobOutput({"joint": options.propose, **_propose_configurations(job.robot, options)})
     progress(0.1, "fitting joints")
-    return _measured(job)
+    return _estimate_from_measurements(job)
 
 
-def _measured(job: JobInput) -> JobOutput:
+def _estimate_from_measurements(job: JobInput) -> JobOutput:
     """Measure by what there is: readings given, or campaigns with inclinometers or link-side encoders."""
     if not job.campaigns:
         return _by_inclinometers(job.robot, _log(job.robot, job.options))
@@ -63,7 +63,7 @@ def _measured(job: JobInput) -> JobOutput:
 def preview_job(job: JobInput, found: JobPreview) -> None:
     """Measure the joints, which takes no time, and say what could not be determined."""
     options: Options = job.options
-    found.learn_from(*job.campaigns.values())
+    found.count_fitted_rows(*job.campaigns.values())
     if isinstance(job.validation, dict):
         found.hold("campaigns", *job.validation.values())
     with found.noting_refusals():
@@ -72,7 +72,7 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
             return
         if not job.campaigns:
             found.rows = len(options.readings)
-        measured = _measured(job)
+        measured = _estimate_from_measurements(job)
         told = measured.result["parameters"]
         found.missing += [Lack(p["name"], p["reason"], REMEDY) for p in told if "reason" in p]
         found.missing += [Lack(w.get("joint", w["code"]), w["message"], REMEDY) for w in measured.result["warnings"]]
@@ -92,7 +92,9 @@ def _log_of_campaigns(job: JobInput) -> inclinometers.Log:
         rows if rows.session is not None else replace(rows, session=np.zeros(len(rows), dtype=np.int64))
         for rows in job.campaigns.values()
     ]
-    return inclinometers.Log.of(Observations.concatenate(numbered(parts)), to_rad(job.options.resolution_deg))
+    return inclinometers.Log.from_observations(
+        Observations.concatenate(renumber_poses_and_sessions(parts)), to_rad(job.options.resolution_deg)
+    )
 
 
 def _by_inclinometers(robot: Robot, log: Log) -> JobOutput:
@@ -185,7 +187,7 @@ def _log(robot: Robot, options: Options) -> inclinometers.Log:
     )
 
 
-def _proposed(robot: Robot, options: Options) -> dict[str, Any]:
+def _propose_configurations(robot: Robot, options: Options) -> dict[str, Any]:
     """Configurations to read, and the same as a table to fill in."""
     joint = _joint(robot, str(options.propose))
     scale = joint_scale(robot)

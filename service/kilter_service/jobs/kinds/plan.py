@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
-from kilter_service.campaigns.store import numbered
+from kilter_service.campaigns.store import renumber_poses_and_sessions
 from kilter_service.contract.jobs.plan import PlanOptions
 from kilter_service.ground.core import (
     core_effects,
@@ -26,8 +26,8 @@ from kilter_service.ground.core import (
     separation,
 )
 from kilter_service.ground.wire import to_metres, to_metres_if_known
-from kilter_service.jobs.inputs.plain import plain
-from kilter_service.jobs.inputs.poses import Pose, document_of, poses_of
+from kilter_service.jobs.inputs.plain import to_json_types
+from kilter_service.jobs.inputs.poses import Pose, poses_document, poses_from_rows
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from kilter_service.versions.drift import wire
@@ -105,13 +105,13 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     purpose = job.options.purpose
     made = {"purpose": purpose, "start": job.version_id, **plans[purpose](job, progress)}
     warnings = [UNCHECKED, *made.pop("warned", ())]
-    return JobOutput(plain({**made, "within": _within(job), "warnings": warnings}))
+    return JobOutput(to_json_types({**made, "within": _pose_region_name(job), "warnings": warnings}))
 
 
 def preview_job(job: JobInput, found: JobPreview) -> None:
     """Plan a single pose, which is refused as the whole plan would be, and say what the plan has to do without."""
     options: PlanOptions = job.options
-    found.learn_from(*job.campaigns.values())
+    found.count_fitted_rows(*job.campaigns.values())
     with found.noting_refusals():
         few = FEWEST_CHECKED if options.purpose == "check" else 1
         run(replace(job, options=options.model_copy(update={"count": few})), lambda fraction, stage: None)
@@ -119,7 +119,9 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
         found.limited.append(f"{planned} planned, to see whether there is room for poses.")
         if options.purpose == "separate" and not job.campaigns:
             found.missing.append(IMAGINED)
-        loaded = [effect.id for effect in _made(job) if "moments" in effect.needs] if options.effects else []
+        loaded = (
+            [effect.id for effect in _effects_from_options(job) if "moments" in effect.needs] if options.effects else []
+        )
         if loaded and not options.payloads_kg:
             found.missing.append(Lack(f"second payload for {', '.join(loaded)}", *NO_PAYLOADS))
 
@@ -140,15 +142,21 @@ def _check(job: JobInput, progress: Progress) -> dict[str, Any]:
     if noise is None and known.noise == 0.0 and known.inadequacy == 0.0:
         noise = to_metres(NOISE_MM)
     plan = core_watch.check_poses(
-        _begin(job), known, _count(job), _region(job), noise=noise, without=options.without_joints, seed=options.seed,
+        _starting_calibration(job),
+        known,
+        _count(job),
+        _region(job),
+        noise=noise,
+        without=options.without_joints,
+        seed=options.seed,
         progress=progress,
-    )  # fmt: skip
+    )
     shown = {
         "false_alarm": core_watch_check.FALSE_ALARM, "smallest": wire.smallest_documents(plan.found),
         "unseen": [wire.cause_words(one) for one in plan.found.unseen],
         "faint": [wire.faint_sentence(one) for one in plan.faint],
     }  # fmt: skip
-    return {**document_of(job.robot, [Pose(row) for row in plan.q]), **shown}
+    return {**poses_document(job.robot, [Pose(row) for row in plan.q]), **shown}
 
 
 def named_effects(options: PlanOptions) -> list[tuple[str, tuple[int, ...] | None]]:
@@ -177,7 +185,7 @@ def _iso(job: JobInput, progress: Progress) -> dict[str, Any]:
     if job.options.method in CYCLES:
         return _cycles(job, CYCLES[job.options.method])
     q = iso9283_poses.iso_poses(job.robot, _count(job), job.options.seed, _room(job))
-    return document_of(job.robot, [Pose(row) for row in q])
+    return poses_document(job.robot, [Pose(row) for row in q])
 
 
 def _cycles(job: JobInput, order: tuple[int, ...]) -> dict[str, Any]:
@@ -185,7 +193,7 @@ def _cycles(job: JobInput, order: tuple[int, ...]) -> dict[str, Any]:
     q = iso9283_poses.five_poses(job.robot, seed=job.options.seed, region=_room(job))
     cycles = range(1, (job.options.count or CYCLES_DEMANDED) + 1)
     poses = [Pose(q[number - 1], pose_id=number, session=cycle) for cycle in cycles for number in order]
-    return {**document_of(job.robot, poses), "cycles": len(cycles), "cycles_demanded": CYCLES_DEMANDED}
+    return {**poses_document(job.robot, poses), "cycles": len(cycles), "cycles_demanded": CYCLES_DEMANDED}
 
 
 def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
@@ -193,7 +201,7 @@ def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
         return _iso(job, progress)
     given: dict[str, Any] = {
         "count": _count(job),
-        "effects": _made(job),
+        "effects": _effects_from_options(job),
         "noise": to_metres(job.options.noise_mm or NOISE_MM),
         "seed": job.options.seed,
         "progress": lambda fraction: progress(fraction, "choosing poses"),
@@ -204,21 +212,23 @@ def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
     if job.options.method == "views":
         rows = core_view_poses.view_poses(_with_cameras(job), driven=job.driven, **given)
     else:
-        rows = d_optimal.d_optimal_poses(_begin(job), fleet=None if job.options.prior is None else job.fleet, **given)
-    return document_of(job.robot, poses_of(rows))
+        rows = d_optimal.d_optimal_poses(
+            _starting_calibration(job), fleet=None if job.options.prior is None else job.fleet, **given
+        )
+    return poses_document(job.robot, poses_from_rows(rows))
 
 
 def _with_cameras(job: JobInput) -> Calibration:
     """What is planned with, and where its cameras and boards stand."""
-    seen = [rows for rows in numbered(job.campaigns.values()) if rows.pixels is not None]
-    return core_view_poses.placed_by_views(_begin(job), Observations.concatenate(seen) if seen else None)
+    seen = [rows for rows in renumber_poses_and_sessions(job.campaigns.values()) if rows.pixels is not None]
+    return core_view_poses.placed_by_views(_starting_calibration(job), Observations.concatenate(seen) if seen else None)
 
 
-def _begin(job: JobInput) -> core_model.Calibration:
+def _starting_calibration(job: JobInput) -> core_model.Calibration:
     return job.calibration or core_model.Calibration.nominal(job.robot)
 
 
-def _within(job: JobInput) -> str:
+def _pose_region_name(job: JobInput) -> str:
     """Where the poses are: within "campaigns", the robot's, or only within its "limits"."""
     options: PlanOptions = job.options
     standard = options.purpose == "iso9283" or options.method == "iso9283"
@@ -227,8 +237,10 @@ def _within(job: JobInput) -> str:
 
 def _region(job: JobInput) -> core_region.Region:
     """Where poses may be: as far as the arm was driven before unless ``within`` says limits, above floor, in the box."""
-    region = core_region.Region.of(_begin(job), job.driven if _within(job) == "campaigns" else None)
-    region = region.above(to_metres_if_known(job.options.floor_mm)).within(_box(job.options))
+    region = core_region.Region.from_calibration(
+        _starting_calibration(job), job.driven if _pose_region_name(job) == "campaigns" else None
+    )
+    region = region.above(to_metres_if_known(job.options.floor_mm)).restrict_to_box(_box(job.options))
     return region.outside(_keep_out(job.options))
 
 
@@ -263,16 +275,16 @@ def _corners(box_mm: Floats, option: str) -> Floats:
     return to_metres(box_mm)
 
 
-def _made(job: JobInput) -> list[Effect]:
+def _effects_from_options(job: JobInput) -> list[Effect]:
     named = [{"id": one} if isinstance(one, str) else one.model_dump(mode="json") for one in job.options.effects]
-    return [core_effects.effect_from_document(one).on(job.robot) for one in named]
+    return [core_effects.effect_from_document(one).configure_for_robot(job.robot) for one in named]
 
 
 def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
     """Poses that tell the two effects named apart, or what the gap search that made the version left undecided."""
     wanted: list[Any] = list(named_effects(job.options))
     if not wanted:
-        open_ = separation.undecided(job.origin or {})
+        open_ = separation.undecided_effect_pair(job.origin or {})
         if open_ is None:
             raise OptionError(
                 "There is nothing to tell apart: name two effects, or a version of a gap search that left something undecided.",
@@ -282,7 +294,7 @@ def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
     progress(0.1, "what was measured")
     plan = core_gap.plan_separation(
         job.robot,
-        Observations.concatenate(numbered(job.campaigns.values())) if job.campaigns else None,
+        Observations.concatenate(renumber_poses_and_sessions(job.campaigns.values())) if job.campaigns else None,
         wanted[0],
         wanted[1] if len(wanted) > 1 else None,
         _count(job),
@@ -300,9 +312,11 @@ def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
     poses = [
         pose
         for p in plan.proposals
-        for pose in poses_of(p.rows, p.kind, p.change or None, [after / max(p.before, 1e-12) for after in p.after])
+        for pose in poses_from_rows(
+            p.rows, p.kind, p.change or None, [after / max(p.before, 1e-12) for after in p.after]
+        )
     ]
-    return {**document_of(job.robot, poses), **about}
+    return {**poses_document(job.robot, poses), **about}
 
 
 def _about(p: Proposal) -> dict[str, Any]:

@@ -9,13 +9,13 @@ import numpy as np
 from kilter_service.contract.jobs.rezero import RezeroOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_evaluate, core_report, core_watch
-from kilter_service.jobs.budgets import budget_of
-from kilter_service.jobs.inputs.conditions import conditions_of
+from kilter_service.jobs.budgets import uncertainty_budget
+from kilter_service.jobs.inputs.conditions import build_check_conditions
 from kilter_service.jobs.inputs.other_instrument import counted_noise
-from kilter_service.jobs.inputs.plain import plain
+from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
-from kilter_service.jobs.kinds.drift import calibration_of, known_of, rows_of
+from kilter_service.jobs.kinds.drift import applied_calibration, comparable_rows, get_predictive
 from kilter_service.versions.drift import wire
 from kilter_service.versions.store import REZEROED
 
@@ -33,7 +33,7 @@ def check(options: RezeroOptions) -> None:
 def run(job: JobInput, progress: Progress) -> JobOutput:
     """Change in the version named, else the active one, what the rows of the campaign say."""
     progress(0.0, "comparing")
-    found = _found(job)
+    found = _estimate_rezero(job)
     progress(0.5, "predicting")
     options: RezeroOptions = job.options
     ((campaign, rows),) = job.campaigns.items()
@@ -43,37 +43,37 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     report |= {"warnings": [remark], REZEROED: {"campaign": campaign, "start": job.version_id, "names": found.names}}
     own = [row for row in report["parameters"] if row["name"] in found.names]
     result = {
-        "sentence": said, "start": job.version_id, "causes": [wire.cause_document(one) for one in found.changed],
+        "sentence": said, "start": job.version_id, "causes": [wire.cause_document(one) for one in found.changed_causes],
         "parameters": own, "p_before": found.before.p_value, "p_after": found.after.p_value,
         "metrics": report["metrics"], "warnings": [],
     }  # fmt: skip
     content = VersionContent(
-        found.calibration.to_document(), plain(report), found.known.to_document(), options.limits or CorrectionLimits(),
+        found.calibration.to_document(), to_json_types(report), found.known.to_document(), options.limits or CorrectionLimits(),
         parent_id=job.version_id,
     )  # fmt: skip
-    return JobOutput(plain(result), content)
+    return JobOutput(to_json_types(result), content)
 
 
 def preview_job(job: JobInput, found: JobPreview) -> None:
     """Re-zero, which takes no time, and say only what would be refused."""
-    found.learn_from(*job.campaigns.values())
+    found.count_fitted_rows(*job.campaigns.values())
     with found.noting_refusals():
-        _found(job)
+        _estimate_rezero(job)
 
 
-def _found(job: JobInput) -> Rezeroed:
+def _estimate_rezero(job: JobInput) -> Rezeroed:
     options: RezeroOptions = job.options
-    rows, known = rows_of(job), known_of(job)
+    rows, known = comparable_rows(job), get_predictive(job)
     noise = counted_noise(job, known)
     return core_watch.rezero(
-        calibration_of(job),
+        applied_calibration(job),
         rows,
         known,
         options.causes,
         noise=noise,
         new_setup=options.new_setup,
         fitted_c=job.fit.temperatures_c,
-        conditions=conditions_of(job, noise),
+        conditions=build_check_conditions(job, noise),
     )
 
 
@@ -86,9 +86,11 @@ def _report(job: JobInput, found: Rezeroed) -> dict[str, Any]:
     told = np.array([name in found.names or bool(before.get(name, {}).get("identifiable", True)) for name in names])
     ((campaign, rows),) = job.campaigns.items()
     errors = core_evaluate.evaluate(found.calibration, rows, found.before.new_setup, found.known)
-    budget = budget_of(found.calibration, found.known, rows, job.instruments.get(campaign), found.before.new_setup)
+    budget = uncertainty_budget(
+        found.calibration, found.known, rows, job.instruments.get(campaign), found.before.new_setup
+    )
     return start | {
-        "parameters": core_report.rows_of(found.calibration, names, sigma, told),
+        "parameters": core_report.build_parameter_rows(found.calibration, names, sigma, told),
         "metrics": {"train": {stage: errors[stage] for stage in STAGES} | {"budget": budget}},
     }  # fmt: skip
 

@@ -24,7 +24,7 @@ def single_worker_lock(database_file: Path, wait_s: float) -> Iterator[None]:
     database_file.parent.mkdir(parents=True, exist_ok=True)
     deadline = time.monotonic() + wait_s
     with database_file.with_name(f"{database_file.name}.worker.lock").open("w", encoding="ascii") as file:
-        while not _locked(file.fileno()):
+        while not _try_lock(file.fileno()):
             if time.monotonic() > deadline:
                 raise ServiceError(
                     f"Another process runs the jobs of {database_file} (a `kilterd worker`, or the one of `kilterd "
@@ -36,7 +36,7 @@ def single_worker_lock(database_file: Path, wait_s: float) -> Iterator[None]:
         yield
 
 
-def _locked(descriptor: int) -> bool:
+def _try_lock(descriptor: int) -> bool:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

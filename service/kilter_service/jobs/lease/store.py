@@ -8,7 +8,7 @@ from datetime import datetime
 from sqlalchemy import ColumnElement, Select, and_, delete, or_, select, update
 
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import NOT_OVER, HeartbeatRow, JobRow
 from kilter_service.ground.ended_jobs import store as ended
 from kilter_service.jobs.lease.claim import Claim
@@ -31,7 +31,12 @@ def claim(session: Session, worker: str, kinds: Sequence[str]) -> Claim | None:
     row = session.execute(query).scalar_one_or_none()
     if row is None:
         return None
-    row.state, row.worker, row.attempts, row.started_at = "running", worker, row.attempts + 1, row.started_at or now()
+    row.state, row.worker, row.attempts, row.started_at = (
+        "running",
+        worker,
+        row.attempts + 1,
+        row.started_at or utc_now(),
+    )
     return Claim(row.id, worker, row.attempts)
 
 
@@ -40,7 +45,7 @@ def _free(kinds: Sequence[str], worker: str) -> ColumnElement[bool]:
     return and_(NOT_OVER, JobRow.kind.in_(kinds), or_(JobRow.state == "queued", lost))
 
 
-def _of(claim: Claim) -> ColumnElement[bool]:
+def _claim_condition(claim: Claim) -> ColumnElement[bool]:
     row = JobRow
     return and_(
         row.id == claim.job_id, row.state == "running", row.worker == claim.worker, row.attempts == claim.attempt
@@ -49,13 +54,13 @@ def _of(claim: Claim) -> ColumnElement[bool]:
 
 def holds(session: Session, claim: Claim) -> bool:
     """Whether a claim is good still: nobody cancelled the job, and nobody thought its worker gone."""
-    return session.execute(select(JobRow.id).where(_of(claim))).first() is not None
+    return session.execute(select(JobRow.id).where(_claim_condition(claim))).first() is not None
 
 
 def advance(session: Session, claim: Claim, fraction: float, stage: str) -> bool:
     """Store the progress; returns whether the claim is good still."""
     values = {"fraction": min(max(fraction, 0.0), 1.0), "stage": stage[:200]}
-    done = session.execute(update(JobRow).where(_of(claim)).values(**values).returning(JobRow.id))
+    done = session.execute(update(JobRow).where(_claim_condition(claim)).values(**values).returning(JobRow.id))
     return done.first() is not None
 
 
@@ -88,7 +93,7 @@ def orphans(session: Session) -> list[str]:
         if row.attempts >= MAX_ATTEMPTS:
             message = f"The worker died {MAX_ATTEMPTS} times in this job: see its log."
             row.error = {"code": "internal_error", "message": message}
-            row.state, row.stage, row.finished_at = "failed", "failed", now()
+            row.state, row.stage, row.finished_at = "failed", "failed", utc_now()
             ended.count(session, row)
         else:
             _queue(row)

@@ -97,7 +97,7 @@ def _from_three_sides(tails: Floats, heads: Floats, red: Any) -> list[Document]:
             (red, f"the {int(red.sum())} worst", RED),
         ):
             if which.any():
-                path = _paths(_barbed(flat_tails[which], flat_heads[which]))
+                path = _paths(_arrow_polylines(flat_tails[which], flat_heads[which]))
                 data.append({
                     "type": "scatter", "mode": "lines", "name": name, "showlegend": n == 0, **axes,
                     "x": _numbers(path[:, 0]), "y": _numbers(path[:, 1]), "line": {"color": colour, "width": 1.2},
@@ -122,7 +122,7 @@ def _sides(title: str) -> Document:
     return made
 
 
-def _barbed(tails: Floats, heads: Floats) -> Floats:
+def _arrow_polylines(tails: Floats, heads: Floats) -> Floats:
     """Arrows (N, 5, 2): the shaft, then both barbs of its head."""
     back = HEAD * (tails - heads)
     c, s = np.cos(HEAD_ANGLE), np.sin(HEAD_ANGLE)

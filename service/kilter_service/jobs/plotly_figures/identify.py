@@ -19,7 +19,7 @@ from kilter_service.jobs.plotly_figures.layout import (
     RED,
     Document,
     layout,
-    rounded,
+    round_values,
     three_digits,
 )
 from kilter_service.jobs.plotly_figures.parameters import changes
@@ -53,22 +53,27 @@ def identify_figures(found: Identification, report: Mapping[str, Any], job: JobI
 
 def uncertainty_figure(found: Identification, rows: Observations, seed: int) -> dict[str, Document]:
     """Draw the uncertainty of the fit at poses within the limits, from the side and from above."""
-    space = workspace.Workspace.of(found.calibration, found.predictive, rows, seed).worst_last()
+    space = workspace.Workspace.from_calibration(found.calibration, found.predictive, rows, seed).worst_last()
     some = evenly(len(space.measured), MOST_MEASURED)
     low, high = to_mm(float(space.u95.min())), to_mm(float(space.u95.max()))
     data: list[Document] = []
     for n, (i, j) in enumerate(((0, 2), (0, 1))):
         axes = {} if n == 0 else {"xaxis": "x2", "yaxis": "y2"}
-        colour: Document = {"color": rounded(to_mm(space.u95), 6), "colorscale": "Viridis", "cmin": low, "cmax": high}
+        colour: Document = {
+            "color": round_values(to_mm(space.u95), 6),
+            "colorscale": "Viridis",
+            "cmin": low,
+            "cmax": high,
+        }
         bar = {"colorbar": {"title": {"text": "± mm"}}} if n == 0 else {}
         data.append({
             "type": "scatter", "mode": "markers", "name": "within the limits", "showlegend": False, **axes,
-            "x": rounded(to_mm(space.points[:, i]), 1), "y": rounded(to_mm(space.points[:, j]), 1),
+            "x": round_values(to_mm(space.points[:, i]), 1), "y": round_values(to_mm(space.points[:, j]), 1),
             "marker": {"size": 6, **colour, **bar},
         })  # fmt: skip
         data.append({
             "type": "scatter", "mode": "markers", "name": "rows that were fitted", "showlegend": n == 0, **axes,
-            "x": rounded(to_mm(space.measured[some, i]), 1), "y": rounded(to_mm(space.measured[some, j]), 1),
+            "x": round_values(to_mm(space.measured[some, i]), 1), "y": round_values(to_mm(space.measured[some, j]), 1),
             "marker": {"size": 4 if len(some) > FEW_MEASURED else 9, "color": RED, "symbol": "x"},
         })  # fmt: skip
     title = f"Where the tool is known to, 95 %: ±{three_digits(low)} to ±{three_digits(high)} mm per coordinate"
@@ -100,7 +105,7 @@ def _histogram(errors: RowErrors, kind: str) -> Document:
         counts = np.histogram(sizes[name], edges)[0]
         rms, median = np.sqrt(np.mean(sizes[name] ** 2)), np.median(sizes[name])
         data.append({
-            "type": "scatter", "mode": "lines", "x": rounded(edges, 7),
+            "type": "scatter", "mode": "lines", "x": round_values(edges, 7),
             "name": f"{label}: median {three_digits(median)}, rms {three_digits(rms)} mm", "y": [*counts.tolist(), 0],
             "line": {"color": colour, "shape": "hv"}, "fill": "tozeroy",
         })  # fmt: skip

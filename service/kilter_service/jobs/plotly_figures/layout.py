@@ -36,7 +36,7 @@ def bar_layout(title: str, x: str, labels: Sequence[str], each: int = 1, **more:
     return made
 
 
-def shortened(text: str, longest: int = LONGEST) -> str:
+def shorten_label(text: str, longest: int = LONGEST) -> str:
     """Return a text with its middle left out where it is too long for a label."""
     if len(text) <= longest:
         return text
@@ -53,13 +53,13 @@ def distinct_labels(labels: Sequence[str]) -> list[str]:
     """Return shortened labels; equal ones are numbered, because they would become one bar."""
     seen: dict[str, int] = {}
     out = []
-    for label in map(shortened, labels):
+    for label in map(shorten_label, labels):
         seen[label] = seen.get(label, 0) + 1
         out.append(label if seen[label] == 1 else f"{label} ({seen[label]})")
     return out
 
 
-def rounded(values: Floats, digits: int = 4) -> list[float | None]:
+def round_values(values: Floats, digits: int = 4) -> list[float | None]:
     """Return numbers short enough for a figure, None where there is none."""
     return [round(float(v), digits) if np.isfinite(v) else None for v in values]
 
@@ -69,12 +69,14 @@ def three_digits(value: float) -> str:
     return f"{value:.3g}" if value < 1000.0 else f"{value:.0f}"
 
 
-def captioned(figures: Mapping[str, Document], robot: str, campaigns: Sequence[str], version: str) -> Any:
+def add_captions(figures: Mapping[str, Document], robot: str, campaigns: Sequence[str], version: str) -> Any:
     """Return the figures with robot, campaigns and version under their titles and in ``layout.meta``."""
     meta = {"robot": robot, "campaigns": list(campaigns), "version": version}
-    named = ", ".join(shortened(name) for name in campaigns[:MOST_CAMPAIGNS])
+    named = ", ".join(shorten_label(name) for name in campaigns[:MOST_CAMPAIGNS])
     more = f" and {len(campaigns) - MOST_CAMPAIGNS} more" if len(campaigns) > MOST_CAMPAIGNS else ""
-    under = f"<br><sup>{plain_text(shortened(robot))}, version {version}<br>measured: {plain_text(named)}{more}</sup>"
+    under = (
+        f"<br><sup>{plain_text(shorten_label(robot))}, version {version}<br>measured: {plain_text(named)}{more}</sup>"
+    )
     return {
         name: {**figure, "layout": {
             **figure["layout"], "meta": meta, "title": {"text": figure["layout"]["title"]["text"] + under},

@@ -20,7 +20,7 @@ def own_curves(curves: Sequence[dict[str, Any]]) -> dict[str, Document]:
         curve = EffectCurve.model_validate(one)
         name = f"effect_curve_{curve.id}_joint_{curve.joint}"
         taken = sum(other == name or other.startswith(f"{name}_again") for other in out)
-        title = curve_words.title(curve) + _apart(curve)
+        title = curve_words.title(curve) + _format_direction_gap(curve)
         made = layout(title, curve_words.across(curve), curve_words.upwards(curve))
         out[name if not taken else f"{name}_again_{taken}"] = {"data": list(_traces(curve)), "layout": made}
     return out
@@ -33,7 +33,9 @@ def _traces(curve: EffectCurve) -> Iterator[Document]:
     yield from _visits(curve)
     for place, side in enumerate(curve.rival.sides if curve.rival is not None else []):
         assert curve.rival is not None
-        yield _line(side.x, side.y, f"refused: {curve_words.named(curve.rival)}", RED, THIN, named=not place)
+        yield _line(
+            side.x, side.y, f"refused: {curve_words.format_effect_name(curve.rival)}", RED, THIN, named=not place
+        )
     for side in curve.sides:
         yield _line(side.x, side.y, curve_words.model(side.direction), COLOUR_OF[side.direction], BOLD)
 
@@ -70,7 +72,7 @@ def _line(
     }  # fmt: skip
 
 
-def _apart(curve: EffectCurve) -> str:
+def _format_direction_gap(curve: EffectCurve) -> str:
     """How far both directions are apart, below the title; nothing where there is one."""
     apart = curve.distance
     if apart is None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_service.ground.wire import to_mm
-from kilter_service.jobs.plotly_figures.layout import BLUE, ORANGE, RED, Document, bar_layout, plain_text, shortened
+from kilter_service.jobs.plotly_figures.layout import BLUE, ORANGE, RED, Document, bar_layout, plain_text, shorten_label
 
 if TYPE_CHECKING:
     from kilter_core.identify import Identification
@@ -56,13 +56,13 @@ def _candidates(found: Identification, job: JobInput, aside: Sequence[Mapping[st
     own = isinstance(job.validation, dict)
     held = {name: len(part) for name, part in job.validation.items()} if isinstance(job.validation, dict) else rows
     folds = found.held_rows is not None and not own and found.inside is None
-    yield from _worst_of(found.held_rows, held, HELD_OUT, frozenset())
+    yield from _iter_worst_rows(found.held_rows, held, HELD_OUT, frozenset())
     if not folds:
         let_go = frozenset((str(one["campaign"]), int(one["row"])) for one in aside)
-        yield from _worst_of(found.fitted_rows, rows, FITTED, let_go)
+        yield from _iter_worst_rows(found.fitted_rows, rows, FITTED, let_go)
 
 
-def _worst_of(
+def _iter_worst_rows(
     errors: RowErrors | None, campaigns: Mapping[str, int], use: str, let_go: frozenset[tuple[str, int]]
 ) -> Iterator[Row]:
     if errors is None or errors.rows is None:
@@ -71,12 +71,12 @@ def _worst_of(
     size = np.linalg.norm(left, axis=1)
     for k in np.argsort(-size, kind="stable")[:WORST]:
         if np.isfinite(size[k]):
-            campaign, number = _place_of(int(errors.rows[k]), campaigns)
+            campaign, number = _campaign_and_row(int(errors.rows[k]), campaigns)
             x, y, z = (float(v) for v in left[k])
             yield Row(campaign, number, (x, y, z), SET_ASIDE if (campaign, number) in let_go else use)
 
 
-def _place_of(row: int, campaigns: Mapping[str, int]) -> tuple[str, int]:
+def _campaign_and_row(row: int, campaigns: Mapping[str, int]) -> tuple[str, int]:
     """Campaign of a row (from 0) of several campaigns one after another, and its number there, from 1."""
     for campaign, count in campaigns.items():
         if row < count:
@@ -88,7 +88,7 @@ def _place_of(row: int, campaigns: Mapping[str, int]) -> tuple[str, int]:
 def _names(job: JobInput) -> dict[str, str]:
     """Campaigns by their names, by their ids where two names look the same."""
     every = [*job.campaigns, *(job.validation if isinstance(job.validation, dict) else ())]
-    names = {campaign: shortened(job.names.get(campaign) or campaign) for campaign in every}
+    names = {campaign: shorten_label(job.names.get(campaign) or campaign) for campaign in every}
     count = Counter(names.values())
     return {campaign: name if count[name] == 1 else campaign for campaign, name in names.items()}
 

@@ -11,7 +11,7 @@ from datetime import datetime, timedelta
 from kilter_service.ground.caller import on_behalf
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.failures import in_words
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.retention import store
 
@@ -23,7 +23,7 @@ AGE = re.compile(r"(\d{1,5})([hdw])")
 UNITS = {"h": timedelta(hours=1), "d": timedelta(days=1), "w": timedelta(weeks=1)}
 
 
-def age_in(text: str) -> timedelta:
+def parse_age(text: str) -> timedelta:
     """Read an age: 12h, 30d or 8w.
 
     Raises:
@@ -38,8 +38,8 @@ def age_in(text: str) -> timedelta:
 
 def purge(database: Database, older_than: timedelta, route: str) -> int:
     """Delete the jobs that ended longer ago than an age and that nothing needs; returns how many."""
-    before, count = now() - older_than, 0
-    while found := _some(database, before, route):
+    before, count = utc_now() - older_than, 0
+    while found := _purge_batch(database, before, route):
         count += found
     return count
 
@@ -47,10 +47,10 @@ def purge(database: Database, older_than: timedelta, route: str) -> int:
 def count(database: Database, older_than: timedelta, most: int = 100_000) -> int:
     """Return how many jobs would be deleted."""
     with database.reading() as session:
-        return len(store.ended_before(session, now() - older_than, most))
+        return len(store.ended_before(session, utc_now() - older_than, most))
 
 
-def _some(database: Database, before: datetime, route: str) -> int:
+def _purge_batch(database: Database, before: datetime, route: str) -> int:
     with on_behalf({"actor": "kilterd", "role": "admin"}, route, {}), database.transaction() as session:
         ids = store.ended_before(session, before, AT_ONCE)
         if ids:
@@ -65,12 +65,12 @@ class Retention:
         self._database, self._days, self._clock = database, days, clock
         self._next_s = clock()
 
-    def look(self) -> None:
+    def purge_if_due(self) -> None:
         """Purge some when it is time; a database that is away or full is asked again later."""
         if not self._days or self._clock() < self._next_s:
             return
         try:
-            found = _some(self._database, now() - timedelta(days=self._days), "kilterd worker")
+            found = _purge_batch(self._database, utc_now() - timedelta(days=self._days), "kilterd worker")
         except Exception as error:
             if in_words(error) is None:
                 raise

@@ -30,4 +30,4 @@ def with_ability_warning(output: JobOutput, job: JobInput) -> JobOutput:
         objection = ability.of_poses(calibration, found, version.limits)
     except (CoreError, ArithmeticError, ValueError):  # activation says so
         return output
-    return output if objection is None else output.warned(objection.model_dump())
+    return output if objection is None else output.with_warnings(objection.model_dump())

@@ -7,7 +7,7 @@ from kilter_service.jobs.kind import JobInput, JobOutput
 
 def with_certificate_warnings(output: JobOutput, job: JobInput) -> JobOutput:
     """Add to result and version what the certificates of the instruments have against the campaigns."""
-    return output.warned(
+    return output.with_warnings(
         *(
             {
                 "code": one.code,

@@ -9,7 +9,7 @@ from typing import Any
 
 from kilter_service.contract.drift import ControlChart, DriftHistory
 from kilter_service.ground.db import Database
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.failure_log import Failing
 from kilter_service.ground.webhook import Webhook
 from kilter_service.versions.drift import service as drift
@@ -35,43 +35,43 @@ class CreepingPosts:
         self._next_s = clock()
         self._failing = Failing(logging.getLogger("kilter.worker"), "whether robots creep could not be told")
 
-    def look(self) -> None:
+    def post_changes_if_due(self) -> None:
         """See whether robots that were told to creep still do, when it is time."""
         if self._clock() < self._next_s:
             return
         self._next_s = self._clock() + EVERY_S
-        self._trying(self._look)
+        self._trying(self._post_changes)
 
-    def checked(self, robot: str) -> None:
+    def post_changes_after_check(self, robot: str) -> None:
         """See what a check has changed."""
-        self._trying(lambda: self._see(robot))
+        self._trying(lambda: self._post_changes_of_robot(robot))
 
-    def _look(self) -> None:
+    def _post_changes(self) -> None:
         with self._database.reading() as session:
             told = store.told_creeping(session)
         for robot in told:
-            self._see(robot)
+            self._post_changes_of_robot(robot)
 
     def _trying(self, see: Callable[[], None]) -> None:
         try:
             see()
         except Exception as error:  # nothing of this holds up a job or ends the worker
-            self._failing.failed(error)
+            self._failing.report_failure(error)
         else:
-            self._failing.worked()
+            self._failing.report_success()
 
-    def _see(self, robot: str) -> None:
+    def _post_changes_of_robot(self, robot: str) -> None:
         found = drift.of_robot(self._database, robot)
         if found.state == "creeping" and found.last is not None:
             with self._database.transaction() as session:
                 began = store.note_creeping(session, robot, found.last.job_id)
             if began:
-                self._webhook.tell(f"{found.last.job_id}-{BEGAN}", _message(BEGAN, found.last.job_id, found))
+                self._webhook.enqueue_message(f"{found.last.job_id}-{BEGAN}", _message(BEGAN, found.last.job_id, found))
             return
         with self._database.transaction() as session:
             job = store.forget_creeping(session, robot)
         if job is not None:
-            self._webhook.tell(f"{job}-{ENDED}", _message(ENDED, job, found))
+            self._webhook.enqueue_message(f"{job}-{ENDED}", _message(ENDED, job, found))
 
 
 def _message(event: str, job: str, found: DriftHistory) -> dict[str, Any]:
@@ -79,7 +79,7 @@ def _message(event: str, job: str, found: DriftHistory) -> dict[str, Any]:
     alarmed = alarmed if event == BEGAN else []
     since = alarmed[0].since if alarmed else None
     return {
-        "event": event, "job_id": job, "robot": found.robot, "version_id": found.version_id, "at": now().isoformat(),
+        "event": event, "job_id": job, "robot": found.robot, "version_id": found.version_id, "at": utc_now().isoformat(),
         "state": found.state, "sentence": found.sentence,
         "remedy": REMEDY.format(robot=found.robot) if event == BEGAN else "",
         "since": None if since is None else since.isoformat(),

@@ -7,7 +7,7 @@ from dataclasses import replace
 from kilter_service.ground.core import core_doubts
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.versions.ability import CODE as CANNOT_CORRECT
-from kilter_service.versions.objections import objections_of
+from kilter_service.versions.objections import objections_from_report
 
 
 def with_doubts(output: JobOutput, job: JobInput) -> JobOutput:
@@ -15,7 +15,7 @@ def with_doubts(output: JobOutput, job: JobInput) -> JobOutput:
     version = output.version
     if version is None:
         return output
-    against = [one for one in objections_of(version.report, version.limits) if one.code != CANNOT_CORRECT]
+    against = [one for one in objections_from_report(version.report, version.limits) if one.code != CANNOT_CORRECT]
     doubts = [core_doubts.Doubt.everywhere(job.robot.n_joints, 0.0, one.message).to_document() for one in against]
     if not doubts:
         return output

@@ -37,7 +37,7 @@ class QueueConsumer:
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
-                claim = self._next()
+                claim = self._claim_next_job()
                 if claim is not None:
                     self._runner.run(claim)
                     continue
@@ -49,7 +49,7 @@ class QueueConsumer:
                 pause = PAUSE_S
             self._stop.wait(pause)
 
-    def _next(self) -> Claim | None:
+    def _claim_next_job(self) -> Claim | None:
         if not self._lookout.rows():
             return None
         with self._database.transaction() as session:

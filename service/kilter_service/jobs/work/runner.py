@@ -22,7 +22,7 @@ from kilter_service.ground.webhook import Webhook
 from kilter_service.jobs import store
 from kilter_service.jobs.fan_out import FanOut, fan_out
 from kilter_service.jobs.fleet import store as fleet
-from kilter_service.jobs.fleet.comparison import compared
+from kilter_service.jobs.fleet.comparison import compare_with_previous
 from kilter_service.jobs.foreign import store as foreign_rows
 from kilter_service.jobs.inputs.approaches import with_direction_warning
 from kilter_service.jobs.inputs.default_load import with_load_warning
@@ -32,14 +32,14 @@ from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
 from kilter_service.jobs.records import JobRecord, UsedRecord
-from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.registry import get_job_kind
 from kilter_service.jobs.work.can_correct import with_ability_warning
 from kilter_service.jobs.work.certificates import with_certificate_warnings
 from kilter_service.jobs.work.creeping import CreepingPosts
 from kilter_service.jobs.work.doubts import with_doubts
 from kilter_service.jobs.work.set_up_changes import with_set_up_warning
 from kilter_service.jobs.work.verdicts import verdict_message
-from kilter_service.versions.objections import objections_of
+from kilter_service.versions.objections import objections_from_report
 from kilter_service.web.observability import logs, tracing
 
 log = logging.getLogger("kilter.worker")
@@ -90,7 +90,7 @@ class Runner:
                 began = time.monotonic()
                 outcome = self._compute(claim)
                 self._patiently(lambda: self._finish(claim, outcome))
-                self._tell(job, outcome)
+                self._post_verdict(job, outcome)
                 state = "failed" if outcome.error else "succeeded"
                 log.info("%s %s after %.1f s", job.kind, state, time.monotonic() - began)
         except CancelledError:
@@ -102,13 +102,13 @@ class Runner:
         report = ProgressReporter(self._database, claim)
         try:
             report(0.0, "loading", now=True)
-            kind, job, used = self._patiently(lambda: self._loaded(claim))
-            output = with_load_warning(kind, kind_of(kind).run(replace(job, each=self._each), report), job)
+            kind, job, used = self._patiently(lambda: self._load_claimed_job(claim))
+            output = with_load_warning(kind, get_job_kind(kind).run(replace(job, each=self._each), report), job)
             output = with_direction_warning(kind, with_certificate_warnings(output, job), job)
             output = with_set_up_warning(kind, with_clock_warnings(output, job), job)
             output = with_doubts(with_ability_warning(with_limits(output, job), job), job)
             report(1.0, "storing", now=True)
-            judged = self._patiently(lambda: compared(self._database, claim.job_id, output.version, used))
+            judged = self._patiently(lambda: compare_with_previous(self._database, claim.job_id, output.version, used))
         except (CancelledError, DatabaseAwayError):
             raise
         except CoreError as error:
@@ -121,27 +121,27 @@ class Runner:
             return Outcome(error=("internal_error", message))
         return Outcome(output, used, judged=judged)
 
-    def _tell(self, job: JobRecord, outcome: Outcome) -> None:
+    def _post_verdict(self, job: JobRecord, outcome: Outcome) -> None:
         """Post a verdict that is not well to the operator's address, where there is one, and whether the robot creeps."""
         if self._webhook is None or self._creeping is None or job.kind != "drift" or outcome.output is None:
             return
         message = verdict_message(job.id, job.robot, outcome.used, outcome.output.result)
         if message is not None:
-            self._webhook.tell(job.id, message)
-        self._creeping.checked(job.robot)
+            self._webhook.enqueue_message(job.id, message)
+        self._creeping.post_changes_after_check(job.robot)
 
     def _record(self, claim: Claim) -> JobRecord:
         with self._database.reading() as session:
             return store.get(session, claim.job_id)
 
-    def _loaded(self, claim: Claim) -> tuple[str, JobInput, tuple[UsedRecord, ...]]:
+    def _load_claimed_job(self, claim: Claim) -> tuple[str, JobInput, tuple[UsedRecord, ...]]:
         with self._database.reading() as session:
             kind, job = store.get(session, claim.job_id).kind, store.load(session, claim.job_id)
-            return kind, job, tuple(store.used_by(session, claim.job_id))
+            return kind, job, tuple(store.campaigns_used_by_job(session, claim.job_id))
 
     def _finish(self, claim: Claim, outcome: Outcome) -> None:
         try:
-            with self._asked_for(claim, outcome), self._database.transaction() as session:
+            with self._audit_on_behalf(claim, outcome), self._database.transaction() as session:
                 _store(session, claim, outcome)
         except DatabaseAwayError:
             raise
@@ -151,7 +151,7 @@ class Runner:
             with self._database.transaction() as session:
                 _store(session, claim, Outcome(error=("internal_error", message)))
 
-    def _asked_for(self, claim: Claim, outcome: Outcome) -> AbstractContextManager[None]:
+    def _audit_on_behalf(self, claim: Claim, outcome: Outcome) -> AbstractContextManager[None]:
         """Let the audit name who asked for a version that is stored, or a campaign that is retired; else no robot changes."""
         stores = outcome.output is not None and outcome.output.version is not None
         if not stores and outcome.error is None:
@@ -160,7 +160,7 @@ class Runner:
             kind = store.get(session, claim.job_id).kind
             if not stores and outcome.error is not None and not foreign_rows.retires(kind, outcome.error[0]):
                 return nullcontext()
-            return on_behalf(store.asked_by(session, claim.job_id), ROUTE, {"job": claim.job_id})
+            return on_behalf(store.job_requester(session, claim.job_id), ROUTE, {"job": claim.job_id})
 
     def _patiently(self, ask: Callable[[], T]) -> T:
         """Ask again while the database is away: hours of computing do not depend on its restart."""
@@ -177,10 +177,12 @@ def _store(session: Session, claim: Claim, outcome: Outcome) -> None:
         log.warning("job %s is no longer this worker's: what it computed is dropped", claim.job_id)
     elif outcome.error is not None:
         code, message = outcome.error
-        store.fail(session, claim.job_id, code, foreign_rows.refused(session, claim.job_id, code, message))
+        store.fail(
+            session, claim.job_id, code, foreign_rows.retire_refused_campaign(session, claim.job_id, code, message)
+        )
     elif outcome.output is not None:
         version = outcome.output.version
-        said = [] if version is None else objections_of(version.report, version.limits)
+        said = [] if version is None else objections_from_report(version.report, version.limits)
         store.succeed(session, claim.job_id, outcome.output.result, version, outcome.used, said)
         if outcome.judged is not None:
             fleet.judge(session, claim.job_id, outcome.judged)

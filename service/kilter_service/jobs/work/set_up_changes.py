@@ -31,7 +31,7 @@ def with_set_up_warning(kind: str, output: JobOutput, job: JobInput) -> JobOutpu
         if change is not None:
             said = _sentence(change, words, ", ".join(job.names.get(c, c) for c in campaigns))
             remark: dict[str, Any] = {"code": "set_up_changed", "message": said, "campaigns": list(campaigns)}
-            return output.warned({**remark, "refit": list(change.which), "moved_mm": to_mm(change.moved)})
+            return output.with_warnings({**remark, "refit": list(change.which), "moved_mm": to_mm(change.moved)})
     return output
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.jobs.records import UsedRecord
 
 SAID = ("version_id", "verdict", "sentence", "remedy", "p_value", "false_alarm")
@@ -20,5 +20,5 @@ def verdict_message(
     causes = [{"name": one["name"], "words": one["words"]} for one in result.get("causes") or []]
     return {
         "event": "check", "job_id": job, "robot": robot, "campaigns": [one.id for one in used],
-        "at": now().isoformat(), **{name: result.get(name) for name in SAID}, "causes": causes,
+        "at": utc_now().isoformat(), **{name: result.get(name) for name in SAID}, "causes": causes,
     }  # fmt: skip

@@ -71,7 +71,7 @@ def alone(settings: Settings, wait_s: float = LOCK_WAIT_S) -> AbstractContextMan
 
 
 def _execute(settings: Settings, database: Database, stop: threading.Event) -> int:
-    webhook = Webhook.of(settings)
+    webhook = Webhook.from_settings(settings)
     member = Member(database, settings.worker_name or socket.gethostname(), webhook)
     member.join(alone=settings.sqlite_file is not None)
     each = fan_out(settings.worker_processes, settings.dask)
@@ -85,9 +85,9 @@ def _execute(settings: Settings, database: Database, stop: threading.Event) -> i
     try:
         while not stop.wait(BEAT_S):
             member.beat()
-            retention.look()
+            retention.purge_if_due()
             if creeping is not None:
-                creeping.look()
+                creeping.post_changes_if_due()
     except ServiceError as error:
         log.error("worker %s ends: %s", member.id, error.message)
         return 1

@@ -10,8 +10,8 @@ from fastapi.responses import HTMLResponse
 from kilter_service.contract.tokens import ROLE, NewToken, Role, TokenName
 from kilter_service.ground.paging import Page
 from kilter_service.page.route import PageRoute
-from kilter_service.page.shared.lists import Asked, part
-from kilter_service.page.shell import redirect, render, root_of
+from kilter_service.page.shared.lists import Asked, select_page
+from kilter_service.page.shell import get_root_path, redirect, render
 from kilter_service.robots import service as robots
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
@@ -22,11 +22,11 @@ ROLES: tuple[Role, ...] = ("viewer", "operator", "admin")
 
 
 @router.get("/access")
-def shown(request: Request, database: DatabaseOfApp) -> HTMLResponse:
+def show_tokens(request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show who may do what, newest first."""
-    found = part(
+    found = select_page(
         service.list_tokens(database, Page()).tokens,
-        Asked.of(request, ("role",)),
+        Asked.from_request(request, ("role",)),
         lambda one: f"{one.name} {one.role} {' '.join(one.robots or [])} {one.created_by} {one.id}",
         {"name": lambda one: one.name, "role": lambda one: ROLES.index(one.role), "made": lambda one: one.created_at},
         {"role": lambda one: one.role},
@@ -52,4 +52,4 @@ def revoke(token: str, request: Request, database: DatabaseOfApp, settings: Sett
     """End a token at once, and the sessions of streams that it asked for."""
     ended = service.revoke(database, token, actor)
     request.app.state.end_sessions(database, settings, ended.id)
-    return redirect(request, f"{root_of(request)}/access")
+    return redirect(request, f"{get_root_path(request)}/access")

@@ -10,7 +10,7 @@ from typing import Any
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.audit import AuditEntry
-from kilter_service.ground.called import called
+from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.jobs import service as jobs
 from kilter_service.versions import service as versions
@@ -115,20 +115,20 @@ class Said:
 def describe_entries(database: Database, entries: Iterable[AuditEntry]) -> list[Said]:
     """Put entries in words, with names instead of ids."""
     known = _Names(database)
-    return [Said(one, _what(one, known), _reason(one)) for one in entries]
+    return [Said(one, _describe_action(one, known), _reason(one)) for one in entries]
 
 
-def _what(entry: AuditEntry, known: _Names) -> str:
-    refused = dict(_changed(entry)).get("refused")
+def _describe_action(entry: AuditEntry, known: _Names) -> str:
+    refused = dict(_iter_changes(entry)).get("refused")
     if isinstance(refused, dict):
-        return _refused(entry.route, str(refused.get("code", "")), int(refused.get("times", 1)))
+        return _describe_refusal(entry.route, str(refused.get("code", "")), int(refused.get("times", 1)))
     template = DONE.get(entry.route)
     if template is None:
         return f"changed something by {entry.route}"
-    return template.format_map(known.of(entry))
+    return template.format_map(known.template_values(entry))
 
 
-def _refused(route: str, code: str, times: int) -> str:
+def _describe_refusal(route: str, code: str, times: int) -> str:
     """What was asked for and not done; nothing is known of what it would have changed."""
     often = "once" if times == 1 else f"{times} times"
     return f"was refused {often} at {route}: {REFUSED.get(code, code)}"
@@ -136,13 +136,13 @@ def _refused(route: str, code: str, times: int) -> str:
 
 def _reason(entry: AuditEntry) -> str:
     """Why it was done, where somebody said so."""
-    for _, after in _changed(entry):
+    for _, after in _iter_changes(entry):
         if isinstance(after, dict) and isinstance(after.get("reason"), str) and after["reason"]:
             return str(after["reason"])
     return ""
 
 
-def _changed(entry: AuditEntry) -> Iterator[tuple[str, object]]:
+def _iter_changes(entry: AuditEntry) -> Iterator[tuple[str, object]]:
     """Each thing that was changed with what it is since, or with what it was where it is gone."""
     for one in entry.changes:
         try:
@@ -158,12 +158,12 @@ class _Names:
         self._database = database
         self._found: dict[str, tuple[str, str]] = {}
 
-    def of(self, entry: AuditEntry) -> dict[str, str]:
+    def template_values(self, entry: AuditEntry) -> dict[str, str]:
         """Return a name for whatever a template may say."""
         place = json.loads(entry.place)
         ids = {name: str(value) for name, value in place.items()} if isinstance(place, dict) else {}
         told = dict.fromkeys(("robot", "campaign", "version", "job", "link", "token"), UNKNOWN) | ids
-        for thing, after in _changed(entry):
+        for thing, after in _iter_changes(entry):
             table, _, key = thing.partition("/")
             if table in KINDS and (KINDS[table] not in ids or entry.route.endswith("/aside")):
                 told[KINDS[table]] = key
@@ -171,9 +171,9 @@ class _Names:
                 told["robot"] = str(after["name"])
             elif thing == "active_version" and isinstance(after, str):
                 told["version"] = after
-        return self._named(told)
+        return self._resolve_names(told)
 
-    def _named(self, told: dict[str, str]) -> dict[str, str]:
+    def _resolve_names(self, told: dict[str, str]) -> dict[str, str]:
         for kind in KINDS.values():
             if told[kind] == UNKNOWN:
                 told[kind] = f"a {kind} that is gone"
@@ -188,7 +188,7 @@ class _Names:
         if key not in self._found:
             try:
                 one = GET[kind](self._database, key)
-                self._found[key] = f"{kind} {one.name}" if one.name else f"the {called(one)}", one.robot
+                self._found[key] = f"{kind} {one.name}" if one.name else f"the {display_name(one)}", one.robot
             except CoreError:
                 self._found[key] = f"{kind} {key}", ""
         return self._found[key]

@@ -18,8 +18,8 @@ Name = Annotated[str, Query(max_length=200)]
 
 
 @router.get("/audit")
-def shown(request: Request, database: DatabaseOfApp, robot: Name = "", actor: Name = "") -> HTMLResponse:
+def show_audit(request: Request, database: DatabaseOfApp, robot: Name = "", actor: Name = "") -> HTMLResponse:
     """Show the newest entries, and whether the record is whole."""
-    asked = Asked.of(request, ("robot", "actor"))
-    found = service.found(database, robot.strip(), actor.strip(), asked)
+    asked = Asked.from_request(request, ("robot", "actor"))
+    found = service.find_entries(database, robot.strip(), actor.strip(), asked)
     return render(request, "audit/list.html", found=found, robot=robot, actor_wanted=actor)

@@ -12,7 +12,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.jobs import service as jobs
 from kilter_service.page.audit.action_words import DONE, Said, describe_entries
-from kilter_service.page.shared.lists import Asked, Part, part
+from kilter_service.page.shared.lists import Asked, Part, select_page
 from kilter_service.versions import service as versions
 from kilter_service.web.audit import service as audit
 
@@ -30,7 +30,7 @@ class Found:
     broken: str
 
 
-def found(database: Database, robot: str, actor: str, asked: Asked) -> Found:
+def find_entries(database: Database, robot: str, actor: str, asked: Asked) -> Found:
     """Return entries about a robot, by somebody; empty texts ask for all."""
     ids = _ids(database, robot) if robot else frozenset()
     kept: list[AuditEntry] = []
@@ -44,7 +44,7 @@ def found(database: Database, robot: str, actor: str, asked: Asked) -> Found:
             break
         after = (str(page.entries[-1].number),)
     head, broken = _state(database)
-    shown = part(kept[::-1], asked, _words, {})
+    shown = select_page(kept[::-1], asked, _words, {})
     return Found(shown, describe_entries(database, shown.shown), total, head, broken)
 
 

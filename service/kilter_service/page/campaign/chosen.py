@@ -14,9 +14,9 @@ from kilter_core.errors import CoreError
 from kilter_files.ground.later import pa
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.kept_facts import key_of
+from kilter_service.campaigns.kept_facts import campaign_cache_key
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.ground.called import called
+from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.tables.reading import CSV
@@ -27,7 +27,7 @@ from kilter_service.page.campaign.series import KEPT
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 from kilter_service.versions.predictions import joint_space, places
-from kilter_service.versions.predictions.paired import residuals, size_of
+from kilter_service.versions.predictions.paired import error_lengths, residuals
 
 if TYPE_CHECKING:
     from kilter_core.types import Floats
@@ -107,15 +107,15 @@ def chosen(database: Database, campaign_id: str, text: str, version: str) -> Cho
     judge = _judge(database, campaign, version)
     arm, shown = robots.arm(database, campaign.robot), rows[:MOST_LISTED]
     columns = service.joint_columns(database, campaign)
-    left = _left(database, campaign, judge)
+    left = _residuals_by_column(database, campaign, judge)
     starts = [0, *accumulate(upload.rows for upload in campaign.uploads)]
     found = []
     for row in shown:
         file = bisect_right(starts[:-1], row - 1)
         joints = [f"{column[row - 1]:.2f}" for column in columns]
-        error, sigma = (_known(left.get(name), row) for name in ("error_mm", SIGMA))
+        error, sigma = (_value_or_none(left.get(name), row) for name in ("error_mm", SIGMA))
         found.append(Row(row, file, row - starts[file - 1], joints, error, sigma))
-    name = called(versions.get(database, judge)) if judge and left else ""
+    name = display_name(versions.get(database, judge)) if judge and left else ""
     return Chosen(
         campaign, judge if left else "", name, [joint.name for joint in arm.joints], joint_units(arm), found, len(rows),
         ranges(rows),
@@ -144,7 +144,7 @@ def _judge(database: Database, campaign: Campaign, version: str) -> str:
     return version or robots.get(database, campaign.robot).active_version or ""
 
 
-def _left(database: Database, campaign: Campaign, version: str) -> dict[str, Floats]:
+def _residuals_by_column(database: Database, campaign: Campaign, version: str) -> dict[str, Floats]:
     """What a version leaves of each row, by column; nothing where that cannot be said."""
     if not version:
         return {}
@@ -153,19 +153,19 @@ def _left(database: Database, campaign: Campaign, version: str) -> dict[str, Flo
     def column(name: str) -> Floats:
         if not table:
             found = residuals(database, version, [campaign.id])
-            table.update(found, error_mm=size_of(found))
+            table.update(found, error_mm=error_lengths(found))
         return np.asarray(table[name], dtype=np.float64)
 
     try:
         return {
-            name: KEPT.get((version, *key_of(campaign), name), lambda name=name: column(name))  # type: ignore[misc]
+            name: KEPT.get((version, *campaign_cache_key(campaign), name), lambda name=name: column(name))  # type: ignore[misc]
             for name in (*LEFT, "error_mm")
         }
     except CoreError:  # another robot's version, or nothing was measured at the tool: rows are shown without errors
         return {}
 
 
-def _known(column: Floats | None, row: int) -> float | None:
+def _value_or_none(column: Floats | None, row: int) -> float | None:
     value = float("nan") if column is None else float(column[row - 1])
     return value if value == value else None
 
@@ -173,9 +173,9 @@ def _known(column: Floats | None, row: int) -> float | None:
 def as_csv(database: Database, campaign_id: str, text: str, version: str) -> bytes:
     """Return rows with all their columns as they were measured, and what the version leaves of them."""
     campaign, rows = named_rows(database, campaign_id, text)
-    left = _left(database, campaign, _judge(database, campaign, version))
+    left = _residuals_by_column(database, campaign, _judge(database, campaign, version))
     places = np.array(rows) - 1
-    table = looking.stored(database, campaign.id).table.take(places)
+    table = looking.load_campaign_rows(database, campaign.id).table.take(places)
     table = table.add_column(0, "row", pa.array(rows)).add_column(0, "campaign", pa.array([campaign.id] * len(rows)))
     for name in LEFT if left else ():
         found = left[name][places]
@@ -194,7 +194,7 @@ def values(database: Database, campaign_id: str, version: str, column: str) -> d
     campaign, found = campaigns.get(database, campaign_id), places.places(database, version, campaign_id)
     unit = ""
     if column == SIGMA:
-        left = _left(database, campaign, version)
+        left = _residuals_by_column(database, campaign, version)
         shown = left[SIGMA][found.row - 1] if left else None
     elif column.startswith(JOINT):
         shown, unit = _of_joint(database, campaign, version, column.removeprefix(JOINT))

@@ -11,15 +11,15 @@ from fastapi.responses import HTMLResponse, JSONResponse
 from kilter_service.campaigns import keeping
 from kilter_service.contract.references import Change
 from kilter_service.page.campaign import chosen, service
-from kilter_service.page.campaign.without import without
+from kilter_service.page.campaign.without import store_without_rows
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import proposing
 from kilter_service.page.shared.lists import Asked
-from kilter_service.page.shell import is_part, redirect, render, root_of
+from kilter_service.page.shell import get_root_path, is_part, redirect, render
 from kilter_service.robots import service as robots
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.concurrency import compute
-from kilter_service.web.state import DatabaseOfApp, scratch_of
+from kilter_service.web.state import DatabaseOfApp, get_scratch
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 MOST_TEXT = 6000
@@ -29,19 +29,19 @@ Rows = Annotated[int, Query(ge=0, le=10**12)]
 
 
 @router.get("/robots/{robot}/campaigns")
-def listed(robot: str, request: Request, database: DatabaseOfApp, retired: bool = False) -> HTMLResponse:
+def list_campaigns(robot: str, request: Request, database: DatabaseOfApp, retired: bool = False) -> HTMLResponse:
     """List the campaigns of a robot."""
-    found = service.list_campaigns(database, robot, retired, Asked.of(request, ("role", "retired")))
+    found = service.list_campaigns(database, robot, retired, Asked.from_request(request, ("role", "retired")))
     name = robots.get(database, robot).name
     return render(request, "campaign/list.html", robot=name, part=found, retired=retired)
 
 
 @router.get("/campaigns/{campaign}")
-def one(
+def show_campaign(
     campaign: str, request: Request, database: DatabaseOfApp, job: Annotated[str, Query(max_length=100)] = ""
 ) -> HTMLResponse:
     """Show a campaign; ``job`` proposed its poses."""
-    shown = service.shown(database, campaign)
+    shown = service.load_campaign_view(database, campaign)
     return render(
         request, "campaign/one.html", shown=shown, proposing=proposing.proposal(database, shown.campaign, job)
     )
@@ -65,7 +65,7 @@ def values(campaign: str, database: DatabaseOfApp, version: Short, column: Short
 
 
 @router.get("/campaigns/{campaign}/rows.json")
-def told(campaign: str, database: DatabaseOfApp, rows: Ranges, version: Short = "") -> JSONResponse:
+def rows_as_json(campaign: str, database: DatabaseOfApp, rows: Ranges, version: Short = "") -> JSONResponse:
     """Say what is known of rows, for whoever points at them."""
     found = chosen.chosen(database, campaign, rows, version)
     return JSONResponse(
@@ -102,9 +102,9 @@ async def aside(
     rows: Annotated[str, Form(max_length=MOST_TEXT)],
 ) -> Response:  # fmt: skip
     """Store a campaign without rows, and go to the form of a job that takes it."""
-    with scratch_of(request).folder_for("aside") as folder:
-        made = await compute(request, without, database, campaign, rows, actor, folder)
-    return redirect(request, f"{root_of(request)}/robots/{made.robot}/jobs?kind=identify&campaigns={made.id}")
+    with get_scratch(request).folder_for("aside") as folder:
+        made = await compute(request, store_without_rows, database, campaign, rows, actor, folder)
+    return redirect(request, f"{get_root_path(request)}/robots/{made.robot}/jobs?kind=identify&campaigns={made.id}")
 
 
 @router.post("/campaigns/{campaign}/change")
@@ -132,4 +132,4 @@ def restore(campaign: str, request: Request, database: DatabaseOfApp) -> Respons
 
 
 def _back(request: Request, campaign: str) -> Response:
-    return redirect(request, f"{root_of(request)}/campaigns/{campaign}")
+    return redirect(request, f"{get_root_path(request)}/campaigns/{campaign}")

@@ -16,7 +16,7 @@ KEPT_BYTES = 96 << 20  # a dozen columns of a million rows
 LEAST, MOST = 50, 4000  # pixels
 
 
-def thinned(
+def thin_series(
     values: Floats, first: int, last: int, width: int, keep: Sequence[int] = ()
 ) -> tuple[list[int], list[float | None]]:
     """Return rows (from 1) and values to draw of rows ``first`` to ``last``: of each pixel the least and the greatest.

@@ -12,17 +12,17 @@ import numpy as np
 from kilter_core.errors import CoreError, ObservationError
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.facts import unit_of
-from kilter_service.campaigns.kept_facts import facts_of, key_of
+from kilter_service.campaigns.facts import display_unit_and_factor
+from kilter_service.campaigns.kept_facts import cached_campaign_facts, campaign_cache_key
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.versions import Version
 from kilter_service.ground.db import Database
 from kilter_service.ground.paging import Page
-from kilter_service.page.campaign.series import KEPT, LEAST, MOST, thinned
-from kilter_service.page.shared.lists import Asked, Part, part
-from kilter_service.page.shared.measured import Seen, seen
+from kilter_service.page.campaign.series import KEPT, LEAST, MOST, thin_series
+from kilter_service.page.shared.lists import Asked, Part, select_page
+from kilter_service.page.shared.measured import Seen, describe_facts
 from kilter_service.versions import service as versions
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class Shown:
 
 def list_campaigns(database: Database, robot: str, with_retired: bool, asked: Asked) -> Part[Campaign]:
     """Return the campaigns of a robot that the address asks for, newest first."""
-    return part(
+    return select_page(
         campaigns.list_campaigns(database, robot, Page(), False, with_retired).campaigns[::-1],
         asked,
         lambda one: f"{one.name} {one.device} {one.instrument or ''} {one.notes} {one.id}",
@@ -61,17 +61,21 @@ def list_campaigns(database: Database, robot: str, with_retired: bool, asked: As
     )
 
 
-def shown(database: Database, campaign_id: str) -> Shown:
+def load_campaign_view(database: Database, campaign_id: str) -> Shown:
     """Return all that is shown of a campaign."""
     campaign = campaigns.get(database, campaign_id)
     found, why = None, ""
     try:
         # Whoever looks at the page looks at its columns next.
-        found = seen(facts_of(database, campaign, lambda rows: _keep(campaign, rows)), campaign=campaign.id)
+        found = describe_facts(
+            cached_campaign_facts(database, campaign, lambda rows: _keep(campaign, rows)), campaign=campaign.id
+        )
     except CoreError as error:
         why = error.message
     used = [
-        (version, use) for version in versions.made_with(database, campaign.id) for use in _uses(version, campaign.id)
+        (version, use)
+        for version in versions.versions_from_campaign(database, campaign.id)
+        for use in _uses(version, campaign.id)
     ]
     columns = (
         [] if found is None else [(one[0], f"{one[1]}, {one[2]}" if one[2] != "–" else one[1]) for one in found.columns]
@@ -93,7 +97,7 @@ def series(
 
     """
     values = of_column(database, campaigns.get(database, campaign_id), column)
-    rows, shown = thinned(values, first, last if last > 0 else len(values), min(max(width, LEAST), MOST), keep)
+    rows, shown = thin_series(values, first, last if last > 0 else len(values), min(max(width, LEAST), MOST), keep)
     return {"column": column, "rows": len(values), "x": rows, "y": shown}
 
 
@@ -110,12 +114,12 @@ def of_column(database: Database, campaign: Campaign, name: str) -> NDArray[np.f
             f"Campaign {campaign.id} has no column {name[:64]!r}: it has {', '.join(names[:20]) or 'none'}.",
             column=name[:64],
         )
-    return KEPT.get((*key_of(campaign), name), lambda: _column(database, campaign, name))
+    return KEPT.get((*campaign_cache_key(campaign), name), lambda: _column(database, campaign, name))
 
 
 def unit(database: Database, campaign: Campaign, name: str) -> str:
     """Return the unit of :func:`of_column`."""
-    return next(unit_of(one)[0] for one in looking.columns(database, campaign.id) if one.name == name)
+    return next(display_unit_and_factor(one)[0] for one in looking.columns(database, campaign.id) if one.name == name)
 
 
 def joint_columns(database: Database, campaign: Campaign) -> list[NDArray[np.float64]]:
@@ -126,16 +130,16 @@ def joint_columns(database: Database, campaign: Campaign) -> list[NDArray[np.flo
 
 def _column(database: Database, campaign: Campaign, name: str) -> NDArray[np.float64]:
     """Read a column, and keep the others too: reading one of them takes as long as reading all."""
-    rows = looking.stored(database, campaign.id)
+    rows = looking.load_campaign_rows(database, campaign.id)
     _keep(campaign, rows)
     return _values(rows, next(column for column in rows.columns if column.name == name))
 
 
 def _keep(campaign: Campaign, rows: Rows) -> None:
     for column in rows.columns:
-        KEPT.get((*key_of(campaign), column.name), partial(_values, rows, column))
+        KEPT.get((*campaign_cache_key(campaign), column.name), partial(_values, rows, column))
 
 
 def _values(rows: Rows, column: Column) -> NDArray[np.float64]:
     cells = rows.table.column(column.name).to_numpy(zero_copy_only=False)
-    return np.asarray(cells * unit_of(column)[1], dtype=np.float64)
+    return np.asarray(cells * display_unit_and_factor(column)[1], dtype=np.float64)

@@ -22,7 +22,7 @@ LONGEST_NAME, LONGEST_NOTES = 200, 20_000
 OF_THE_WHOLE = ("device", "role", "conditions", "measured_at", "instrument")  # holds for the rest too
 
 
-def without(database: Database, campaign_id: str, text: str, actor: str, folder: Path) -> Campaign:
+def store_without_rows(database: Database, campaign_id: str, text: str, actor: str, folder: Path) -> Campaign:
     """Store the rest of a campaign's rows as another campaign; its notes say which rows it lacks, and who said so.
 
     Raises:
@@ -35,7 +35,7 @@ def without(database: Database, campaign_id: str, text: str, actor: str, folder:
         raise ServiceError(
             f"That is every row of {campaign.name}: take the campaign out of use instead.", code="payload_invalid"
         )
-    content = _rest(database, campaign, rows)
+    content = _encode_remaining_rows(database, campaign, rows)
     path = folder / "rows"
     path.write_bytes(content)
     sha256 = hashlib.sha256(content).hexdigest()
@@ -48,15 +48,15 @@ def without(database: Database, campaign_id: str, text: str, actor: str, folder:
     return campaigns.commit(database, added.id, Parts(sha256=[sha256]))
 
 
-def _rest(database: Database, campaign: Campaign, rows: list[int]) -> bytes:
-    table = looking.stored(database, campaign.id).table
+def _encode_remaining_rows(database: Database, campaign: Campaign, rows: list[int]) -> bytes:
+    table = looking.load_campaign_rows(database, campaign.id).table
     kept = np.setdiff1d(np.arange(len(table)), np.array(rows) - 1)
     return write_table(table.take(kept), PARQUET)
 
 
 def _new(campaign: Campaign, rows: list[int], actor: str) -> NewCampaign:
     ending = f" without {plural(len(rows), 'row')}"
-    said = rest.said(campaign.id, campaign.name, ranges(rows), actor)
+    said = rest.format_origin_note(campaign.id, campaign.name, ranges(rows), actor)
     notes = f"{said}\n\n{campaign.notes}".strip()
     return NewCampaign(
         name=campaign.name[: LONGEST_NAME - len(ending)] + ending,

@@ -17,7 +17,7 @@ from kilter_files import prepare
 from kilter_files.formats.reader import Head
 from kilter_files.formats.registry import readers, refuse_stranger
 from kilter_files.formats.unknown.guess import Columns
-from kilter_files.formats.unknown.table_shape import shape_of
+from kilter_files.formats.unknown.table_shape import detect_table_shape
 from kilter_files.ground.errors import FileError, KilterError, MissingPackageError
 from kilter_files.look.draft import draft
 from kilter_files.look.inspection import inspect
@@ -67,19 +67,19 @@ def understood(path: Path, read_as: str, joints: Sequence[str] = ()) -> Document
     """Read a file through its map, by its device, as it is, or with a map that is drafted now."""
     chosen = Path("map.toml")
     if read_as == "map" and chosen.exists():
-        return _described(path) | _mapped(path, chosen)
+        return _describe_source_columns(path) | _apply_map(path, chosen)
     if path.stat().st_size:
         refuse_stranger(Head(path))
     if read_as not in ("auto", "map"):
-        return _prepared(path, read_as)
-    seen = _looked(path)
+        return _prepare_rows(path, read_as)
+    seen = _inspect_file(path)
     if seen.get("ready") and read_as == "auto":
-        return seen | _called(seen) | _prepared(path, seen["device"])
+        return seen | _describe_kind(seen) | _prepare_rows(path, seen["device"])
     alone = ALONE.get(_kind(path, seen)) if read_as == "auto" else None
     if alone is not None:
         return seen | {"refusal": f"{path.name}: {alone}"}
     try:
-        return seen | _described(path) | _drafted(path, chosen, joints)
+        return seen | _describe_source_columns(path) | _draft_map(path, chosen, joints)
     except FileError:
         if seen["kind"] == UNKNOWN and seen["remarks"]:  # a reader that knows the file has said what is wrong with it
             raise FileError(seen["remarks"][0]) from None
@@ -123,7 +123,7 @@ def _kind(path: Path, seen: Document) -> str:
     return "lerobot" if is_part else kind
 
 
-def _looked(path: Path) -> Document:
+def _inspect_file(path: Path) -> Document:
     """What inspection says, as far as it can be had: a table that it does not know may still take a map."""
     try:
         found = inspect(path)
@@ -137,7 +137,7 @@ def _looked(path: Path) -> Document:
     }  # fmt: skip
 
 
-def _called(seen: Document) -> Document:
+def _describe_kind(seen: Document) -> Document:
     """What a file that is read as it is looks like, in words. A reader of a device states units and columns itself."""
     known = readers().get(seen["kind"])
     return ({} if known is None else {"kind": known.title}) | ({"remarks": []} if seen["device"] else {})
@@ -148,16 +148,16 @@ def _problems(found: Document) -> list[str]:
     return [f"{', '.join(f'{k} {v}' for k, v in place.items())}: {what}".lstrip(": ") for place, what in places]
 
 
-def _prepared(path: Path, device: str | None) -> Document:
+def _prepare_rows(path: Path, device: str | None) -> Document:
     """Rows as the readers prepare them for an upload, and what they say of them."""
-    return _kept(prepare(path, device), "as it is" if device is None else device)
+    return _write_prepared_rows(prepare(path, device), "as it is" if device is None else device)
 
 
-def _mapped(path: Path, chosen: Path) -> Document:
-    return {"map": chosen.read_text(encoding="utf-8")} | _kept(prepare(path, None, chosen), "column map")
+def _apply_map(path: Path, chosen: Path) -> Document:
+    return {"map": chosen.read_text(encoding="utf-8")} | _write_prepared_rows(prepare(path, None, chosen), "column map")
 
 
-def _drafted(path: Path, chosen: Path, joints: Sequence[str]) -> Document:
+def _draft_map(path: Path, chosen: Path, joints: Sequence[str]) -> Document:
     """A drafted map, and what it makes of the file where nothing in it is open."""
     found = draft(path, joints)
     chosen.write_text(found.text, encoding="utf-8")
@@ -165,12 +165,12 @@ def _drafted(path: Path, chosen: Path, joints: Sequence[str]) -> Document:
     if found.open:
         return said
     try:
-        return said | _mapped(path, chosen)
+        return said | _apply_map(path, chosen)
     except KilterError as error:
         return said | {"refusal": error.detail}
 
 
-def _kept(prepared: Any, reader: str) -> Document:
+def _write_prepared_rows(prepared: Any, reader: str) -> Document:
     """Write the rows beside the file."""
     if prepared.rows is not None and prepared.rows > MOST_ROWS:
         raise FileError(f"The file has {prepared.rows} rows, at most {MOST_ROWS} are read: split it.")
@@ -182,18 +182,18 @@ def _kept(prepared: Any, reader: str) -> Document:
     }  # fmt: skip
 
 
-def _described(path: Path) -> Document:
+def _describe_source_columns(path: Path) -> Document:
     """The columns of the file itself, so that a map can be chosen: names, units, first cells, ranges and gaps."""
-    columns = Columns(shape_of(path))
+    columns = Columns(detect_table_shape(path))
     rows = len(columns.shape.source.lines)
     return {
         "kind": readers()[columns.shape.form].title,
-        "source": [_one(columns, name, rows) for name in columns.names[:MOST_COLUMNS]],
+        "source": [_describe_column(columns, name, rows) for name in columns.names[:MOST_COLUMNS]],
         "more": max(0, len(columns.names) - MOST_COLUMNS),
     }
 
 
-def _one(columns: Any, name: str, rows: int) -> Document:
+def _describe_column(columns: Any, name: str, rows: int) -> Document:
     numbers = columns.numbers(name)
     finite = [value for value in numbers or () if math.isfinite(value)]
     return {

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from kilter_files.ground.units import TIMESTAMP, UNKNOWN, converter, unit_of, units_like
+from kilter_files.ground.units import TIMESTAMP, UNKNOWN, column_unit, converter, units_like
 from kilter_files.maps.column_map import BARE_PATTERN
 from kilter_service.contract.columns import JOINT_UNITS, PLAIN_UNITS, TILT_UNITS
 from kilter_service.ground.errors import ServiceError
@@ -76,7 +76,7 @@ def contract_name(target: str, kinds: Sequence[str]) -> str:
     return f"{target}_{next(iter(units))}".rstrip("_")
 
 
-def parsed(text: str) -> dict[str, Any]:
+def parse_map(text: str) -> dict[str, Any]:
     """Read the TOML of a map.
 
     Raises:
@@ -93,9 +93,9 @@ def assignments(text: str, source: Sequence[Mapping[str, Any]], kinds: Sequence[
     """Return what each column of the file is by a map; patterns are written out."""
     names = [str(column["name"]) for column in source]
     found: dict[str, Assignment] = {}
-    for target, entry in _entries(parsed(text)):
-        for name, one in _matched(target, entry, names):
-            found.setdefault(name, _assigned(name, one, entry, kinds))
+    for target, entry in _entries(parse_map(text)):
+        for name, one in _match_columns(target, entry, names):
+            found.setdefault(name, _build_assignment(name, one, entry, kinds))
     stated = {str(column["name"]): column.get("unit") for column in source}
     return [found.get(name) or Assignment(name, "", str(stated[name] or "")) for name in names]
 
@@ -106,7 +106,7 @@ def _entries(document: Mapping[str, Any]) -> list[tuple[str, dict[str, Any]]]:
     return [(target, entry) for target, entry in columns.items() if isinstance(entry, dict)]
 
 
-def _matched(target: str, entry: Mapping[str, Any], names: Sequence[str]) -> list[tuple[str, str]]:
+def _match_columns(target: str, entry: Mapping[str, Any], names: Sequence[str]) -> list[tuple[str, str]]:
     """Columns of the file that an entry takes, each with what it becomes."""
     source = entry.get("from")
     if source is None or source == UNKNOWN:
@@ -119,12 +119,12 @@ def _matched(target: str, entry: Mapping[str, Any], names: Sequence[str]) -> lis
     return [(name, target.replace("*", str(k))) for k, (_, name) in enumerate(numbered, 1)]
 
 
-def _assigned(name: str, target: str, entry: Mapping[str, Any], kinds: Sequence[str]) -> Assignment:
+def _build_assignment(name: str, target: str, entry: Mapping[str, Any], kinds: Sequence[str]) -> Assignment:
     stem = target if target in PLAIN_UNITS else target.partition("_")[0]
     for plain in PLAIN_UNITS:
         if target.startswith(f"{plain}_") and len(plain) > len(stem):
             stem = plain
-    unit = str(entry.get("unit") or unit_of(target) or "")
+    unit = str(entry.get("unit") or column_unit(target) or "")
     place = int(found[0]) - 1 if (found := NUMBER.search(stem)) else 0
     rest = tuple((key, _nth(entry[key], place)) for key in ("sign", "scale", "offset", "still_below") if key in entry)
     return Assignment(name, stem, "" if unit == UNKNOWN else unit, units_for(stem, kinds), rest)
@@ -138,20 +138,22 @@ def _nth(value: Any, place: int) -> Any:
 
 def units_for(target: str, kinds: Sequence[str]) -> tuple[str, ...]:
     """Return the units that the file may have a target in."""
-    wanted = unit_of(contract_name(target, kinds))
+    wanted = column_unit(contract_name(target, kinds))
     if not wanted:
         return ()
     return (*units_like(wanted), TIMESTAMP) if target == "t" else units_like(wanted)
 
 
-def changed(text: str, wanted: Sequence[Assignment], keys: Mapping[str, str | int], kinds: Sequence[str]) -> str:
+def update_map_columns(
+    text: str, wanted: Sequence[Assignment], keys: Mapping[str, str | int], kinds: Sequence[str]
+) -> str:
     """Return the map with these columns instead of its own; everything else in it stays.
 
     Raises:
         ServiceError: two columns are the same thing, or one is something that there is not.
 
     """
-    document = parsed(text)
+    document = parse_map(text)
     known = {name for group in choices(kinds).values() for name, _ in group}
     columns = {target: entry for target, entry in _entries(document) if "value" in entry}
     for one in wanted:
@@ -170,7 +172,7 @@ def changed(text: str, wanted: Sequence[Assignment], keys: Mapping[str, str | in
 
 
 def _unit(one: Assignment, name: str) -> dict[str, str]:
-    wanted = unit_of(name)
+    wanted = column_unit(name)
     if not wanted:
         return {}
     fits = one.unit == TIMESTAMP or (one.unit and converter(one.unit, wanted) is not None)

@@ -35,7 +35,7 @@ def read(database: Database, draft: Draft) -> None:
         draft.understood = NOTHING | _understood(draft, _joints(database, draft.robot))
         draft.refusal = str(draft.understood.get("refusal") or "")[:MOST_REFUSAL]
         if "sha256" in draft.understood and not draft.refusal:
-            _look(database, draft)
+            _assess_rows(database, draft)
 
 
 def _joints(database: Database, robot: str) -> list[str]:
@@ -51,7 +51,7 @@ def _understood(draft: Draft, joints: list[str]) -> dict[str, Any]:
     ended = sandbox.run(CHILD, draft.folder, [], LIMITS)
     said = draft.folder / "understood.json"
     if ended.code != 0 or not said.exists() or said.stat().st_size > MOST_SAID:
-        return {"refusal": f"{draft.name} {_why(ended)}", "map": _kept_map(draft)}
+        return {"refusal": f"{draft.name} {_describe_reader_failure(ended)}", "map": _kept_map(draft)}
     found: dict[str, Any] = json.loads(said.read_bytes())
     return {"map": _kept_map(draft)} | found
 
@@ -60,7 +60,7 @@ def _kept_map(draft: Draft) -> str:
     return draft.map.read_text(encoding="utf-8") if draft.map.exists() else ""
 
 
-def _why(ended: Ended) -> str:
+def _describe_reader_failure(ended: Ended) -> str:
     if ended.late:
         return f"took longer than {LIMITS.seconds} s to read: leave out what was not measured, or split it. {ELSEWHERE}"
     if ended.lacked_memory:
@@ -71,14 +71,14 @@ def _why(ended: Ended) -> str:
     return "cannot be read: its reader ended before it was done. The file is damaged; export it again."
 
 
-def look_again(database: Database, draft: Draft) -> None:
+def reassess_rows(database: Database, draft: Draft) -> None:
     """Look at the rows of a draft with the cameras and boards that were given since."""
     with draft.turn:
         if "sha256" in draft.understood:
-            _look(database, draft)
+            _assess_rows(database, draft)
 
 
-def _look(database: Database, draft: Draft) -> None:
+def _assess_rows(database: Database, draft: Draft) -> None:
     try:
         rows, refused, belong = looking.of_file(
             database, draft.robot, draft.rows, draft.understood["media"], draft.rig or None

@@ -8,10 +8,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from kilter_core.errors import CoreError
-from kilter_core.observations.rig import called
+from kilter_core.observations.rig import format_part_name
 from kilter_service.contract.campaigns import Board, Camera, Conditions
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.tables.views import rig_of
+from kilter_service.ground.tables.views import rig_from_conditions
 from kilter_service.page.drop.drafts import Draft
 
 PARTS: Mapping[str, type[Camera] | type[Board]] = {"cameras": Camera, "boards": Board}
@@ -23,7 +23,7 @@ REMEDY = "Give the JSON that `kilter see` writes beside its views."
 MOST_TOLD = 5
 
 
-def take(draft: Draft, name: str, document: Any) -> None:
+def add_to_draft(draft: Draft, name: str, document: Any) -> None:
     """Take what a document says of cameras and boards; what else it holds is of whoever saw them.
 
     Raises:
@@ -32,7 +32,7 @@ def take(draft: Draft, name: str, document: Any) -> None:
 
     """
     given = document if isinstance(document, dict) else {}
-    rig = {what: [_own(one, kind) for one in _listed(given.get(what))] for what, kind in PARTS.items()}
+    rig = {what: [_known_fields(one, kind) for one in _as_list(given.get(what))] for what, kind in PARTS.items()}
     lacking = [what for what, parts in rig.items() if not parts]
     if len(lacking) == len(rig):
         raise ServiceError(f"{name} describes no cameras and boards. {REMEDY}", code="cameras_missing")
@@ -42,7 +42,7 @@ def take(draft: Draft, name: str, document: Any) -> None:
             f"{name} names no {lacking[0]}. {remedy if lacking == ['cameras'] else REMEDY}", code="cameras_missing"
         )
     try:
-        rig_of(Conditions.model_validate(rig).model_dump(mode="json", exclude_none=True))
+        rig_from_conditions(Conditions.model_validate(rig).model_dump(mode="json", exclude_none=True))
     except ValidationError as error:
         told = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()[:MOST_TOLD])
         raise ServiceError(f"{name}: {told}. {REMEDY}", code="payload_invalid") from error
@@ -52,25 +52,25 @@ def take(draft: Draft, name: str, document: Any) -> None:
         draft.rig, draft.rig_name = rig, name
 
 
-def said(rig: Mapping[str, Any]) -> list[str]:
+def describe_parts(rig: Mapping[str, Any]) -> list[str]:
     """Return each camera and board in words."""
     where = {"fixed": "in the room", "flange": "on the flange"}
     cameras = [
-        f"{called('camera', one['name'])}, {where[one['mount']]}, {one['width_px']} × {one['height_px']} px"
+        f"{format_part_name('camera', one['name'])}, {where[one['mount']]}, {one['width_px']} × {one['height_px']} px"
         for one in rig.get("cameras", ())
     ]
     boards = [
-        f"{called('board', one['name'])}, {where[one['mount']]}, {len(one['corners_mm'])} corners"
+        f"{format_part_name('board', one['name'])}, {where[one['mount']]}, {len(one['corners_mm'])} corners"
         for one in rig.get("boards", ())
     ]
     return cameras + boards
 
 
-def _listed(parts: Any) -> list[Any]:
+def _as_list(parts: Any) -> list[Any]:
     return parts if isinstance(parts, list) else []
 
 
-def _own(one: Any, kind: type[Camera] | type[Board]) -> Any:
+def _known_fields(one: Any, kind: type[Camera] | type[Board]) -> Any:
     """The fields that a campaign has of it; anything but an object is left for the check to refuse."""
     if not isinstance(one, dict):
         return one

@@ -16,16 +16,16 @@ from kilter_service.page.drop import reading, rig, service
 from kilter_service.page.drop.drafts import Draft, Drafts, plain_name
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import proposing
-from kilter_service.page.shared.measured import seen
-from kilter_service.page.shell import redirect, render, root_of
+from kilter_service.page.shared.measured import describe_facts
+from kilter_service.page.shell import get_root_path, redirect, render
 from kilter_service.robots import service as robots
 from kilter_service.robots.instruments import service as instruments
-from kilter_service.web.auth.access import caller_of
-from kilter_service.web.bodies import parsed, read_document, spool_upload
+from kilter_service.web.auth.access import get_caller
+from kilter_service.web.bodies import parse_json, read_document, spool_upload
 from kilter_service.web.concurrency import compute
 from kilter_service.web.logins import service as logins
 from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
-from kilter_service.web.tokens.service import hash_of
+from kilter_service.web.tokens.service import hash_secret
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 BODY = {"requestBody": {"required": True}}  # the endpoint receives the file itself
@@ -40,11 +40,11 @@ Texts = Annotated[list[str], Form(max_length=1000)]
 def empty(robot: str, request: Request, database: DatabaseOfApp, job: JobId = "") -> HTMLResponse:
     """Show where to drop a file: any, or what was measured at the poses that a job proposes."""
     name = robots.get(database, robot).name
-    return render(request, "drop/new.html", robot=name, job=proposing.job_of(database, name, job))
+    return render(request, "drop/new.html", robot=name, job=proposing.get_proposing_job(database, name, job))
 
 
 @router.post("/robots/{robot}/campaigns/new/file", openapi_extra=BODY)
-async def dropped(
+async def drop_file(
     robot: str,
     request: Request,
     database: DatabaseOfApp,
@@ -54,7 +54,7 @@ async def dropped(
 ) -> Response:
     """Take a file and read it; nothing is stored."""
     await run_in_threadpool(robots.get, database, robot)
-    await run_in_threadpool(proposing.job_of, database, robot, job)
+    await run_in_threadpool(proposing.get_proposing_job, database, robot, job)
     drafts = _drafts(request)
     draft = drafts.new(robot, _owner(request), name[:500], job)
     with drafts.in_use(draft):
@@ -70,7 +70,7 @@ async def dropped(
 @router.get("/robots/{robot}/campaigns/new/{draft}")
 def understood(robot: str, draft: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show what was understood of a file."""
-    return _shown(request, database, _draft(request, robot, draft), "drop/draft.html")
+    return _render_draft(request, database, _draft(request, robot, draft), "drop/draft.html")
 
 
 @router.post("/robots/{robot}/campaigns/new/{draft}/columns")
@@ -80,8 +80,10 @@ async def columns(
 ) -> HTMLResponse:  # fmt: skip
     """Read the file with another column map, as the form has it."""
     found = _draft(request, robot, draft)
-    kinds = await run_in_threadpool(service.kinds_of, database, robot)
-    return await _anew(request, database, found, lambda: service.choose(found, kinds, column, target, unit))
+    kinds = await run_in_threadpool(service.joint_kinds, database, robot)
+    return await _reread_and_render(
+        request, database, found, lambda: service.choose(found, kinds, column, target, unit)
+    )
 
 
 @router.post("/robots/{robot}/campaigns/new/{draft}/map")
@@ -91,7 +93,7 @@ async def written(
 ) -> HTMLResponse:  # fmt: skip
     """Read the file with another column map, as it was written."""
     found = _draft(request, robot, draft)
-    return await _anew(request, database, found, lambda: service.write(found, text))
+    return await _reread_and_render(request, database, found, lambda: service.write(found, text))
 
 
 @router.post("/robots/{robot}/campaigns/new/{draft}/rig", openapi_extra=BODY)
@@ -106,18 +108,18 @@ async def cameras(
 ) -> Response:
     """Take the description of the cameras and boards of a file's pixels, and look at its rows with it."""
     found = _draft(request, robot, draft)
-    body = await parsed(await read_document(request, settings.max_document_mb))
+    body = await parse_json(await read_document(request, settings.max_document_mb))
     with _drafts(request).in_use(found):
-        await run_in_threadpool(rig.take, found, plain_name(name[:500]), body)
-        await compute(request, reading.look_again, database, found)
-    return JSONResponse({"address": f"{_place(request, found)}{_after(found)}"})
+        await run_in_threadpool(rig.add_to_draft, found, plain_name(name[:500]), body)
+        await compute(request, reading.reassess_rows, database, found)
+    return JSONResponse({"address": f"{_place(request, found)}{_job_query(found)}"})
 
 
 @router.post("/robots/{robot}/campaigns/new/{draft}/read")
 async def otherwise(robot: str, draft: str, request: Request, database: DatabaseOfApp, way: Short) -> HTMLResponse:
     """Read the file in another way."""
     found = _draft(request, robot, draft)
-    return await _anew(request, database, found, lambda: service.read_as(found, way))
+    return await _reread_and_render(request, database, found, lambda: service.read_as(found, way))
 
 
 @router.post("/robots/{robot}/campaigns/new/{draft}/store")
@@ -140,12 +142,12 @@ async def store(
         "device": device,
         "notes": notes,
         "conditions": conditions,
-        "measured_at": service.measured_at(measured_at),
+        "measured_at": service.parse_measured_day(measured_at),
         "instrument": instrument or None,
     }
     with _drafts(request).in_use(found):
         stored = await compute(request, service.store, database, found, campaign, sha256)
-    return redirect(request, f"{root_of(request)}/campaigns/{stored.id}{_after(found)}")
+    return redirect(request, f"{get_root_path(request)}/campaigns/{stored.id}{_job_query(found)}")
 
 
 @router.post("/robots/{robot}/campaigns/new/{draft}/discard")
@@ -153,37 +155,41 @@ def discard(robot: str, draft: str, request: Request) -> Response:
     """Forget a file."""
     found = _draft(request, robot, draft)
     _drafts(request).discard(found)
-    return redirect(request, f"{root_of(request)}/robots/{robot}/campaigns/new{_after(found)}")
+    return redirect(request, f"{get_root_path(request)}/robots/{robot}/campaigns/new{_job_query(found)}")
 
 
-async def _anew(request: Request, database: DatabaseOfApp, draft: Draft, choose: Callable[[], None]) -> HTMLResponse:
+async def _reread_and_render(
+    request: Request, database: DatabaseOfApp, draft: Draft, choose: Callable[[], None]
+) -> HTMLResponse:
     """Read the file in the way that was chosen, or say why it cannot be read so."""
     with _drafts(request).in_use(draft):
         try:
             choose()
         except ServiceError as error:
-            return await run_in_threadpool(_shown, request, database, draft, UNDERSTOOD, error.message)
+            return await run_in_threadpool(_render_draft, request, database, draft, UNDERSTOOD, error.message)
         await compute(request, reading.read, database, draft)
-    return await run_in_threadpool(_shown, request, database, draft, UNDERSTOOD)
+    return await run_in_threadpool(_render_draft, request, database, draft, UNDERSTOOD)
 
 
-def _shown(request: Request, database: DatabaseOfApp, draft: Draft, template: str, problem: str = "") -> HTMLResponse:
-    kinds = service.kinds_of(database, draft.robot)
-    shown = None if draft.facts is None else seen(draft.facts, draft.understood.get("lines") or ())
+def _render_draft(
+    request: Request, database: DatabaseOfApp, draft: Draft, template: str, problem: str = ""
+) -> HTMLResponse:
+    kinds = service.joint_kinds(database, draft.robot)
+    shown = None if draft.facts is None else describe_facts(draft.facts, draft.understood.get("lines") or ())
     return render(
         request, template, robot=draft.robot, draft=draft, found=draft.understood, seen=shown, ways=service.ways(),
         instruments=instruments.list_instruments(database, Page()).instruments, problem=problem,
-        here=_place(request, draft), meant=service.meant_for(database, draft), rig=rig.said(draft.rig),
-        **service.form_of(draft, kinds),
+        here=_place(request, draft), meant=service.meant_for(database, draft), rig=rig.describe_parts(draft.rig),
+        **service.column_map_form(draft, kinds),
     )  # fmt: skip
 
 
-def _after(draft: Draft) -> str:
+def _job_query(draft: Draft) -> str:
     return f"?{urlencode({'job': draft.job})}" if draft.job else ""
 
 
 def _place(request: Request, draft: Draft) -> str:
-    return f"{root_of(request)}/robots/{draft.robot}/campaigns/new/{draft.id}"
+    return f"{get_root_path(request)}/robots/{draft.robot}/campaigns/new/{draft.id}"
 
 
 def _draft(request: Request, robot: str, identity: str) -> Draft:
@@ -198,5 +204,5 @@ def _drafts(request: Request) -> Drafts:
 def _owner(request: Request) -> str:
     """Return whose drafts these are: a login's, else a token's."""
     kept = request.cookies.get(logins.COOKIE, "")
-    caller = caller_of(request)
-    return hash_of(kept) if kept else f"{caller.actor} {caller.token_id}"
+    caller = get_caller(request)
+    return hash_secret(kept) if kept else f"{caller.actor} {caller.token_id}"

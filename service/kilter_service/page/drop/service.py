@@ -20,7 +20,14 @@ from kilter_service.contract.campaigns import Campaign, NewCampaign, Parts
 from kilter_service.contract.jobs.job import PlanJob
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
-from kilter_service.page.drop.column_map import Assignment, assignments, changed, choices, parsed, units_for
+from kilter_service.page.drop.column_map import (
+    Assignment,
+    assignments,
+    choices,
+    parse_map,
+    units_for,
+    update_map_columns,
+)
 from kilter_service.page.drop.drafts import Draft
 from kilter_service.page.shared import proposing
 from kilter_service.robots import service as robots
@@ -30,7 +37,7 @@ LONGEST_NOTES = 20_000
 MOST_OF_CHECK = 10  # poses of a file that is taken for a check where a version is active
 
 
-def measured_at(text: str) -> datetime | None:
+def parse_measured_day(text: str) -> datetime | None:
     """Read the day of the form, as its noon in UTC; None of an empty field.
 
     Raises:
@@ -47,14 +54,14 @@ def measured_at(text: str) -> datetime | None:
     return min(noon, datetime.now(UTC)) if day == datetime.now(UTC).date() else noon
 
 
-def kinds_of(database: Database, robot: str) -> list[str]:
+def joint_kinds(database: Database, robot: str) -> list[str]:
     """Return whether each joint of a robot is revolute or prismatic."""
     return [str(joint.kind) for joint in robots.get(database, robot).joints]
 
 
 def meant_for(database: Database, draft: Draft) -> tuple[str, str]:
     """Return the role that the form proposes, and why where that is not the usual one: a check is fitted by nobody."""
-    job = proposing.job_of(database, draft.robot, draft.job)
+    job = proposing.get_proposing_job(database, draft.robot, draft.job)
     if isinstance(job, PlanJob) and job.options.purpose == "check":
         return "validation", "These poses were planned for a check: no fit takes its rows."
     if (
@@ -112,7 +119,7 @@ def choose(
     chosen = {one.source for one in wanted}
     wanted += [one for name, one in now.items() if name not in chosen]
     keys = {str(one["name"]): one["key"] for one in source}
-    _keep(draft, changed(draft.understood.get("map") or "", wanted, keys, kinds))
+    _keep(draft, update_map_columns(draft.understood.get("map") or "", wanted, keys, kinds))
 
 
 def write(draft: Draft, text: str) -> None:
@@ -124,7 +131,7 @@ def write(draft: Draft, text: str) -> None:
     """
     if len(text) > LONGEST_MAP:
         raise ServiceError(f"The column map has more than {LONGEST_MAP} characters.", code="payload_invalid")
-    parsed(text)
+    parse_map(text)
     _keep(draft, text.replace("\r\n", "\n"))
 
 
@@ -133,7 +140,7 @@ def _keep(draft: Draft, text: str) -> None:
     draft.read_as = "map"
 
 
-def form_of(draft: Draft, kinds: Sequence[str]) -> dict[str, Any]:
+def column_map_form(draft: Draft, kinds: Sequence[str]) -> dict[str, Any]:
     """Return what the form of the column map shows."""
     source = draft.understood.get("source") or []
     try:
@@ -144,14 +151,14 @@ def form_of(draft: Draft, kinds: Sequence[str]) -> dict[str, Any]:
         "assignments": list(zip(source, found, strict=True)),
         "choices": choices(kinds),
         "units_for": lambda target: units_for(target, kinds),
-        "turned": _turned(draft),
+        "turned": _orientation_columns(draft),
     }
 
 
-def _turned(draft: Draft) -> set[str]:
+def _orientation_columns(draft: Draft) -> set[str]:
     """Columns that the table [orientation] of the map takes together."""
     try:
-        table = parsed(draft.understood.get("map") or "").get("orientation")
+        table = parse_map(draft.understood.get("map") or "").get("orientation")
     except ServiceError:
         return set()
     names = table.get("from") if isinstance(table, dict) else None
@@ -207,13 +214,13 @@ def store(database: Database, draft: Draft, campaign: dict[str, object], sha256:
     with draft.turn:
         if draft.campaign:
             return campaigns.get(database, draft.campaign)
-        content = _checked(draft, sha256)
+        content = _verify_unchanged(draft, sha256)
         try:
             new = NewCampaign.model_validate({**campaign, "staged": True})
         except ValidationError as error:
             told = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()[:5])
             raise ServiceError(f"The campaign cannot be stored so: {told}.", code="payload_invalid") from error
-        notes = _noted(draft, new.notes)
+        notes = _notes_with_source(draft, new.notes)
         added = campaigns.add(database, draft.robot, new.model_copy(update={"notes": notes}))
         try:
             campaigns.upload(database, added.id, draft.rows, draft.understood["media"], content)
@@ -225,7 +232,7 @@ def store(database: Database, draft: Draft, campaign: dict[str, object], sha256:
         return stored
 
 
-def _checked(draft: Draft, sha256: str) -> str:
+def _verify_unchanged(draft: Draft, sha256: str) -> str:
     if draft.refusal or draft.facts is None:
         raise ServiceError(draft.refusal or "Nothing was understood of this file yet.", code="payload_invalid")
     content = _hash(draft.rows)
@@ -242,7 +249,7 @@ def _hash(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _noted(draft: Draft, notes: str) -> str:
+def _notes_with_source(draft: Draft, notes: str) -> str:
     """Return the notes with where the rows come from, as far as there is room."""
     said = f"File {draft.name}, SHA-256 {draft.file_sha256}, read {draft.understood.get('reader', '')}."
     text = draft.understood.get("map") or ""

@@ -229,12 +229,12 @@ class Plot:
         """Return the ticks along x; of names so many that they do not overlap, none longer than there is room."""
         ticks = self.x.ticks()
         if not self.x.names:
-            return self._apart(ticks)
+            return self._non_overlapping_ticks(ticks)
         letters = self._letters()
         short = [(place, text if len(text) <= letters else f"{text[: letters - 1]}…") for place, text in ticks]
         return short[:: math.ceil(LEGEND_LINE / self._room())]
 
-    def _apart(self, ticks: list[tuple[float, str]]) -> list[tuple[float, str]]:
+    def _non_overlapping_ticks(self, ticks: list[tuple[float, str]]) -> list[tuple[float, str]]:
         """Return every tick, or every second and so on, that what is written at them does not overlap."""
         for step in range(1, len(ticks)):
             some = ticks[::step]

@@ -63,7 +63,7 @@ def days_around(label: str, days: Sequence[float]) -> Days:
     return Days(label, low - room, high + room)
 
 
-def named(label: str, names: Sequence[str]) -> Axis:
+def category_axis(label: str, names: Sequence[str]) -> Axis:
     """Return an axis of names, each one wide, from 0."""
     return Axis(label, 0.0, float(max(len(names), 1)), names=tuple(names))
 

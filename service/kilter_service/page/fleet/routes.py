@@ -17,5 +17,5 @@ router = APIRouter(include_in_schema=False, route_class=PageRoute)
 @router.get("/")
 def fleet(request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
     """Show a card for each robot."""
-    part = service.found(service.cards(database, settings), Asked.of(request, ("state",)))
+    part = service.select_cards(service.cards(database, settings), Asked.from_request(request, ("state",)))
     return render(request, "fleet.html", part=part)

@@ -17,13 +17,13 @@ from kilter_service.jobs import service as jobs
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
 from kilter_service.page.shared.control_chart import LOOKS, standing
 from kilter_service.page.shared.correcting import OFF, OTHER, Correcting, corrector
-from kilter_service.page.shared.lists import Asked, Part, part
-from kilter_service.page.shared.state import State, state_of
+from kilter_service.page.shared.lists import Asked, Part, select_page
+from kilter_service.page.shared.state import State, assess_robot_state
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 from kilter_service.versions.drift import service as drift
 from kilter_service.versions.today import service as today
-from kilter_service.versions.today.sentences import compared
+from kilter_service.versions.today.sentences import describe_change
 
 ALARMS = ("moved", "cannot_tell", "creeping")
 
@@ -50,7 +50,7 @@ class Card:
     @property
     def stands(self) -> State:
         """How the robot stands, as its own view says it."""
-        return state_of(self.today, self.accuracy, self.drift, self.correcting)
+        return assess_robot_state(self.today, self.accuracy, self.drift, self.correcting)
 
     @property
     def rank(self) -> tuple[int, bool, float]:
@@ -85,7 +85,7 @@ def cards(database: Database, settings: Settings) -> list[Card]:
         version = active.get(robot.name)
         now = known.get(robot.name)
         accuracy = None if now is None else accuracy_today(now)
-        correcting = seen.of(robot.name, robot.active_version, robot.controller_compensation)
+        correcting = seen.describe_correction(robot.name, robot.active_version, robot.controller_compensation)
         jobs_open, drifted = open_jobs.get(robot.name, 0), checked.get(robot.name)
         made.append(Card(robot, version, now, accuracy, correcting, jobs_open, drifted))
     return sorted(in_one_unit(made), key=lambda card: card.rank)
@@ -100,15 +100,15 @@ def in_one_unit(made: Sequence[Card]) -> list[Card]:
             out.append(card)
             continue
         now = card.today
-        said = compared(now.robot, now.newest, now.own, now.larger_by_mm, most)
+        said = describe_change(now.robot, now.newest, now.own, now.larger_by_mm, most)
         same = now.model_copy(update={"compared": said})
         out.append(replace(card, accuracy=replace(card.accuracy, widest=most), today=same))
     return out
 
 
-def found(made: list[Card], asked: Asked) -> Part[Card]:
+def select_cards(made: list[Card], asked: Asked) -> Part[Card]:
     """Return the cards that the address asks for; without a column they stay worst first."""
-    return part(
+    return select_page(
         made,
         asked,
         lambda card: f"{card.robot.name} {card.version.name if card.version else ''}",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.ground.texts import plural
 from kilter_service.page.gap.claim import LEVELS
-from kilter_service.page.shared.called import claimed
+from kilter_service.page.shared.called import format_claim
 from kilter_service.page.words import joined_by_and, number
 
 ORDER = tuple(LEVELS)
@@ -30,15 +30,15 @@ class Answer:
 def answers(result: GapResult) -> list[Answer]:
     """Answer what people ask of a search."""
     return [
-        Answer("Which effect is missing?", _which(result), "effects"),
-        Answer("Is it sure?", _sure(result), "sure"),
-        Answer("What do I measure next?", _next(result), "next"),
+        Answer("Which effect is missing?", _answer_missing_effect(result), "effects"),
+        Answer("Is it sure?", _answer_certainty(result), "sure"),
+        Answer("What do I measure next?", _answer_next_poses(result), "next"),
         Answer("Which rows were set aside?", set_aside(result), "set-aside"),
         Answer("What can these data not tell?", _limits(result), "limits"),
     ]
 
 
-def _which(result: GapResult) -> str:
+def _answer_missing_effect(result: GapResult) -> str:
     effects = result.effects or []
     if not effects:
         return NO_EFFECT.get(result.verdict or "", "None: nothing exceeds the noise.")
@@ -47,11 +47,11 @@ def _which(result: GapResult) -> str:
         amounts = ", ".join(
             f"{number(p.value)} {'' if p.unit in (None, '1') else p.unit}".strip() for p in effect.parameters or []
         )
-        said.append(f"{claimed(effect)} ({amounts})")
+        said.append(f"{format_claim(effect)} ({amounts})")
     return f"{joined_by_and(said)}."
 
 
-def _sure(result: GapResult) -> str:
+def _answer_certainty(result: GapResult) -> str:
     levels = [effect.verdict or "provisional" for effect in result.effects or []]
     if not levels:
         detectable = len({one.id for one in result.smallest_detectable or []})
@@ -63,7 +63,7 @@ def _sure(result: GapResult) -> str:
     return f"{head}: {lowest.replace('_', ' ')}. {LEVELS.get(lowest, '')}"
 
 
-def _next(result: GapResult) -> str:
+def _answer_next_poses(result: GapResult) -> str:
     poses = result.next_poses or []
     if poses:
         changes = list(dict.fromkeys(pose.change or "new poses" for pose in poses))

@@ -62,7 +62,7 @@ def _travel(points: Sequence[Point]) -> float:
     return sum(abs(b.curve - a.curve) for a, b in pairwise(points))
 
 
-def binned(points: Sequence[Point]) -> list[Bin]:
+def bin_points(points: Sequence[Point]) -> list[Bin]:
     """Put points, ordered by angle, into bins of about as many each."""
     number = max(1, min(MOST, len(points) // POINTS_PER_BIN))
     edges = [round(k * len(points) / number) for k in range(number + 1)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from kilter_service.contract.gap_details import Evidence, Halves, NamedEffect, Replication
 from kilter_service.ground.texts import plural
-from kilter_service.page.shared.called import chance, claimed
+from kilter_service.page.shared.called import chance, format_claim
 from kilter_service.page.words import joined_by_and, number, percent
 
 LEVELS: Mapping[str, str] = {
@@ -31,14 +31,16 @@ RAISED = {
 Say = Callable[[Evidence], str]
 
 
-def _of(value: float | None, write: Callable[[float], str]) -> str:
+def _format_or_missing(value: float | None, write: Callable[[float], str]) -> str:
     return "no number" if value is None else write(value)
 
 
 def _shape(evidence: Evidence) -> str:
     if evidence.bumped:
         return "a local bump of the joint does as well"
-    return _of(evidence.no_empirical_alias, lambda v: f"the best such curve is {number(v, 2)} points behind")
+    return _format_or_missing(
+        evidence.no_empirical_alias, lambda v: f"the best such curve is {number(v, 2)} points behind"
+    )
 
 
 GATES: Mapping[str, tuple[str, Say]] = {
@@ -50,31 +52,31 @@ GATES: Mapping[str, tuple[str, Say]] = {
     ),
     "held_out": (
         "Held-out poses gain by it",
-        lambda e: _of(e.held_out, lambda v: f"{number(v, 2)} standard deviations; more than 3 are needed"),
+        lambda e: _format_or_missing(e.held_out, lambda v: f"{number(v, 2)} standard deviations; more than 3 are needed"),
     ),
     "unseen_poses": (
         "Poses that took no part in the search judged it",
-        lambda e: _of(e.unseen_poses, lambda v: plural(round(v), "pose")),
+        lambda e: _format_or_missing(e.unseen_poses, lambda v: plural(round(v), "pose")),
     ),
     "no_empirical_alias": ("No curve without a cause does as well", _shape),
     "plausible": (
         "Its amplitude is plausible for an arm",
-        lambda e: _of(
+        lambda e: _format_or_missing(
             e.plausible, lambda v: "within" if v <= 0 else f"{number(v, 2)} standard deviations beyond what is plausible"
         ),
     ),
     "seen": ("Its amplitude differs from zero", lambda e: "zero is outside" if e.seen else "zero is inside its interval"),
     "inclusion": (
         "It is named again on resampled poses",
-        lambda e: _of(e.inclusion, lambda v: f"in {percent(v)} of the resamples"),
+        lambda e: _format_or_missing(e.inclusion, lambda v: f"in {percent(v)} of the resamples"),
     ),
     "negative_control": (
         "It vanishes when its labels are shuffled",
-        lambda e: _of(e.negative_control, lambda v: f"still named in {percent(v)} of the shuffles"),
+        lambda e: _format_or_missing(e.negative_control, lambda v: f"still named in {percent(v)} of the shuffles"),
     ),
     "sensor": (
         "A sensor at the place shows it",
-        lambda e: _of(e.sensor, lambda v: f"in {number(v, 2)} standard deviations"),
+        lambda e: _format_or_missing(e.sensor, lambda v: f"in {number(v, 2)} standard deviations"),
     ),
     "complete_geometry": (
         "No rotation that the robot's description lacks does as well",
@@ -82,7 +84,7 @@ GATES: Mapping[str, tuple[str, Say]] = {
     ),
     "confirmation": (
         "The confirmation does not contradict it",
-        lambda e: _of(e.confirmation, lambda v: f"amplitudes {number(v, 2)} standard deviations apart"),
+        lambda e: _format_or_missing(e.confirmation, lambda v: f"amplitudes {number(v, 2)} standard deviations apart"),
     ),
 }  # fmt: skip
 
@@ -108,17 +110,17 @@ class Claim:
     remarks: list[str]
 
     @property
-    def failed(self) -> list[str]:
+    def failed_tests(self) -> list[str]:
         """The tests that were not passed."""
         return [test.name for test in self.tests if not test.passed]
 
 
-def claim_of(effect: NamedEffect, unit: str = "mm") -> Claim:
+def claim_from_effect(effect: NamedEffect, unit: str = "mm") -> Claim:
     """Say how sure an effect is; ``unit`` is that of the search's lengths."""
     level = effect.verdict or "provisional"
     higher = list(effect.to_confirm or []) or [RAISED[level]] if level in RAISED else list(effect.to_confirm or [])
     remarks = list(_remarks(effect, unit))
-    return Claim(claimed(effect), level, LEVELS.get(level, ""), list(_tests(effect)), higher, remarks)
+    return Claim(format_claim(effect), level, LEVELS.get(level, ""), list(_tests(effect)), higher, remarks)
 
 
 def _tests(effect: NamedEffect) -> Iterator[Test]:

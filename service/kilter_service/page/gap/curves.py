@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from kilter_service.contract.figures import Figure, GapFigures, Scatter
 from kilter_service.page.figures.plot import BLUE, COLOURS, GREY, Plot
 from kilter_service.page.figures.scale import around
-from kilter_service.page.gap.bins import Bin, Point, binned, branches, smooth
+from kilter_service.page.gap.bins import Bin, Point, bin_points, branches, smooth
 from kilter_service.page.words import number
 
 MOST_POINTS = 400
@@ -56,7 +56,7 @@ def _points(figure: Figure) -> Iterator[Point]:
 def _curve(joint: int, points: list[Point], unit: str) -> Curve:
     named = any(point.curve for point in points)
     sides = branches(points)
-    bins = [binned(side) for side in sides]
+    bins = [bin_points(side) for side in sides]
     flat = [each for side in bins for each in side]
     shown = points[:: -(-len(points) // MOST_POINTS)]
     values = [p.residual for p in shown] + [p.curve for p in points] + [b.mean for b in flat]

@@ -10,7 +10,7 @@ from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.next_poses import NextPose
 from kilter_service.ground.texts import plural
 from kilter_service.page.figures.heat_map import HeatMap
-from kilter_service.page.shared.called import called
+from kilter_service.page.shared.called import format_effect_name
 from kilter_service.page.words import number, percent
 
 MOST_LABELS = 12
@@ -34,21 +34,21 @@ class Rival:
 def rivals(result: GapResult) -> list[Rival]:
     """Return the aliases of every named effect, then those that are merely near."""
     effects = result.effects or []
-    alike = [_alike(effect, k, result) for effect in effects for k in range(len(effect.alias_set or []))]
+    alike = [_rival_from_alias(effect, k, result) for effect in effects for k in range(len(effect.alias_set or []))]
     known = {(rival.name, rival.of) for rival in alike}
-    near = [rival for effect in effects for rival in _near(effect, result.alias_matrix)]
+    near = [rival for effect in effects for rival in _correlated_rivals(effect, result.alias_matrix)]
     return alike + [rival for rival in near if (rival.name, rival.of) not in known]
 
 
-def _alike(effect: NamedEffect, place: int, result: GapResult) -> Rival:
+def _rival_from_alias(effect: NamedEffect, place: int, result: GapResult) -> Rival:
     rival = (effect.alias_set or [])[place]
     wrong = "–" if rival.p_wrong is None else percent(rival.p_wrong)
     told = [pose for pose in result.next_poses or [] if pose.information_factor is not None]
-    apart = _apart(told, rival.correlation)
-    return Rival(called(rival), called(effect), number(rival.correlation), True, wrong, apart)
+    apart = _describe_separation(told, rival.correlation)
+    return Rival(format_effect_name(rival), format_effect_name(effect), number(rival.correlation), True, wrong, apart)
 
 
-def _apart(poses: Sequence[NextPose], correlation: float | None) -> str:
+def _describe_separation(poses: Sequence[NextPose], correlation: float | None) -> str:
     if poses:
         changes = list(dict.fromkeys(pose.change or "measure new poses" for pose in poses))
         return f"{plural(len(poses), 'pose')} to measure next: {'; '.join(changes)}"
@@ -57,17 +57,21 @@ def _apart(poses: Sequence[NextPose], correlation: float | None) -> str:
     return "The search proposes no pose that tells them apart."
 
 
-def _near(effect: NamedEffect, matrix: AliasMatrix | None) -> list[Rival]:
+def _correlated_rivals(effect: NamedEffect, matrix: AliasMatrix | None) -> list[Rival]:
     found = []
     for pair in (matrix.pairs if matrix is not None else None) or []:
-        other = _other(effect, pair.first, pair.second)
+        other = _other_of_pair(effect, pair.first, pair.second)
         if other is not None and (pair.correlation or 0.0) >= CLOSE:
             apart = "These data prefer the one named."
-            found.append(Rival(called(other), called(effect), number(pair.correlation), False, "–", apart))
+            found.append(
+                Rival(
+                    format_effect_name(other), format_effect_name(effect), number(pair.correlation), False, "–", apart
+                )
+            )
     return found
 
 
-def _other(effect: AtJoints, first: AtJoints, second: AtJoints) -> AtJoints | None:
+def _other_of_pair(effect: AtJoints, first: AtJoints, second: AtJoints) -> AtJoints | None:
     own = (effect.id, effect.joints)
     if own == (first.id, first.joints):
         return second

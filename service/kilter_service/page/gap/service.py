@@ -16,7 +16,7 @@ from kilter_service.ground.paging import Page
 from kilter_service.jobs import service as jobs
 from kilter_service.page.gap import answers, claim, curves, rivals, tested, where
 from kilter_service.page.shared import own_curves, steps
-from kilter_service.page.shared.called import claimed
+from kilter_service.page.shared.called import format_claim
 
 VERDICTS = {
     "closed": ("The gap is closed", "good"),
@@ -28,7 +28,7 @@ VERDICTS = {
 MOST_CAMPAIGNS = 50  # newest of the robot, from which one can be taken in
 
 
-def job_of(database: Database, job: str) -> GapJob:
+def get_gap_job(database: Database, job: str) -> GapJob:
     """Return a gap search.
 
     Raises:
@@ -43,10 +43,10 @@ def job_of(database: Database, job: str) -> GapJob:
     return found
 
 
-def shown(database: Database, job: GapJob) -> dict[str, Any]:
+def result_context(database: Database, job: GapJob) -> dict[str, Any]:
     """Return what ``gap/result.html`` shows of a search that has succeeded."""
     result = job.result or GapResult()
-    unit = steps.unit_of(result.gap)
+    unit = steps.error_unit(result.gap)
     read = steps.steps_shown(result.figures, unit)
     return {
         "version": result.version_id,
@@ -56,21 +56,21 @@ def shown(database: Database, job: GapJob) -> dict[str, Any]:
         "size": sizes(result.gap, unit),
         "answers": answers.answers(result),
         "set_aside": answers.set_aside(result),
-        "suspicious": suspicious.of_campaigns(database, used_by(job)),
+        "suspicious": suspicious.of_campaigns(database, searched_campaigns(job)),
         "where": where.heat_map(result.where or []),
         "where_table": where.table(result.where or []),
         "clearest": where.clearest(result.where or []),
-        "effects": [(claimed(effect), effect) for effect in result.effects or []],
+        "effects": [(format_claim(effect), effect) for effect in result.effects or []],
         "candidates": tested.candidates(result, job.options, unit),
         "untestable": tested.untestable(result.not_testable or []),
         "own_curves": own_curves.own_curves(result.effect_curves),
-        "others_moved": own_curves.without(result),
+        "others_moved": own_curves.has_effect_without_curve(result),
         "curves": curves.curves(result.figures, unit),
         "steps": None if read is None else steps.plot(read),
         "steps_said": "" if read is None else steps.describe(read),
         "rivals": rivals.rivals(result),
         "alias_map": rivals.heat_map(result.alias_matrix),
-        "claims": [claim.claim_of(effect, unit) for effect in result.effects or []],
+        "claims": [claim.claim_from_effect(effect, unit) for effect in result.effects or []],
         "levels": claim.LEVELS,
         "newer": newer(database, job),
     }
@@ -85,14 +85,14 @@ def sizes(gap: GapSize | None, unit: str) -> dict[str, float | None]:
     return {name: values[f"{field}_{unit.split()[0]}"] for name, field in names.items()}
 
 
-def used_by(job: GapJob) -> list[str]:
+def searched_campaigns(job: GapJob) -> list[str]:
     """Return the campaigns that a search looked at, and those it held out."""
     return [*job.campaigns, *(job.validation if isinstance(job.validation, list) else [])]
 
 
 def newer(database: Database, job: GapJob) -> list[Campaign]:
     """Return campaigns of the robot that the search did not use, the newest first."""
-    used = {*used_by(job), *job.confirmation}
+    used = {*searched_campaigns(job), *job.confirmation}
     found = campaigns.list_campaigns(database, job.robot, Page()).campaigns
     rest = [campaign for campaign in found if campaign.id not in used]
     return sorted(rest, key=lambda campaign: campaign.created_at, reverse=True)[:MOST_CAMPAIGNS]

@@ -8,7 +8,7 @@ from itertools import groupby
 
 from kilter_service.contract.gap_details import AtJoints, Detectable, NamedEffect, Refused, Untestable
 from kilter_service.contract.jobs.gap import GapOptions, GapResult
-from kilter_service.page.shared.called import called, chance, joint_of, named
+from kilter_service.page.shared.called import chance, format_effect_at_joints, format_effect_name, parse_joint_number
 from kilter_service.page.words import joined_by_and, number, percent
 
 MIMICKED = 0.1  # share of a signature that geometry leaves, below which it is said to imitate it
@@ -26,21 +26,26 @@ class Candidate:
 
 def candidates(result: GapResult, options: GapOptions, unit: str) -> list[Candidate]:
     """Return those named, their rivals, those refused."""
-    return [*_named(result.effects or [], unit), *_refused(result, options)]
+    return [*_named_candidates(result.effects or [], unit), *_refused_candidates(result, options)]
 
 
-def _named(effects: Sequence[NamedEffect], unit: str) -> Iterator[Candidate]:
+def _named_candidates(effects: Sequence[NamedEffect], unit: str) -> Iterator[Candidate]:
     for effect in effects:
         gain = _gain(effect.gain_mm, unit)
         level = (effect.verdict or "").replace("_", " ")
         look = "warn" if effect.verdict in ("provisional", "contradicted") else "good"
         yield Candidate(
-            called(effect), f"named, {level}", look, f"{gain}p {chance(effect.p_value)} that chance does as much"
+            format_effect_name(effect),
+            f"named, {level}",
+            look,
+            f"{gain}p {chance(effect.p_value)} that chance does as much",
         )
         for rival in effect.alias_set or []:
             behind = f"{number(rival.behind, 2)} points behind, " if rival.behind else "does as well, "
-            reason = f"{behind}its signature correlates {number(rival.correlation, 2)} with {called(effect)}"
-            yield Candidate(called(rival), "cannot be told apart", "warn", reason)
+            reason = (
+                f"{behind}its signature correlates {number(rival.correlation, 2)} with {format_effect_name(effect)}"
+            )
+            yield Candidate(format_effect_name(rival), "cannot be told apart", "warn", reason)
 
 
 def _gain(gain: float | None, unit: str) -> str:
@@ -52,7 +57,7 @@ def _gain(gain: float | None, unit: str) -> str:
     return f"takes {number(gain)} {unit} off the rms error; "
 
 
-def _refused(result: GapResult, options: GapOptions) -> Iterator[Candidate]:
+def _refused_candidates(result: GapResult, options: GapOptions) -> Iterator[Candidate]:
     effects = result.effects or []
     known: list[AtJoints] = [*effects, *(rival for effect in effects for rival in effect.alias_set or [])]
     taken: set[tuple[str, int | None]] = {(one.id, None) for one in known if not one.joints}
@@ -61,12 +66,12 @@ def _refused(result: GapResult, options: GapOptions) -> Iterator[Candidate]:
     scores: dict[tuple[str, int | None], Refused] = {}
     for one in result.refused or []:
         scores |= {(one.id, joint): one for joint in (one.joints or (None,))}
-    for key, group in groupby(sorted(rest, key=lambda d: (d.id, joint_of(d.parameter or "") or 0)), key=_key):
+    for key, group in groupby(sorted(rest, key=lambda d: (d.id, parse_joint_number(d.parameter or "") or 0)), key=_key):
         yield _candidate(list(group), effects, options, scores.get(key))
 
 
 def _key(one: Detectable) -> tuple[str, int | None]:
-    return one.id, joint_of(one.parameter or "")
+    return one.id, parse_joint_number(one.parameter or "")
 
 
 def _candidate(
@@ -77,12 +82,12 @@ def _candidate(
         f"{number(one.smallest_detectable, 2)}{'' if one.unit in (None, '1') else f' {one.unit}'} of {one.parameter or name}"
         for one in group
     )
-    rest = f" beside {joined_by_and([called(effect) for effect in effects])}" if effects else ""
-    reason = f"{_why(score, options, _names(effects))}{rest}; would be seen from {seen}"
+    rest = f" beside {joined_by_and([format_effect_name(effect) for effect in effects])}" if effects else ""
+    reason = f"{_refusal_reason(score, options, _names(effects))}{rest}; would be seen from {seen}"
     share = max((one.visibility or 0.0) for one in group)
     if share < MIMICKED:
         reason += f"; geometry imitates {percent(1 - share)} of it"
-    return Candidate(named(name, [joint] if joint else []), "refused", "faint", reason)
+    return Candidate(format_effect_at_joints(name, [joint] if joint else []), "refused", "faint", reason)
 
 
 def _names(effects: Sequence[NamedEffect]) -> int:
@@ -90,7 +95,7 @@ def _names(effects: Sequence[NamedEffect]) -> int:
     return len({(one.id, tuple(one.joints or ()) if one.empirical else ()) for one in effects})
 
 
-def _why(score: Refused | None, options: GapOptions, named: int) -> str:
+def _refusal_reason(score: Refused | None, options: GapOptions, named: int) -> str:
     """Why a candidate was not named, by its score at the final fit."""
     if score is None or score.p_value is None or score.explains is None:
         return "explains nothing of its own"
@@ -110,5 +115,5 @@ def untestable(rows: Sequence[Untestable]) -> dict[str, list[tuple[str, str, str
         found.setdefault(key, []).extend(row.joints or [])
     groups: dict[str, list[tuple[str, str, str]]] = {}
     for (missing, name, reason, remedy), joints in found.items():
-        groups.setdefault(missing, []).append((named(name, joints), reason, remedy))
+        groups.setdefault(missing, []).append((format_effect_at_joints(name, joints), reason, remedy))
     return groups

@@ -13,8 +13,8 @@ from kilter_service.jobs import service as jobs
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import listed_jobs
 from kilter_service.page.shared.lists import Asked
-from kilter_service.page.shell import redirect, render, root_of
-from kilter_service.versions.predictions.differences import version_of
+from kilter_service.page.shell import get_root_path, redirect, render
+from kilter_service.versions.predictions.differences import resolve_version_id
 from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
@@ -22,9 +22,11 @@ MOST_SEARCHES = 12
 
 
 @router.get("/jobs")
-def listed(request: Request, database: DatabaseOfApp, robot: str = "") -> HTMLResponse:
+def list_jobs(request: Request, database: DatabaseOfApp, robot: str = "") -> HTMLResponse:
     """List the jobs of every robot that may be seen, or of one, newest first."""
-    found, part = listed_jobs.asked(database, robot or None, Asked.of(request, ("robot", "kind", "state")))
+    found, part = listed_jobs.select_jobs(
+        database, robot or None, Asked.from_request(request, ("robot", "kind", "state"))
+    )
     return render(request, "job_list/list.html", found=found, part=part, robot=robot)
 
 
@@ -38,5 +40,5 @@ def compare(
     if len(wanted) < 2:
         raise ServiceError("Tick at least two searches to compare them.", code="option_invalid", option="job")
     robot = jobs.get(database, wanted[0]).robot
-    asked = urlencode([("version", version_of(one)) for one in wanted])
-    return redirect(request, f"{root_of(request)}/robots/{robot}/versions/compare?{asked}")
+    asked = urlencode([("version", resolve_version_id(one)) for one in wanted])
+    return redirect(request, f"{get_root_path(request)}/robots/{robot}/versions/compare?{asked}")

@@ -8,18 +8,18 @@ from kilter_service.contract.jobs.evaluate import EvaluateResult
 from kilter_service.contract.jobs.job import EvaluateJob
 from kilter_service.ground.db import Database
 from kilter_service.page.jobs import stages
-from kilter_service.page.jobs.version_names import name_of
+from kilter_service.page.jobs.version_names import version_name
 
 EVALUATED = {"After": "Evaluated"}  # it may be older than the rows, or the nominal robot itself
 
 
-def shown(database: Database, job: EvaluateJob) -> dict[str, Any]:
+def result_context(database: Database, job: EvaluateJob) -> dict[str, Any]:
     """Return what ``jobs/evaluate.html`` shows."""
     result = job.result or EvaluateResult()
     return {
         "result": result,
         "version": result.version_id,
-        "called": name_of(database, result.version_id),
+        "called": version_name(database, result.version_id),
         "campaigns": [
             (name, errors, stages.bars(errors, f"campaign {name}", EVALUATED))
             for name, errors in (result.metrics or {}).items()

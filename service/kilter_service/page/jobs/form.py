@@ -15,7 +15,7 @@ from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.jobs.job import Folds, Job, NewJob
 from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.refusals import refusal, without_kind
-from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.registry import get_job_kind
 from kilter_service.page.jobs import options
 
 NEW_JOB: TypeAdapter[NewJob] = TypeAdapter(NewJob)
@@ -32,7 +32,7 @@ BY_ROLE: Mapping[str, Mapping[str, str]] = {
 }  # of a kind of job: what a campaign is used for that is meant for something
 
 
-def job_of(robot: str, typed: Mapping[str, str]) -> NewJob:
+def parse_new_job(robot: str, typed: Mapping[str, str]) -> NewJob:
     """Return the job that was asked for.
 
     Raises:
@@ -41,10 +41,10 @@ def job_of(robot: str, typed: Mapping[str, str]) -> NewJob:
 
     """
     kind = typed.get("kind", "")
-    kind_of(kind)  # refuses one that does not exist
+    get_job_kind(kind)  # refuses one that does not exist
     document: dict[str, Any] = {"kind": kind, "robot": robot, "name": typed.get("name", "").strip()}
-    document |= _used(typed)
-    document["options"] = options.given(kind, typed)
+    document |= _parse_campaign_uses(typed)
+    document["options"] = options.parse_typed_values(kind, typed)
     try:
         return NEW_JOB.validate_json(json.dumps(document))
     except ValidationError as error:
@@ -55,12 +55,12 @@ def job_of(robot: str, typed: Mapping[str, str]) -> NewJob:
         raise RequestValidationError(without_kind(found, document)) from error
 
 
-def _used(typed: Mapping[str, str]) -> dict[str, Any]:
+def _parse_campaign_uses(typed: Mapping[str, str]) -> dict[str, Any]:
     named: dict[str, list[str]] = {name: [] for name in USES.values()}
     for field, use in typed.items():
         if field.startswith(USE) and use in USES:
             named[USES[use]].append(field.removeprefix(USE))
-    part = _part(typed)
+    part = _parse_hold_out(typed)
     if named["validation"] and part is not None:
         raise ServiceError(
             "Campaigns are held out and so is a part of the poses: choose one of the two.",
@@ -70,7 +70,7 @@ def _used(typed: Mapping[str, str]) -> dict[str, Any]:
     return {**named, "validation": named["validation"] or part}
 
 
-def _part(typed: Mapping[str, str]) -> dict[str, Any] | float | None:
+def _parse_hold_out(typed: Mapping[str, str]) -> dict[str, Any] | float | None:
     how, text = typed.get("held_out", ""), typed.get("held_out_value", "").strip()
     if not how:
         return None
@@ -103,16 +103,18 @@ def by_role(kind: str, campaigns: Sequence[Campaign]) -> dict[str, str]:
 
 def _newest(campaigns: Sequence[Campaign]) -> list[Campaign]:
     """Campaigns that were measured together with the newest, at most so many as are preset."""
-    ordered = sorted(campaigns, key=_measured, reverse=True)
-    apart = (k for k in range(1, len(ordered)) if _measured(ordered[k - 1]) - _measured(ordered[k]) > APART)
+    ordered = sorted(campaigns, key=_measurement_time, reverse=True)
+    apart = (
+        k for k in range(1, len(ordered)) if _measurement_time(ordered[k - 1]) - _measurement_time(ordered[k]) > APART
+    )
     return ordered[: min(next(apart, len(ordered)), MOST_PRESET)]
 
 
-def _measured(campaign: Campaign) -> datetime:
+def _measurement_time(campaign: Campaign) -> datetime:
     return campaign.measured_at or campaign.created_at
 
 
-def address_of(job: Job) -> str:
+def query_from_job(job: Job) -> str:
     """Return the query of the address that fills the form as a job was asked for."""
     held = job.validation
     asked: list[tuple[str, Any]] = [("kind", job.kind), *(("campaigns", one) for one in job.campaigns)]

@@ -12,7 +12,7 @@ from kilter_service.contract.jobs.job import IdentifyJob
 from kilter_service.ground.db import Database
 from kilter_service.page.figures.heat_map import HeatMap
 from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import lengths, named
+from kilter_service.page.figures.scale import category_axis, lengths
 from kilter_service.page.jobs import stages
 from kilter_service.page.shared.cumulative import cumulative
 from kilter_service.page.shared.masses import of_a_mass
@@ -22,7 +22,7 @@ from kilter_service.versions import service as versions
 MOST_NAMES = 20  # of a correlation map, and of an influence chart
 
 
-def shown(database: Database, job: IdentifyJob) -> dict[str, Any]:
+def result_context(database: Database, job: IdentifyJob) -> dict[str, Any]:
     """Return what ``jobs/identify.html`` shows."""
     result = job.result or IdentifyResult()
     held = result.metrics.validation if result.metrics else None
@@ -40,7 +40,7 @@ def shown(database: Database, job: IdentifyJob) -> dict[str, Any]:
         "points": judged.n if judged else None,
         "left_out": judged.left_out if judged else None,
         "judged": {name: getattr(judged, name, None) for name, _ in stages.STAGES},
-        "stages": stages.there(judged),
+        "stages": stages.compared_models(judged),
         "meaning": stages.MEANING,
         "bars": stages.bars(judged, where),
         "curve": cumulative(
@@ -99,7 +99,7 @@ def influence_chart(found: list[Influence]) -> Plot | None:
     ends = [(one.min_mm or 0.0, one.max_mm or 0.0) for one in rows]
     unit, moved = in_columns([[one.mean_mm, one.min_mm, one.max_mm] for one in rows])
     plot = Plot(
-        "Influence of the parameters on the tool", named("parameter", [one.name for one in rows]),
+        "Influence of the parameters on the tool", category_axis("parameter", [one.name for one in rows]),
         lengths("movement of the tool", [*means, *(high for _, high in ends)], zero=True), width=760.0,
         table=(["Parameter", "Change", "Its unit", f"Mean, {unit}", f"Least, {unit}", f"Largest, {unit}"],
                [[one.name, number(one.step), one.unit or "", *sizes]

@@ -58,7 +58,7 @@ def fields(kind: str) -> tuple[list[Field], list[Field]]:
     return usual, [field for name, field in made.items() if name not in USUAL[kind]]
 
 
-def given(kind: str, typed: Mapping[str, str]) -> dict[str, Any]:
+def parse_typed_values(kind: str, typed: Mapping[str, str]) -> dict[str, Any]:
     """Return the options that were typed; what was left empty has its default.
 
     Raises:
@@ -81,7 +81,7 @@ def _field(name: str, part: Mapping[str, Any], schema: Mapping[str, Any]) -> Fie
     )
     default = part.get("default")
     shown = "" if default in (None, [], {}, "") else json.dumps(default).strip('"')
-    parts = [_resolved(one, schema) for one in part.get("anyOf", [part])]
+    parts = [_resolve_reference(one, schema) for one in part.get("anyOf", [part])]
     kinds = {str(one.get("type", "")) for one in parts} - {"null"}
     choices = tuple(json.dumps(value).strip('"') for one in parts for value in _values(one))
     if "boolean" in kinds:
@@ -98,7 +98,7 @@ def _field(name: str, part: Mapping[str, Any], schema: Mapping[str, Any]) -> Fie
     return Field(name, form, hint, shown, (), required)
 
 
-def _resolved(part: Mapping[str, Any], schema: Mapping[str, Any]) -> Mapping[str, Any]:
+def _resolve_reference(part: Mapping[str, Any], schema: Mapping[str, Any]) -> Mapping[str, Any]:
     target = part.get("$ref", "").rpartition("/")[2]
     found: Mapping[str, Any] = schema["$defs"][target] if target else part
     return found

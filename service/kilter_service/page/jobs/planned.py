@@ -13,7 +13,7 @@ from kilter_service.page.words import NONE, number
 MOST_POSES = 100  # shown; the file has all
 
 
-def shown(_: Database, job: PlanJob) -> dict[str, Any]:
+def result_context(_: Database, job: PlanJob) -> dict[str, Any]:
     """Return what ``jobs/plan.html`` shows."""
     result = job.result or PlanResult()
     poses = [pose.model_dump() for pose in (result.poses or [])[:MOST_POSES]]
@@ -45,7 +45,7 @@ def _is_joint(name: str) -> bool:
     return name.startswith("q") and name.endswith(("_deg", "_mm"))
 
 
-def csv_of(job: Job) -> str:
+def proposed_poses_csv(job: Job) -> str:
     """Return the poses that a plan or a search proposes as a file.
 
     Raises:

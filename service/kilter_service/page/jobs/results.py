@@ -22,7 +22,7 @@ class Result:
     shown: Shown
 
 
-def plain(database: Database, job: Job) -> dict[str, Any]:
+def default_context(database: Database, job: Job) -> dict[str, Any]:
     """Return what is shown of a job whose kind has no view of its own: what it says in words."""
     result = job.result
     return {
@@ -35,15 +35,15 @@ def plain(database: Database, job: Job) -> dict[str, Any]:
 
 
 CHECKS = ("drift", "rezero")  # their result stands beside the other checks of the robot, too
-PLAIN = Result("jobs/plain.html", plain)
+PLAIN = Result("jobs/plain.html", default_context)
 RESULTS: dict[str, Result] = {
-    "identify": Result("jobs/identify.html", identification.shown),
-    "gap": Result("gap/result.html", story.shown),
-    "evaluate": Result("jobs/evaluate.html", evaluation.shown),
-    "plan": Result("jobs/plan.html", planned.shown),
+    "identify": Result("jobs/identify.html", identification.result_context),
+    "gap": Result("gap/result.html", story.result_context),
+    "evaluate": Result("jobs/evaluate.html", evaluation.result_context),
+    "plan": Result("jobs/plan.html", planned.result_context),
 }
 
 
-def result_of(kind: str) -> Result:
+def get_result_view(kind: str) -> Result:
     """Return how the result of a kind is shown."""
     return RESULTS.get(kind, PLAIN)

@@ -16,7 +16,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 
 
-def seal_of(database: Database, key: str, job: NewJob) -> str:
+def compute_job_seal(database: Database, key: str, job: NewJob) -> str:
     """Return the seal of a job and its campaigns as they are now."""
     held = job.validation if isinstance(job.validation, list) else []
     used = [*job.campaigns, *held, *job.confirmation]
@@ -32,7 +32,7 @@ def demand(database: Database, key: str, job: NewJob, given: str) -> None:
         ServiceError: no check passed for these inputs, or a campaign has changed since.
 
     """
-    if not hmac.compare_digest(seal_of(database, key, job).encode(), given.encode()):
+    if not hmac.compare_digest(compute_job_seal(database, key, job).encode(), given.encode()):
         raise ServiceError(
             "No check has passed for exactly these inputs, or a campaign has changed since: press Check, then Run.",
             code="option_invalid",

@@ -14,9 +14,9 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.paging import Page
 from kilter_service.jobs import checking
 from kilter_service.jobs import service as jobs
-from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.registry import get_job_kind
 from kilter_service.page.jobs import form, options, seal
-from kilter_service.page.jobs.results import result_of
+from kilter_service.page.jobs.results import get_result_view
 from kilter_service.page.shared import lists
 from kilter_service.page.shared.listed_jobs import KINDS, page_of_jobs
 from kilter_service.robots import service as robots
@@ -37,7 +37,7 @@ def new(database: Database, robot: str, kind: str, chosen: Mapping[str, Sequence
 
     """
     robots.get(database, robot)
-    kind_of(kind)
+    get_job_kind(kind)
     usual, others = options.fields(kind)
     found = campaigns.list_campaigns(database, robot, Page()).campaigns[::-1]
     uses = form.uses(chosen) or form.by_role(kind, found)
@@ -54,18 +54,20 @@ def new(database: Database, robot: str, kind: str, chosen: Mapping[str, Sequence
         "uses": uses,
         "versions": versions.list_versions(database, robot, Page(limit=MOST_VERSIONS)).versions,
         "effects": effects_in_words() if any(one.name == "effects" for one in (*usual, *others)) else {},
-        "confirms": kind_of(kind).takes_confirmation,
+        "confirms": get_job_kind(kind).takes_confirmation,
         "found": page_of_jobs(database, robot, Page(limit=MOST_JOBS)),
     }
 
 
 def sought(database: Database, robot: str, kind: str, text: str) -> dict[str, Any]:
     """Return the campaigns of a robot in whose name, device or notes all words of a text are, newest first."""
-    kind_of(kind)
+    get_job_kind(kind)
     found = campaigns.list_campaigns(database, robot, Page()).campaigns[::-1]
-    part = lists.part(found, lists.Asked(search=text), lambda one: f"{one.name} {one.device} {one.notes} {one.id}", {})
+    part = lists.select_page(
+        found, lists.Asked(search=text), lambda one: f"{one.name} {one.device} {one.notes} {one.id}", {}
+    )
     shown = part.shown[:MOST_SOUGHT]
-    return {"campaigns": shown, "found": part.found, "uses": {}, "confirms": kind_of(kind).takes_confirmation}
+    return {"campaigns": shown, "found": part.found, "uses": {}, "confirms": get_job_kind(kind).takes_confirmation}
 
 
 def effects_in_words() -> dict[str, str]:
@@ -73,9 +75,9 @@ def effects_in_words() -> dict[str, str]:
     return {name: effect.summary for name, effect in sorted(registry.EFFECTS.items()) if not effect.nuisance}
 
 
-def checked(database: Database, key: str, job: NewJob) -> tuple[JobCheck, str]:
+def check_and_seal(database: Database, key: str, job: NewJob) -> tuple[JobCheck, str]:
     """Return the check of a job, and its seal if it would run, else an empty one."""
-    given = seal.seal_of(database, key, job)  # of the campaigns as they were before the check read them
+    given = seal.compute_job_seal(database, key, job)  # of the campaigns as they were before the check read them
     found = checking.check(database, job)
     return found, given if found.would_run else ""
 
@@ -91,7 +93,7 @@ def run(database: Database, key: str, job: NewJob, given: str) -> Job:
     return jobs.submit(database, job)
 
 
-def shown(database: Database, job_id: str) -> tuple[Job, str, dict[str, Any]]:
+def load_job_view(database: Database, job_id: str) -> tuple[Job, str, dict[str, Any]]:
     """Return a job, the template of its result (empty: there is none yet), and what fills it."""
     job = jobs.get(database, job_id)
     names = {
@@ -99,6 +101,6 @@ def shown(database: Database, job_id: str) -> tuple[Job, str, dict[str, Any]]:
     }
     if job.state != "succeeded" or job.result is None:
         return job, "", {"names": names, "version": None, "place": jobs.places(database).get(job.id)}
-    view = result_of(job.kind)
+    view = get_result_view(job.kind)
     makes_version = isinstance(job.result, MadeVersion)  # and has objections against it
     return job, view.template, {"names": names, "makes_version": makes_version, **view.shown(database, job)}

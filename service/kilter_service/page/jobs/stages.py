@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from kilter_service.contract.fits import Errors, StageErrors
 from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import lengths, named
+from kilter_service.page.figures.scale import category_axis, lengths
 from kilter_service.page.words import in_columns, in_one_unit
 
 STAGES = (
@@ -33,7 +33,7 @@ MEANING = {
 }
 
 
-def there(errors: StageErrors | None, other: Mapping[str, str] = NO_OTHER) -> list[tuple[str, Errors]]:
+def compared_models(errors: StageErrors | None, other: Mapping[str, str] = NO_OTHER) -> list[tuple[str, Errors]]:
     """Return the models that were compared, in the order of what they know; ``other`` renames some."""
     placed = errors is not None and errors.place_mm is not None
     named = [(name, PLACED if placed and name == "nominal" else other.get(title, title)) for name, title in STAGES]
@@ -45,12 +45,14 @@ def there(errors: StageErrors | None, other: Mapping[str, str] = NO_OTHER) -> li
 
 def bars(errors: StageErrors | None, where: str, other: Mapping[str, str] = NO_OTHER) -> Plot | None:
     """Draw a bar for each model; None: nothing was measured."""
-    stages = [one for one in there(errors, other) if one[0] != PLACED]  # beside it all others would be as good as zero
+    stages = [
+        one for one in compared_models(errors, other) if one[0] != PLACED
+    ]  # beside it all others would be as good as zero
     if not stages:
         return None
     shown = [getattr(one, name) or 0.0 for _, one in stages for name, _, _ in BARS]
     plot = Plot(
-        f"Errors of the tool on {where}", named("", [title for title, _ in stages]), lengths("error", shown, zero=True),
+        f"Errors of the tool on {where}", category_axis("", [title for title, _ in stages]), lengths("error", shown, zero=True),
         description=_means(stages), table=table(errors, other),
     )  # fmt: skip
     for number, (name, label, shift) in enumerate(BARS):
@@ -67,7 +69,7 @@ def _means(stages: Sequence[tuple[str, Errors]]) -> str:
 
 def table(errors: StageErrors | None, other: Mapping[str, str] = NO_OTHER) -> tuple[list[str], list[list[str]]]:
     """Return the same numbers in words."""
-    found = there(errors, other)
+    found = compared_models(errors, other)
     unit, sizes = in_columns([[one.mean_mm, one.rms_mm, one.p95_mm, one.max_mm] for _, one in found])
     rows = [[title, *row] for (title, _), row in zip(found, sizes, strict=True)]
     return ["Model", *(f"{name}, {unit}" for name in ("Mean", "Rms", "95 % are below", "Largest"))], rows

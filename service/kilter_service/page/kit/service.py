@@ -11,7 +11,7 @@ from kilter_core.errors import RobotError
 from kilter_files.rig.kit import coverage, words
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.kept_facts import key_of
+from kilter_service.campaigns.kept_facts import campaign_cache_key
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.versions import Version
@@ -44,7 +44,7 @@ class _Arm:
 
     def capture(self, views: Views, used: Sequence[Campaign]) -> coverage.Capture:
         """What the views of some campaigns cover."""
-        key = (self.sha256, *map(key_of, used))
+        key = (self.sha256, *map(campaign_cache_key, used))
         return _captures.get(key, partial(self._capture, views, used))
 
     def _capture(self, views: Views, used: Sequence[Campaign]) -> coverage.Capture:
@@ -80,7 +80,7 @@ class Kit:
     def seen(self) -> str:
         """How much was photographed."""
         some = self.capture
-        return "" if some is None else words.seen(some.views, some.poses, some.payloads_kg)
+        return "" if some is None else words.describe_views(some.views, some.poses, some.payloads_kg)
 
 
 def shown_kit(database: Database, name: str) -> Kit:
@@ -89,22 +89,22 @@ def shown_kit(database: Database, name: str) -> Kit:
     joints = [joint.model_dump() for joint in robot.joints]
     used, rows = [], dict[str, list[coverage.Row]]()
     for campaign in campaigns.list_campaigns(database, name, NEWEST).campaigns:
-        views = _rows.get(key_of(campaign), partial(_views, database, campaign, len(joints)))
+        views = _rows.get(campaign_cache_key(campaign), partial(_views, database, campaign, len(joints)))
         if views:
             used.append(campaign)
             rows[campaign.id] = views
     arm = _Arm(robot.sha256, joints, _chains.get(robot.sha256, partial(convert, robot.document, "chain")))
     capture = arm.capture(rows, used) if rows else None
-    return Kit(robot, used, capture, _found(database, name, rows, used, arm))
+    return Kit(robot, used, capture, _find_newest_result(database, name, rows, used, arm))
 
 
 def _views(database: Database, campaign: Campaign, joints: int) -> list[coverage.Row]:
     """The rows of a campaign of views; nothing of another one."""
     if all(column.name != CORNER for column in looking.columns(database, campaign.id)):
         return []
-    table = looking.stored(database, campaign.id).table
+    table = looking.load_campaign_rows(database, campaign.id).table
     columns: dict[str, Sequence[float | None]] = {}
-    for name in coverage.wanted(joints, _rig([campaign])):
+    for name in coverage.coverage_columns(joints, _rig([campaign])):
         in_rad = name.replace("_deg", "_rad")
         if name in table.column_names:
             columns[name] = table[name].to_pylist()
@@ -120,30 +120,32 @@ def _rig(used: Sequence[Campaign]) -> coverage.Rig:
     return {name: [one.model_dump() for one in listed or []] for name, listed in parts.items()}
 
 
-def _found(database: Database, robot: str, views: Views, used: Sequence[Campaign], arm: _Arm) -> Found | None:
+def _find_newest_result(
+    database: Database, robot: str, views: Views, used: Sequence[Campaign], arm: _Arm
+) -> Found | None:
     """What the newest version says that was made from such views with backlash among its effects."""
     for summary in versions.list_versions(database, robot, NEWEST).versions:
         version = versions.get(database, summary.id)
         named = {one.id for one in version.campaigns}
         from_views = [one for one in used if one.id in named]
         if from_views and any(one.name.startswith(BACKLASH) for one in version.parameters):
-            return _said(database, version, arm.joints, arm.capture(views, from_views).untold)
+            return _found_from_version(database, version, arm.joints, arm.capture(views, from_views).untold)
     return None
 
 
-def _said(
+def _found_from_version(
     database: Database, version: Version, joints: Sequence[Mapping[str, Any]], untold: Mapping[int, str]
 ) -> Found:
     table = _tables.get(version.id, lambda: _table(database, version.id))
-    told = words.told(version.model_dump(), joints, table, untold)
-    off_by = words.off_by(told["before_mm"], told["after_mm"])
+    told = words.result_summary(version.model_dump(), joints, table, untold)
+    off_by = words.describe_tool_error(told["before_mm"], told["after_mm"])
     return Found(version, told["lines"] or [words.NOTHING], told["warnings"], off_by)
 
 
 def _table(database: Database, version_id: str) -> bytes:
     """The version as a table, whose comments tell its zeros; nothing where no table describes its chain."""
     try:
-        text = versions.exported(database, version_id, "mdh-csv").text
+        text = versions.export_version(database, version_id, "mdh-csv").text
     except RobotError:
         return b""
     return text if isinstance(text, bytes) else text.encode()

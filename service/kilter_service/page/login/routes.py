@@ -16,9 +16,9 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.page.route import PageRoute
-from kilter_service.page.shell import redirect, render, root_of
+from kilter_service.page.shell import get_root_path, redirect, render
 from kilter_service.web.audit import refusals
-from kilter_service.web.auth.access import caller_of
+from kilter_service.web.auth.access import get_caller
 from kilter_service.web.logins import service
 from kilter_service.web.state import DatabaseOfApp
 from kilter_service.web.tokens import service as tokens
@@ -30,18 +30,18 @@ LONGEST = 500
 @router.get("/login")
 def form(request: Request, then: str = "/") -> HTMLResponse:
     """Ask for a token."""
-    return render(request, "login.html", then=_within(then), problem="")
+    return render(request, "login.html", then=_local_path(then), problem="")
 
 
 @router.post("/login")
-def log_in(
+def log_in_by_token(
     request: Request,
     database: DatabaseOfApp,
     token: Annotated[str, Form(max_length=LONGEST)],
     then: Annotated[str, Form(max_length=2000)] = "/",
 ) -> Response:
     """Give the browser a login, if the token holds."""
-    return _begin(request, database, lambda: tokens.hash_of(token.strip()), then)
+    return _start_login_session(request, database, lambda: tokens.hash_secret(token.strip()), then)
 
 
 @router.post("/login/link")
@@ -52,21 +52,21 @@ def log_in_by_link(
     then: Annotated[str, Form(max_length=2000)] = "/",
 ) -> Response:
     """Give the browser a login, if the link was not used yet."""
-    return _begin(request, database, lambda: service.take_link(database, link.strip()), then)
+    return _start_login_session(request, database, lambda: service.take_link(database, link.strip()), then)
 
 
-def _begin(request: Request, database: Database, token_sha256: Callable[[], str], then: str) -> Response:
-    request.app.state.rates.take(caller_of(request).address)
+def _start_login_session(request: Request, database: Database, token_sha256: Callable[[], str], then: str) -> Response:
+    request.app.state.rates.count_request(get_caller(request).address)
     try:
         sha256 = token_sha256()
         CALLER.set(_caller(request, database, sha256))
     except ServiceError as error:
         refusals.note(request, error.code)
-        return render(request, "login.html", 401, then=_within(then), problem=error.message)
-    answer = redirect(request, root_of(request) + _within(then))
+        return render(request, "login.html", 401, then=_local_path(then), problem=error.message)
+    answer = redirect(request, get_root_path(request) + _local_path(then))
     answer.set_cookie(
-        service.COOKIE, service.log_in(database, sha256), max_age=service.HOURS * 3600, httponly=True,
-        samesite="strict", secure=_is_secure(request), path=root_of(request) or "/",
+        service.COOKIE, service.create_login(database, sha256), max_age=service.HOURS * 3600, httponly=True,
+        samesite="strict", secure=_is_secure(request), path=get_root_path(request) or "/",
     )  # fmt: skip
     return answer
 
@@ -78,10 +78,10 @@ def _caller(request: Request, database: Database, sha256: str) -> Caller:
         ServiceError: the token does not hold.
 
     """
-    asked = caller_of(request)
-    if secrets.compare_digest(sha256, tokens.hash_of(request.app.state.token)):
+    asked = get_caller(request)
+    if secrets.compare_digest(sha256, tokens.hash_secret(request.app.state.token)):
         return replace(asked, actor=ADMIN, role="admin")
-    found = tokens.known(database, sha256)
+    found = tokens.get_valid_token(database, sha256)
     return replace(asked, actor=found.name, role=found.role, token_id=found.id)
 
 
@@ -97,12 +97,12 @@ def _is_secure(request: Request) -> bool:
 def log_out(request: Request, database: DatabaseOfApp) -> Response:
     """End the login."""
     service.log_out(database, request.cookies.get(service.COOKIE, ""))
-    answer = redirect(request, f"{root_of(request)}/login")
-    answer.delete_cookie(service.COOKIE, path=root_of(request) or "/")
+    answer = redirect(request, f"{get_root_path(request)}/login")
+    answer.delete_cookie(service.COOKIE, path=get_root_path(request) or "/")
     return answer
 
 
-def _within(then: str) -> str:
+def _local_path(then: str) -> str:
     """Return a path of this server: nobody is sent elsewhere by a link to the login."""
     parts = urlsplit(then)
     outside = parts.scheme or parts.netloc or not then.startswith("/") or then.startswith(("//", "/\\"))

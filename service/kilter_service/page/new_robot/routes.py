@@ -10,12 +10,12 @@ from fastapi.responses import HTMLResponse
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.page.new_robot import service
 from kilter_service.page.route import PageRoute
-from kilter_service.page.shell import redirect, render, root_of
+from kilter_service.page.shell import get_root_path, redirect, render
 from kilter_service.robots import service as robots
 from kilter_service.robots.compensation import WORDS
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.concurrency import compute
-from kilter_service.web.state import DatabaseOfApp, scratch_of
+from kilter_service.web.state import DatabaseOfApp, get_scratch
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 LONGEST = 900_000  # characters of a file
@@ -36,8 +36,8 @@ async def check(
 ) -> HTMLResponse:  # fmt: skip
     """Show what a description comes to."""
     told = service.Told(name.strip(), preset, text, file, table, base_link.strip(), tip_link.strip(), compensation)
-    with scratch_of(request).folder_for("new-robot") as folder:
-        looked = await compute(request, service.look, told, folder)
+    with get_scratch(request).folder_for("new-robot") as folder:
+        looked = await compute(request, service.preview_robot, told, folder)
     return render(request, "new_robot/looked.html", looked=looked)
 
 
@@ -46,5 +46,5 @@ def add(
     request: Request, database: DatabaseOfApp, _: Admin, document: Annotated[str, Form(max_length=2 * LONGEST)]
 ) -> Response:
     """Add the robot that was shown."""
-    report, _new = robots.add(database, service.posted(document))
-    return redirect(request, f"{root_of(request)}/robots/{report.name}")
+    report, _new = robots.add(database, service.parse_posted_document(document))
+    return redirect(request, f"{get_root_path(request)}/robots/{report.name}")

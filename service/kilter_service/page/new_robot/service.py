@@ -64,7 +64,7 @@ def presets() -> Sequence[str]:
     return preset_names()
 
 
-def look(told: Told, folder: Path) -> Looked:
+def preview_robot(told: Told, folder: Path) -> Looked:
     """Say what a description comes to; nothing is stored.
 
     Raises:
@@ -72,7 +72,7 @@ def look(told: Told, folder: Path) -> Looked:
         RobotError: the document cannot be an arm.
 
     """
-    document = read({**_said(told, folder), "controller_compensation": told.compensation})
+    document = read({**_document_from_form(told, folder), "controller_compensation": told.compensation})
     report = check(document)
     return Looked(document, report, draw(report))
 
@@ -91,7 +91,7 @@ def read(document: object) -> RobotDocument:
         raise ServiceError(f"This does not describe a robot: {told}.", code="payload_invalid") from error
 
 
-def posted(text: str) -> RobotDocument:
+def parse_posted_document(text: str) -> RobotDocument:
     """Read the document that was shown.
 
     Raises:
@@ -104,7 +104,7 @@ def posted(text: str) -> RobotDocument:
         raise ServiceError("The document is not JSON: check the robot again.", code="payload_invalid") from error
 
 
-def _said(told: Told, folder: Path) -> dict[str, Any]:
+def _document_from_form(told: Told, folder: Path) -> dict[str, Any]:
     if told.preset:
         return {"name": told.name, "convention": "preset", "preset": told.preset}
     if not told.text.strip():

@@ -36,7 +36,7 @@ class Contributions:
     plot: Plot | None
 
 
-def effects_of(database: Database, version: Version, search: GapResult | None) -> Contributions:
+def effect_contributions(database: Database, version: Version, search: GapResult | None) -> Contributions:
     """Say of each effect what it is and what it does; uncertain masses move nothing by themselves."""
     own = [one for one in version.effects if one != words.MASSES]
     named = {one.id: one for one in (search.effects if search is not None else None) or []}
@@ -57,5 +57,5 @@ def effects_of(database: Database, version: Version, search: GapResult | None) -
 
 def closing(search: GapResult | None) -> tuple[Plot, str] | None:
     """How a search closed the gap, step by step: drawn, and in a sentence."""
-    read = None if search is None else steps.steps_shown(search.figures, steps.unit_of(search.gap))
+    read = None if search is None else steps.steps_shown(search.figures, steps.error_unit(search.gap))
     return None if read is None else (steps.plot(read, SHADES[:2]), steps.describe(read))

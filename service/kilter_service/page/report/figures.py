@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from kilter_service.contract.fits import Errors, StageErrors
 from kilter_service.page import words
 from kilter_service.page.figures.plot import Plot, Table
-from kilter_service.page.figures.scale import lengths, named
+from kilter_service.page.figures.scale import category_axis, lengths
 
 INK, HEIGHT = "#141414", 230.0
 SHADES = ("#c8c8c8", "#828282", INK)
@@ -33,7 +33,9 @@ def before_and_after(errors: StageErrors, title: str) -> Plot | None:
     if not values or min(values) <= 0:
         return None
     axis = lengths("error on a logarithmic scale", values, log=True)
-    plot = Plot(title, named("", [label for _, label in SIZES]), axis, width=620, height=HEIGHT, description=title)
+    plot = Plot(
+        title, category_axis("", [label for _, label in SIZES]), axis, width=620, height=HEIGHT, description=title
+    )
     width = 0.8 / len(found)
     shades = OF_MODELS[-len(found) :]
     for k, (label, one) in enumerate(found):

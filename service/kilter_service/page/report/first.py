@@ -95,7 +95,7 @@ def first_sheet_undecided(database: Database, version: Version) -> First:
 def _of_rows(found: Acceptance, title: str, decision: str, sentence: str) -> First:
     worst = found.campaigns[0]
     views = _views(found, worst, decided=bool(decision))
-    return First(title, decision, sentence, found, _merits(found), *_budgeted(worst.budget), views)
+    return First(title, decision, sentence, found, _merits(found), *_budget_tables(worst.budget), views)
 
 
 def _of_fit(version: Version, title: str, sentence: str) -> First:
@@ -105,10 +105,10 @@ def _of_fit(version: Version, title: str, sentence: str) -> First:
     stages = [] if errors is None else [(label, getattr(errors, name)) for name, label in STAGES]
     merits = table(MERIT, [(f"{held} rows, {label}", one) for label, one in stages if one is not None])
     budget = None if errors is None else errors.budget
-    return First(title, "", sentence, None, merits, *_budgeted(budget), [])
+    return First(title, "", sentence, None, merits, *_budget_tables(budget), [])
 
 
-def _budgeted(budget: Budget | None) -> tuple[Table | None, Table | None, str]:
+def _budget_tables(budget: Budget | None) -> tuple[Table | None, Table | None, str]:
     """The contributions, their sums, and what they lack."""
     if budget is None:
         return None, None, "the whole budget: identify again from measured places of the tool"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from kilter_files.look.unusual import why_unusual
-from kilter_service.contract.fits import Parameter, stayed
+from kilter_service.contract.fits import Parameter, split_nominal_and_moved
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.versions import Version
 from kilter_service.page.words import of_joints
@@ -25,7 +25,7 @@ EXTRAPOLATES = (
 
 def limits(version: Version, search: GapResult | None) -> list[str]:
     """Return what the version does not claim, one sentence each."""
-    return [*_errors(version), *_unknown(version), *_named(search), EXTRAPOLATES]
+    return [*_errors(version), *_unknown(version), *_limits_of_search(search), EXTRAPOLATES]
 
 
 def _errors(version: Version) -> Iterator[str]:
@@ -36,7 +36,9 @@ def _errors(version: Version) -> Iterator[str]:
 
 
 def _unknown(version: Version) -> Iterator[str]:
-    nominal, moved = stayed(one for one in version.parameters if one.identifiable is False and not one.from_prior)
+    nominal, moved = split_nominal_and_moved(
+        one for one in version.parameters if one.identifiable is False and not one.from_prior
+    )
     if nominal:
         yield f"These poses cannot determine {_names(nominal)}: their values are those of the nominal robot."
     if moved:
@@ -55,7 +57,7 @@ def _names(found: Sequence[Parameter]) -> str:
     return ", ".join(one.name for one in found)
 
 
-def _named(search: GapResult | None) -> Iterator[str]:
+def _limits_of_search(search: GapResult | None) -> Iterator[str]:
     for effect in (search.effects if search is not None else None) or []:
         verdict = VERDICTS.get(effect.verdict or "")
         where = f" of {of_joints(effect.joints)}" if effect.joints else ""

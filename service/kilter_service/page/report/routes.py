@@ -16,12 +16,12 @@ from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import environment, render, source
 from kilter_service.versions.acceptance.routes import LARGEST_MM, REFITS, Refit
 from kilter_service.versions.acceptance.service import Wish
-from kilter_service.web.state import DatabaseOfApp, scratch_of
+from kilter_service.web.state import DatabaseOfApp, get_scratch
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 
 
-def wish_of(
+def wish_from_query(
     tolerance_mm: Annotated[float | None, Query(gt=0, le=LARGEST_MM)] = None,
     campaign: Annotated[list[str] | None, Query(max_length=MAX_NAMED)] = None,
     refit: Refit | None = None,
@@ -33,7 +33,7 @@ def wish_of(
     return Wish(tolerance_mm, None, campaign or (), None if refit is None else REFITS[refit], instrument)
 
 
-WishOfReport = Annotated[Wish | None, Depends(wish_of)]
+WishOfReport = Annotated[Wish | None, Depends(wish_from_query)]
 
 
 @router.get("/versions/{version}/report")
@@ -66,7 +66,7 @@ def job_pdf(job: str, request: Request, database: DatabaseOfApp) -> Response:
 def _pdf(request: Request, database: Database, sheet: Sheet) -> Response:
     shown: dict[str, Any] = {"sheet": sheet}
     html = environment().get_template("report/printed.html").render(**shown)
-    with scratch_of(request).folder_for("report") as folder:
+    with get_scratch(request).folder_for("report") as folder:
         made = pdf(folder, html, source("report.css"))
     name = sheet.version.id if sheet.version is not None else sheet.job.id
     return Response(

@@ -19,7 +19,7 @@ from kilter_service.contract.jobs.job import EvaluateJob, GapJob, IdentifyJob, J
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.versions import Activation, Version
-from kilter_service.ground.called import called
+from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
@@ -27,7 +27,7 @@ from kilter_service.jobs import service as jobs
 from kilter_service.page import words
 from kilter_service.page.figures.plot import Plot, Table
 from kilter_service.page.report import first
-from kilter_service.page.report.effects import Contributions, closing, effects_of
+from kilter_service.page.report.effects import Contributions, closing, effect_contributions
 from kilter_service.page.report.figures import CURVES, HEIGHT, INK, PLACE, STAGES, before_and_after, table
 from kilter_service.page.report.first import First
 from kilter_service.page.report.limits import limits
@@ -122,9 +122,12 @@ def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
     robot = robots.get(database, job.robot)
     search = job.result if isinstance(job, GapJob) else None
     figures = job.result.figures if isinstance(job, IdentifyJob) and job.result is not None else None
-    judged = [] if version is None else list(_judged(version, figures))
-    named = called(version if version is not None else job)
-    odd, evaluated = suspicious.of_campaigns(database, _used(job)), list(_evaluated(database, job, version))
+    judged = [] if version is None else list(_iter_error_tables(version, figures))
+    named = display_name(version if version is not None else job)
+    odd, evaluated = (
+        suspicious.of_campaigns(database, _used_campaigns(job)),
+        list(_iter_evaluations(database, job, version)),
+    )
     judges = {one.version_id for rows in odd for one in rows.found} | {
         one.job.result.version_id
         for one in evaluated
@@ -132,25 +135,35 @@ def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
     }
     log = [] if version is None else versions.activations(database, job.robot, Page()).activations
     return Sheet(
-        title=f"{job.robot}: {named}", robot=robot, job=job, version=version, headline=_headline(version, search),
-        judged=judged, parameters=[] if version is None else [_parameter(one) for one in version.parameters],
-        effects=effects_of(database, version, search) if version is not None and version.effects else None, search=search,
-        closing=closing(search), curves=own_curves(search.effect_curves) if search is not None else [],
-        evaluated=evaluated, limits=[] if version is None else limits(version, search),
+        title=f"{job.robot}: {named}",
+        robot=robot,
+        job=job,
+        version=version,
+        headline=_headline(version, search),
+        judged=judged,
+        parameters=[] if version is None else [_parameter(one) for one in version.parameters],
+        effects=effect_contributions(database, version, search) if version is not None and version.effects else None,
+        search=search,
+        closing=closing(search),
+        curves=own_curves(search.effect_curves) if search is not None else [],
+        evaluated=evaluated,
+        limits=[] if version is None else limits(version, search),
         activations=[one for one in log if version is not None and one.version_id == version.id],
-        campaigns=_names(database, job), ranges=[] if version is None else _ranges(database, version, robot),
-        suspicious=odd, names={one: in_names(database, one) for one in judges if one},
+        campaigns=_names(database, job),
+        ranges=[] if version is None else _ranges(database, version, robot),
+        suspicious=odd,
+        names={one: in_names(database, one) for one in judges if one},
         today=today.of_robot(database, job.robot).sentences if version is not None and version.active else [],
-    )  # fmt: skip
+    )
 
 
-def _used(job: Job) -> list[str]:
+def _used_campaigns(job: Job) -> list[str]:
     return [*job.campaigns, *(job.validation if isinstance(job.validation, list) else []), *job.confirmation]
 
 
 def _names(database: Database, job: Job) -> dict[str, str]:
     out = {}
-    for one in _used(job):
+    for one in _used_campaigns(job):
         try:
             out[one] = campaigns.get(database, one).name
         except ServiceError:
@@ -194,7 +207,7 @@ def _headline(version: Version | None, search: GapResult | None) -> str:
     return f"The mean error of the tool is {mean} on {on}{fell}."
 
 
-def _judged(version: Version, figures: IdentifyFigures | None) -> Iterator[Judged]:
+def _iter_error_tables(version: Version, figures: IdentifyFigures | None) -> Iterator[Judged]:
     drawn = figures or IdentifyFigures()
     for errors, histogram, which, on in (
         (version.metrics.validation, drawn.held_out_errors, "held-out", "not fitted: this is the accuracy to expect"),
@@ -236,26 +249,31 @@ def _parameter(one: Parameter) -> list[str]:
         else "yes"
     )
     return [
-        one.name, unit, _fine(one.nominal, one.sigma), _unsigned(words.measured(one.value, one.sigma)),
-        _fine(one.change, one.sigma), interval, known,
-    ]  # fmt: skip
+        one.name,
+        unit,
+        _fine(one.nominal, one.sigma),
+        _strip_negative_zero(words.format_with_uncertainty(one.value, one.sigma)),
+        _fine(one.change, one.sigma),
+        interval,
+        known,
+    ]
 
 
 def _fine(value: float | None, sigma: float | None) -> str:
-    return _unsigned(words.fine(value, sigma))
+    return _strip_negative_zero(words.fine(value, sigma))
 
 
-def _unsigned(text: str) -> str:
+def _strip_negative_zero(text: str) -> str:
     """Write a zero without a sign: -0.0 is what rounding leaves."""
     return NEGATIVE_ZERO.sub("", text)
 
 
-def _evaluated(database: Database, job: Job, version: Version | None) -> Iterator[Evaluated]:
+def _iter_evaluations(database: Database, job: Job, version: Version | None) -> Iterator[Evaluated]:
     """Evaluations of the version, newest first; of a job that is one, itself."""
     if isinstance(job, EvaluateJob):
         found = [job]
     elif version is not None:
-        whole = [jobs.get(database, one) for one in jobs.evaluations_of(database, version.id)]
+        whole = [jobs.get(database, one) for one in jobs.succeeded_evaluations(database, version.id)]
         found = [one for one in whole if isinstance(one, EvaluateJob)]
     else:
         return

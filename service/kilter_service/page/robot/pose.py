@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kilter_service.ground.called import called
+from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
@@ -86,7 +86,7 @@ def read(text: str) -> list[float] | None:
     return found
 
 
-def asked(
+def predict_by_versions(
     database: Database, settings: Settings, robot: str, text: str, chosen: Sequence[str], campaign: str, row: int
 ) -> Pose:
     """Return what versions say of a pose.
@@ -104,7 +104,7 @@ def asked(
     for version in dict.fromkeys(filter(None, chosen)):
         scene.check(database, robot, version)
         found = at_pose.at_pose(database, version, q, campaign, row, settings.temperature_c)
-        said.append(_moves_of_version(version, called(versions.get(database, version)), found))
+        said.append(_moves_of_version(version, display_name(versions.get(database, version)), found))
         q = found.q
     shown = [] if q is None else q * scale
     units = ["mm" if unit == "mm" else "°" for unit in joint_units(arm)]

@@ -11,7 +11,7 @@ LONGEST = 200  # letters of what was done
 LONGEST_DATE = 40
 
 
-def stated(what: str, at: str) -> NewRepair:
+def parse_repair(what: str, at: str) -> NewRepair:
     """Read what was done, and when, in UTC; an empty ``at`` is now.
 
     Raises:

@@ -24,7 +24,7 @@ from kilter_service.robots.repairs import service as repairs
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.bodies import MESH, spool_upload
 from kilter_service.web.concurrency import compute
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, scratch_of
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 BODY = {"requestBody": {"required": True}}  # the endpoint receives the file itself
@@ -84,7 +84,7 @@ def add_repair(
     at: Annotated[str, Form(max_length=stated_repairs.LONGEST_DATE)] = "",
 ) -> Response:  # fmt: skip
     """Record what was done to an arm."""
-    repairs.add(database, robot, stated_repairs.stated(what, at), actor)
+    repairs.add(database, robot, stated_repairs.parse_repair(what, at), actor)
     return Response(status_code=204, headers=ANEW)
 
 
@@ -109,7 +109,7 @@ def pose(
     campaign: ID = "", row: Annotated[int, Query(ge=0, le=10**12)] = 0, q: Annotated[str, Query(max_length=1500)] = "",
 ) -> HTMLResponse:  # fmt: skip
     """Show what one or two versions say of a pose."""
-    found = asked_pose.asked(database, settings, robot, q, (version, other), campaign if row else "", row)
+    found = asked_pose.predict_by_versions(database, settings, robot, q, (version, other), campaign if row else "", row)
     template = "robot/pose_part.html" if is_part(request) else "robot/pose.html"
     return render(request, template, robot=robot, pose=found)
 
@@ -147,7 +147,7 @@ async def put_mesh(
     """Give a link its shape, in place of the one it has."""
     form = meshes.form_of_name(name)
     await run_in_threadpool(meshes.check_link, database, robot, link)
-    with scratch_of(request).folder_for("mesh") as folder:
+    with get_scratch(request).folder_for("mesh") as folder:
         path = folder / "body"
         sha256 = await spool_upload(request, path, MAX_MESH_MB, MESH)
         await compute(request, meshes.put, database, robot, link, path, form, unit, sha256)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_service.campaigns import looking
-from kilter_service.campaigns.facts import meaning, unit_of
+from kilter_service.campaigns.facts import display_unit_and_factor, meaning
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.wire import joint_scale, joint_units, to_deg, to_mm
@@ -97,7 +97,7 @@ def places(database: Database, version: str, campaign: str) -> Document:
 
 def _label(column: Column) -> str:
     """Say what a column holds, with its unit."""
-    unit = unit_of(column)[0]
+    unit = display_unit_and_factor(column)[0]
     return f"{meaning(column)}, {unit}" if unit else meaning(column)
 
 

@@ -19,9 +19,9 @@ from kilter_service.ground.paging import Page
 from kilter_service.ground.settings import Settings
 from kilter_service.jobs import service as jobs
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
-from kilter_service.page.shared.control_chart import Watched, watched
+from kilter_service.page.shared.control_chart import Watched, draw_check_history
 from kilter_service.page.shared.correcting import Correcting, corrector
-from kilter_service.page.shared.state import State, state_of
+from kilter_service.page.shared.state import State, assess_robot_state
 from kilter_service.robots import service as robots
 from kilter_service.robots.compensation import WORDS
 from kilter_service.versions import service as versions
@@ -59,7 +59,7 @@ class Shown:
     @property
     def state(self) -> State:
         """How the robot stands."""
-        return state_of(self.today, self.accuracy, self.watched.found, self.correcting)
+        return assess_robot_state(self.today, self.accuracy, self.watched.found, self.correcting)
 
     @property
     def unseen(self) -> int:
@@ -89,14 +89,16 @@ def shown_robot(
         activation=log[0] if log else None,
         earlier=len(log) > 1,
         candidate=next((one for one in made if not one.active), None) if made and not made[0].active else None,
-        correcting=corrector(database, settings).of(name, robot.active_version, robot.controller_compensation),
+        correcting=corrector(database, settings).describe_correction(
+            name, robot.active_version, robot.controller_compensation
+        ),
         latest=newest[0] if newest else None,
         campaigns=measured,
         versions=[*made, *(one for key, one in older.items() if key not in {each.id for each in made})],
         looked_at=looked_at,
         other=beside,
         campaign=_campaign(database, measured, looked_at, campaign, now),
-        watched=watched(drift.of_robot(database, name)),
+        watched=draw_check_history(drift.of_robot(database, name)),
         suspicious=[] if active is None else suspicious.of_campaigns(database, (one.id for one in active.campaigns)),
         chosen=bool(version or campaign or other),
     )
@@ -131,10 +133,14 @@ def standing(database: Database, settings: Settings, name: str) -> Standing:
     """Return how a robot stands, from what its overview says."""
     robot, now = robots.get(database, name), today.of_robot(database, name)
     accuracy = accuracy_today(now)
-    correcting = corrector(database, settings).of(name, robot.active_version, robot.controller_compensation)
+    correcting = corrector(database, settings).describe_correction(
+        name, robot.active_version, robot.controller_compensation
+    )
     measured = [] if now.newest is None else now.newest.campaigns
     seen_on = ", ".join(f"{one.name}, {one.when}" for one in measured)
-    return Standing(robot, state_of(now, accuracy, drift.of_robot(database, name), correcting), accuracy, seen_on)
+    return Standing(
+        robot, assess_robot_state(now, accuracy, drift.of_robot(database, name), correcting), accuracy, seen_on
+    )
 
 
 def _campaign(

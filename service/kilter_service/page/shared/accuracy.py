@@ -48,7 +48,7 @@ class Accuracy:
         return self.registration / self.mean if self.registration and self.mean > 0 else None
 
 
-def accuracy_of(metrics: Metrics) -> Accuracy | None:
+def accuracy_from_metrics(metrics: Metrics) -> Accuracy | None:
     """Read the errors on held-out poses, else those on the rows that were fitted; None when no tool was measured."""
     for held_out, block in ((True, metrics.validation), (False, metrics.train)):
         if block is not None and block.identified is not None:

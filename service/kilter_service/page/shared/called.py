@@ -12,22 +12,22 @@ JOINT = re.compile(r"_(\d+)$")
 SMALLEST_P = 1e-4
 
 
-def called(effect: AtJoints) -> str:
+def format_effect_name(effect: AtJoints) -> str:
     """Name an effect and its joints."""
-    return named(effect.id, effect.joints or [])
+    return format_effect_at_joints(effect.id, effect.joints or [])
 
 
-def claimed(effect: NamedEffect) -> str:
+def format_claim(effect: NamedEffect) -> str:
     """Say what is claimed of an effect: the narrowest set that the data single out."""
     if effect.claim is None:  # an earlier result, without claims
-        rivals = [called(one) for one in effect.alias_set or []]
-        return called(effect) + (f", or its alias {joined_by_and(rivals)}" if rivals else "")
+        rivals = [format_effect_name(one) for one in effect.alias_set or []]
+        return format_effect_name(effect) + (f", or its alias {joined_by_and(rivals)}" if rivals else "")
     if effect.claim.said == "member":
-        return called(effect)
+        return format_effect_name(effect)
     return effect.claim.words.replace("_", " ")
 
 
-def named(name: str, joints: Sequence[int]) -> str:
+def format_effect_at_joints(name: str, joints: Sequence[int]) -> str:
     """Name an effect at some joints."""
     plain = name.replace("_", " ")
     if not joints:
@@ -35,7 +35,7 @@ def named(name: str, joints: Sequence[int]) -> str:
     return f"{plain} of {of_joints(joints)}"
 
 
-def joint_of(parameter: str) -> int | None:
+def parse_joint_number(parameter: str) -> int | None:
     """Return the joint that a parameter's name ends with."""
     found = JOINT.search(parameter)
     return int(found[1]) if found else None

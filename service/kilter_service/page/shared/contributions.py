@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from kilter_service.ground.db import Database
 from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import lengths, named
+from kilter_service.page.figures.scale import category_axis, lengths
 from kilter_service.page.words import in_columns
 from kilter_service.versions.predictions.contributions import contributions
 
@@ -35,7 +35,7 @@ class Moved:
         rms, largest = [one.rms_mm or 0.0 for one in self.effects], [one.largest_mm or 0.0 for one in self.effects]
         unit, rows = in_columns(list(zip(rms, largest, strict=True)))
         drawn = Plot(
-            "Movement of the tool by each effect", named("", names), lengths("movement", [*rms, *largest], zero=True),
+            "Movement of the tool by each effect", category_axis("", names), lengths("movement", [*rms, *largest], zero=True),
             width, 260.0,
             description="Two bars for each effect: root mean square and largest movement of the tool.",
             table=(["effect", f"rms, {unit}", f"largest, {unit}"],

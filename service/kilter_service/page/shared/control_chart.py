@@ -81,7 +81,7 @@ def standing(found: DriftSummary) -> str:
     return f"Checked on {found.last.at:%Y-%m-%d}, {ago(found.age_days)}; {checks} of this version."
 
 
-def watched(found: DriftHistory) -> Watched:
+def draw_check_history(found: DriftHistory) -> Watched:
     """Draw the checks of a robot."""
     if not found.history:
         return Watched(found, None, None)
@@ -128,7 +128,7 @@ def _checks(found: DriftHistory, axis: Days) -> Plot:
     limit = 1.0 / found.false_alarm
     across = around("one unmoved arm in", [*among, limit, 1.0], log=True)
     drawn = Plot("Checks", axis, across, WIDTH, HEIGHT, description=_describe_checks(found), table=_table(found))
-    _marked(drawn, found, axis)
+    _mark_events(drawn, found, axis)
     for verdict, label, look in VERDICTS:
         own = [
             (one, many)
@@ -159,7 +159,7 @@ def _sums(found: DriftHistory, axis: Days) -> Plot | None:
         "Cumulative sums", axis, Axis("sum, standard deviations of a check", 0.0, 1.08 * highest), WIDTH, HEIGHT,
         description=_said_of_sums(charts), table=_sums_table(summed),
     )  # fmt: skip
-    _marked(drawn, found, axis, labelled=False)
+    _mark_events(drawn, found, axis, labelled=False)
     for place, one in enumerate(charts):
         sums = [_higher(up, down) for up, down in zip(one.up, one.down, strict=True)]
         there = [
@@ -169,7 +169,7 @@ def _sums(found: DriftHistory, axis: Days) -> Plot | None:
     return drawn.level(charts[0].limit, f"alarm: all together 1 of {found.run_length} checks")
 
 
-def _marked(drawn: Plot, found: DriftHistory, axis: Days, labelled: bool = True) -> None:
+def _mark_events(drawn: Plot, found: DriftHistory, axis: Days, labelled: bool = True) -> None:
     for place, what in enumerate(MARKS):
         own = [one for one in found.marks if one.what == what and _drawn(axis, one.at)]
         names = [f"{what} {moment(one.at)}: {one.note or one.version_id}" for one in own]

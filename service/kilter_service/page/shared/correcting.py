@@ -42,7 +42,7 @@ class Corrector:
     streams: Sequence[Mapping[str, Any]]
     bridges: Mapping[str, Sequence[Bridge]] = field(default_factory=dict)
 
-    def of(self, robot: str, active: str | None, compensation: str = "unknown") -> Correcting:
+    def describe_correction(self, robot: str, active: str | None, compensation: str = "unknown") -> Correcting:
         """Say what it does for a robot, whose active version is given, and what its controller does by itself."""
         running = [one for one in self.bridges.get(robot, ()) if not one.gone]
         twice = next((one for one in running if one.corrected_twice), None)
@@ -76,7 +76,7 @@ class Corrector:
             used = ", ".join(sorted(str(one or "no version") for one in others))
             said = f"Stream {names} last corrected with {used}, not the active one."
             # One that ended before the version was activated says nothing of the next setpoint.
-            goes_on = any(one["version_id"] in others and _just_said(one) for one in mine)
+            goes_on = any(one["version_id"] in others and _is_live(one) for one in mine)
             return Correcting("other version", "warn", said, OTHER if goes_on else "")
         return Correcting("streaming", "good", f"Stream {names} is corrected with the active version.")
 
@@ -98,7 +98,7 @@ def _offset_joints(bridge: Bridge) -> bool:
     return bridge.state in known_bridges.OFFSETTING or bridge.offset_deg > 0.0
 
 
-def _just_said(stream: Mapping[str, Any]) -> bool:
+def _is_live(stream: Mapping[str, Any]) -> bool:
     """Whether a stream goes on: it tells each second what it does."""
     return abs(time.time_ns() - int(stream.get("at_ns") or 0)) < LIVE_S * 1_000_000_000
 

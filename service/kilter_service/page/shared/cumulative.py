@@ -19,12 +19,13 @@ def cumulative(
     ``names`` says what the models of the histogram are called here, ``colour`` is that of all curves (empty: one each).
     """
     traces = [
-        (_called(one.name or "", names), *_shares(one)) for one in (figure.data or [] if figure is not None else [])
+        (_model_label(one.name or "", names), *_shares(one))
+        for one in (figure.data or [] if figure is not None else [])
     ]
     traces = [one for one in traces if one[1]]
     if not traces:
         return None
-    unit, errors = in_columns([[_at(xs, ys, 50.0), xs[-1]] for _, xs, ys in traces])
+    unit, errors = in_columns([[_error_at_share(xs, ys, 50.0), xs[-1]] for _, xs, ys in traces])
     plot = Plot(
         f"Share of {where} with at most an error", lengths("error", [x for one in traces for x in one[1]], log=True),
         around("share of rows, %", [0.0, 100.0], zero=True), height=height,
@@ -37,7 +38,7 @@ def cumulative(
     return plot
 
 
-def _called(name: str, names: Mapping[str, str]) -> str:
+def _model_label(name: str, names: Mapping[str, str]) -> str:
     """What a model is called: the histogram's own name has numbers behind a colon."""
     short = name.partition(":")[0]
     return names.get(short, short)
@@ -56,5 +57,5 @@ def _shares(trace: Scatter) -> tuple[list[float], list[float]]:
     return edges[first : last + 2], [0.0, *shares[first : last + 1]]
 
 
-def _at(xs: list[float], ys: list[float], share: float) -> float:
+def _error_at_share(xs: list[float], ys: list[float], share: float) -> float:
     return next(x for x, y in zip(xs, ys, strict=True) if y >= share - 1e-9)

@@ -9,7 +9,7 @@ from typing import Any
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.versions import Objection
-from kilter_service.ground.called import called
+from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.jobs import service as jobs
 from kilter_service.versions import service as versions
@@ -26,7 +26,7 @@ def in_names(database: Database, text: str) -> str:
     def name(found: re.Match[str]) -> str:
         before, _, what = found[0].rpartition(" ")
         try:
-            said = called(KINDS[found[1]](database, what))
+            said = display_name(KINDS[found[1]](database, what))
         except CoreError:
             return found[0]
         return said if not before or said.startswith("version ") else f"{before} {said}"

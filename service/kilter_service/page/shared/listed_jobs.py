@@ -48,10 +48,10 @@ STATES = ("queued", "running", "succeeded", "failed", "cancelled")
 ORDERS = ("name", "robot", "kind", "state", "asked")
 
 
-def asked(database: Database, robot: str | None, wanted: Asked) -> tuple[Listed, Part[JobSummary]]:
+def select_jobs(database: Database, robot: str | None, wanted: Asked) -> tuple[Listed, Part[JobSummary]]:
     """Return the jobs that the address asks for, of one robot or of all that may be seen; the database counts and sorts."""
     by = wanted.sort if wanted.sort.removeprefix("-") in ORDERS else "-asked"
-    words = [(one, _kinds_with(one)) for one in wanted.search.split()]
+    words = [(one, _kinds_matching_word(one)) for one in wanted.search.split()]
     sought = WantedJobs(
         robot, wanted.filters.get("kind"), wanted.filters.get("state"), words, by.removeprefix("-"), by.startswith("-"),
         sorted(KINDS, key=lambda kind: KINDS[kind].casefold()), STATES,
@@ -60,7 +60,7 @@ def asked(database: Database, robot: str | None, wanted: Asked) -> tuple[Listed,
     return Listed(shown, jobs.places(database), None), Part(shown, found, total, replace(wanted, page=page), "-asked")
 
 
-def _kinds_with(word: str) -> list[str]:
+def _kinds_matching_word(word: str) -> list[str]:
     """Kinds of jobs in whose words a word is."""
     return [kind for kind, words in KINDS.items() if word.casefold() in words.casefold()]
 

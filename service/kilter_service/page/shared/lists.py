@@ -28,7 +28,7 @@ class Asked:
     filters: Mapping[str, str] = field(default_factory=dict)
 
     @staticmethod
-    def of(request: Request, filters: Sequence[str] = (), page: str = PAGE) -> Asked:
+    def from_request(request: Request, filters: Sequence[str] = (), page: str = PAGE) -> Asked:
         """Read an address; what makes no sense asks for nothing."""
         given = request.query_params
         number = given.get(page, "")
@@ -90,7 +90,7 @@ class Part(Generic[T]):
         return replace(self.asked, sort=turned, page=1).query(self.named)
 
 
-def part(
+def select_page(
     entries: Sequence[T],
     asked: Asked,
     words: Callable[[T], str],

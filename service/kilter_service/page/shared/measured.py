@@ -35,18 +35,18 @@ class Seen:
     doubts: Sequence[tuple[str, str]]
 
 
-def seen(facts: Facts, lines: Sequence[int] = (), campaign: str = "") -> Seen:
+def describe_facts(facts: Facts, lines: Sequence[int] = (), campaign: str = "") -> Seen:
     """Put facts in words and figures; ``campaign`` is the id of the one that has these rows."""
     noise, why = _noise(facts)
     return Seen(
         facts, _headline(facts), noise, why, [_column(one) for one in facts.columns], _coverage(facts.joints),
         _places(facts, campaign),
         [_narrow(joint) for joint in facts.joints if joint.share is not None and joint.share < LITTLE],
-        [(_at(one.row, lines), one.why) for one in facts.doubtful.rows],
+        [(_format_row_place(one.row, lines), one.why) for one in facts.doubtful.rows],
     )  # fmt: skip
 
 
-def _at(row: int, lines: Sequence[int]) -> str:
+def _format_row_place(row: int, lines: Sequence[int]) -> str:
     return f"{row} (line {lines[row - 1]} of the file)" if row <= len(lines) else str(row)
 
 

@@ -10,7 +10,7 @@ from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.jobs.curve_words import SIDES, across, model, quantity, title, unit_of_x, upwards, visit
 from kilter_service.page.figures.plot import BLUE, GREY, RED, SKY, THIN, Plot
 from kilter_service.page.figures.scale import around
-from kilter_service.page.shared.called import called, named
+from kilter_service.page.shared.called import format_effect_at_joints, format_effect_name
 from kilter_service.page.words import number
 
 WIDTH, HEIGHT = 440.0, 340.0  # what is written can be read where the window is narrow, too
@@ -31,17 +31,17 @@ class OwnCurve:
 
 def own_curves(curves: Sequence[EffectCurve] | None) -> list[OwnCurve]:
     """Draw every curve of a result; none of an earlier one."""
-    return [OwnCurve(_called(curve), _plot(curve), tuple(_describe_curve(curve))) for curve in curves or []]
+    return [OwnCurve(_curve_effect_name(curve), _plot(curve), tuple(_describe_curve(curve))) for curve in curves or []]
 
 
-def without(result: GapResult) -> bool:
+def has_effect_without_curve(result: GapResult) -> bool:
     """Whether an effect was named that no curve shows, as it does more than move joints."""
     shown = {(curve.id, tuple(curve.joints or ())) for curve in result.effect_curves or []}
     return any((effect.id, tuple(effect.joints or ())) not in shown for effect in result.effects or [])
 
 
-def _called(curve: EffectCurve) -> str:
-    return named(curve.id, [curve.joint])
+def _curve_effect_name(curve: EffectCurve) -> str:
+    return format_effect_at_joints(curve.id, [curve.joint])
 
 
 def _plot(curve: EffectCurve) -> Plot:
@@ -57,12 +57,12 @@ def _plot(curve: EffectCurve) -> Plot:
         _dots(drawn, curve, direction)
     if curve.rival is not None:
         for place, side in enumerate(curve.rival.sides):
-            label = "" if place else f"refused: {called(curve.rival)}"
+            label = "" if place else f"refused: {format_effect_name(curve.rival)}"
             drawn.line(side.x, side.y, label, RIVAL, RED, THIN)
     for side in curve.sides:
         _model(drawn, side)
     if curve.distance is not None and len(curve.sides) == 2:
-        _marked(drawn, curve)
+        _mark_distance(drawn, curve)
     return drawn
 
 
@@ -84,13 +84,13 @@ def _dots(drawn: Plot, curve: EffectCurve, direction: float | None) -> None:
     )  # fmt: skip
 
 
-def _marked(drawn: Plot, curve: EffectCurve) -> None:
+def _mark_distance(drawn: Plot, curve: EffectCurve) -> None:
     place = round(MARKED * (len(curve.sides[0].x) - 1))
     first, second = (side.y[place] for side in curve.sides)
-    drawn.distance(curve.sides[0].x[place], min(first, second), max(first, second), _apart(curve)[0])
+    drawn.distance(curve.sides[0].x[place], min(first, second), max(first, second), _format_side_distance(curve)[0])
 
 
-def _apart(curve: EffectCurve) -> tuple[str, str]:
+def _format_side_distance(curve: EffectCurve) -> tuple[str, str]:
     """How far two sides are apart, and its interval; none of a curve with one."""
     apart = curve.distance
     if apart is None:
@@ -131,12 +131,13 @@ def _describe_curve(curve: EffectCurve) -> Iterator[str]:
             "little of it."
         )
     if curve.distance is not None:
-        distance, interval = _apart(curve)
+        distance, interval = _format_side_distance(curve)
         less = "less" if curve.distance.value < 0 else "more"
         yield f"After a motion in direction + joint {curve.joint} stands {distance} ({interval}) {less} than after one in −."
     if curve.rival is not None:
         yield (
-            f"The thin line is the best that {called(curve.rival)} makes of these visits, with a zero of its own: it leaves "
+            f"The thin line is the best that {format_effect_name(curve.rival)} makes of these visits, with a zero of "
+            "its own: it leaves "
             f"{number(curve.rival.times)} times the squares that the model leaves."
         )
 

@@ -21,7 +21,7 @@ class Proposing:
     taken: bool  # the search uses the campaign already
 
 
-def job_of(database: Database, robot: str, job: str) -> Job | None:
+def get_proposing_job(database: Database, robot: str, job: str) -> Job | None:
     """Return the job that an address names; None: it names none.
 
     Raises:
@@ -42,11 +42,15 @@ def job_of(database: Database, robot: str, job: str) -> Job | None:
 
 def proposal(database: Database, campaign: Campaign, job: str) -> Proposing | None:
     """Return what a campaign leads back to."""
-    found = job_of(database, campaign.robot, job)
+    found = get_proposing_job(database, campaign.robot, job)
     if found is None:
         return None
     search = _search(database, found)
-    taken = search is not None and campaign.id in {*search.campaigns, *_held(search), *search.confirmation}
+    taken = search is not None and campaign.id in {
+        *search.campaigns,
+        *_held_out_campaigns(search),
+        *search.confirmation,
+    }
     return Proposing(found, search, taken)
 
 
@@ -57,5 +61,5 @@ def _search(database: Database, job: Job) -> GapJob | None:
     return job if isinstance(job, GapJob) and job.state == "succeeded" else None
 
 
-def _held(job: GapJob) -> list[str]:
+def _held_out_campaigns(job: GapJob) -> list[str]:
     return job.validation if isinstance(job.validation, list) else []

@@ -8,7 +8,7 @@ from kilter_service.contract.drift import DriftSummary
 from kilter_service.contract.today import Today
 from kilter_service.page.shared.accuracy import Accuracy
 from kilter_service.page.shared.correcting import OFF, Correcting
-from kilter_service.page.words import beside
+from kilter_service.page.words import format_in_largest_unit
 from kilter_service.versions.today.sentences import ago
 
 
@@ -21,7 +21,9 @@ class State:
     sentence: str
 
 
-def state_of(today: Today | None, accuracy: Accuracy | None, drift: DriftSummary | None, seen: Correcting) -> State:
+def assess_robot_state(
+    today: Today | None, accuracy: Accuracy | None, drift: DriftSummary | None, seen: Correcting
+) -> State:
     """Say how a robot stands; what is worst is said."""
     if today is None or today.version_id is None:
         if seen.instead in ("", OFF):
@@ -32,7 +34,7 @@ def state_of(today: Today | None, accuracy: Accuracy | None, drift: DriftSummary
     if drift is not None and drift.state in ("moved", "cannot_tell"):
         return State("Has moved", "bad", _without_word(drift.sentence))
     if today.changed:
-        more = beside(today.larger_by_mm, None if accuracy is None else accuracy.widest)
+        more = format_in_largest_unit(today.larger_by_mm, None if accuracy is None else accuracy.widest)
         said = f"Its error is {more} larger than at the fit, more than chance explains."
         return State("Has changed", "bad", said)
     if drift is not None and drift.state == "creeping":

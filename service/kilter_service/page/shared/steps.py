@@ -8,7 +8,7 @@ from kilter_service.contract.figures import Bars, GapFigures
 from kilter_service.contract.gap_details import GapSize
 from kilter_service.page.figures.meanings import FITTED, HELD_OUT
 from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import around, named
+from kilter_service.page.figures.scale import around, category_axis
 from kilter_service.page.words import number
 
 WIDTH = 0.34
@@ -34,7 +34,7 @@ class Steps:
     unit: str
 
 
-def unit_of(gap: GapSize | None) -> str:
+def error_unit(gap: GapSize | None) -> str:
     """Return the unit of the errors: joint data have degrees, and views lengths of their own."""
     if gap is not None and gap.lengths == "by_views":
         return "mm by views"
@@ -72,7 +72,7 @@ def plot(read: Steps, colours: tuple[str, str] = (FITTED, HELD_OUT)) -> Plot:
     floor = read.noise.held_out if read.noise.held_out is not None else read.noise.fitted
     values = [step.fitted for step in read.steps] + held + [floor] + [s.high for s in read.steps if s.high is not None]
     drawn = Plot(
-        "The gap closing step by step", named("", [step.label for step in read.steps]),
+        "The gap closing step by step", category_axis("", [step.label for step in read.steps]),
         around(f"rms error, {read.unit}", values, zero=True), height=340.0, table=_table(read), description=describe(read),
     )  # fmt: skip
     shift = WIDTH / 2 if held else 0.0

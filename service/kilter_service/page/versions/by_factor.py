@@ -16,10 +16,10 @@ from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.wire import joint_scale
 from kilter_service.page.figures.meanings import CORRECTED, FITTED, HELD_OUT
 from kilter_service.page.figures.plot import Plot, Table
-from kilter_service.page.figures.scale import around, lengths, named
+from kilter_service.page.figures.scale import around, category_axis, lengths
 from kilter_service.page.words import in_columns
 from kilter_service.versions import service
-from kilter_service.versions.predictions.paired import residuals, size_of
+from kilter_service.versions.predictions.paired import error_lengths, residuals
 
 if TYPE_CHECKING:
     from kilter_core.types import Floats
@@ -58,21 +58,21 @@ def figures(database: Database, version_id: str, wanted: Sequence[str]) -> list[
         ObservationError: a campaign without a measured position.
 
     """
-    seen = _seen(database, version_id, wanted)
+    seen = _load_residuals_and_causes(database, version_id, wanted)
     return [(cause.title, _levels(seen, cause) if cause.names else _course(seen, cause)) for cause in seen.causes]
 
 
-def _seen(database: Database, version_id: str, wanted: Sequence[str]) -> Seen:
+def _load_residuals_and_causes(database: Database, version_id: str, wanted: Sequence[str]) -> Seen:
     version = service.get(database, version_id)
     chosen = list(dict.fromkeys(wanted or (used.id for used in version.campaigns)))
     table = residuals(database, version_id, chosen)
-    every = [_causes(looking.stored(database, campaign)) for campaign in chosen]
+    every = [_causes(looking.load_campaign_rows(database, campaign)) for campaign in chosen]
     shared = [cause.title for cause in every[0] if all(any(o.title == cause.title for o in one) for one in every)]
     joined = [
         Cause(found[0].title, found[0].label, np.concatenate([one.values for one in found]), found[0].names)
         for found in ([next(o for o in one if o.title == title) for one in every] for title in shared)
     ]
-    sizes = size_of(table)
+    sizes = error_lengths(table)
     order = Cause("in the order of the rows", "row, the campaigns one after the other", np.arange(1.0, len(sizes) + 1))
     varying = [cause for cause in [*joined, order] if len(np.unique(cause.values[~np.isnan(cause.values)])) > 1]
     rows = [f"{campaign}/{row}" for campaign, row in zip(table["campaign"], table["row"], strict=True)]
@@ -104,7 +104,7 @@ def _causes(rows: looking.Rows) -> list[Cause]:
 def _course(seen: Seen, cause: Cause) -> Plot:
     """Points of the rows, and means of bins with their 95 % intervals."""
     there = np.flatnonzero(~np.isnan(cause.values) & ~np.isnan(seen.sizes))
-    found = [_mean(seen.sizes[part], cause.values[part]) for part in _parts(there, cause.values)]
+    found = [_mean(seen.sizes[part], cause.values[part]) for part in _equal_count_bins(there, cause.values)]
     bins = [one for one in found if one is not None]
     drawn = _drawn(there, seen.sizes)
     plot = Plot(
@@ -134,7 +134,7 @@ def _levels(seen: Seen, cause: Cause) -> Plot:
             names.append(name)
             bars.append(found)
     plot = Plot(
-        f"Error {cause.title}", named(cause.label, names), lengths("mean error", [one[3] for one in bars], zero=True),
+        f"Error {cause.title}", category_axis(cause.label, names), lengths("mean error", [one[3] for one in bars], zero=True),
         width=280.0, height=240.0, description="Whiskers are the 95 % interval of the mean.",
         table=_table("Direction", names, bars),
     )  # fmt: skip
@@ -153,7 +153,7 @@ def _table(what: str, names: Sequence[str], bins: Sequence[tuple[float, float, f
     return [what, f"Mean error, {unit}", f"95 % interval of the mean, {unit}", "Rows"], rows
 
 
-def _parts(there: Any, values: Floats) -> Iterator[Any]:
+def _equal_count_bins(there: Any, values: Floats) -> Iterator[Any]:
     """Rows of bins with about as many each, from the lowest value on."""
     return iter(np.array_split(there[np.argsort(values[there], kind="stable")], BINS))
 

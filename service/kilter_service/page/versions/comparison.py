@@ -11,12 +11,12 @@ from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.comparisons import PairedErrors
 from kilter_service.contract.versions import ParameterChange, Version, VersionDiff
-from kilter_service.ground.called import called
+from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import around, lengths, named
+from kilter_service.page.figures.scale import around, category_axis, lengths
 from kilter_service.page.versions.paired import maps
 from kilter_service.page.words import in_columns
 from kilter_service.versions import service
@@ -93,11 +93,11 @@ def compared_versions(database: Database, a: str, b: str, wanted: Sequence[str] 
     """Compare two versions on rows held out of both, where there are such; many rows only for the ``whole``."""
 
     def few(chosen: Sequence[str]) -> bool:
-        robot = service.get(database, differences.version_of(a)).robot
+        robot = service.get(database, differences.resolve_version_id(a)).robot
         there = campaigns.list_campaigns(database, robot, Page()).campaigns
         return sum(one.rows for one in there if one.id in chosen) <= MOST_AT_ONCE
 
-    found = differences.compared(database, a, b, wanted or (), None if whole else few)
+    found = differences.compare_versions(database, a, b, wanted or (), None if whole else few)
     diff, rows = found.diff, found.pairs
     sides = [None if name == differences.NOMINAL else service.get(database, name) for name in (diff.a, diff.b)]
     known = next(side for side in sides if side is not None)
@@ -135,7 +135,7 @@ def several(
 
 def title(version: Version) -> str:
     """Return what a version is called in a picture."""
-    return called(version)
+    return display_name(version)
 
 
 def _bars(left: Sequence[Left]) -> Plot:
@@ -143,7 +143,7 @@ def _bars(left: Sequence[Left]) -> Plot:
     values = [[one.numbers[measure] for measure in BARS] for one in left]
     unit, sizes = in_columns(list(zip(*values, strict=True)))
     drawn = Plot(
-        "Errors on the same rows", named("", names), lengths("error", [v for row in values for v in row], zero=True),
+        "Errors on the same rows", category_axis("", names), lengths("error", [v for row in values for v in row], zero=True),
         height=280.0, description="Mean, 95th percentile and largest error of each version on the rows chosen.",
         table=([f"error, {unit}", *(one.name for one in left)],
                [[name, *row] for name, row in zip(names, sizes, strict=True)]),

@@ -10,7 +10,7 @@ from kilter_core.errors import CoreError
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import Version
 from kilter_service.ground.db import Database
-from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
+from kilter_service.page.shared.accuracy import Accuracy, accuracy_from_metrics
 from kilter_service.robots import service as robots
 from kilter_service.robots.compensation import sentence
 from kilter_service.robots.exporters.registry import FORMATS
@@ -81,19 +81,28 @@ def correction_ahead(database: Database, version_id: str, temperature_c: float |
     etag = tag_of_robot(database, found.robot)  # before the rest: what changes meanwhile is refused later
     robot = robots.get(database, found.robot)
     active = None if robot.active_version is None else service.get(database, robot.active_version)
-    preview, failed = _previewed(database, version_id, temperature_c)
+    preview, failed = _try_preview(database, version_id, temperature_c)
     units = ["mm" if joint.kind == "prismatic" else "°" for joint in robot.joints]
     largest_at, refused = ([], {}) if preview is None else (preview.largest_at or [], preview.refused)
     angles = zip(robot.joints, largest_at, units, strict=False)
     return Ahead(
-        found, accuracy_of(found.metrics), active, None if active is None else accuracy_of(active.metrics), preview, failed,
-        [(joint.name, f"{value:.1f} {unit}" if unit == "mm" else f"{value:.1f}{unit}") for joint, value, unit in angles],
-        [(count, REFUSED.get(why, why.lower().replace("_", " "))) for why, count in refused.items()], etag,
+        found,
+        accuracy_from_metrics(found.metrics),
+        active,
+        None if active is None else accuracy_from_metrics(active.metrics),
+        preview,
+        failed,
+        [
+            (joint.name, f"{value:.1f} {unit}" if unit == "mm" else f"{value:.1f}{unit}")
+            for joint, value, unit in angles
+        ],
+        [(count, REFUSED.get(why, why.lower().replace("_", " "))) for why, count in refused.items()],
+        etag,
         sentence(found.robot, robot.controller_compensation),
-    )  # fmt: skip
+    )
 
 
-def _previewed(database: Database, version_id: str, temperature_c: float | None) -> tuple[VersionPreview | None, str]:
+def _try_preview(database: Database, version_id: str, temperature_c: float | None) -> tuple[VersionPreview | None, str]:
     """The preview, or why there is none."""
     try:
         return preview(database, version_id, temperature_c), ""
@@ -114,7 +123,7 @@ def back(database: Database, robot: str, temperature_c: float | None) -> Ahead:
         ServiceError: there is no version to go back to.
 
     """
-    return correction_ahead(database, activation.before(database, robot), temperature_c)
+    return correction_ahead(database, activation.rollback_target(database, robot), temperature_c)
 
 
 def exports(database: Database, version_id: str) -> list[Download]:
@@ -125,6 +134,6 @@ def exports(database: Database, version_id: str) -> list[Download]:
 def _download(database: Database, version_id: str, name: str) -> Download:
     words = NAMES.get(name, name)
     try:
-        return Download(name, words, service.exported(database, version_id, name).notes)
+        return Download(name, words, service.export_version(database, version_id, name).notes)
     except CoreError as error:  # a format that cannot hold this arm
         return Download(name, words, (), error.message)

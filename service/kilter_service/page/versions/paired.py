@@ -12,7 +12,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.wire import to_mm
 from kilter_service.page.figures.plot import BLUE, SKY, Plot
 from kilter_service.page.figures.scale import around
-from kilter_service.page.words import beside, in_columns, largest
+from kilter_service.page.words import format_in_largest_unit, in_columns, largest
 from kilter_service.versions.predictions import places as measured
 from kilter_service.versions.predictions.paired import Pairs
 
@@ -74,7 +74,7 @@ def _map(
     ):
         part = np.flatnonzero((gain > 0) == better)
         if len(part):
-            told = [f"{beside(abs(gain[k]), most)} {'less' if better else 'more'} left" for k in part]
+            told = [f"{format_in_largest_unit(abs(gain[k]), most)} {'less' if better else 'more'} left" for k in part]
             plot.points(
                 at[part, across].tolist(),
                 at[part, up].tolist(),

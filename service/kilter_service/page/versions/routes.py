@@ -13,7 +13,7 @@ from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import contributions
 from kilter_service.page.shared.in_names import in_names
 from kilter_service.page.shared.lists import Asked
-from kilter_service.page.shell import redirect, render, root_of
+from kilter_service.page.shell import get_root_path, redirect, render
 from kilter_service.page.versions import by_factor, comparison, looking_ahead, service, workspace
 from kilter_service.versions import activation
 from kilter_service.versions.if_match import Expected
@@ -28,7 +28,7 @@ Tag = Annotated[str, Form(max_length=LONGEST_TAG)]
 @router.get("/robots/{robot}/versions")
 def history(robot: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show the versions of a robot and who activated them."""
-    asked, log = Asked.of(request, ("state",)), Asked.of(request, page=service.LOG)
+    asked, log = Asked.from_request(request, ("state",)), Asked.from_request(request, page=service.LOG)
     return render(request, "versions/history.html", shown=service.history(database, robot, asked, log))
 
 
@@ -40,7 +40,7 @@ def chosen(
     """Compare versions that were ticked: two of them in full, of more each with the first, many rows once asked for."""
     wanted = list(dict.fromkeys(version or []))
     if len(wanted) == 2:
-        return redirect(request, f"{root_of(request)}/versions/{wanted[0]}/compare/{wanted[1]}")
+        return redirect(request, f"{get_root_path(request)}/versions/{wanted[0]}/compare/{wanted[1]}")
     return render(
         request, "versions/several.html", robot=robot, several=comparison.several(database, robot, wanted, rows)
     )
@@ -66,7 +66,7 @@ def effects(version: str, request: Request, database: DatabaseOfApp) -> HTMLResp
 
 
 @router.get("/versions/{version}/workspace")
-def where(version: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
+def show_workspace(version: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
     """Show where a version corrects, damps and refuses."""
     shown = workspace.reach_shown(database, version, settings.temperature_c)
     return render(request, "versions/workspace.html", shown=shown)
@@ -109,7 +109,7 @@ def activate(
             raise
         said = [in_names(database, str(one["message"])) for one in error.context["objections"]]
         return render(request, "versions/refused.html", 409, version=version, etag=etag, said=said)
-    return redirect(request, f"{root_of(request)}/robots/{done.robot}/versions")
+    return redirect(request, f"{get_root_path(request)}/robots/{done.robot}/versions")
 
 
 @router.get("/robots/{robot}/rollback")
@@ -125,7 +125,7 @@ def roll_back(
 ) -> Response:
     """Go back to the version before."""
     done = activation.rollback(database, robot, actor, settings.temperature_c, Expected((etag,)))
-    return redirect(request, f"{root_of(request)}/robots/{done.robot}/versions")
+    return redirect(request, f"{get_root_path(request)}/robots/{done.robot}/versions")
 
 
 @router.get("/versions/{a}/compare/{b}")

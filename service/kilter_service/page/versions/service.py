@@ -11,14 +11,14 @@ from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.today import Today
 from kilter_service.contract.versions import Activation, Version, VersionSummary
-from kilter_service.ground.called import called
+from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.paging import Page
 from kilter_service.page.figures.plot import GREY, Plot
-from kilter_service.page.figures.scale import lengths, named
-from kilter_service.page.shared.accuracy import Accuracy, accuracy_of
+from kilter_service.page.figures.scale import category_axis, lengths
+from kilter_service.page.shared.accuracy import Accuracy, accuracy_from_metrics
 from kilter_service.page.shared.in_names import objections_in_names
-from kilter_service.page.shared.lists import Asked, Part, part
+from kilter_service.page.shared.lists import Asked, Part, select_page
 from kilter_service.page.shared.masses import of_a_mass
 from kilter_service.page.words import in_columns
 from kilter_service.robots import service as robots
@@ -76,32 +76,32 @@ class Shown:
 def history(database: Database, robot: str, asked: Asked, log: Asked) -> History:
     """Return the versions of a robot that the address asks for, those that are retired too: the lineage has them."""
     found = [
-        Listed(one, accuracy_of(one.metrics))
+        Listed(one, accuracy_from_metrics(one.metrics))
         for one in service.list_versions(database, robot, Page(), with_retired=True).versions
     ]
     entries = service.activations(database, robot, Page()).activations
-    shown = part(entries, log, lambda _: "", {}, named=LOG)
+    shown = select_page(entries, log, lambda _: "", {}, named=LOG)
     named = [
         one.model_copy(update={"objections": objections_in_names(database, one.objections)}) for one in shown.shown
     ]
     return History(
-        robots.get(database, robot), _part(found, asked), replace(shown, shown=named),
+        robots.get(database, robot), _select_versions_page(found, asked), replace(shown, shown=named),
         tag_of_robot(database, robot), errors_by_version(found),
         next((one.version for one in found if one.version.active), None), entries[0] if entries else None,
-        {one.version.id: called(one.version) for one in found}, today.of_robot(database, robot).sentences[0],
+        {one.version.id: display_name(one.version) for one in found}, today.of_robot(database, robot).sentences[0],
     )  # fmt: skip
 
 
-def _part(found: Sequence[Listed], asked: Asked) -> Part[Listed]:
+def _select_versions_page(found: Sequence[Listed], asked: Asked) -> Part[Listed]:
     def state(one: Listed) -> str:
         return "active" if one.version.active else "retired" if one.version.retired_at else "other"
 
-    return part(
+    return select_page(
         found,
         asked,
         lambda one: f"{one.version.name} {one.version.id} {one.version.notes} {' '.join(one.version.effects)}",
         {
-            "name": lambda one: called(one.version),
+            "name": lambda one: display_name(one.version),
             "made": lambda one: one.version.created_at,
             "error": lambda one: one.accuracy.mean if one.accuracy else None,
         },
@@ -122,9 +122,17 @@ def version(database: Database, version_id: str) -> Shown:
     rest = sorted((one for one in others if one.id != version_id), key=lambda one: not one.active)
     now = today.of_robot(database, found.robot) if found.active else None
     odd = suspicious.of_campaigns(database, (used.id for used in found.campaigns))
-    parent = "" if found.parent_id is None else called(service.get(database, found.parent_id))
+    parent = "" if found.parent_id is None else display_name(service.get(database, found.parent_id))
     return Shown(
-        found, accuracy_of(found.metrics), tag_of_robot(database, found.robot), known, unseen, rest, odd, now, parent
+        found,
+        accuracy_from_metrics(found.metrics),
+        tag_of_robot(database, found.robot),
+        known,
+        unseen,
+        rest,
+        odd,
+        now,
+        parent,
     )
 
 
@@ -140,7 +148,7 @@ def errors_by_version(found: Sequence[Listed]) -> Plot | None:
     unit, sizes = in_columns([[mean, *both] for mean, both in zip(means, ends, strict=True)])
     table = [[name, mean, f"{low} to {high}"] for name, (mean, low, high) in zip(names, sizes, strict=True)]
     drawn = Plot(
-        "Held-out error of each version", named("version, oldest first", names),
+        "Held-out error of each version", category_axis("version, oldest first", names),
         lengths("mean error", [0.0, *means, *(high for _, high in ends)], zero=True), height=260.0,
         description="A bar for each version, with the 95 % interval of its mean error on the poses held out of its own fit.",
         table=(["version", f"mean error, {unit}", f"95 % interval, {unit}"], table),

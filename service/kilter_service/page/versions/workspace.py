@@ -55,7 +55,12 @@ def reach_shown(database: Database, version_id: str, temperature_c: float | None
     left = [_most(found.left[words == word]) for word in order]
     most = largest([*left, to_mm(REACHED_M)])
     rows = [
-        (_state_words(word), percent(float((words == word).mean())), int((words == word).sum()), _left(one, most))
+        (
+            _state_words(word),
+            percent(float((words == word).mean())),
+            int((words == word).sum()),
+            _format_left_error(one, most),
+        )
         for word, one in zip(order, left, strict=True)
     ]
     out = to_mm(np.hypot(seen.points[:, 0], seen.points[:, 1]))
@@ -80,7 +85,7 @@ def _most(left: Floats) -> float | None:
     return None if np.isnan(left).all() else to_mm(float(np.nanmax(left)))
 
 
-def _left(left: float | None, most: float | None) -> str:
+def _format_left_error(left: float | None, most: float | None) -> str:
     """Write it in the unit of the most; to less than a micrometre nothing is computed."""
     least = to_mm(REACHED_M)
     return bare(left, most) if left is None or left >= least else f"below {bare(least, most)}"

@@ -103,14 +103,14 @@ def change_comments(table: ClosestTable, joints: Sequence[Joint], known: KnownZe
     else:
         yield "Numbers, nominal and exported; what the measurements do not tell is as the version has it, which is nominal."
     for change in changes(table, joints):
-        numbers = f"nominal={_plain(change.nominal)} exported={_plain(change.exported)}"
-        apart = "" if change.difference is None else f" difference={_plain(change.difference)}"
+        numbers = f"nominal={_format_rounded(change.nominal)} exported={_format_rounded(change.exported)}"
+        apart = "" if change.difference is None else f" difference={_format_rounded(change.difference)}"
         yield f"number {_word(change.where)} {change.name} {numbers}{apart}"
     yield ZERO_SIGN
     yield ZERO_STATES
     for one in zero_offsets(table, joints, known):
-        half = "" if math.isnan(one.half_width) else f" half_width_{one.unit}={_plain(one.half_width)}"
-        yield f"zero_offset {_word(one.joint)} {one.unit}={_plain(one.offset)}{half} state={one.state}"
+        half = "" if math.isnan(one.half_width) else f" half_width_{one.unit}={_format_rounded(one.half_width)}"
+        yield f"zero_offset {_word(one.joint)} {one.unit}={_format_rounded(one.offset)}{half} state={one.state}"
 
 
 def _of_frame(where: str, nominal: NDArray[np.float64], exported: NDArray[np.float64]) -> Iterator[Change]:
@@ -126,7 +126,7 @@ def _of_frame(where: str, nominal: NDArray[np.float64], exported: NDArray[np.flo
     yield Change(where, "rotation_deg", 0.0, angle, angle)
 
 
-def _plain(value: float) -> str:
+def _format_rounded(value: float) -> str:
     """A number for a person: a millionth of a millimetre or degree is rounding."""
     return f"{round(value, 6) + 0.0:.6f}".rstrip("0").rstrip(".")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kilter_core.correct.file import to_bytes
 from kilter_core.correct.program import CorrectionProgram, compile_program
-from kilter_service.ground.correction_limits import options_of
+from kilter_service.ground.correction_limits import correction_options
 from kilter_service.ground.left_out import sentence, where_sentences
 from kilter_service.robots.exporters.exportable import Exportable, Written
 
@@ -35,7 +35,8 @@ def c_source(version: Exportable) -> Written:
     lines = [", ".join(map(str, content[at : at + BYTES_A_LINE])) for at in range(0, len(content), BYTES_A_LINE)]
     text = "\n".join(
         (
-            f"/* Version {version.version.id} of {_plain(version.version.robot)}, with the code that corrects by it. Load it:",
+            f"/* Version {version.version.id} of {_escape_c_comment(version.version.robot)}, with the code that "
+            "corrects by it. Load it:",
             " *     kc_load(&corrector, kc_program, sizeof kc_program, memory, doubles, 0);",
             " * Other files that call it take kilter_corrector.h, which is the first part of this one. */",
             header,
@@ -53,7 +54,7 @@ def c_source(version: Exportable) -> Written:
 
 def _program(version: Exportable) -> CorrectionProgram:
     # Nobody states the arm's temperature in a file: thermal growth is named in the notes instead.
-    return compile_program(version.calibration, options_of(version.version.limits, None, rules=version.rules))
+    return compile_program(version.calibration, correction_options(version.version.limits, None, rules=version.rules))
 
 
 def _file(version: Exportable, program: CorrectionProgram) -> bytes:
@@ -69,7 +70,7 @@ def _notes(program: CorrectionProgram) -> tuple[str, ...]:
     return (never, *(f"`kilter correct` does more. {where}" for where in where_sentences(program.where_stated)))
 
 
-def _plain(text: str) -> str:
+def _escape_c_comment(text: str) -> str:
     """A name within a comment of C."""
     return text.replace("*/", "* /").replace("\n", " ")
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kilter_core.arm.conversions.screws import Screws
-from kilter_core.model.closest_table import Loss, at_rest, geometry_loss, workspace
+from kilter_core.model.closest_table import Loss, acts_at_rest, geometry_loss, workspace
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
@@ -38,7 +38,7 @@ def masses_as_stated(robot: Robot) -> tuple[str, ...]:
 
 def displacements_mm(calibration: Calibration) -> dict[str, tuple[float, float]]:
     """Root mean square and largest displacement (mm) of the tool by each effect, over the workspace at rest."""
-    kept = calibration.with_effects([effect for effect in calibration.model.effects if at_rest(effect)])
+    kept = calibration.with_effects([effect for effect in calibration.model.effects if acts_at_rest(effect)])
     found = kept.model.contribution(workspace(calibration.robot), kept.values)
     moved = {name.partition("#")[0]: np.linalg.norm(d, axis=1) * 1e3 for name, d in found.items()}
     return {name: (float(np.sqrt(np.mean(d**2))), float(d.max())) for name, d in moved.items()}

@@ -31,7 +31,9 @@ def ur_yaml(version: Exportable) -> Written:
     if len(flange) != 6 or flange.prismatic.any():
         raise RobotError("The YAML of Universal Robots is for six revolute joints: take urdf or mdh-csv.")
     before = _first_parent(version)
-    frames = _with_the_flange(joint_frames(_level_with_the_flange(flange.moved(inverse(before), np.eye(4)))))
+    frames = _with_the_flange(
+        joint_frames(_level_with_the_flange(flange.compose_with_poses(inverse(before), np.eye(4))))
+    )
     tool = frames.end @ wanted_tool(calibration)
     notes = (*omissions(calibration, arm_screws(calibration)), *_tool_note(frames.end, tool))
     notes = (*notes, "The driver compares the hash with the arm's own and will say that they differ: they should.")

@@ -25,7 +25,9 @@ def urdf_file(version: Exportable) -> Written:
     """Write the URDF; a comment at its head has what geometry cannot say."""
     notes = omissions(version.calibration)
     if version.robot["convention"] == "urdf":
-        root = _corrected(version.robot, flange_frames(version.calibration), version.calibration.robot.chain.driven)
+        root = _correct_original_urdf(
+            version.robot, flange_frames(version.calibration), version.calibration.robot.chain.driven
+        )
     else:
         root = new_urdf(version.version.robot, version.calibration)
     head = [f" Calibrated by Kilter: version {version.version.id} of robot {version.version.robot}.", *notes]
@@ -34,7 +36,7 @@ def urdf_file(version: Exportable) -> Written:
     return Written('<?xml version="1.0"?>\n' + tostring(root, encoding="unicode") + "\n", notes)
 
 
-def _corrected(robot: dict[str, str], found: FlangeFrames, driven: tuple[int, ...]) -> Element:
+def _correct_original_urdf(robot: dict[str, str], found: FlangeFrames, driven: tuple[int, ...]) -> Element:
     """The original file, comments and all, with the origins of the chain's joints replaced."""
     root = read_xml(robot["urdf"], comments=True)
     path = parse(robot["urdf"]).path(robot["base_link"], robot["tip_link"])

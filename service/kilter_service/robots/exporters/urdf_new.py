@@ -34,7 +34,7 @@ def new_urdf(name: str, calibration: Calibration) -> Element:
     """
     robot, screws = calibration.robot, core_geometry.flange_screws(calibration)
     leader = _leaders(robot, screws)
-    turned = _reversed(screws, leader)
+    turned = _normalise_leading_axes(screws, leader)
     frames = core_conversions.joint_frames(turned)
     root = Element("robot", name=name)
     SubElement(root, "link", name="base_link")
@@ -51,8 +51,8 @@ def new_urdf(name: str, calibration: Calibration) -> Element:
         SubElement(root[-1], "mimic", joint=joint.name, multiplier=repr(ratio), offset="0")
     if robot.has_masses:
         _add_masses(root, robot, calibration, frames, leader)
-    _fixed(root, parent, "flange", frames.end)
-    _fixed(root, "flange", "tool", core_geometry.wanted_tool(calibration))
+    _add_fixed_joint(root, parent, "flange", frames.end)
+    _add_fixed_joint(root, "flange", "tool", core_geometry.wanted_tool(calibration))
     return root
 
 
@@ -69,7 +69,7 @@ def _leaders(robot: Robot, screws: Screws) -> dict[int, int]:
     return leaders
 
 
-def _reversed(screws: Screws, leader: dict[int, int]) -> Screws:
+def _normalise_leading_axes(screws: Screws, leader: dict[int, int]) -> Screws:
     """Axes reversed where needed, so that the leading axis of each joint has ratio 1."""
     direction, ratio = screws.direction.copy(), screws.ratio.copy()
     for k in leader.values():
@@ -102,7 +102,7 @@ def _follower(leader: Joint, k: int, slides: bool, ratio: float) -> Joint:
     return replace(leader, name=f"{leader.name}_follower_{k + 1}", kind=kind, lower=lower, upper=upper)
 
 
-def _fixed(root: Element, parent: str, child: str, T: Floats) -> None:
+def _add_fixed_joint(root: Element, parent: str, child: str, T: Floats) -> None:
     SubElement(root, "link", name=child)
     element = SubElement(root, "joint", name=f"{child}_joint", type="fixed")
     SubElement(element, "parent", link=parent)

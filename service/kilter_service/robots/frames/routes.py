@@ -14,4 +14,4 @@ router = APIRouter(prefix="/v1/frames", tags=["frames"], route_class=GuardedRout
 @router.post("")
 def make(frame: NewFrame) -> Frame:
     """Find a frame from digitised points: known points measured again, or a plane, a line in it and an origin."""
-    return service.found(frame)
+    return service.find_frame(frame)

@@ -8,7 +8,7 @@ from kilter_service.ground.core import reference_frame
 from kilter_service.robots.frames import wire
 
 
-def found(frame: NewFrame) -> Frame:
+def find_frame(frame: NewFrame) -> Frame:
     """Find the frame.
 
     Raises:

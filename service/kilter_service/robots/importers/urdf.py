@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.errors import RobotError
 from kilter_core.types import Floats
 from kilter_service.contract.units import MAX_ELEMENTS, MAX_JOINTS
-from kilter_service.robots.importers.urdf_masses import in_frame, merged
+from kilter_service.robots.importers.urdf_masses import in_frame, merge_rigid_links
 from kilter_service.robots.importers.urdf_spares import spares
 from kilter_service.robots.importers.urdf_tree import FREE, MOVING, Body, UrdfJoint, UrdfTree, parse
 
@@ -194,7 +194,7 @@ def _primary(chain: _Chain, drivers: list[str]) -> list[int]:
 def _bodies(tree: UrdfTree, path: list[UrdfJoint], chain: _Chain) -> dict[int, Body]:
     """Return what moves rigidly with each joint element, in the frame right after it."""
     on_path = {joint.name for joint in path if joint.moves}
-    return {k: in_frame(T, merged(tree, link, on_path)) for k, T, link in chain.frames}
+    return {k: in_frame(T, merge_rigid_links(tree, link, on_path)) for k, T, link in chain.frames}
 
 
 def _followers(bodies: dict[int, Body], primary: list[int]) -> list[Item]:

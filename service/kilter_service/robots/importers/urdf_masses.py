@@ -10,7 +10,7 @@ from kilter_core.types import Floats
 from kilter_service.robots.importers.urdf_tree import FREE, Body, UrdfTree
 
 
-def merged(tree: UrdfTree, link: str, cut: Container[str]) -> Body:
+def merge_rigid_links(tree: UrdfTree, link: str, cut: Container[str]) -> Body:
     """Return the body of ``link`` and all that hangs on it without a joint of ``cut`` in between, joints at zero."""
     body = tree.bodies[link]
     for T, other in hanging(tree, link, cut):

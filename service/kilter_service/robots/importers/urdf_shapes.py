@@ -13,7 +13,7 @@ from kilter_core.types import Floats
 from kilter_service.ground.core import transforms
 from kilter_service.robots.importers.urdf import chain_document
 from kilter_service.robots.importers.urdf_masses import hanging
-from kilter_service.robots.importers.urdf_tree import numbers, parse, rpy_of
+from kilter_service.robots.importers.urdf_tree import numbers, parse, parse_rpy
 from kilter_service.robots.importers.xml_text import read_xml
 
 if TYPE_CHECKING:
@@ -63,17 +63,17 @@ def link_shapes(text: str, base_link: str, tip_link: str) -> LinkShapes:
             if not name and shapes[other]:
                 found.left_out.append(other)
             elif name:
-                found.shapes.extend((name, other, _moved(below, shape)) for shape in shapes[other])
+                found.shapes.extend((name, other, _transform_shape(below, shape)) for shape in shapes[other])
     return found
 
 
-def _moved(T: Floats, shape: Shape) -> Shape:
+def _transform_shape(T: Floats, shape: Shape) -> Shape:
     return Shape(shape.kind, T @ shape.pose, shape.file, shape.scale, shape.size)
 
 
 def _shapes(text: str) -> dict[str, list[Shape]]:
     links = read_xml(text).findall("link")
-    found = {str(link.get("name")): [*_of(link)] for link in links}
+    found = {str(link.get("name")): [*_parse_link_shapes(link)] for link in links}
     if sum(map(len, found.values())) > MOST:
         raise RobotError(
             f"The URDF draws more than {MOST} shapes: leave out what is not part of the arm.", field="urdf"
@@ -81,11 +81,11 @@ def _shapes(text: str) -> dict[str, list[Shape]]:
     return found
 
 
-def _of(link: Element) -> Iterator[Shape]:
+def _parse_link_shapes(link: Element) -> Iterator[Shape]:
     place = f"link {link.get('name')}"
     for visual in link.findall("visual"):
         origin, geometry = visual.find("origin"), visual.find("geometry")
-        pose = transforms.pose_from_xyz_rpy(numbers(origin, "xyz", (0, 0, 0), place), rpy_of(origin, place))
+        pose = transforms.pose_from_xyz_rpy(numbers(origin, "xyz", (0, 0, 0), place), parse_rpy(origin, place))
         for one in [] if geometry is None else geometry:
             if one.tag == "mesh":
                 file = one.get("filename") or ""

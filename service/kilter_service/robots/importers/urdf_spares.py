@@ -29,7 +29,10 @@ def spares(path: Sequence[UrdfJoint]) -> frozenset[str]:
     for k, joint in enumerate(path):
         before = [(one, way @ joint.origin) for one, way in before]
         if joint.moves:
-            said = [*_by_itself(joint, last=k == last), *(twist for one in before for twist in _by_one_before(*one))]
+            said = [
+                *_by_itself(joint, last=k == last),
+                *(twist for one in before for twist in _twists_of_earlier_joint(*one)),
+            ]
             kept = _independent(_constants(joint), np.array(said).reshape(-1, 6).T)
             out += [f"{joint.name}_{suffix}" for n, suffix in enumerate(SUFFIXES) if n not in kept]
             # Prismatic joints in a row only shift: each of their zero offsets is the same shift behind all of them.
@@ -58,7 +61,7 @@ def _by_itself(joint: UrdfJoint, *, last: bool) -> Iterator[Floats]:
             yield np.r_[axis, 0.0, 0.0, 0.0]
 
 
-def _by_one_before(before: UrdfJoint, T: Floats) -> Iterator[Floats]:
+def _twists_of_earlier_joint(before: UrdfJoint, T: Floats) -> Iterator[Floats]:
     """Twist (6,) in a frame at ``T`` (4, 4) behind a joint that this joint's zero offset says."""
     if before.mimic is not None:
         return

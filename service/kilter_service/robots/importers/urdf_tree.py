@@ -276,7 +276,7 @@ def numbers(element: Element | None, attribute: str, default: tuple[float, ...],
     return values
 
 
-def rpy_of(origin: Element | None, place: str) -> Floats:
+def parse_rpy(origin: Element | None, place: str) -> Floats:
     """Roll, pitch, yaw (3,) rad of an origin, which may have a unit quaternion ``quat_xyzw`` instead.
 
     Raises:
@@ -305,7 +305,7 @@ def _body(link: Element) -> Body:
     if inertial is None:
         return Body()
     origin, tensor = inertial.find("origin"), inertial.find("inertia")
-    T = transforms.pose_from_xyz_rpy(numbers(origin, "xyz", (0, 0, 0), place), rpy_of(origin, place))
+    T = transforms.pose_from_xyz_rpy(numbers(origin, "xyz", (0, 0, 0), place), parse_rpy(origin, place))
     six = [float(numbers(tensor, f"i{pair}", (0,), place)[0]) for pair in ("xx", "yy", "zz", "xy", "xz", "yz")]
     mass = float(numbers(inertial.find("mass"), "value", (0,), place)[0])
     return Body(mass, T[:3, 3], T[:3, :3] @ symmetric(six) @ T[:3, :3].T)
@@ -337,7 +337,7 @@ def _joint(element: Element) -> UrdfJoint:
         parent=str(parent.get("link")),
         child=str(child.get("link")),
         xyz=numbers(origin, "xyz", (0, 0, 0), place),
-        rpy=rpy_of(origin, place),
+        rpy=parse_rpy(origin, place),
         axis=_axis(element, place) if kind in MOVING else np.array([1.0, 0.0, 0.0]),
         lower=_limit(limit, "lower", place) if bounded else -math.inf,
         upper=_limit(limit, "upper", place) if bounded else math.inf,

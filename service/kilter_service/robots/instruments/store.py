@@ -63,7 +63,7 @@ def of_names(session: Session, names: Collection[str]) -> dict[str, Instrument]:
 
 def instruments_on_page(session: Session, page: Page) -> list[Instrument]:
     """Return instruments by name, one more than the page shows."""
-    query = select(InstrumentRow).order_by(InstrumentRow.name).limit(page.fetched)
+    query = select(InstrumentRow).order_by(InstrumentRow.name).limit(page.fetch_limit)
     if page.name is not None:
         query = query.where(InstrumentRow.name > page.name)
     return [_instrument(row) for row in session.execute(query).scalars()]

@@ -32,15 +32,15 @@ def triangles(content: bytes, form: str) -> Triangles:
     """
     found = np.array(list(_obj(_text(content))) if form == "obj" else _stl(content), dtype=np.float64).reshape(-1, 3, 3)
     if not len(found):
-        raise refused("it has no triangle")
+        raise invalid_mesh_error("it has no triangle")
     if not np.isfinite(found).all() or np.abs(found).max() > MAX_COORDINATE:
-        raise refused(f"a coordinate is not a number, or beyond {MAX_COORDINATE:g}")
+        raise invalid_mesh_error(f"a coordinate is not a number, or beyond {MAX_COORDINATE:g}")
     if not np.ptp(found.reshape(-1, 3), axis=0).max() > 0.0:
-        raise refused("all its corners are the same point")
+        raise invalid_mesh_error("all its corners are the same point")
     return found
 
 
-def refused(why: str) -> ServiceError:
+def invalid_mesh_error(why: str) -> ServiceError:
     """Return the refusal of a file."""
     return ServiceError(
         f"This cannot be a mesh: {why}. Write it again as STL or OBJ with triangles.", code="mesh_invalid"
@@ -56,7 +56,7 @@ def _stl(content: bytes) -> Sequence[float] | Triangles:
         return np.asarray(np.frombuffer(content, record, count, HEADER)["corners"], dtype=np.float64)
     if content.lstrip()[:5].lower() == b"solid":
         return list(_text_stl(_text(content)))
-    raise refused(
+    raise invalid_mesh_error(
         f"it says {max(count, 0)} triangles, which are {HEADER + RECORD * max(count, 0)} bytes, and has {len(content)}"
     )
 
@@ -65,7 +65,7 @@ def _text(content: bytes) -> Iterator[tuple[int, list[str]]]:
     try:
         lines = content.decode("utf-8").splitlines()
     except UnicodeDecodeError as error:
-        raise refused("it is neither a binary STL nor text") from error
+        raise invalid_mesh_error("it is neither a binary STL nor text") from error
     for number, line in enumerate(lines, 1):
         if words := line.split("#", 1)[0].split():
             yield number, words
@@ -80,9 +80,9 @@ def _text_stl(lines: Iterator[tuple[int, list[str]]]) -> Iterator[float]:
             _check_count(corners // 3)
             yield from _point(number, words[1:])
         elif first == "endloop" and corners % 3:
-            raise refused(f"the face that ends in line {number} has other than three corners")
+            raise invalid_mesh_error(f"the face that ends in line {number} has other than three corners")
     if corners % 3:
-        raise refused("its last face has other than three corners")
+        raise invalid_mesh_error("its last face has other than three corners")
 
 
 def _obj(lines: Iterator[tuple[int, list[str]]]) -> Iterator[float]:
@@ -94,7 +94,9 @@ def _obj(lines: Iterator[tuple[int, list[str]]]) -> Iterator[float]:
         elif words[0] == "f":
             corners = [_corner(number, word, points) for word in words[1 : MAX_CORNERS + 2]]
             if not 3 <= len(corners) <= MAX_CORNERS:
-                raise refused(f"the face in line {number} has fewer than 3 corners or more than {MAX_CORNERS}")
+                raise invalid_mesh_error(
+                    f"the face in line {number} has fewer than 3 corners or more than {MAX_CORNERS}"
+                )
             count += len(corners) - 2
             _check_count(count)
             for second, third in pairwise(corners[1:]):
@@ -109,7 +111,7 @@ def _corner(number: int, word: str, points: list[list[float]]) -> list[float]:
         place = int(text)
         return points[place - 1 if place > 0 else place] if place else points[len(points)]
     except (ValueError, IndexError):
-        raise refused(f"line {number} names point {text[:20]!r}, and {len(points)} came before") from None
+        raise invalid_mesh_error(f"line {number} names point {text[:20]!r}, and {len(points)} came before") from None
 
 
 def _point(number: int, words: Sequence[str]) -> list[float]:
@@ -118,10 +120,10 @@ def _point(number: int, words: Sequence[str]) -> list[float]:
     except ValueError:
         found = []
     if len(found) != 3 or not all(math.isfinite(value) for value in found):
-        raise refused(f"line {number} has no three numbers")
+        raise invalid_mesh_error(f"line {number} has no three numbers")
     return found
 
 
 def _check_count(count: int) -> None:
     if count > MAX_TRIANGLES:
-        raise refused(f"it has more than {MAX_TRIANGLES} triangles: simplify it")
+        raise invalid_mesh_error(f"it has more than {MAX_TRIANGLES} triangles: simplify it")

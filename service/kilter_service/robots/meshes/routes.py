@@ -13,7 +13,7 @@ from kilter_service.web.auth.access import Admin
 from kilter_service.web.bodies import MESH, spool_upload
 from kilter_service.web.concurrency import compute
 from kilter_service.web.conditional import ConditionalRoute
-from kilter_service.web.state import DatabaseOfApp, scratch_of
+from kilter_service.web.state import DatabaseOfApp, get_scratch
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)
 FILE = {"schema": {"type": "string", "format": "binary"}}
@@ -37,9 +37,9 @@ async def put(
     robot: str, link: str, request: Request, database: DatabaseOfApp, _: Admin, unit: MeshUnit = "mm"
 ) -> Mesh:
     """Give a link its shape (STL or OBJ), in the frame in which its mass is given; it is drawn only."""
-    form = service.form_of(request.headers.get("content-type", ""))
+    form = service.format_from_content_type(request.headers.get("content-type", ""))
     await run_in_threadpool(service.check_link, database, robot, link)
-    with scratch_of(request).folder_for("mesh") as folder:
+    with get_scratch(request).folder_for("mesh") as folder:
         path = folder / "body"
         sha256 = await spool_upload(request, path, MAX_MESH_MB, MESH)
         check_digest(request.headers, sha256)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from kilter_service.contract.meshes import Mesh, MeshList, MeshUnit, UrdfShape, UrdfShapes
 from kilter_service.ground.db import Database
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.wire import to_mm
 from kilter_service.robots import store as robots
@@ -26,7 +26,7 @@ BASE = "base"
 MEDIA: dict[str, Literal["stl", "obj"]] = {"model/stl": "stl", "model/obj": "obj"}
 
 
-def form_of(header: str) -> Literal["stl", "obj"]:
+def format_from_content_type(header: str) -> Literal["stl", "obj"]:
     """Return the format that a content-type header names.
 
     Raises:
@@ -85,11 +85,11 @@ def put(
 
     """
     content = path.read_bytes()
-    record = MeshRecord(link, form, unit, len(triangles(content, form)), sha256, now())
+    record = MeshRecord(link, form, unit, len(triangles(content, form)), sha256, utc_now())
     with database.transaction() as session:
         robot_id = robots.usable(session, robot).id
         store.put(session, robot_id, record, content)
-        return _shown(robot, store.get(session, robot_id, link)[0])
+        return _mesh_from_record(robot, store.get(session, robot_id, link)[0])
 
 
 def file(database: Database, robot: str, link: str) -> tuple[bytes, str]:
@@ -113,7 +113,7 @@ def list_meshes(database: Database, robot: str) -> MeshList:
         stored = robots.get(session, robot)
         found = {one.link: one for one in store.meshes_of_robot(session, stored.id)}
         order = [BASE, *(joint.name for joint in stored.robot().joints)] if found else []
-    return MeshList(meshes=[_shown(robot, found[link]) for link in order if link in found])
+    return MeshList(meshes=[_mesh_from_record(robot, found[link]) for link in order if link in found])
 
 
 def of_urdf(database: Database, robot: str) -> UrdfShapes:
@@ -132,10 +132,10 @@ def of_urdf(database: Database, robot: str) -> UrdfShapes:
             code="option_invalid",
         )
     found = link_shapes(document["urdf"], document["base_link"], document["tip_link"])
-    return UrdfShapes(shapes=[_placed(*one) for one in found.shapes], left_out=found.left_out)
+    return UrdfShapes(shapes=[_to_urdf_shape(*one) for one in found.shapes], left_out=found.left_out)
 
 
-def _placed(link: str, urdf_link: str, shape: Shape) -> UrdfShape:
+def _to_urdf_shape(link: str, urdf_link: str, shape: Shape) -> UrdfShape:
     transform = shape.pose.copy()
     transform[:3, 3] = to_mm(transform[:3, 3])
     size: dict[str, object] = {"file": shape.file, "scale": shape.scale}
@@ -151,7 +151,7 @@ def remove(database: Database, robot: str, link: str) -> None:
         store.remove(session, robots.get(session, robot).id, link)
 
 
-def _shown(robot: str, record: MeshRecord) -> Mesh:
+def _mesh_from_record(robot: str, record: MeshRecord) -> Mesh:
     return Mesh(
         robot=robot, link=record.link, format=record.format, unit=record.unit, triangles=record.triangles,
         sha256=record.sha256, created_at=record.created_at,

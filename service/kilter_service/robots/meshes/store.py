@@ -5,7 +5,7 @@ from __future__ import annotations
 from sqlalchemy import select
 
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import MeshRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots.meshes.records import MeshRecord
@@ -18,7 +18,7 @@ def put(session: Session, robot_id: int, record: MeshRecord, content: bytes) -> 
         row = MeshRow(robot_id=robot_id, link=record.link)
         session.add(row)
     row.format, row.unit, row.triangles = record.format, record.unit, record.triangles
-    row.sha256, row.content, row.created_at = record.sha256, content, now()
+    row.sha256, row.content, row.created_at = record.sha256, content, utc_now()
     session.flush()
 
 

@@ -48,7 +48,7 @@ def of_robots(session: Session, robots: Collection[int]) -> dict[int, list[Repai
     return out
 
 
-def last(session: Session, robot_id: int) -> Repair | None:
+def last_repair(session: Session, robot_id: int) -> Repair | None:
     """Return the last repair of a robot; None: none is known."""
     return next(reversed(of_robots(session, [robot_id]).get(robot_id, [])), None)
 

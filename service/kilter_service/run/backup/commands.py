@@ -23,7 +23,7 @@ def backup(settings: Settings, arguments: argparse.Namespace) -> None:
     if keep is not None or not arguments.path:
         backup_folder.check_folder(where)
     path, found = service.backup(settings, where)
-    print(f"{path} holds {found.looked_at()}; {found.checked()}.")
+    print(f"{path} holds {found.describe_coverage()}; {found.describe_hash_check()}.")
     if keep is None:
         return
     kept = backup_folder.keep_newest(where, keep)
@@ -36,14 +36,14 @@ def restore(settings: Settings, arguments: argparse.Namespace) -> None:
     """Bring a backup into an empty data folder or database."""
     found = service.restore(settings, Path(arguments.path), accept=arguments.accept)
     print(
-        f"Restored {found.looked_at()}. Secrets are not in a backup: copy the token file, stream-keys.json and the "
+        f"Restored {found.describe_coverage()}. Secrets are not in a backup: copy the token file, stream-keys.json and the "
         "authority of zenoh-config, where they were kept; the first start makes new ones."
     )
 
 
 def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
     """Bring the database to the revision of this Kilter, or say what that would do."""
-    plan = upgrading.planned(settings) if arguments.check else upgrading.upgrade(settings)
+    plan = upgrading.plan_upgrade(settings) if arguments.check else upgrading.upgrade(settings)
     changes = upgrading.planned_changes(settings, plan) if arguments.check else plan.changes
     for change in changes:
         print(upgrading.describe_change(change, plan, done=not arguments.check))
@@ -76,7 +76,7 @@ def verify(settings: Settings, arguments: argparse.Namespace) -> None:
         print(sentence)
     if found.damaged:
         print(
-            f"kilterd: {plural(len(found.damaged), 'finding')} in {found.looked_at()}. Stop the server, move its data "
+            f"kilterd: {plural(len(found.damaged), 'finding')} in {found.describe_coverage()}. Stop the server, move its data "
             "folder away and bring back the newest backup that is whole with `kilterd restore`.",
             file=sys.stderr,
         )

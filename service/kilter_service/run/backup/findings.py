@@ -33,17 +33,17 @@ class Findings:
     def headline(self) -> str:
         """Say that it is whole; of what has no seals, no more than what was compared."""
         if self.sealed:
-            return f"All is whole: {self.looked_at()}; {self.checked()}."
-        hashes = f"Hashes of rows, chunks and versions fit: {self.looked_at()}."
+            return f"All is whole: {self.describe_coverage()}; {self.describe_hash_check()}."
+        hashes = f"Hashes of rows, chunks and versions fit: {self.describe_coverage()}."
         return f"{hashes} It is of a release without seals, so no seal was compared."
 
-    def looked_at(self) -> str:
+    def describe_coverage(self) -> str:
         """Say how much was looked at."""
         campaigns = f"{plural(self.campaigns, 'campaign')} with {plural(self.chunks, 'chunk')}"
         meshes = [plural(self.meshes, "link shape")] if self.meshes else []
         return ", ".join([plural(self.robots, "robot"), campaigns, plural(self.versions, "version"), *meshes])
 
-    def checked(self) -> str:
+    def describe_hash_check(self) -> str:
         """Say which of it was checked by a hash."""
         if self.every_row:
             return "every row of every table has its hash"

@@ -23,7 +23,7 @@ _TABLES = (
 
 def write(path: Path) -> None:
     """Add the manifest to a backup that holds all its rows."""
-    with closing(_opened(path)) as file, file:
+    with closing(_open_with_raw_text(path)) as file, file:
         found = _hashes(file)
         file.execute(f"CREATE TABLE {NAME} (name TEXT PRIMARY KEY, rows INTEGER, sha256 TEXT)")
         file.executemany(INSERT, [(name, *rest) for name, rest in found.items()])
@@ -36,7 +36,7 @@ def compare(path: Path) -> list[str] | None:
         sqlite3.DatabaseError: a page of the file cannot be read.
 
     """
-    with closing(_opened(path)) as file:
+    with closing(_open_with_raw_text(path)) as file:
         listed = {name.decode() for name, _ in file.execute(_TABLES)}
         if NAME not in listed:
             return None
@@ -52,7 +52,7 @@ def compare(path: Path) -> list[str] | None:
 
 def remove(path: Path) -> None:
     """Take the manifest out of a copy that is going to be used."""
-    with closing(_opened(path)) as file, file:
+    with closing(_open_with_raw_text(path)) as file, file:
         file.execute(f"DROP TABLE IF EXISTS {NAME}")
 
 
@@ -62,7 +62,7 @@ def _difference(name: str, written: tuple[int, str], found: tuple[int, str]) -> 
     return f"Table {name} does not have the hash {written[1][:12]} it was written with: at least one of its rows was altered."
 
 
-def _opened(path: Path) -> sqlite3.Connection:
+def _open_with_raw_text(path: Path) -> sqlite3.Connection:
     file = sqlite3.connect(path)
     file.text_factory = bytes  # text that is no longer text is compared, and does not end in an error of decoding
     return file

@@ -48,7 +48,7 @@ def backup(settings: Settings, where: Path) -> tuple[Path, Findings]:
             _copy_file(settings.data / DATABASE_FILE, part)
         else:
             _copy_rows(database, part)
-        found = _checked(part)
+        found = _migrate_and_check(part)
         if found.other_key:
             raise ServiceError(found.other_key, code="seal_key_other")
         _refuse_damaged(found, "The database is damaged, so there is no new backup")
@@ -128,7 +128,7 @@ def verify_stored(settings: Settings, *, quick: bool = False) -> Findings:
                 copy = Path(folder) / "copy.sqlite"
                 private_file(copy)
                 _copy_file(settings.data / DATABASE_FILE, copy)
-                return _checked(copy)
+                return _migrate_and_check(copy)
         return store.check(database, quick=quick)
     except Exception as error:
         return _damage(error)
@@ -164,13 +164,13 @@ def _checked_copy(path: Path, copy: Path) -> Findings:
         manifest.remove(copy)
     except sqlite3.DatabaseError as error:
         return _damage(error)
-    found = _checked(copy)
+    found = _migrate_and_check(copy)
     found.damaged[:0] = altered or []
     found.every_row = altered is not None
     return found
 
 
-def _checked(path: Path) -> Findings:
+def _migrate_and_check(path: Path) -> Findings:
     database = Database(f"sqlite:///{path}")
     try:
         revision.check_known(database)

@@ -24,9 +24,9 @@ from kilter_service.ground.db.sealed import in_parts
 from kilter_service.ground.db.seals import Sealer
 from kilter_service.ground.db.tables import CampaignRow, ChunkRow, MeshRow, RobotRow, UploadRow, VersionRow
 from kilter_service.ground.errors import ServiceError
-from kilter_service.robots.resolved import sha256_of, source_sha256
+from kilter_service.robots.resolved import hash_canonical_json, source_sha256
 from kilter_service.run.backup.findings import Findings
-from kilter_service.web.audit.service import verified
+from kilter_service.web.audit.service import verify_entries
 from kilter_service.web.audit.store import everything
 
 AT_ONCE = 50  # rows that are in memory while a table is copied
@@ -41,10 +41,10 @@ def check(database: Database, *, quick: bool = False) -> Findings:
     Each part has a snapshot of its own: what a damaged page holds cannot be read, what lies on others can.
     """
     found = Findings()
-    _part(database, found, "seals", partial(_whole, database), quick)
+    _check_part(database, found, "seals", partial(_whole, database), quick)
     if not found.other_key:
         for name in seal_check.tables(quick=quick):
-            _part(database, found, f"rows of {name}", partial(_sealed, database, name), quick)
+            _check_part(database, found, f"rows of {name}", partial(_check_table_seals, database, name), quick)
     for part, what in (
         (_schema, "tables and triggers"),
         (_pages, "pages"),
@@ -55,11 +55,11 @@ def check(database: Database, *, quick: bool = False) -> Findings:
         (_versions, "versions"),
         (_meshes, "shapes of links"),
     ):
-        _part(database, found, what, part, quick)
+        _check_part(database, found, what, part, quick)
     return found
 
 
-def _part(database: Database, found: Findings, what: str, part: Part, quick: bool) -> None:
+def _check_part(database: Database, found: Findings, what: str, part: Part, quick: bool) -> None:
     try:
         with database.reading() as session:
             part(session, found, quick)
@@ -76,9 +76,9 @@ def _part(database: Database, found: Findings, what: str, part: Part, quick: boo
         found.add(f"Not all {what} can be read, what one holds is damaged: {error}.")
 
 
-def _sealed(database: Database, name: str, session: Session, found: Findings, _quick: bool) -> None:
+def _check_table_seals(database: Database, name: str, session: Session, found: Findings, _quick: bool) -> None:
     """The rows of a table"""
-    found.damaged.extend(seal_check.altered(session.connection(), database.sealer, name))
+    found.damaged.extend(seal_check.describe_altered_rows(session.connection(), database.sealer, name))
 
 
 def _whole(database: Database, session: Session, found: Findings, _quick: bool) -> None:
@@ -97,7 +97,7 @@ def _schema(session: Session, found: Findings, _quick: bool) -> None:
 def _audit(session: Session, found: Findings, _quick: bool) -> None:
     """The audit"""
     try:
-        verified(everything(session))
+        verify_entries(everything(session))
     except ServiceError as error:
         found.add(error.message)
 
@@ -122,7 +122,7 @@ def _robots(session: Session, found: Findings, _quick: bool) -> None:
     """The robots"""
     for row in session.execute(select(RobotRow).order_by(RobotRow.id)).scalars():
         found.robots += 1
-        if row.chain is not None and sha256_of(row.chain) != row.sha256:
+        if row.chain is not None and hash_canonical_json(row.chain) != row.sha256:
             found.add(f"Robot {row.name!r}: its chain does not have its hash {row.sha256[:12]}.")
         if row.source_sha256 and source_sha256(row.document) != row.source_sha256:
             found.add(f"Robot {row.name!r}: the document it was posted as does not have its hash.")
@@ -178,7 +178,7 @@ def _versions(session: Session, found: Findings, _quick: bool) -> None:
         content: dict[str, Any] = {"calibration": row.calibration, "limits": row.limits}
         if row.hash_scheme > 1:
             content["robot"] = row.robot_sha256
-        if sha256_of(content) != row.sha256:
+        if hash_canonical_json(content) != row.sha256:
             found.add(f"Version {row.id}: its content does not have its hash {row.sha256[:12]}.")
         for used in row.campaigns:
             if gone := [sha256 for sha256 in used["sha256"] if (used["id"], sha256) not in uploads]:
@@ -215,7 +215,9 @@ def seal(database: Database, *, accept: bool) -> list[str]:
         if not before or not other:
             old = Sealer() if other else database.sealer
             found += seal_check.whole_altered(connection, old)
-            found += [one for name in seal_check.tables() for one in seal_check.altered(connection, old, name)]
+            found += [
+                one for name in seal_check.tables() for one in seal_check.describe_altered_rows(connection, old, name)
+            ]
         found += [one.sentence for one in differences]
         if found and not accept:
             return found

@@ -61,7 +61,7 @@ class Plan(NamedTuple):
         return self.copy is None or self.copy_bytes + MARGIN_BYTES <= self.free_bytes
 
 
-def planned(settings: Settings) -> Plan:
+def plan_upgrade(settings: Settings) -> Plan:
     """Look at what an update would do; nothing is changed.
 
     Raises:
@@ -119,7 +119,7 @@ def upgrade(settings: Settings, *, replay: bool = True) -> Plan:
         ServiceError: the database is of a newer Kilter, or the disk has no room for the copy.
 
     """
-    plan = planned(settings)
+    plan = plan_upgrade(settings)
     if not (plan.steps or replay):
         return plan
     if plan.copy is not None:

@@ -22,7 +22,7 @@ from kilter_service.ground.files.private_files import UMASK
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, TOKEN_FILE, Settings
 from kilter_service.run.backup.service import verify_stored
 from kilter_service.run.doctor import store
-from kilter_service.stream.corrector.fast_path import kept
+from kilter_service.stream.corrector.fast_path import is_fast_path_compiled
 
 LEAST_FREE_MB = 1024
 SLOW_S = 1.0
@@ -83,7 +83,7 @@ def database(settings: Settings) -> tuple[bool, str]:
     """The database answers, soon."""
     if settings.database_url is None and not (settings.data / DATABASE_FILE).exists():
         return _ok("SQLite, not there yet: the first start makes it")
-    with _opened(settings) as opened:
+    with _open_database(settings) as opened:
         start = time.monotonic()
         revision.current(opened)
         took = time.monotonic() - start
@@ -97,7 +97,7 @@ def schema(settings: Settings) -> tuple[bool, str]:
     """The database is of this Kilter."""
     if settings.database_url is None and not (settings.data / DATABASE_FILE).exists():
         return _ok(f"the first start makes revision {revision.HEAD}")
-    with _opened(settings) as opened:
+    with _open_database(settings) as opened:
         revision.check(opened)
     return _ok(f"revision {revision.HEAD}")
 
@@ -111,7 +111,7 @@ def hashes(settings: Settings) -> tuple[bool, str]:
         return _wrong(found.other_key)
     if found.damaged:
         return _wrong(f"{found.damaged[0]} Run `kilterd verify` for all, then `kilterd restore` a backup that is whole")
-    return _ok(f"{found.looked_at()} looked at, `kilterd verify` looks at all")
+    return _ok(f"{found.describe_coverage()} looked at, `kilterd verify` looks at all")
 
 
 def backup(settings: Settings) -> tuple[bool, str]:
@@ -141,7 +141,7 @@ def clock(settings: Settings) -> tuple[bool, str]:
     if now < BUILT:
         return _wrong(f"it is {now:%Y-%m-%d} by the clock of this machine: {remedy}")
     if settings.database_url is not None or (settings.data / DATABASE_FILE).exists():
-        with _opened(settings) as opened:
+        with _open_database(settings) as opened:
             newest = store.newest(opened) if revision.current(opened) == revision.HEAD else None
         if newest is not None and newest > now + AHEAD:
             return _wrong(
@@ -182,7 +182,7 @@ def zenoh_config(settings: Settings) -> tuple[bool, str]:
 
 def kernels(_: Settings) -> tuple[bool, str]:
     """The kernels of this release are compiled."""
-    if not kept():
+    if not is_fast_path_compiled():
         return _wrong("not compiled yet: the first start takes a minute or two. `kilterd compile` compiles them before")
     return _ok("compiled")
 
@@ -204,10 +204,10 @@ CHECKS: dict[str, Callable[[Settings], tuple[bool, str]]] = {
 
 def run(settings: Settings) -> list[Check]:
     """Do every check; one that cannot be done says why."""
-    return [_done(name, check, settings) for name, check in CHECKS.items()]
+    return [_run_check(name, check, settings) for name, check in CHECKS.items()]
 
 
-def _done(name: str, check: Callable[[Settings], tuple[bool, str]], settings: Settings) -> Check:
+def _run_check(name: str, check: Callable[[Settings], tuple[bool, str]], settings: Settings) -> Check:
     try:
         return Check(name, *check(settings))
     except Exception as error:
@@ -218,7 +218,7 @@ def _done(name: str, check: Callable[[Settings], tuple[bool, str]], settings: Se
 
 
 @contextmanager
-def _opened(settings: Settings) -> Iterator[Database]:
+def _open_database(settings: Settings) -> Iterator[Database]:
     opened = Database(settings.database)
     try:
         yield opened

@@ -24,7 +24,7 @@ def controller_name(name: str) -> str:
 def access_control(site: str, controllers: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
     """Rules of the corrector; ``controllers`` are the robots of each, ``("*",)`` for all."""
     rules: list[dict[str, Any]] = [_rule("inside", "both", _EVERY_MESSAGE, ["**", "kilter/@v1/**"])]
-    rules[0]["key_exprs"] += _of(site, ANY_ROBOT, ("active", "@rpc/*", "@alive/*"))
+    rules[0]["key_exprs"] += _robot_key_expressions(site, ANY_ROBOT, ("active", "@rpc/*", "@alive/*"))
     # The query process meets the stream process in a socket that only their account can reach.
     subjects: list[dict[str, Any]] = [{"id": "inside", "link_protocols": ["unixsock-stream"]}]
     policies: list[dict[str, Any]] = [{"rules": ["inside"], "subjects": ["inside"]}]
@@ -65,19 +65,19 @@ def _rule(name: str, flow: str, messages: list[str], key_exprs: list[str]) -> di
     return {"id": name, "permission": "allow", "flows": flows, "messages": messages, "key_exprs": key_exprs}
 
 
-def _of(site: str, robots: tuple[str, ...], parts: tuple[str, ...]) -> list[str]:
+def _robot_key_expressions(site: str, robots: tuple[str, ...], parts: tuple[str, ...]) -> list[str]:
     return [f"{keys.PREFIX}/{site}/{robot}/{part}" for robot in robots for part in parts]
 
 
 def _controller(name: str, site: str, robots: tuple[str, ...]) -> list[dict[str, Any]]:
-    sends = _of(site, robots, ("stream/*/in",))
-    said = _of(site, robots, ("stream/*/out", "stream/*/status", "active"))
-    answered = _of(site, robots, ("active", "@rpc/*"))
-    alive = _of(site, robots, ("@alive/*",))
+    sends = _robot_key_expressions(site, robots, ("stream/*/in",))
+    said = _robot_key_expressions(site, robots, ("stream/*/out", "stream/*/status", "active"))
+    answered = _robot_key_expressions(site, robots, ("active", "@rpc/*"))
+    alive = _robot_key_expressions(site, robots, ("@alive/*",))
     # The corrector declares once what it takes of all robots. Whoever may not know of that could send nothing at all; what
     # is sent and asked is still judged robot by robot.
-    taken = _of(site, ANY_ROBOT, ("stream/*/in",))
-    offered = _of(site, ANY_ROBOT, ("active", "@rpc/*"))
+    taken = _robot_key_expressions(site, ANY_ROBOT, ("stream/*/in",))
+    offered = _robot_key_expressions(site, ANY_ROBOT, ("active", "@rpc/*"))
     return [
         _rule(f"{name}-sends", "ingress", ["put"], sends),
         _rule(f"{name}-hears-of", "egress", SUBSCRIBE, taken),
@@ -92,9 +92,9 @@ def _controller(name: str, site: str, robots: tuple[str, ...]) -> list[dict[str,
 
 
 def _observer(site: str) -> list[dict[str, Any]]:
-    said = _of(site, ANY_ROBOT, ("stream/*/*", "active"))
-    answered = _of(site, ANY_ROBOT, ("active", "@rpc/describe"))
-    alive = _of(site, ANY_ROBOT, ("@alive/*",))
+    said = _robot_key_expressions(site, ANY_ROBOT, ("stream/*/*", "active"))
+    answered = _robot_key_expressions(site, ANY_ROBOT, ("active", "@rpc/describe"))
+    alive = _robot_key_expressions(site, ANY_ROBOT, ("@alive/*",))
     return [
         _rule("observer-listens", "ingress", SUBSCRIBE, said),
         _rule("observer-hears", "egress", ["put"], said),

@@ -40,8 +40,8 @@ def new_authority(before: Authority | None = None) -> Authority:
     """A new authority; the one before certifies it, too."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = _name(f"Kilter stream {x509.random_serial_number() % 10**8:08d}")
-    own = _authority_of(name, key, name, key)
-    cross = _authority_of(name, key, before.certificate.subject, before.key) if before else None
+    own = _sign_authority(name, key, name, key)
+    cross = _sign_authority(name, key, before.certificate.subject, before.key) if before else None
     return Authority(own, key, cross)
 
 
@@ -91,7 +91,7 @@ def _builder(
     return builder.not_valid_after(now + datetime.timedelta(days=days))
 
 
-def _authority_of(
+def _sign_authority(
     subject: x509.Name, key: ec.EllipticCurvePrivateKey, issuer: x509.Name, signs: ec.EllipticCurvePrivateKey
 ) -> x509.Certificate:
     builder = _builder(subject, key, issuer, AUTHORITY_DAYS)

@@ -46,17 +46,17 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(settings: Settings, given: argparse.Namespace) -> None:
     """Write zenoh configurations with TLS and access control, one folder per role, or rotate their certificates."""
-    from kilter_service.run.zenoh_config.folders import authority_in, write_folders
+    from kilter_service.run.zenoh_config.folders import load_or_make_authority, write_folders
 
     folder: Path = given.out or settings.data / "zenoh"
     roles = _roles(folder, given)
-    authority, trusted = authority_in(folder, given.rotate)
+    authority, trusted = load_or_make_authority(folder, given.rotate)
     if given.authorities:
         trusted += given.authorities.read_bytes()
     written = write_folders(
         folder, settings.site, tuple(roles["hosts"]), roles["port"],
         {name: tuple(robots) for name, robots in roles["controllers"].items()}, settings.ros2_domain, authority, trusted,
-        _given(given),
+        _issued_from_arguments(given),
     )  # fmt: skip
     (folder / RECORD).write_text(json.dumps(roles, indent=1), encoding="utf-8")
     print(f"Copy each folder to its machine, and nothing of {folder / 'authority'}:")
@@ -91,7 +91,7 @@ def _controller(text: str) -> tuple[str, list[str]]:
     return name, names[1:] or ["*"]
 
 
-def _given(given: argparse.Namespace) -> Issued | None:
+def _issued_from_arguments(given: argparse.Namespace) -> Issued | None:
     from kilter_service.run.zenoh_config.authority import Issued
 
     files = (given.certificate, given.key, given.authorities)

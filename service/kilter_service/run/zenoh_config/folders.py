@@ -36,7 +36,7 @@ def write_private(file: Path, data: bytes) -> None:
     draft.replace(file)
 
 
-def authority_in(folder: Path, rotate: bool) -> tuple[Authority, bytes]:
+def load_or_make_authority(folder: Path, rotate: bool) -> tuple[Authority, bytes]:
     """The authority of a folder, made when there is none or at a rotation, and all certificates to trust (PEM).
 
     Raises:

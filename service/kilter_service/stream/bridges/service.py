@@ -8,7 +8,7 @@ from kilter_service.contract.bridges import Bridge, BridgeList, BridgeNews
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.ground.db import Database
 from kilter_service.robots import store as robots
-from kilter_service.robots.compensation import CORRECTS, compensation_in, perhaps_twice
+from kilter_service.robots.compensation import CORRECTS, parse_compensation, perhaps_twice
 from kilter_service.robots.compensation import twice as corrected_twice
 from kilter_service.stream.bridges import store
 from kilter_service.versions import store as versions
@@ -54,8 +54,8 @@ def of_robot(database: Database, robot: str) -> BridgeList:
     with database.reading() as session:
         stored = robots.get(session, robot)
         entry = versions.active_entry(session, stored.id)
-        found = store.known(session, stored.id)
-        controller = compensation_in(robots.compensation_of(session, stored.id))
+        found = store.list_bridges(session, stored.id)
+        controller = parse_compensation(robots.get_compensation(session, stored.id))
     active = None if entry is None else entry.version_id
     known = [_bridge(robot, one, active, controller) for one in found if one.silent_s < FORGOTTEN_S]
     return BridgeList(bridges=sorted(known, key=lambda one: one.gone))
@@ -65,10 +65,10 @@ def of_robots(database: Database) -> dict[str, list[Bridge]]:
     """Return the bridges of all robots that have some, by name."""
     with database.reading() as session:
         names = robots.names_by_key(session, None)
-        found = [one for one in store.known(session) if one.silent_s < FORGOTTEN_S and one.robot_id in names]
+        found = [one for one in store.list_bridges(session) if one.silent_s < FORGOTTEN_S and one.robot_id in names]
         keys = {one.robot_id for one in found}
         active = {key: versions.active_entry(session, key) for key in keys}
-        controllers = {key: compensation_in(robots.compensation_of(session, key)) for key in keys}
+        controllers = {key: parse_compensation(robots.get_compensation(session, key)) for key in keys}
     known: dict[str, list[Bridge]] = {}
     for one in found:
         entry, name = active[one.robot_id], names[one.robot_id]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import delete, select
 
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import HeartbeatRow
 
 PROCESS = "bridge"
@@ -28,7 +28,7 @@ class Known(NamedTuple):
 def note(session: Session, robot_id: int, run: str, details: Mapping[str, Any]) -> None:
     """Keep what a bridge says; ``since`` stays what it was at its first news."""
     name = f"{robot_id}/{run}"
-    row, at = session.get(HeartbeatRow, (PROCESS, name)), now()
+    row, at = session.get(HeartbeatRow, (PROCESS, name)), utc_now()
     since = at.isoformat() if row is None else row.details["since"]
     told = {**details, "since": since}
     if row is None:
@@ -39,17 +39,21 @@ def note(session: Session, robot_id: int, run: str, details: Mapping[str, Any]) 
 
 def forget(session: Session, robot_id: int, longer_than_s: float, most: int) -> None:
     """Forget bridges, of any robot, that were not heard for so long, and of this one all but ``most``."""
-    before = now() - timedelta(seconds=longer_than_s)
+    before = utc_now() - timedelta(seconds=longer_than_s)
     session.execute(delete(HeartbeatRow).where(HeartbeatRow.process == PROCESS, HeartbeatRow.at < before))
-    rows = session.execute(select(HeartbeatRow).where(_of(robot_id)).order_by(HeartbeatRow.at.desc()).offset(most))
+    rows = session.execute(
+        select(HeartbeatRow).where(_bridge_condition(robot_id)).order_by(HeartbeatRow.at.desc()).offset(most)
+    )
     for row in rows.scalars().all():
         session.delete(row)
 
 
-def known(session: Session, robot_id: int | None = None) -> list[Known]:
+def list_bridges(session: Session, robot_id: int | None = None) -> list[Known]:
     """Return the bridges of a robot, or of all; the newest first."""
-    query = select(HeartbeatRow).where(HeartbeatRow.process == PROCESS if robot_id is None else _of(robot_id))
-    at = now()
+    query = select(HeartbeatRow).where(
+        HeartbeatRow.process == PROCESS if robot_id is None else _bridge_condition(robot_id)
+    )
+    at = utc_now()
     return [
         Known(*_place(row.name), row.at, (at - row.at).total_seconds(), row.details)
         for row in session.execute(query.order_by(HeartbeatRow.at.desc())).scalars()
@@ -61,5 +65,5 @@ def _place(name: str) -> tuple[int, str]:
     return int(robot_id), run
 
 
-def _of(robot_id: int) -> Any:
+def _bridge_condition(robot_id: int) -> Any:
     return (HeartbeatRow.process == PROCESS) & HeartbeatRow.name.startswith(f"{robot_id}/", autoescape=True)

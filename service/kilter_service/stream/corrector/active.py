@@ -42,9 +42,9 @@ class Active:
         return [round(size, 3) if size < math.inf else None for size in per_unit]
 
     @cached_property
-    def promised(self) -> dict[str, Any]:
+    def correction_settings(self) -> dict[str, Any]:
         """Task of the correction, what it does at its limits, how fast it changes at most; null for kinds without a joint."""
-        found = core_stated.stated(self.program)
+        found = core_stated.read_program_limits(self.program)
         kinds = self.joint_kinds or ("revolute",) * self.program.n_joints
 
         def most(values: Floats, kind: str, shown: Callable[[float], float]) -> float | None:
@@ -76,14 +76,14 @@ class Active:
             "largest_deg": self.largest_deg,
             "largest_mm": self.largest_mm,
             "unsure": list(self.unsure),
-            **self.promised,
+            **self.correction_settings,
             "ramp_s": self.ramp_s,
             "levers_mm": self.levers_mm if self.joint_kinds else None,
         }
         return json.dumps(document).encode()
 
 
-def workspace_of(report: Mapping[str, Any] | None) -> dict[str, int] | None:
+def workspace_counts(report: Mapping[str, Any] | None) -> dict[str, int] | None:
     """What the report of a version says of poses all over the joint limits, as numbers of poses; None where it says nothing."""
     if not report or not report.get("poses"):
         return None

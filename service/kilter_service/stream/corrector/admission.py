@@ -63,7 +63,7 @@ class Clock:
         least = min(transit, self.transit_ns + int((arrival_ns - self.seen_ns) * rules.clock_drift))
         return transit - least, least
 
-    def take(self, seq: int, arrival_ns: int, sent_ns: int, rules: Rules) -> bool:
+    def advance_to_frame(self, seq: int, arrival_ns: int, sent_ns: int, rules: Rules) -> bool:
         """Go on to a frame in order; False when it is too old."""
         age, least = self.age(arrival_ns, sent_ns, rules)
         if age > rules.max_age_ns and self._agrees(seq, arrival_ns, arrival_ns - sent_ns, rules):

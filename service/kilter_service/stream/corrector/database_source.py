@@ -11,7 +11,7 @@ from kilter_core.errors import CoreError
 from kilter_files.ground.later import later
 from kilter_service.ground.core import program
 from kilter_service.ground.files.migration_lock import is_migrating
-from kilter_service.stream.corrector.active import Active, version_number, workspace_of
+from kilter_service.stream.corrector.active import Active, version_number, workspace_counts
 
 with later(__name__):
     from kilter_service.ground import correction_limits, db
@@ -56,7 +56,7 @@ class DatabaseSource:
         if not self._migrated:
             return {}
         with self._database.reading() as session:
-            twice = robots.compensated(session, compensation.CORRECTS)
+            twice = robots.robots_with_compensation(session, compensation.CORRECTS)
             names = store.robots_with_active(session)
             found = [store.active_version(session, name) for name in names if name not in twice]
         for name in twice & set(names):
@@ -67,7 +67,7 @@ class DatabaseSource:
                 continue
             key = (version.robot, version.epoch)
             try:
-                active = self._compiled.get(key) or _compiled(version, self._temperature_c)
+                active = self._compiled.get(key) or _compile_active(version, self._temperature_c)
             except CoreError as error:
                 log.error("version %s of robot %s cannot be streamed: %s", version.id, version.robot, error.message)
                 continue
@@ -82,8 +82,8 @@ class DatabaseSource:
             self._database.close()
 
 
-def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Active:
-    options = correction_limits.options_of(version.limits, temperature_c, rules=version.rules)
+def _compile_active(version: store.ActiveVersion, temperature_c: float | None) -> Active:
+    options = correction_limits.correction_options(version.limits, temperature_c, rules=version.rules)
     return Active(
         robot=version.robot,
         version_id=version.id,
@@ -96,5 +96,5 @@ def _compiled(version: store.ActiveVersion, temperature_c: float | None) -> Acti
         joint_names=tuple(joint.name for joint in version.calibration.robot.joints),
         joint_kinds=tuple(joint.kind for joint in version.calibration.robot.joints),
         unsure=tuple(doubt.reason for doubt in version.calibration.doubts if doubt.whole),
-        workspace=workspace_of(version.workspace),
+        workspace=workspace_counts(version.workspace),
     )

@@ -100,12 +100,12 @@ def check_free(endpoint: str) -> None:
 UNIX = "unixsock-stream/"
 
 
-def door_beside(private: str) -> Path:
+def orphan_door_path(private: str) -> Path:
     """Where another corrector finds a stream process whose own is gone: beside the socket of the query process."""
-    return folder_of(private) / "door"
+    return socket_folder(private) / "door"
 
 
-def folder_of(private: str) -> Path:
+def socket_folder(private: str) -> Path:
     """Private folder of a corrector, by the endpoint in it."""
     return Path(private.removeprefix(UNIX)).parent
 
@@ -118,7 +118,9 @@ class PrivateSocket:
 
     def __init__(self, data: Path, endpoint: str | None = None) -> None:
         """Make it, or share the one at ``endpoint``, where a stream process is that another corrector started."""
-        self._scratch = scratch_for_sockets(data) if endpoint is None else Scratch.shared_at(folder_of(endpoint))
+        self._scratch = (
+            scratch_for_sockets(data) if endpoint is None else Scratch.from_shared_folder(socket_folder(endpoint))
+        )
         self.endpoint = endpoint or f"{UNIX}{self._scratch.folder / 'socket'}"
 
     def leave(self) -> None:

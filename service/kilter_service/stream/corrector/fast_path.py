@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kilter_core.arm.kernels.compiled import EXACT, KernelCache, compiled
+from kilter_core.arm.kernels.compiled import EXACT, KernelCache, compile_kernel
 from kilter_core.correct.kernels import layout
 from kilter_core.correct.kernels.layout import COLUMNS
 from kilter_core.correct.kernels.stream import correct_setpoint
@@ -76,11 +76,11 @@ def note_made(words: Any, made: int, left_nm: int, arrival: int) -> None:
     words[MOST_LEFT] = max(words[MOST_LEFT], left_nm)
 
 
-_note_made = compiled(**EXACT)(note_made)
+_note_made = compile_kernel(**EXACT)(note_made)
 
 
-def _compiled() -> Any:
-    @compiled(**EXACT)
+def _compile_answer() -> Any:
+    @compile_kernel(**EXACT)
     def answer(  # type: ignore[no-untyped-def]
         memory, words, data, arrival
     ):
@@ -138,13 +138,13 @@ def _compiled() -> Any:
     return answer
 
 
-_answer = _compiled()
+_answer = _compile_answer()
 
 
-def kept() -> bool:
+def is_fast_path_compiled() -> bool:
     """Whether the fast path of these sources lies compiled on this machine; nothing is compiled to find out."""
     place = getattr(_answer, "_cache", None)
-    return isinstance(place, KernelCache) and place.kept
+    return isinstance(place, KernelCache) and place.is_on_disk
 
 
 @cache
@@ -156,7 +156,7 @@ def _entry() -> Callable[[Any, Any, bytes, int], int]:
     return entry
 
 
-def bin_of(spent_ns: int) -> int:
+def latency_bin(spent_ns: int) -> int:
     """Bin of an answer that took so long; bin k begins at :func:`bin_edges_us` [k]."""
     return min(max(int(2.0 * math.log2(spent_ns * 1e-3)), 0), MOST_BINS - 1)
 
@@ -184,7 +184,7 @@ class Counters:
         return int(self._words[COUNTS])
 
     @property
-    def made(self) -> dict[str, int]:
+    def held_back_counts(self) -> dict[str, int]:
         """Answers whose correction was held back, by what held it."""
         return {name: int(self._words[word]) for name, word in HELD_BACK.items()}
 
@@ -197,7 +197,7 @@ class Counters:
         return lately, int(words[MOST_LEFT])
 
     @property
-    def last(self) -> int:
+    def last_status(self) -> int:
         """Status of the last answer, -1 before the first."""
         return int(self._words[LAST])
 
@@ -208,7 +208,7 @@ class Counters:
         self._words[SPENT] += spent
         self._words[LONGEST] = max(self._words[LONGEST], spent)
         if spent > 0:
-            self._words[BINS + bin_of(spent)] += 1
+            self._words[BINS + latency_bin(spent)] += 1
         self._words[LAST] = status
         return spent
 
@@ -218,7 +218,7 @@ class Counters:
         bins = [int(count) for count in self._words[BINS : BINS + MOST_BINS]]
         pending = int(self._words[OUT + 6]) & MOST_NS
         if pending:
-            bins[bin_of(pending)] += 1
+            bins[latency_bin(pending)] += 1
         return bins
 
     def count_made(self, flags: int, left_nm: int, arrival_ns: int) -> None:
@@ -228,13 +228,13 @@ class Counters:
     def document(self) -> dict[str, Any]:
         """Counts by name; times are those inside the corrector, lengths what was left of the error of the tool."""
         lately, most = self.most_left_nm
-        counts, last, pending = self.by_status, self.last, int(self._words[OUT + 6]) & MOST_NS
+        counts, last, pending = self.by_status, self.last_status, int(self._words[OUT + 6]) & MOST_NS
         answered = sum(counts)
         mean = (int(self._words[SPENT]) + pending) / answered / 1000.0 if answered else None
         return {
             "received": answered,
             "counters": {status.name: counts[status] for status in Status},
-            **self.made,
+            **self.held_back_counts,
             "left_mm": {"lately": round(lately * 1e-6, 6), "max": round(most * 1e-6, 6)},
             "last_status": Status(last).name if last >= 0 else None,
             "processing_us": {
@@ -259,7 +259,7 @@ class FastPath:
     """Memory of one stream's plain setpoints.
 
     ``answer(data, arrival_ns)`` gives the answer to a plain setpoint that is the next in order and good, and None for
-    any other, which changed nothing. The stream's clock is handed over by :meth:`take` and back by :meth:`give`.
+    any other, which changed nothing. The stream's clock is handed over by :meth:`adopt_clock` and back by :meth:`give`.
     """
 
     def __init__(self, rules: Rules) -> None:
@@ -283,7 +283,7 @@ class FastPath:
         self._words[VERSION] = np.uint64(active.number).astype(np.int64)
         self._words[EPOCH] = active.epoch
 
-    def take(self, clock: Clock) -> bool:
+    def adopt_clock(self, clock: Clock) -> bool:
         """Take the clock over; False when it does not fit, and the stream has to keep to its full path."""
         if clock.transit_ns is None:
             return False
@@ -300,7 +300,7 @@ class FastPath:
         """When the last plain setpoint arrived."""
         return int(self._words[SEEN])
 
-    def last(self) -> Answered | None:
+    def last_answer(self) -> Answered | None:
         """What it answered last, for another thread; None when it has declined a setpoint since.
 
         numpy copies so few words without a pause for other threads, so wanted and corrected are of one setpoint.

@@ -81,7 +81,7 @@ class ForkServer:
     def start(self) -> None:
         """Start the process, if it does not run or is stopped from outside; it imports and compiles by itself."""
         if self.alive:
-            self._look()
+            self._poll_readiness()
             if time.monotonic() - self._seen_at < STOPPED_S:
                 return
         if self._process is not None:
@@ -96,7 +96,7 @@ class ForkServer:
 
     def keep_spare(self) -> None:
         """Have a process forked ahead, if there is none."""
-        if self._spare is not None and not ended(self._spare.pipe):
+        if self._spare is not None and not is_pipe_closed(self._spare.pipe):
             return
         self._drop_spare()
         self._spare = Forked(self._fork())
@@ -105,14 +105,14 @@ class ForkServer:
         """End the process when it is stopped, or has not forked what was asked for; while it imports that may take long."""
         if not self.alive:
             return
-        self._look()
+        self._poll_readiness()
         now = time.monotonic()
         hangs = self._ready_at is not None and now - max(asked_at, self._ready_at) > FORK_S
         if hangs or now - self._seen_at > STOPPED_S:
             log.error("the process that starts those of the corrector is frozen: it is killed")
             self.stop()
 
-    def _look(self) -> None:
+    def _poll_readiness(self) -> None:
         if running(self.pid):
             self._seen_at = time.monotonic()
         with suppress(EOFError, OSError):
@@ -301,7 +301,7 @@ class ForkedChild(Child):
     @property
     def alive(self) -> bool:
         """Whether the process runs."""
-        return self._pipe is not None and not ended(self._pipe)
+        return self._pipe is not None and not is_pipe_closed(self._pipe)
 
     def send(self, *message: Any) -> None:
         """Tell the process something; the supervisor restarts a process that is gone."""
@@ -355,7 +355,7 @@ class ForkedChild(Child):
         return True
 
 
-def ended(pipe: Connection) -> bool:
+def is_pipe_closed(pipe: Connection) -> bool:
     """Whether nobody holds the other end of a pipe any more."""
     looked = select.poll()
     looked.register(pipe, 0)

@@ -57,15 +57,15 @@ class Gate:
 
         ``current`` is the session in use on the stream, ``secret`` the one that its nonces follow from.
         """
-        session = sealed.session_of(data)
-        key = self.masters.key_of(session, *address)
+        session = sealed.session_id_from_frame(data)
+        key = self.masters.session_key(session, *address)
         if key is None:  # nothing could be said that the sender could check
             self.dropped["unknown_key"] += 1
             return None
         left_s = Session(*sealed.ID.unpack(session)).expires_s - time.time()
         if left_s <= 0:
             return self._refusal(data, session, key, Status.SESSION_EXPIRED, bytes(sealed.NONCE_BYTES))
-        nonce = sealed.derived(secret or self.secret, sealed.CHALLENGE, "\0".join(address).encode() + session)
+        nonce = sealed.derive_key(secret or self.secret, sealed.CHALLENGE, "\0".join(address).encode() + session)
         nonce = nonce[: sealed.NONCE_BYTES]
         in_use = sealed.key_in_use(key, nonce)
         if sealed.fits(in_use, sealed.SETPOINT, data):
@@ -80,8 +80,10 @@ class Gate:
 
     def _refusal(self, data: bytes, session: bytes, key: bytes, status: Status, nonce: bytes) -> bytes:
         kind = data[4]
-        plain = wire.encode_refusal(wire.decode_header(sealed.unsealed(data))._replace(kind=kind), status) + nonce
-        return sealed.sealed(plain, session, key, sealed.CHALLENGE)
+        plain = (
+            wire.encode_refusal(wire.decode_header(sealed.strip_signature(data))._replace(kind=kind), status) + nonce
+        )
+        return sealed.sign_frame(plain, session, key, sealed.CHALLENGE)
 
 
 def unsigned_refusal(data: bytes) -> bytes | None:

@@ -33,7 +33,7 @@ class Guard:
         self._answers: Any = None
 
     @property
-    def signed(self) -> bool:
+    def is_signed(self) -> bool:
         """Whether a session was ever in use."""
         return self._session != b""
 
@@ -53,7 +53,7 @@ class Guard:
     def answer(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool = False) -> bytes | None:
         """Bytes to publish for what arrived, or None: no answer."""
         if data[:4] != sealed.MAGIC:
-            return self._plain(data, arrival_ns, active, overloaded)
+            return self._answer_unsigned(data, arrival_ns, active, overloaded)
         # The next setpoint of the session in use, as nearly all are, in as few steps as possible: between two setpoints the
         # caches go cold, and every further call costs a microsecond.
         signed, session = data[: -sealed.TAG_BYTES], self._session
@@ -93,7 +93,7 @@ class Guard:
         return compare_digest(tag.digest(), data[-sealed.TAG_BYTES :])
 
     def _follow(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool) -> bytes | None:
-        plain = sealed.unsealed(data)
+        plain = sealed.strip_signature(data)
         seq = int.from_bytes(data[SEQ], "little")
         if seq <= self._highest:
             self.replayed += 1
@@ -115,8 +115,8 @@ class Guard:
         tag.update(data)
         return data + bytes(tag.digest())
 
-    def _plain(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool) -> bytes | None:
-        busy = self.signed and arrival_ns - self.stream.seen_ns < self.stream.rules.idle_ns
+    def _answer_unsigned(self, data: bytes, arrival_ns: int, active: Active | None, overloaded: bool) -> bytes | None:
+        busy = self.is_signed and arrival_ns - self.stream.seen_ns < self.stream.rules.idle_ns
         if self._gate.unsigned and not busy:
             return self.stream.answer(data, arrival_ns, active, overloaded)
         self._gate.dropped["unsigned"] += 1

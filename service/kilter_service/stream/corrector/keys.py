@@ -12,7 +12,7 @@ PREFIX = "kilter/@v1"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
 
-def checked(name: str, what: str) -> str:
+def validate_chunk(name: str, what: str) -> str:
     """Return ``name`` when it can be one chunk of a key, else raise ValueError naming the rule."""
     if not _NAME.fullmatch(name):
         raise ValueError(
@@ -30,8 +30,8 @@ class RobotKeys:
     robot: str
 
     def __post_init__(self) -> None:
-        checked(self.site, "site")
-        checked(self.robot, "robot")
+        validate_chunk(self.site, "site")
+        validate_chunk(self.robot, "robot")
 
     @property
     def root(self) -> str:
@@ -55,34 +55,34 @@ class RobotKeys:
 
     def alive(self, instance: str) -> str:
         """Liveliness token of the corrector process ``instance`` for this robot."""
-        return f"{self.root}/@alive/{checked(instance, 'instance')}"
+        return f"{self.root}/@alive/{validate_chunk(instance, 'instance')}"
 
     def stream(self, stream: str, part: str) -> str:
         """Key of one part (``in``, ``out``, ``status`` or ``live``) of a stream."""
-        return f"{self.root}/stream/{checked(stream, 'stream')}/{part}"
+        return f"{self.root}/stream/{validate_chunk(stream, 'stream')}/{part}"
 
 
 def every_input(site: str) -> str:
     """Key expression of the setpoints of all robots and streams of a site."""
-    return f"{PREFIX}/{checked(site, 'site')}/*/stream/*/in"
+    return f"{PREFIX}/{validate_chunk(site, 'site')}/*/stream/*/in"
 
 
 def every_live(site: str) -> str:
     """Key expression of what people may look at, of all robots and streams of a site."""
-    return f"{PREFIX}/{checked(site, 'site')}/*/stream/*/live"
+    return f"{PREFIX}/{validate_chunk(site, 'site')}/*/stream/*/live"
 
 
 def every_query(site: str, procedure: str) -> str:
     """Key expression of one procedure (``correct`` or ``describe``) of all robots of a site."""
-    return f"{PREFIX}/{checked(site, 'site')}/*/@rpc/{procedure}"
+    return f"{PREFIX}/{validate_chunk(site, 'site')}/*/@rpc/{procedure}"
 
 
 def every_active(site: str) -> str:
     """Key expression of the version announcements of all robots of a site."""
-    return f"{PREFIX}/{checked(site, 'site')}/*/active"
+    return f"{PREFIX}/{validate_chunk(site, 'site')}/*/active"
 
 
-def robot_of(key: str) -> str:
+def robot_from_key(key: str) -> str:
     """Robot named by a key of this module.
 
     Raises:
@@ -95,7 +95,7 @@ def robot_of(key: str) -> str:
     return parts[3]
 
 
-def stream_of(key: str) -> str:
+def stream_from_key(key: str) -> str:
     """Stream named by a key of a stream's direction.
 
     Raises:

@@ -28,12 +28,12 @@ from kilter_service.stream.corrector.active import Active, nothing_active
 from kilter_service.stream.corrector.gate import Admitted, Gate, unsigned_refusal
 from kilter_service.stream.corrector.orphan import ORPHAN_S, Door, State
 from kilter_service.stream.corrector.session import ENCODING, close, open_listening
-from kilter_service.stream.corrector.slots import Served, Slots, address_of, names_of
+from kilter_service.stream.corrector.slots import Served, Slots, address_from_key, parse_setpoint_key
 from kilter_service.stream.corrector.specs import StreamSpec
 from kilter_service.stream.corrector.telemetry import PERIOD_S, Telemetry, TurnedAway
 from kilter_service.stream.corrector.wire import Status
 from kilter_service.stream.signing import questions, sealed
-from kilter_service.stream.signing.masters import Masters, masters_in
+from kilter_service.stream.signing.masters import Masters, load_masters
 
 log = logging.getLogger("kilter.corrector.stream")
 
@@ -99,7 +99,7 @@ class StreamLoop:
             answer = served.guard.answer(data, arrival_ns, active.get(served.robot), backlog >= most)
             if answer is not None:
                 served.publisher.put(answer)
-            last, verdict = served, served.stream.counters.last
+            last, verdict = served, served.stream.counters.last_status
             if verdict != served.verdict and arrival_ns - woken_ns > BETWEEN_WAKE_UPS_NS:
                 served.verdict, woken_ns = verdict, arrival_ns
                 self._wake_up.signal()
@@ -122,7 +122,7 @@ class StreamLoop:
 
     def _start(self, key: str, data: bytes, arrival_ns: int) -> Served | None:
         """A slot for the first setpoint of a stream. A setpoint that gets none is still answered if it has a header."""
-        names = names_of(key)
+        names = parse_setpoint_key(key)
         if names is None:
             return None
         if data[:4] == sealed.MAGIC:
@@ -137,7 +137,7 @@ class StreamLoop:
         except wire.FrameError as error:
             self._refuse(names[1], error.header, Status.BAD_FRAME)
             return None
-        served = self.slots.take(key, names, arrival_ns) if names[0] in self.active else None
+        served = self.slots.allocate_slot(key, names, arrival_ns) if names[0] in self.active else None
         if served is None:
             self._refuse(names[1], header, Status.OVERLOAD if names[0] in self.active else Status.NO_VERSION)
         return served
@@ -147,20 +147,20 @@ class StreamLoop:
         if not sealed.is_signed(data):
             self.gate.dropped["forged"] += 1
             return None
-        admitted = self.gate.admit(address_of(key), data)
+        admitted = self.gate.admit(address_from_key(key), data)
         if not isinstance(admitted, Admitted):
             self._put(names[1], admitted)
             return None
         secret = self.gate.secret
-        served = self.slots.take(key, names, arrival_ns) if names[0] in self.active else None
+        served = self.slots.allocate_slot(key, names, arrival_ns) if names[0] in self.active else None
         if served is not None:
             if self.gate.secret == secret:  # else another stream lost its slot for this one: ask for a newer frame
                 served.guard.adopt(admitted)
             return served
         status = Status.OVERLOAD if names[0] in self.active else Status.NO_VERSION
         self.turned_away.count(names[1], status.name)
-        refusal = wire.encode_refusal(wire.decode_header(sealed.unsealed(data)), status)
-        self._put(names[1], sealed.sealed(refusal, admitted.session, admitted.key, sealed.ANSWER))
+        refusal = wire.encode_refusal(wire.decode_header(sealed.strip_signature(data)), status)
+        self._put(names[1], sealed.sign_frame(refusal, admitted.session, admitted.key, sealed.ANSWER))
         return None
 
     def _refuse(self, out: str, header: wire.Header | None, status: Status) -> None:
@@ -194,26 +194,26 @@ class HousekeepingThread(threading.Thread):
         self._reported_s = 0.0
         self._telemetry = Telemetry(loop.session, loop.spec, loop.gate, loop.slots, loop.active, loop.turned_away)
         loop.session.declare_queryable(
-            keys.every_active(loop.spec.site), zenoh.handlers.Callback(self._asked, indirect=False)
+            keys.every_active(loop.spec.site), zenoh.handlers.Callback(self._queue_query, indirect=False)
         )
 
-    def _asked(self, query: zenoh.Query) -> None:
+    def _queue_query(self, query: zenoh.Query) -> None:
         self._queries.append(query)
         self._wake_up.signal()
 
     def run(self) -> None:
         """Work until the corrector says stop, or is gone and no other comes."""
         try:
-            while self._take():
+            while self._handle_next_message():
                 self._answer_queries()
                 self._report()
-                self._telemetry.tell()
+                self._telemetry.publish_changes()
         except Exception:
             log.exception("the housekeeping of the corrector failed; the process stops and is restarted")
         finally:
             close(self._loop.session)
 
-    def _take(self) -> bool:
+    def _handle_next_message(self) -> bool:
         """Sleep until there is something to do, and take one message of the corrector; False to stop."""
         pause = PERIOD_S if self._telemetry.watched else STATUS_PERIOD_S
         heard = self._door.socket if self._pipe is None else self._pipe
@@ -247,10 +247,10 @@ class HousekeepingThread(threading.Thread):
         file = self._loop.spec.keys_file
         if file is not None:  # a session that is revoked ends, whoever looks
             with suppress(ServiceError, OSError):
-                self._loop.follow(masters_in(file, make=False))
+                self._loop.follow(load_masters(file, make=False))
         if came:
             state = State(os.getpid(), self._loop.spec, self._endpoint, dict(self._loop.active))
-            taken, self._pipe = self._door.let_in(state)
+            taken, self._pipe = self._door.handle_connection(state)
             return taken
         return time.monotonic() - self._alone_since < ORPHAN_S
 
@@ -272,7 +272,7 @@ class HousekeepingThread(threading.Thread):
     def _announce(self, robot: str, document: bytes) -> None:
         spec = self._loop.spec
         key = keys.RobotKeys(spec.site, robot).active
-        signed = self._loop.gate.masters.announced(key, spec.site, robot, document)
+        signed = self._loop.gate.masters.sign_announcement(key, spec.site, robot, document)
         self._loop.session.put(
             key, signed, encoding=zenoh.Encoding.APPLICATION_JSON, priority=zenoh.Priority.DATA_HIGH,
             congestion_control=zenoh.CongestionControl.BLOCK,
@@ -289,7 +289,7 @@ class HousekeepingThread(threading.Thread):
                         self._reply(query, key, active.robot, active.announcement())
                 asked = str(query.key_expr)
                 if not found and "*" not in asked:  # so that silence never means that nothing is active
-                    robot = keys.robot_of(asked)
+                    robot = keys.robot_from_key(asked)
                     self._reply(query, asked, robot, nothing_active(robot))
 
     def _reply(self, query: zenoh.Query, key: str, robot: str, document: bytes) -> None:
@@ -306,7 +306,7 @@ class HousekeepingThread(threading.Thread):
         told: list[dict[str, Any]] = []
         for served in self._loop.slots.served.values():
             counters = served.stream.counters
-            now = (counters.last, sum(counters.by_status))
+            now = (counters.last_status, sum(counters.by_status))
             if now == served.reported or not (due or now[0] != served.reported[0]):
                 continue
             served.reported = now
@@ -316,19 +316,19 @@ class HousekeepingThread(threading.Thread):
                 "version_id": active.version_id if active else None,
                 "epoch": active.epoch if active else None,
                 **counters.document(),
-                "signed": served.guard.signed,
+                "signed": served.guard.is_signed,
                 "replayed": served.guard.replayed,
                 "dropped": dict(self._loop.gate.dropped),
                 "at_ns": time.time_ns(),
             }
-            signed = self._loop.gate.masters.announced(
+            signed = self._loop.gate.masters.sign_announcement(
                 served.status_key, self._loop.spec.site, served.robot, json.dumps(document).encode()
             )
             self._loop.session.put(
                 served.status_key, signed, encoding=zenoh.Encoding.APPLICATION_JSON,
                 priority=zenoh.Priority.DATA_LOW, congestion_control=zenoh.CongestionControl.DROP,
             )  # fmt: skip
-            place = {"robot": served.robot, "stream": keys.stream_of(served.status_key)}
+            place = {"robot": served.robot, "stream": keys.stream_from_key(served.status_key)}
             told.append({**place, **document, "by_time": counters.by_time})
         # A supervisor that does not read must not hold up this thread: then it is not told.
         if told and self._pipe is not None and select.select([], [self._pipe], [], 0)[1]:

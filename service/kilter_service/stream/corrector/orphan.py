@@ -17,10 +17,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
 
-from kilter_service.ground.files.private_files import held
+from kilter_service.ground.files.private_files import hold_scratch_folder
 from kilter_service.ground.version import code_version
 from kilter_service.stream.corrector.active import Active
-from kilter_service.stream.corrector.endpoints import door_beside
+from kilter_service.stream.corrector.endpoints import orphan_door_path
 from kilter_service.stream.corrector.specs import StreamSpec
 
 ORPHAN_S = 60.0  # longer than a server takes to start; an arm should not follow for long what nobody can change
@@ -51,8 +51,8 @@ class Door:
     """Through which another corrector comes to a stream process."""
 
     def __init__(self, private: str) -> None:
-        place = door_beside(private)
-        self._folder = held(place.parent)  # it would be removed with the process that made it
+        place = orphan_door_path(private)
+        self._folder = hold_scratch_folder(place.parent)  # it would be removed with the process that made it
         self._last: Connection | None = None
         self.socket = socket.socket(socket.AF_UNIX)
         with suppress(FileNotFoundError):  # of one that was killed
@@ -70,7 +70,7 @@ class Door:
         if self._folder is not None:
             self._folder.close()
 
-    def let_in(self, state: State) -> tuple[bool, Connection | None]:
+    def handle_connection(self, state: State) -> tuple[bool, Connection | None]:
         """Answer whoever came; returns whether to go on, and the pipe of the corrector that takes over, if it does."""
         try:
             pipe = self._last = Connection(self.socket.accept()[0].detach())
@@ -126,7 +126,7 @@ def take_over(file: Path, wanted: StreamSpec) -> Found | None:
 def _knock(file: Path) -> Connection | None:
     made = socket.socket(socket.AF_UNIX)
     try:
-        made.connect(str(door_beside(json.loads(file.read_text(encoding="utf-8"))["private"])))
+        made.connect(str(orphan_door_path(json.loads(file.read_text(encoding="utf-8"))["private"])))
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         made.close()
         return None

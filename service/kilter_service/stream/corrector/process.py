@@ -32,7 +32,7 @@ from kilter_service.stream.corrector.endpoints import PrivateSocket, check_liste
 from kilter_service.stream.corrector.fork_server import POLL_S, ForkedChild, ForkServer, StoppedError
 from kilter_service.stream.corrector.orphan import take_over
 from kilter_service.stream.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec
-from kilter_service.stream.signing.masters import Masters, masters_in
+from kilter_service.stream.signing.masters import Masters, load_masters
 from kilter_service.web.health.pulse import Pulse
 
 log = logging.getLogger("kilter.corrector")
@@ -91,16 +91,16 @@ class Corrector:
         self._fork_server.start()  # it imports meanwhile
         site, config = self._settings.site, self._settings.zenoh_config
         keys = self._settings.stream_keys_file
-        masters = self._masters = masters_in(keys)
+        masters = self._masters = load_masters(keys)
         again = self._endpoint_before()
 
-        def wanted(private: str) -> StreamSpec:
+        def make_stream_spec(private: str) -> StreamSpec:
             listen, rules = self._settings.zenoh_listen, self._rules
             return StreamSpec(site, self.instance, listen, private, masters, self._unsigned, config, rules, keys, again)
 
-        found = take_over(self.file, wanted(""))
+        found = take_over(self.file, make_stream_spec(""))
         self._private = PrivateSocket(self._settings.data, found.spec.private_endpoint if found else None)
-        stream = replace(found.spec, again=found.endpoint) if found else wanted(self._private.endpoint)
+        stream = replace(found.spec, again=found.endpoint) if found else make_stream_spec(self._private.endpoint)
         queries = QuerySpec(site, self._private.endpoint, masters, self._unsigned, config)
         self._children = {
             "stream": ForkedChild("stream", STREAM, stream, self._fork_server, found),
@@ -112,7 +112,7 @@ class Corrector:
         else:
             self._children["stream"].start()
         self._children["query"].start()
-        self._look()  # while they import; they get what it finds when they listen
+        self._poll_activations()  # while they import; they get what it finds when they listen
         if found:
             self.endpoints["stream"] = found.endpoint
             self._children["stream"].send("masters", self._masters)
@@ -178,7 +178,7 @@ class Corrector:
         for _, documents in self._children["stream"].heard():
             self._note(documents)
         self._follow_masters()
-        self._look()
+        self._poll_activations()
 
     def _note(self, documents: list[dict[str, Any]]) -> None:
         for document in documents:
@@ -191,7 +191,7 @@ class Corrector:
     def _follow_masters(self) -> None:
         """Take a rotated master secret over; whatever the file says, sessions of those in use stay valid."""
         try:
-            masters = masters_in(self._settings.stream_keys_file, make=False)
+            masters = load_masters(self._settings.stream_keys_file, make=False)
         except (ServiceError, OSError) as error:
             if self._keys_readable:
                 log.error("the secrets of the stream cannot be read, those in use stay: %s", error)
@@ -203,16 +203,16 @@ class Corrector:
             self._send_all("masters", masters)
             log.info("secrets of the stream: %d are valid, %d sessions revoked", len(masters.all), len(masters.revoked))
 
-    def _look(self) -> None:
+    def _poll_activations(self) -> None:
         """Take over what was activated."""
         try:
             stamp = self._source.stamp()
             if stamp != self._stamp:
                 self._take_over(self._source.load())
                 self._stamp = stamp
-            self._looking.worked()
+            self._looking.report_success()
         except Exception as error:  # whatever the database says, the stream continues with what it has
-            self._looking.failed(error)
+            self._looking.report_failure(error)
 
     def _take_over(self, versions: Mapping[str, Active]) -> None:
         for robot in [robot for robot in self._active if robot not in versions]:
@@ -234,7 +234,7 @@ class Corrector:
             if child.listens:
                 child.send(*message)
 
-    def rest(self, seconds: float) -> None:
+    def wait_for_child_exit(self, seconds: float) -> None:
         """Sleep, and wake at once when a process has ended: each millisecond is one that an arm is not corrected for."""
         ended = select.poll()
         for child in self._children.values():
@@ -279,7 +279,7 @@ def run(settings: Settings, deserted: Callable[[], bool] = lambda: False) -> Non
             while not stopped.is_set():
                 corrector.poll()
                 pulse.round()
-                corrector.rest(POLL_S)
+                corrector.wait_for_child_exit(POLL_S)
     except StoppedError:
         log.info("stopped before the stream was up")
     finally:

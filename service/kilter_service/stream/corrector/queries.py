@@ -121,7 +121,9 @@ def correct_trajectory(request: Trajectory, active: Active | None) -> bytes:
         raise QueryError(name, f"Point {refused.index} is refused: {name}.", refused.index, refused.limit_mask)
     spent = min(time.monotonic_ns() - began, 0xFFFFFFFF)
     head = wire.HEADER.pack(wire.MAGIC, Kind.TRAJECTORY, joints, walked.all_flags, request.header.seq, 0, 0)
-    verdict = wire.VERDICT.pack(active.number, active.epoch, Status.OK, 0, spent, wire.nanometres(walked.left))
+    verdict = wire.VERDICT.pack(
+        active.number, active.epoch, Status.OK, 0, spent, wire.nanometres(walked.remaining_error_m)
+    )
     return b"".join([head, verdict, wire.BLOCK.pack(len(walked.q), joints), request.t.tobytes(), walked.q.tobytes()])
 
 
@@ -171,10 +173,10 @@ class Queries:
 
     def _answer(self, query: zenoh.Query) -> None:
         key = str(query.key_expr)
-        robot = keys.robot_of(key)
+        robot = keys.robot_from_key(key)
         active = self.active.get(robot)
         if key.endswith("/@rpc/describe"):
-            document = self._signed(query, describe(robot, active, self._spec.unsigned))
+            document = self._sign_reply(query, describe(robot, active, self._spec.unsigned))
             query.reply(key, document, encoding=zenoh.Encoding.APPLICATION_JSON)
             return
         if not key.endswith("/@rpc/correct"):
@@ -183,13 +185,13 @@ class Queries:
         data = _payload(query)
         session_key = self._session_key(query, data)
         try:
-            request = decode_trajectory(sealed.unsealed(data) if session_key else data)
+            request = decode_trajectory(sealed.strip_signature(data) if session_key else data)
         except FrameError as error:
             raise QueryError(Status.BAD_FRAME.name, str(error)) from error
         answer = correct_trajectory(request, active)
         if session_key:
             asked = data[-sealed.TAG_BYTES :]
-            answer = sealed.sealed(answer, sealed.session_of(data), session_key, sealed.REPLY, asked)
+            answer = sealed.sign_frame(answer, sealed.session_id_from_frame(data), session_key, sealed.REPLY, asked)
         query.reply(key, answer, encoding=zenoh.Encoding(ENCODING))
 
     def _session_key(self, query: zenoh.Query, data: bytes) -> bytes | None:
@@ -199,9 +201,9 @@ class Queries:
                 return None
             raise QueryError(Status.UNSIGNED.name, UNSIGNED)
         stream = query.parameters.get("stream") or ""
-        robot = keys.robot_of(str(query.key_expr))
-        key = self._masters.key_of(sealed.session_of(data), self._spec.site, robot, stream)
-        expires_s = Session(*sealed.ID.unpack(sealed.session_of(data))).expires_s
+        robot = keys.robot_from_key(str(query.key_expr))
+        key = self._masters.session_key(sealed.session_id_from_frame(data), self._spec.site, robot, stream)
+        expires_s = Session(*sealed.ID.unpack(sealed.session_id_from_frame(data))).expires_s
         if key is None or not sealed.fits(key, sealed.QUESTION, data) or expires_s < time.time():
             raise QueryError(
                 Status.NO_SESSION.name,
@@ -211,15 +213,17 @@ class Queries:
         return key
 
     def _refuse(self, query: zenoh.Query, error: QueryError) -> None:
-        document = self._signed(query, json.dumps(error.document).encode())
+        document = self._sign_reply(query, json.dumps(error.document).encode())
         query.reply_err(document, encoding=zenoh.Encoding.APPLICATION_JSON)
 
-    def _signed(self, query: zenoh.Query, document: bytes) -> bytes:
+    def _sign_reply(self, query: zenoh.Query, document: bytes) -> bytes:
         key, data = str(query.key_expr), _payload(query)
         # The tag of a signed request is as good as a nonce: it covers a random sequence number and time.
         question = data[-sealed.TRAILER :] if sealed.is_signed(data) else data
         stream = query.parameters.get("stream")
-        return questions.reply(self._masters, question, key, self._spec.site, keys.robot_of(key), stream, document)
+        return questions.reply(
+            self._masters, question, key, self._spec.site, keys.robot_from_key(key), stream, document
+        )
 
     def _follow(self) -> None:
         """Keep to the supervisor's versions; close the session when it says stop, or is gone."""

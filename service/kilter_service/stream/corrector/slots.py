@@ -47,7 +47,7 @@ class Slots:
         self._rules = rules
         self._gate = gate
 
-    def take(self, key: str, names: tuple[str, str, str], arrival_ns: int) -> Served | None:
+    def allocate_slot(self, key: str, names: tuple[str, str, str], arrival_ns: int) -> Served | None:
         """A slot for a stream (``names`` of its robot, answers and status), or None when all are in use."""
         robot, out, status = names
         if len(self.served) >= self._rules.slots and not self._free_slots(arrival_ns):
@@ -63,7 +63,7 @@ class Slots:
         # subscription with wildcards is looked up again: 10 to 25 µs a round trip.
         declared = self._session.declare_keyexpr(key)
         stream = Stream(self._rules)
-        guard = Guard(self._gate, address_of(key), stream)
+        guard = Guard(self._gate, address_from_key(key), stream)
         served = Served(robot, stream, guard, publisher, status, declared)
         self.served = {**self.served, key: served}
         return served
@@ -86,7 +86,7 @@ class Slots:
         return bool(gone)
 
 
-def names_of(key: str) -> tuple[str, str, str] | None:
+def parse_setpoint_key(key: str) -> tuple[str, str, str] | None:
     """Robot, key of the answers and key of the status that belong to a key of setpoints; None when it is not one."""
     parts = key.split("/")
     if len(parts) != 7:
@@ -98,7 +98,7 @@ def names_of(key: str) -> tuple[str, str, str] | None:
         return None
 
 
-def address_of(key: str) -> Address:
+def address_from_key(key: str) -> Address:
     """Site, robot and stream of a key of setpoints."""
     parts = key.split("/")
     return Address(parts[2], parts[3], parts[5])

@@ -49,7 +49,7 @@ class Stream:
             self._fast.give(self._sequence.clock)
         answer = self._full_path(data, arrival_ns, active, overloaded)
         certain = self._before is None and self._sequence.track is not None
-        self._flows = certain and self._fast.take(self._sequence.clock)
+        self._flows = certain and self._fast.adopt_clock(self._sequence.clock)
         return answer
 
     @property
@@ -58,9 +58,9 @@ class Stream:
         return self.counters.good
 
     @property
-    def last(self) -> Answered | None:
+    def last_answer(self) -> Answered | None:
         """What was corrected last, for another thread."""
-        found = [answered for answered in (self._fast.last(), self._full) if answered is not None]
+        found = [answered for answered in (self._fast.last_answer(), self._full) if answered is not None]
         return max(found, default=None)
 
     @property
@@ -72,23 +72,23 @@ class Stream:
         try:
             request = wire.decode_setpoints(data)
         except wire.FrameError as error:
-            return self._refused(error.header, Status.BAD_FRAME, active, 0, arrival_ns)
+            return self._answer_refusal(error.header, Status.BAD_FRAME, active, 0, arrival_ns)
         status = self._admit(request, arrival_ns, active, overloaded)
         if status != Status.OK or active is None:
-            return self._refused(request.header, status, active, 0, arrival_ns)
+            return self._answer_refusal(request.header, status, active, 0, arrival_ns)
         return self._correct(request, arrival_ns, active)
 
     def _admit(self, request: Setpoints, arrival_ns: int, active: Active | None, overloaded: bool) -> Status:
         """Everything that can be said before the numbers are looked at."""
         header = request.header
         if header.flags & Flag.RESET:
-            self._begin(bool(header.flags & Flag.SETTLED))
+            self._start_sequence(bool(header.flags & Flag.SETTLED))
         elif self._before is not None:
             self._choose(self._before, header.seq, arrival_ns)
         clock = self._sequence.clock
         if not clock.follows(header.seq):
             return clock.refuse(header.seq, arrival_ns, header.t_send_ns, overloaded, self.rules)
-        if not clock.take(header.seq, arrival_ns, header.t_send_ns, self.rules):
+        if not clock.advance_to_frame(header.seq, arrival_ns, header.t_send_ns, self.rules):
             return Status.STALE
         if active is None:
             return Status.NO_VERSION
@@ -96,7 +96,7 @@ class Stream:
             return Status.VERSION_MISMATCH
         return Status.OK
 
-    def _begin(self, settled: bool) -> None:
+    def _start_sequence(self, settled: bool) -> None:
         """Start a sequence. The one before is kept until a second frame confirms the new one: anybody can send a RESET."""
         if self._before is None and self._sequence.clock.seq >= 0:
             self._before = self._sequence
@@ -150,9 +150,9 @@ class Stream:
             walked = walk_whole(track, request.values, width, steps)
             refused, flags, numbers, info = walked.refusal, walked.all_flags, walked.q, walked.info[-1]
             status, mask = (refused.status, refused.limit_mask) if refused else (0, 0)
-            left_nm = 0 if refused else wire.nanometres(walked.left)
+            left_nm = 0 if refused else wire.nanometres(walked.remaining_error_m)
         if status != Status.OK:
-            return self._refused(header, Status(status), active, mask, arrival_ns)
+            return self._answer_refusal(header, Status(status), active, mask, arrival_ns)
         points = len(request.values)
         clock.applied_ns = at + (points - 1) * request.step_ns
         clock.answered_ns = arrival_ns
@@ -173,7 +173,7 @@ class Stream:
             step_ns=request.step_ns,
         )
 
-    def _refused(
+    def _answer_refusal(
         self, header: wire.Header | None, status: Status, active: Active | None, mask: int, arrival_ns: int
     ) -> bytes | None:
         """Count a refusal and answer with it, if there is a header to answer to."""

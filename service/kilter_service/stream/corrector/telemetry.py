@@ -36,14 +36,14 @@ class TurnedAway:
 
     def count(self, out: str, status: str) -> None:
         """Count a refusal; ``out`` is the key of its answer. Whoever sends chooses the names, so there are not many."""
-        place = (keys.robot_of(out), keys.stream_of(out))
+        place = (keys.robot_from_key(out), keys.stream_from_key(out))
         if place not in self.counts and len(self.counts) >= self.MOST:
             self.counts, self.seen_ns = {}, {}
         counted = self.counts.setdefault(place, {})
         counted[status] = counted.pop(status, 0) + 1  # the last one is the latest
         self.seen_ns[place] = time.monotonic_ns()
 
-    def received(self, place: tuple[str, str]) -> int:
+    def refused_count(self, place: tuple[str, str]) -> int:
         """How many were refused."""
         return sum(list(self.counts.get(place, {}).values()))
 
@@ -80,10 +80,10 @@ class Telemetry:
         self._all_s = 0.0
         self.watched = False
 
-    def tell(self) -> None:
+    def publish_changes(self) -> None:
         """Publish what moved since the last time, and everything once a second, as far as somebody listens."""
         away, served = self._turned_away, self._slots.served.values()
-        streams = {(one.robot, keys.stream_of(one.status_key)): one for one in list(served)}
+        streams = {(one.robot, keys.stream_from_key(one.status_key)): one for one in list(served)}
         self._follow(away.counts.keys() | streams.keys())
         now = time.monotonic()
         everything = now - self._all_s >= ALL_S
@@ -94,11 +94,13 @@ class Telemetry:
         self._told = {place: self._told.get(place, -1) for place in listened}
         for place in listened:
             served_there = streams.get(place)
-            received = away.received(place) if served_there is None else sum(served_there.stream.counters.by_status)
+            received = (
+                away.refused_count(place) if served_there is None else sum(served_there.stream.counters.by_status)
+            )
             if everything or self._told[place] != received:
                 self._told[place] = received
                 document = away.document(place) if served_there is None else self._document(served_there)
-                self._ways[place].put(self._signed(place, document), encoding=zenoh.Encoding.APPLICATION_JSON)
+                self._ways[place].put(self._sign_document(place, document), encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _follow(self, places: Set[tuple[str, str]]) -> None:
         """Have a way out for each of these streams, and for no other."""
@@ -110,30 +112,30 @@ class Telemetry:
                 priority=zenoh.Priority.BACKGROUND, congestion_control=zenoh.CongestionControl.DROP,
             )  # fmt: skip
 
-    def _signed(self, place: tuple[str, str], document: dict[str, Any]) -> bytes:
+    def _sign_document(self, place: tuple[str, str], document: dict[str, Any]) -> bytes:
         """Sign a document as the corrector signs whatever it announces."""
         told = {"instance": self._spec.instance, "at_ns": time.time_ns(), "moment_ns": time.monotonic_ns()}
         body = json.dumps(told | document).encode()
         site, masters = self._spec.site, self._gate.masters
-        return masters.announced(keys.RobotKeys(site, place[0]).stream(place[1], "live"), site, place[0], body)
+        return masters.sign_announcement(keys.RobotKeys(site, place[0]).stream(place[1], "live"), site, place[0], body)
 
     def _document(self, served: Served) -> dict[str, Any]:
         active = self._active.get(served.robot)
-        last, counters = served.stream.last, served.stream.counters
+        last, counters = served.stream.last_answer, served.stream.counters
         return {
             "version_id": active.version_id if active else None,
             "epoch": active.epoch if active else None,
             **counters.document(),
             "by_time": counters.by_time,
-            "signed": served.guard.signed,
+            "signed": served.guard.is_signed,
             "joints": list(active.joint_names) if active else [],
             "joint_kinds": list(active.joint_kinds) if active else [],
             "seen_ns": served.stream.seen_ns,
-            "last": None if last is None else shown(last),
+            "last": None if last is None else answer_document(last),
         }
 
 
-def shown(last: Answered) -> dict[str, Any]:
+def answer_document(last: Answered) -> dict[str, Any]:
     """A corrected setpoint in numbers: rad or m of each joint, m at the tool, mm of what is left there."""
     wanted, corrected, tool = (np.frombuffer(part) for part in (last.wanted, last.corrected, last.tool))
     return {

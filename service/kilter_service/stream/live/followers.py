@@ -17,13 +17,13 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.failure_log import Failing
 from kilter_service.ground.settings import Settings
-from kilter_service.stream.corrector.keys import robot_of, stream_of
+from kilter_service.stream.corrector.keys import robot_from_key, stream_from_key
 from kilter_service.stream.live import store
 from kilter_service.stream.live.heard import Heard
-from kilter_service.stream.live.session import LiveSession, Message, opened
+from kilter_service.stream.live.session import LiveSession, Message, open_or_reuse_session
 from kilter_service.stream.live.shown import Reach, RobotShown
 from kilter_service.stream.live.verdict import bypass
-from kilter_service.stream.signing.masters import Masters, masters_in
+from kilter_service.stream.signing.masters import Masters, load_masters
 
 log = logging.getLogger("kilter.api")
 
@@ -53,13 +53,13 @@ class Followed:
             heard = self.streams.setdefault(report["stream"], Heard())
             heard.take_report(report, time.time_ns(), time.monotonic())
 
-    def tell(self, said: str) -> None:
+    def publish_news(self, said: str) -> None:
         """Wake all that wait."""
         self.said, self.said_s = said, time.monotonic()
         self._told.set()
         self._told = asyncio.Event()
 
-    async def next(self) -> str:
+    async def wait_for_news(self) -> str:
         """Wait for what is to be said next."""
         await self._told.wait()
         return self.said
@@ -86,7 +86,7 @@ class Viewers:
             if followed.said:
                 yield _event(followed.said)
             while time.monotonic() < end:
-                yield _event(await followed.next())
+                yield _event(await followed.wait_for_news())
 
     @contextmanager
     def _following(self, robot: str) -> Iterator[Followed]:
@@ -115,7 +115,7 @@ class Viewers:
         while self._robots:
             if time.monotonic() - looked_s >= LOOK_S:
                 looked_s = time.monotonic()
-                await self._look()
+                await self._poll_corrector()
             self._listen()
             await asyncio.sleep(PERIOD_S)
 
@@ -124,20 +124,20 @@ class Viewers:
         if session is not None:
             await run_in_threadpool(session.close)
 
-    async def _look(self) -> None:
+    async def _poll_corrector(self) -> None:
         """Look for the corrector, its keys and the active versions."""
         try:
-            self._masters = await run_in_threadpool(masters_in, self._settings.stream_keys_file, False)
+            self._masters = await run_in_threadpool(load_masters, self._settings.stream_keys_file, False)
         except (ServiceError, OSError):  # no message can be believed; what stands in the database can
             self._masters = None
         try:
-            self.session = await run_in_threadpool(opened, self._settings, self.session)
-            found = await run_in_threadpool(_known, self._database, list(self._robots))
+            self.session = await run_in_threadpool(open_or_reuse_session, self._settings, self.session)
+            found = await run_in_threadpool(_load_robot_states, self._database, list(self._robots))
             self._here = self._settings.corrector_file.exists()
         except Exception as error:  # the database may be away for a while; the followers stay
-            self._looking.failed(error)
+            self._looking.report_failure(error)
             return
-        self._looking.worked()
+        self._looking.report_success()
         for robot, known in found.items():
             if robot in self._robots:
                 self._robots[robot].known = known
@@ -147,16 +147,16 @@ class Viewers:
     def _listen(self) -> None:
         now_s = time.monotonic()
         for message in self.session.messages() if self.session else ():
-            self._take(message, now_s)
+            self._accept_message(message, now_s)
         reach = self._reach(now_s)
         for robot, followed in self._robots.items():
-            said = self._shown(robot, followed, reach, now_s).text()
+            said = self._robot_view(robot, followed, reach, now_s).text()
             if said != followed.said or now_s - followed.said_s >= AGAIN_S:
-                followed.tell(said)
+                followed.publish_news(said)
 
-    def _take(self, message: Message, now_s: float) -> None:
+    def _accept_message(self, message: Message, now_s: float) -> None:
         """Take a message over if it is of a robot that is looked at, and of the corrector."""
-        robot, stream = robot_of(message.key), stream_of(message.key)
+        robot, stream = robot_from_key(message.key), stream_from_key(message.key)
         followed = self._robots.get(robot)
         if followed is None or self._masters is None or self.session is None:
             return
@@ -165,10 +165,10 @@ class Viewers:
             return
         if len(followed.streams) >= MOST_STREAMS and stream not in followed.streams:
             followed.streams.pop(next(iter(followed.streams)))
-        followed.streams.setdefault(stream, Heard()).take(json.loads(body), now_s)
+        followed.streams.setdefault(stream, Heard()).accept_message(json.loads(body), now_s)
 
     def _reach(self, now_s: float) -> Reach:
-        connected = self.session is not None and self.session.connected
+        connected = self.session is not None and self.session.is_connected
         if connected:
             self._was_connected = True
             return "connected"
@@ -183,8 +183,8 @@ class Viewers:
             self._task.cancel()
             await asyncio.wait([self._task])
 
-    def _shown(self, robot: str, followed: Followed, reach: Reach, now_s: float) -> RobotShown:
-        streams = [heard.shown(name, now_s) for name, heard in sorted(followed.streams.items())]
+    def _robot_view(self, robot: str, followed: Followed, reach: Reach, now_s: float) -> RobotShown:
+        streams = [heard.stream_view(name, now_s) for name, heard in sorted(followed.streams.items())]
         streams = [stream for stream in streams if stream.seen_s < FORGOTTEN_S]
         streams.sort(key=lambda stream: stream.condition == "silent")  # what moves is first
         since = self.session.place.since if self.session else None
@@ -192,12 +192,12 @@ class Viewers:
         return RobotShown(robot, reach, since, active, bypass(reach, active, streams, followed.known.twice), streams)
 
 
-def _known(database: Database, robots: list[str]) -> dict[str, store.Known]:
+def _load_robot_states(database: Database, robots: list[str]) -> dict[str, store.Known]:
     found = {}
     with database.reading() as session:
         for robot in robots:
             try:
-                found[robot] = store.known(session, robot, ALIVE_S)
+                found[robot] = store.load_robot_state(session, robot, ALIVE_S)
             except ServiceError:  # it was deleted meanwhile
                 continue
     return found
@@ -207,7 +207,7 @@ def _event(said: str) -> str:
     return f"event: live\ndata: {said}\n\n"
 
 
-def viewers_of(app: FastAPI) -> Viewers:
+def get_viewers(app: FastAPI) -> Viewers:
     """Return those who look at streams of an application."""
     if not hasattr(app.state, "viewers"):
         app.state.viewers = Viewers(app.state.database, app.state.settings)

@@ -70,7 +70,7 @@ class Heard:
         self._told_ns = self._reported_ns = 0
         self._told_s = -math.inf
 
-    def take(self, document: dict[str, Any], now_s: float) -> bool:
+    def accept_message(self, document: dict[str, Any], now_s: float) -> bool:
         """Take a message of the corrector over; False for one that was heard before."""
         # By the corrector's monotonic clock: the time of day may be set back.
         if self._knows(document) and document["moment_ns"] <= self._told_ns:
@@ -109,7 +109,7 @@ class Heard:
             self._times.append((moment_s, by_time))
         self._document = document
 
-    def shown(self, name: str, now_s: float) -> StreamShown:
+    def stream_view(self, name: str, now_s: float) -> StreamShown:
         """What is to be said of the stream now."""
         document, seen_s = self._document, now_s - self._moved_s
         counters = document["counters"]

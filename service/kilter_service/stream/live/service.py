@@ -9,12 +9,12 @@ from kilter_service.ground.settings import Settings
 from kilter_service.stream.live import store
 from kilter_service.stream.live.followers import ALIVE_S
 from kilter_service.stream.live.heard import Heard
-from kilter_service.stream.live.session import place_in
+from kilter_service.stream.live.session import read_corrector_place
 from kilter_service.stream.live.shown import Reach, RobotShown
 from kilter_service.stream.live.verdict import bypass
 
 
-def now(database: Database, settings: Settings, robot: str) -> RobotShown:
+def load_robot_view(database: Database, settings: Settings, robot: str) -> RobotShown:
     """Return what the corrector last said in the database, every two seconds.
 
     Raises:
@@ -22,13 +22,13 @@ def now(database: Database, settings: Settings, robot: str) -> RobotShown:
 
     """
     with database.reading() as session:
-        known = store.known(session, robot, ALIVE_S)
+        known = store.load_robot_state(session, robot, ALIVE_S)
     streams = []
     for report in known.reports:
         heard = Heard()
         heard.take_report(report, time.time_ns(), time.monotonic())
-        streams.append(heard.shown(report["stream"], time.monotonic()))
-    place = place_in(settings.corrector_file)
+        streams.append(heard.stream_view(report["stream"], time.monotonic()))
+    place = read_corrector_place(settings.corrector_file)
     reach: Reach = "away" if not known.alive and place is None else "connecting"
     since = place.since if place else None
     why = bypass(reach, known.active_version, streams, known.twice)

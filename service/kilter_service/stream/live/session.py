@@ -26,7 +26,7 @@ class Place(NamedTuple):
     since: str  # when it was written
 
 
-def place_in(file: Path) -> Place | None:
+def read_corrector_place(file: Path) -> Place | None:
     """Where the corrector is, None when none runs here."""
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
@@ -63,7 +63,7 @@ class LiveSession:
         )
 
     @property
-    def connected(self) -> bool:
+    def is_connected(self) -> bool:
         """Whether the corrector, or its router, is at the other end."""
         try:
             return bool([*self._session.info.peers_zid(), *self._session.info.routers_zid()])
@@ -85,9 +85,9 @@ class LiveSession:
         self._session.close()
 
 
-def opened(settings: Settings, known: LiveSession | None) -> LiveSession | None:
+def open_or_reuse_session(settings: Settings, known: LiveSession | None) -> LiveSession | None:
     """A session with the corrector that runs now: ``known`` when it is still that one, None when there is none."""
-    place = place_in(settings.corrector_file)
+    place = read_corrector_place(settings.corrector_file)
     if known is not None:
         if place is None or place.instance == known.place.instance:
             return known

@@ -24,7 +24,7 @@ class Known(NamedTuple):
     twice: str = ""
 
 
-def known(session: Session, robot: str, within_s: float) -> Known:
+def load_robot_state(session: Session, robot: str, within_s: float) -> Known:
     """Look up a robot."""
     stored = robots.get(session, robot)
     active, twice = versions.active_entry(session, stored.id), objection(robot, stored.controller_compensation)

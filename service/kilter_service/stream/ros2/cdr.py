@@ -134,13 +134,13 @@ def decode_joint_trajectory(data: bytes) -> JointTrajectory:
     _expect_end(data, offset + first.itemsize + (points - 1) * rest.itemsize)
     head_row, rows = _records(data, offset, first, rest, points)
     for name, count in zip(PARTS, counts, strict=True):
-        if rows[f"n_{name}"].tobytes() != _repeated(count, points - 1, order):
+        if rows[f"n_{name}"].tobytes() != _repeated_count_bytes(count, points - 1, order):
             raise CdrError("the points of the trajectory differ in what they carry")
     found = {
-        name: _taken(head_row, rows, name, order, np.float64) if count else np.zeros((points, 0))
+        name: _field_rows(head_row, rows, name, order, np.float64) if count else np.zeros((points, 0))
         for name, count in zip(PARTS, counts, strict=True)
     }
-    return JointTrajectory(head, _taken(head_row, rows, "time", order, np.int32), **found)
+    return JointTrajectory(head, _field_rows(head_row, rows, "time", order, np.int32), **found)
 
 
 def _records(
@@ -159,7 +159,9 @@ def _fill(first: NDArray[np.void], rest: NDArray[np.void], name: str, values: ND
     first[name], rest[name] = raw[:1], raw[1:]
 
 
-def _taken(first: NDArray[np.void], rest: NDArray[np.void], name: str, order: Order, kind: type[Any]) -> NDArray[Any]:
+def _field_rows(
+    first: NDArray[np.void], rest: NDArray[np.void], name: str, order: Order, kind: type[Any]
+) -> NDArray[Any]:
     """A field as rows (N, k) of the machine's numbers."""
     raw = np.empty(len(rest) + 1, first.dtype[name])
     raw[:1], raw[1:] = first[name], rest[name]
@@ -195,7 +197,7 @@ def _layout(counts: tuple[int, ...], phase: int) -> tuple[np.dtype[np.void], int
 
 
 @lru_cache(maxsize=64)
-def _repeated(count: int, times: int, order: Order) -> bytes:
+def _repeated_count_bytes(count: int, times: int, order: Order) -> bytes:
     """What a column of equal counts looks like; comparing bytes is four times as fast as comparing numbers."""
     return np.full(times, count, f"{order}u4").tobytes()
 

@@ -61,7 +61,7 @@ def topic_token(domain: int, zid: str, entity: int, kind: str, topic: str, messa
     return f"{where}/{topic.replace('/', '%')}/{message.dds}/{message.rihs01}/{QOS}"
 
 
-def gid_of(token: str) -> bytes:
+def publisher_gid(token: str) -> bytes:
     """16 bytes that identify a publisher; any constant ones will do."""
     return hashlib.blake2b(token.encode(), digest_size=16).digest()
 

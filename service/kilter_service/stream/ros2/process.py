@@ -116,7 +116,7 @@ class Adaptor:
             token = names.topic_token(domain, self._zid, entity + 1, "MP", route.corrected, route.message)
             self._announce(names.topic_token(domain, self._zid, entity, "MS", route.wanted, route.message))
             self._announce(token)
-            gid = names.gid_of(token)
+            gid = names.publisher_gid(token)
         else:
             wanted, corrected, gid = names.bridge_key(route.wanted), names.bridge_key(route.corrected), b""
         subscriber = self._session.declare_subscriber(wanted, zenoh.handlers.RingChannel(256))
@@ -153,7 +153,7 @@ def _samples(subscriber: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]])
             return
 
 
-def opened(settings: Settings, stopped: Callable[[float], bool]) -> zenoh.Session | None:
+def open_router_session(settings: Settings, stopped: Callable[[float], bool]) -> zenoh.Session | None:
     """A session with the router of ROS, tried until there is one; None when stopped first."""
     made = config(None, (settings.ros2_connect,), settings.ros2_zenoh_config)
     made.insert_json5("mode", '"client"')  # a router passes everything on to a client, but not always to a peer
@@ -185,9 +185,9 @@ class Versions:
                 return None
             found = dict(self._source.load())
         except Exception as error:
-            self._looking.failed(error)
+            self._looking.report_failure(error)
             return None
-        self._looking.worked()
+        self._looking.report_success()
         self._stamp = stamp
         return found
 
@@ -195,7 +195,7 @@ class Versions:
 def follow(settings: Settings, source: VersionSource, stopped: Callable[[float], bool]) -> None:
     """Relay, and follow the active versions, until ``stopped(seconds)`` says so."""
     warm_up()
-    session = opened(settings, stopped)
+    session = open_router_session(settings, stopped)
     if session is None:
         return
     adaptor, versions = Adaptor(session, settings), Versions(source)

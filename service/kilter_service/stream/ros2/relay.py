@@ -54,7 +54,7 @@ class Relay(ABC):
     ) -> bytes | None:
         """Corrected message; None: it is not corrected."""
         try:
-            out = self._corrected(data, attachment, arrival_ns, active)
+            out = self._correct_message(data, attachment, arrival_ns, active)
         except cdr.CdrError:
             self.counts[Status.BAD_FRAME.name] += 1
         except RefusedError as refused:
@@ -65,7 +65,9 @@ class Relay(ABC):
         return None
 
     @abstractmethod
-    def _corrected(self, data: bytes, attachment: Attachment | None, arrival_ns: int, active: Active | None) -> bytes:
+    def _correct_message(
+        self, data: bytes, attachment: Attachment | None, arrival_ns: int, active: Active | None
+    ) -> bytes:
         """The message with corrected joints; velocities, accelerations and efforts stay as they are."""
 
 
@@ -79,7 +81,9 @@ class StateRelay(Relay):
         self._heard_ns = 0
         self._seq = 0
 
-    def _corrected(self, data: bytes, attachment: Attachment | None, arrival_ns: int, active: Active | None) -> bytes:
+    def _correct_message(
+        self, data: bytes, attachment: Attachment | None, arrival_ns: int, active: Active | None
+    ) -> bytes:
         state = cdr.decode_joint_state(data)
         if active is None:
             raise RefusedError(Status.NO_VERSION.name)
@@ -121,7 +125,9 @@ class StateRelay(Relay):
 class TrajectoryRelay(Relay):
     """Whole motions as ``JointTrajectory``: the arm rests at the first point, every point is corrected or none."""
 
-    def _corrected(self, data: bytes, attachment: Attachment | None, arrival_ns: int, active: Active | None) -> bytes:
+    def _correct_message(
+        self, data: bytes, attachment: Attachment | None, arrival_ns: int, active: Active | None
+    ) -> bytes:
         trajectory = cdr.decode_joint_trajectory(data)
         if active is None:
             raise RefusedError(Status.NO_VERSION.name)

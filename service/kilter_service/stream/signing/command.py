@@ -7,7 +7,7 @@ import time
 
 from kilter_service.ground.settings import Settings
 from kilter_service.stream.signing import sealed
-from kilter_service.stream.signing.masters import OVERLAP_S, changed, masters_in
+from kilter_service.stream.signing.masters import OVERLAP_S, load_masters, update_masters_file
 
 EXAMPLE = "kilterd stream-keys --rotate --overlap-h 24"
 
@@ -47,11 +47,11 @@ def _session(text: str) -> bytes:
 def run(settings: Settings, given: argparse.Namespace) -> None:
     """Show or rotate the secret from which the keys of the stream are derived."""
     file = settings.stream_keys_file
-    masters = masters_in(file)
+    masters = load_masters(file)
     if given.rotate:
-        masters = changed(file, lambda now: now.rotated(max(0.0, given.overlap_h) * 3600.0))
+        masters = update_masters_file(file, lambda now: now.with_rotated_secret(max(0.0, given.overlap_h) * 3600.0))
     if given.revoke:
-        masters = changed(file, lambda now: now.without(given.revoke))
+        masters = update_masters_file(file, lambda now: now.with_sessions_revoked(given.revoke))
     print(f"Secrets in {file}:")
     for master in masters.all:
         left_h = None if master.until is None else max(0.0, (master.until - time.time()) / 3600.0)

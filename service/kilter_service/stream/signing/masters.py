@@ -36,7 +36,7 @@ class Master:
     @property
     def number(self) -> int:
         """By which session ids name it."""
-        return sealed.number_of(self.secret)
+        return sealed.secret_number(self.secret)
 
     def valid(self, now_s: float) -> bool:
         """Whether sessions made under it are still taken."""
@@ -60,14 +60,14 @@ class Masters:
         expires = int(time.time() + lifetime_s)
         return Session(self.all[-1].number, expires, secrets.randbits(64)).encode()
 
-    def key_of(self, session: bytes, site: str, robot: str, stream: str) -> bytes | None:
+    def session_key(self, session: bytes, site: str, robot: str, stream: str) -> bytes | None:
         """Key of a session; None when it was revoked, or its secret is not known here, or no longer valid."""
         if session in self.revoked:
             return None
         master = self.find(Session(*sealed.ID.unpack(session)).master)
         return sealed.session_key(master.secret, session, site, robot, stream) if master else None
 
-    def announced(self, address: str, site: str, robot: str, body: bytes) -> bytes:
+    def sign_announcement(self, address: str, site: str, robot: str, body: bytes) -> bytes:
         """A document of the corrector about a robot, signed under each valid secret."""
         now = time.time()
         tags = [
@@ -78,7 +78,7 @@ class Masters:
         return sealed.signed_document(body, " ".join(tags))
 
     def heard(self, address: str, site: str, robot: str, data: bytes) -> bytes | None:
-        """The document of an announcement that :meth:`announced` signed under a secret that is valid here, else None."""
+        """Document of an announcement that :meth:`sign_announcement` signed under a valid secret, else None."""
         opened = sealed.opened_document(data)
         if opened is None:
             return None
@@ -90,14 +90,14 @@ class Masters:
                 return body if compare_digest(sealed.said_tag(key, address, body), given) else None
         return None
 
-    def rotated(self, overlap_s: float) -> Masters:
+    def with_rotated_secret(self, overlap_s: float) -> Masters:
         """With a new secret in use; the one before ends after ``overlap_s``."""
         now = time.time()
         kept = [master for master in self.all if master.valid(now)]
         kept[-1] = Master(kept[-1].secret, now + overlap_s)
         return Masters((*kept, new_master()), self.revoked)
 
-    def without(self, sessions: Iterable[bytes]) -> Masters:
+    def with_sessions_revoked(self, sessions: Iterable[bytes]) -> Masters:
         """With these sessions revoked too; those that have ended by themselves are forgotten."""
         now = time.time()
         named = {*self.revoked, *sessions}
@@ -109,7 +109,7 @@ def new_master() -> Master:
     return Master(secrets.token_bytes(SECRET_BYTES))
 
 
-def masters_in(file: Path, make: bool = True) -> Masters:
+def load_masters(file: Path, make: bool = True) -> Masters:
     """The secrets of a file, which is made when it does not exist.
 
     Raises:
@@ -143,11 +143,11 @@ def masters_in(file: Path, make: bool = True) -> Masters:
     return masters
 
 
-def changed(file: Path, change: Callable[[Masters], Masters]) -> Masters:
+def update_masters_file(file: Path, change: Callable[[Masters], Masters]) -> Masters:
     """Change the secrets of a file, one process after the other, and return what is there now."""
     with os.fdopen(os.open(file.with_name(f"{file.name}.lock"), os.O_WRONLY | os.O_CREAT, 0o600), "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        masters = change(masters_in(file))
+        masters = change(load_masters(file))
         write(file, masters)
     return masters
 

@@ -17,7 +17,7 @@ def reply(
 ) -> bytes:
     """A document, signed for whoever asked."""
     session, nonce = question[: sealed.SESSION_BYTES], question[sealed.SESSION_BYTES :]
-    key = masters.key_of(session, site, robot, stream) if stream and len(question) == HEAD else None
+    key = masters.session_key(session, site, robot, stream) if stream and len(question) == HEAD else None
     if key is None:
-        return masters.announced(address, site, robot, document)
+        return masters.sign_announcement(address, site, robot, document)
     return sealed.signed_document(document, sealed.reply_tag(key, nonce, address, document).hex())

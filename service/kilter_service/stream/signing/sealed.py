@@ -38,7 +38,7 @@ class Session(NamedTuple):
         return ID.pack(*self)
 
 
-def session_of(data: bytes) -> bytes:
+def session_id_from_frame(data: bytes) -> bytes:
     """Session id of a signed frame."""
     return data[-TRAILER:-TAG_BYTES]
 
@@ -63,38 +63,38 @@ def fits(key: bytes, use: bytes, data: bytes) -> bool:
     return compare_digest(tag(key, use, data[:-TAG_BYTES]), data[-TAG_BYTES:])
 
 
-def derived(key: bytes, use: bytes, message: bytes) -> bytes:
+def derive_key(key: bytes, use: bytes, message: bytes) -> bytes:
     """A key of 32 bytes made from another one."""
     return blake2s(message, key=key, digest_size=32, person=use).digest()
 
 
-def number_of(secret: bytes) -> int:
+def secret_number(secret: bytes) -> int:
     """Number by which a session id names its master secret; it tells nothing about the secret."""
     return int.from_bytes(blake2s(b"", key=secret, digest_size=4, person=KEY_NUMBER).digest(), "little")
 
 
 def session_key(secret: bytes, session: bytes, site: str, robot: str, stream: str) -> bytes:
     """Key of a session: of this site, robot and stream only."""
-    return derived(secret, KEY_OF_SESSION, session + "\0".join((site, robot, stream)).encode())
+    return derive_key(secret, KEY_OF_SESSION, session + "\0".join((site, robot, stream)).encode())
 
 
 def robot_key(secret: bytes, site: str, robot: str) -> bytes:
     """Key of the corrector's announcements about a robot."""
-    return derived(secret, KEY_OF_ROBOT, f"{site}\0{robot}".encode())
+    return derive_key(secret, KEY_OF_ROBOT, f"{site}\0{robot}".encode())
 
 
 def key_in_use(key: bytes, nonce: bytes) -> bytes:
     """Key of the frames of a session, once the corrector has given its nonce."""
-    return derived(key, KEY_IN_USE, nonce)
+    return derive_key(key, KEY_IN_USE, nonce)
 
 
-def sealed(plain: bytes, session: bytes, key: bytes, use: bytes, before: bytes = b"") -> bytes:
+def sign_frame(plain: bytes, session: bytes, key: bytes, use: bytes, before: bytes = b"") -> bytes:
     """A signed frame from a plain one; ``before`` is signed too, but not sent."""
     data = MAGIC + plain[4:] + session
     return data + tag(key, use, before + data)
 
 
-def unsealed(data: bytes) -> bytes:
+def strip_signature(data: bytes) -> bytes:
     """The plain frame of a signed one, whose tag was checked before."""
     return PLAIN + data[4:-TRAILER]
 

@@ -15,7 +15,7 @@ from kilter_service.ground.settings import Settings
 from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
 from kilter_service.stream.signing import sealed, store
-from kilter_service.stream.signing.masters import Masters, changed, masters_in
+from kilter_service.stream.signing.masters import Masters, load_masters, update_masters_file
 from kilter_service.stream.signing.sealed import Session
 from kilter_service.stream.signing.store import Holder
 from kilter_service.web.tokens import store as tokens
@@ -34,22 +34,22 @@ def new_session(database: Database, settings: Settings, robot: str, wanted: NewS
             the stream.
 
     """
-    masters = masters_in(settings.stream_keys_file)
+    masters = load_masters(settings.stream_keys_file)
     with database.transaction() as opened:
         compensated = robots.get(opened, robot).controller_compensation
         compensation.refuse(robot, compensated)
         # Asked again here: changes follow one another, so a token that is revoked meanwhile has its sessions ended too.
         lifetime_s = min(wanted.lifetime_h * 3600.0, tokens.left_s(opened))
         session = masters.new_session(lifetime_s)
-        others = _held_by_others(opened, masters, robot, wanted.stream)
+        others = _sessions_of_others(opened, masters, robot, wanted.stream)
         if others and not wanted.take_over:
-            raise _held(robot, wanted.stream, others[-1])
+            raise _stream_held_error(robot, wanted.stream, others[-1])
         expires_at = datetime.fromtimestamp(Session(*sealed.ID.unpack(session)).expires_s, UTC)
         said = {"session": session.hex(), "robot": robot, "stream": wanted.stream, "until": expires_at.isoformat()}
         before = [{"session": other.session.hex(), "of": other.actor} for other in others] or None
         audited.note(opened, store.THING, before, said)
         if others:
-            _end(settings, [other.session for other in others])  # at last, for it cannot be taken back
+            _revoke_sessions(settings, [other.session for other in others])  # at last, for it cannot be taken back
     secret, unknown = masters.all[-1].secret, compensation.remark(robot, compensated)
     return StreamSession(
         site=settings.site,
@@ -74,12 +74,12 @@ def end_sessions(database: Database, settings: Settings, token_id: str) -> None:
 
     """
     with database.reading() as session:
-        found = store.sessions_of(session, token_id)
+        found = store.sessions_of_token(session, token_id)
     if found:
-        _end(settings, found)
+        _revoke_sessions(settings, found)
 
 
-def _held_by_others(opened: Opened, masters: Masters, robot: str, stream: str) -> list[Holder]:
+def _sessions_of_others(opened: Opened, masters: Masters, robot: str, stream: str) -> list[Holder]:
     """Sessions of a stream that are valid and that another login asked for; a controller renews its own."""
     caller = CALLER.get()
     me = (caller.actor, caller.token_id) if caller is not None else None
@@ -92,7 +92,7 @@ def _held_by_others(opened: Opened, masters: Masters, robot: str, stream: str) -
     ]
 
 
-def _held(robot: str, stream: str, by: Holder) -> ServiceError:
+def _stream_held_error(robot: str, stream: str, by: Holder) -> ServiceError:
     until = datetime.fromtimestamp(Session(*sealed.ID.unpack(by.session)).expires_s, UTC)
     return ServiceError(
         f"Stream {stream!r} of robot {robot!r} is held by {by.actor!r} since {by.since:%Y-%m-%d %H:%M} UTC, until "
@@ -105,9 +105,9 @@ def _held(robot: str, stream: str, by: Holder) -> ServiceError:
     )
 
 
-def _end(settings: Settings, found: list[bytes]) -> None:
+def _revoke_sessions(settings: Settings, found: list[bytes]) -> None:
     try:
-        changed(settings.stream_keys_file, lambda now: now.without(found))
+        update_masters_file(settings.stream_keys_file, lambda now: now.with_sessions_revoked(found))
     except OSError as error:
         raise ServiceError(
             f"The {len(found)} sessions of streams are not ended, for {settings.stream_keys_file} cannot be written "

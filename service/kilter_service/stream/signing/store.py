@@ -39,7 +39,7 @@ def holders(session: Session, robot: str, stream: str) -> list[Holder]:
     return found
 
 
-def sessions_of(session: Session, token_id: str) -> list[bytes]:
+def sessions_of_token(session: Session, token_id: str) -> list[bytes]:
     """Return the ids of the sessions that a token asked for, also of those that have ended."""
     content = AuditRow.content
     query = select(content).where(content.contains(f'"token_id": "{token_id}"'), content.contains(f'"{THING}"'))

@@ -50,7 +50,7 @@ class Judged:
     rows: Ints
 
 
-def judged(
+def judge_rows(
     calibration: Calibration,
     known: Predictive,
     rows: Observations,
@@ -67,19 +67,19 @@ def judged(
     """
     if rows.position is None and rows.markers is None:
         return None
-    measurement = core_measurement.Measurement.of(rows, calibration.marker_points, held=True)
-    fitted = estimate.refitted(calibration, measurement, tuple(refit))
-    budget = core_uncertainty.Budget.of(fitted, known, measurement, permissible(instrument), refit)
+    measurement = core_measurement.Measurement.from_observations(rows, calibration.marker_points, held=True)
+    fitted = estimate.refit_frames(calibration, measurement, tuple(refit))
+    budget = core_uncertainty.Budget.from_measurement(fitted, known, measurement, permissible(instrument), refit)
     if budget is None:
         return None
-    error = core_evaluate.rows_of(fitted, measurement).error
+    error = core_evaluate.errors_by_row(fitted, measurement).error
     seen = ~np.isnan(error).any(axis=1)
     if not seen.any():
         return None
     sizes = np.linalg.norm(error[seen], axis=1)
     conformity = core_uncertainty.judge(sizes, core_budget.K * budget.along(np.nan_to_num(error))[seen], tolerance_m)
-    nominal = estimate.refitted(core_model.Calibration.nominal(calibration.robot), measurement, ("base", "tool"))
-    before, after = (metrics.Errors.of(one, measurement).to_document() for one in (nominal, fitted))
+    nominal = estimate.refit_frames(core_model.Calibration.nominal(calibration.robot), measurement, ("base", "tool"))
+    before, after = (metrics.Errors.from_calibration(one, measurement).to_document() for one in (nominal, fitted))
     document = {"instrument": instrument and instrument.name, **budget.to_document()}
     return Judged(conformity, before, after, document, _places(rows)[seen], sizes, numbers[seen])
 
@@ -96,7 +96,7 @@ def of_another_arm(calibration: Calibration, known: Predictive, rows: Observatio
     return False
 
 
-def shown(found: Judged) -> tuple[Floats, Floats]:
+def sample_places_and_errors(found: Judged) -> tuple[Floats, Floats]:
     """Places (n, 3) m and errors (n,) m of some rows, evenly chosen, the worst among them."""
     some = np.union1d(evenly(len(found.sizes), MOST_SHOWN), found.sizes.argmax())
     return found.places[some], found.sizes[some]

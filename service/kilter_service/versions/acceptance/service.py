@@ -20,7 +20,7 @@ from kilter_service.robots.instruments import store as instruments
 from kilter_service.robots.instruments.validity import remarks
 from kilter_service.versions import store as versions
 from kilter_service.versions.acceptance import words
-from kilter_service.versions.acceptance.rows import judged, of_another_arm, shown, span
+from kilter_service.versions.acceptance.rows import judge_rows, of_another_arm, sample_places_and_errors, span
 from kilter_service.versions.as_it_was import AsItWas
 from kilter_service.versions.predictions.unfitted_rows import Archive
 from kilter_service.versions.today import sentences
@@ -65,9 +65,9 @@ def of_robot(database: Database, robot: str, wish: Wish) -> Acceptance:
             raise ServiceError(
                 f"Version {version_id} is of robot {version.robot!r}, not of {robot!r}.", code="version_not_found"
             )
-        parts, left_out, foreign = _parts(session, stored.id, version_id, wish)
+        parts, left_out, foreign = _judge_campaigns(session, stored.id, version_id, wish)
         if not parts:
-            was = AsItWas() if wish.campaigns else AsItWas.by(session, stored.id, version.report)
+            was = AsItWas() if wish.campaigns else AsItWas.from_repairs_and_reports(session, stored.id, version.report)
             raise _nothing(robot, version_id, wish, was, foreign)
     parts.sort(key=lambda one: -one.campaign.provable_mm)
     decision, worst, lacking = _decision(parts, foreign)
@@ -80,7 +80,7 @@ def of_robot(database: Database, robot: str, wish: Wish) -> Acceptance:
         sentence=words.sentence(decision, wish.tolerance_mm, rows, worst, provable, lacking), rows=rows,
         provable_mm=provable, span_mm={axis: (low[k], high[k]) for k, axis in enumerate("xyz")},
         campaigns=[one.campaign for one in parts], lacking=lacking,
-        warnings=[*left_out, *(said for one in parts for said in words.warnings_of(one.campaign))],
+        warnings=[*left_out, *(said for one in parts for said in words.guard_band_warnings(one.campaign))],
     )  # fmt: skip
 
 
@@ -113,12 +113,12 @@ def _with_todays(database: Database, robot: str, version_id: str, wish: Wish) ->
     if newest is None or newest.source == "fitted":
         return wish._replace(refit=wish.refit or ())
     with database.reading() as session:
-        was = AsItWas.by(session, robots.get(session, robot).id)
+        was = AsItWas.from_repairs_and_reports(session, robots.get(session, robot).id)
     ids = tuple(one.id for one in newest.campaigns if one.id not in was.campaigns)
     return wish._replace(campaigns=ids, refit=newest.refit if wish.refit is None else wish.refit)
 
 
-def _parts(
+def _judge_campaigns(
     session: Session, robot_id: int, version_id: str, wish: Wish
 ) -> tuple[list[Part], list[Remark], list[Remark]]:
     """The campaigns that are judged; what is said of those that nobody named and that cannot be; and of another arm's.
@@ -128,7 +128,7 @@ def _parts(
         CoreError: a campaign that was named cannot be judged.
 
     """
-    calibration, own = versions.calibration(session, version_id), versions.made_from(session, version_id)
+    calibration, own = versions.calibration(session, version_id), versions.training_campaign_ids(session, version_id)
     report = versions.get(session, version_id).report
     known = predictive.Predictive.from_document(versions.covariance(session, version_id), report)
     if known is None:
@@ -140,14 +140,14 @@ def _parts(
     stated = None if wish.instrument is None else instruments.get(session, wish.instrument)
     unseen: Unseen = Archive(session, robot_id).unseen([version_id])
     if not wish.campaigns:
-        unseen = AsItWas.by(session, robot_id, report).left_out(unseen)
+        unseen = AsItWas.from_repairs_and_reports(session, robot_id, report).left_out(unseen)
     parts, left_out, foreign = [], [], []
     for key, rows in unseen.rows.items():
         if wish.campaigns and key not in wish.campaigns:
             continue
         used = campaigns.instruments(session, [key]).get(key) or stated
         try:
-            found = _judged((calibration, known, key in own), rows, unseen.places[key], used, wish)
+            found = _judge_campaign_rows((calibration, known, key in own), rows, unseen.places[key], used, wish)
         except TooFewPosesError as error:
             if wish.campaigns:
                 raise TooFewPosesError(words.too_few(key), campaign=key) from error
@@ -158,11 +158,11 @@ def _parts(
         if not wish.campaigns and of_another_arm(calibration, known, rows, found):
             foreign.append(Remark(code=core_watch_check.ANOTHER_ARM, message=words.another_arm(key), campaigns=[key]))
             continue
-        parts.append(_part(session, key, found, used, wish.refit or ()))
+        parts.append(_build_part(session, key, found, used, wish.refit or ()))
     return parts, left_out, foreign
 
 
-def _judged(
+def _judge_campaign_rows(
     version: tuple[Calibration, predictive.Predictive, bool],
     rows: Observations,
     places: Ints,
@@ -172,22 +172,33 @@ def _judged(
     """Judge the rows of a campaign; the version with what it knows, and whether it was made from that campaign."""
     calibration, known, own = version
     here = calibration if own else calibration.for_another_campaign(rows)
-    return judged(here, known, rows, places, used, wish.refit or (), to_metres(wish.tolerance_mm))
+    return judge_rows(here, known, rows, places, used, wish.refit or (), to_metres(wish.tolerance_mm))
 
 
-def _part(session: Session, key: str, found: Judged, used: Instrument | None, refit: Sequence[str]) -> Part:
-    record, uploads = campaigns.get(session, key), campaigns.uploads_of(session, key)
+def _build_part(session: Session, key: str, found: Judged, used: Instrument | None, refit: Sequence[str]) -> Part:
+    record, uploads = campaigns.get(session, key), campaigns.uploads_of_campaign(session, key)
     at = record.measured_at or max(one.created_at for one in uploads)
-    places, sizes = shown(found)
+    places, sizes = sample_places_and_errors(found)
     worst = found.conformity
     campaign = JudgedCampaign(
-        id=key, name=record.name, when=sentences.when(at, days_since(at), stated=record.measured_at is not None),
-        instrument=used and used.name, rows=len(found.sizes), sha256=[one.sha256 for one in uploads], refit=[*refit],
-        before=Errors(**found.before), after=Errors(**found.after),
-        largest_mm=to_mm(float(found.sizes.max())), row=int(found.rows[worst.row]) + 1, error_mm=to_mm(worst.error),
-        guard_band_mm=to_mm(worst.guard), provable_mm=to_mm(worst.needed), budget=found.budget,
-        at_mm=to_mm(places).tolist(), error_at_mm=to_mm(sizes).tolist(),
-    )  # fmt: skip
+        id=key,
+        name=record.name,
+        when=sentences.describe_measurement_time(at, days_since(at), stated=record.measured_at is not None),
+        instrument=used and used.name,
+        rows=len(found.sizes),
+        sha256=[one.sha256 for one in uploads],
+        refit=[*refit],
+        before=Errors(**found.before),
+        after=Errors(**found.after),
+        largest_mm=to_mm(float(found.sizes.max())),
+        row=int(found.rows[worst.row]) + 1,
+        error_mm=to_mm(worst.error),
+        guard_band_mm=to_mm(worst.guard),
+        provable_mm=to_mm(worst.needed),
+        budget=found.budget,
+        at_mm=to_mm(places).tolist(),
+        error_at_mm=to_mm(sizes).tolist(),
+    )
     return Part(campaign, remarks(used, record.measured_at, at), found)
 
 
@@ -196,7 +207,10 @@ def _decision(parts: Sequence[Part], foreign: Sequence[Remark]) -> tuple[Decisio
 
     Nothing is decided beside rows that may be another arm's: they may as well be this one's, and far off.
     """
-    lacking = [*foreign, *(said for one in parts for said in words.lacking_of(one.campaign, one.certificate))]
+    lacking = [
+        *foreign,
+        *(said for one in parts for said in words.missing_evidence_remarks(one.campaign, one.certificate)),
+    ]
     if lacking:
         return "not_proved", parts[0].campaign, lacking
     for decision in ("rejected", "not_proved", "accepted"):

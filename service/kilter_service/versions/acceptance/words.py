@@ -35,7 +35,7 @@ def sentence(
     return f"Neither is proved: {row}; {tolerance_mm:g} mm is within that band. These rows prove {provable_mm:.3g} mm."
 
 
-def lacking_of(campaign: JudgedCampaign, certificate: list[Remark]) -> Iterator[Remark]:
+def missing_evidence_remarks(campaign: JudgedCampaign, certificate: list[Remark]) -> Iterator[Remark]:
     """Say why rows prove nothing, whatever their numbers."""
     if campaign.instrument is None:
         message = (
@@ -46,7 +46,7 @@ def lacking_of(campaign: JudgedCampaign, certificate: list[Remark]) -> Iterator[
     yield from (one.model_copy(update={"campaigns": [campaign.id]}) for one in certificate)
 
 
-def warnings_of(campaign: JudgedCampaign) -> Iterator[Remark]:
+def guard_band_warnings(campaign: JudgedCampaign) -> Iterator[Remark]:
     """Say what the guard band lacks."""
     for source in campaign.budget.not_assessed:
         if source in WHY:

@@ -32,7 +32,7 @@ Numbers = dict[str, Shown]
 SHIFTS = ("value", "x", "y", "z")  # of a frame its shift: rotations of five poses are shifts for the most part
 
 
-def charts_of(made: Sequence[StoredCheck]) -> list[ControlChart]:
+def control_charts(made: Sequence[StoredCheck]) -> list[ControlChart]:
     """Return the charts, in the order of the causes by name, of each number that most checks show.
 
     A check that alarmed by itself is in no sum: it says what it saw, and after a repair the sums go on where they were. Nor is
@@ -86,7 +86,7 @@ class KeptCharts:
     def __init__(self, most: int = KEPT) -> None:
         self._charts = Recent[list[ControlChart]](most)
 
-    def of(
+    def get_charts(
         self, made: Sequence[StoredCheck], read: Callable[[Sequence[StoredCheck]], Sequence[StoredCheck]] | None = None
     ) -> list[ControlChart]:
         """Return the charts of these checks; what is returned is shared, and nobody changes it.
@@ -94,7 +94,7 @@ class KeptCharts:
         ``read`` adds the numbers to checks whose charts are not kept.
         """
         key = tuple((one.job_id, one.at) for one in made)
-        return self._charts.get(key, lambda: charts_of(made if read is None else read(made)))
+        return self._charts.get(key, lambda: control_charts(made if read is None else read(made)))
 
 
 def last_value(chart: ControlChart) -> float | None:

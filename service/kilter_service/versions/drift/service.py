@@ -42,10 +42,10 @@ def of_robot(database: Database, robot: str) -> DriftHistory:
         made = store.checks(session, [key]).get(key, [])
         log = store.activations(session, [key]).get(key, [])
         repaired = repairs.of_robots(session, [key]).get(key, [])
-        own, charts = _own(session, made, log, repaired)
+        own, charts = _checks_and_charts(session, made, log, repaired)
     marks = [*map(wire.mark, log), *_agreeing_again(made), *map(wire.repair, repaired)]
     return DriftHistory(
-        **_summary(name, _since(made, log, repaired), log, own, charts).model_dump(),
+        **_summary(name, _describe_start_of_checks(made, log, repaired), log, own, charts).model_dump(),
         repaired_at=repaired[-1].at if repaired else None,
         history=[wire.check(one) for one in made],
         marks=sorted(marks, key=lambda one: one.at),
@@ -64,7 +64,11 @@ def of_robots(database: Database) -> DriftList:
         found = []
         for key, name in names.items():
             known = made.get(key, []), log.get(key, []), repaired.get(key, [])
-            found.append(_summary(name, _since(*known), log.get(key, []), *_own(session, *known)))
+            found.append(
+                _summary(
+                    name, _describe_start_of_checks(*known), log.get(key, []), *_checks_and_charts(session, *known)
+                )
+            )
     return DriftList(robots=sorted(found, key=_order))
 
 
@@ -89,7 +93,7 @@ class Creeping:
             str, tuple[str, float, bool]
         ] = {}  # by robot: its last check, until when it holds, what it is
 
-    def of(self, session: Session, last: Mapping[str, CheckOfRobot]) -> dict[str, bool]:
+    def creeping_by_robot(self, session: Session, last: Mapping[str, CheckOfRobot]) -> dict[str, bool]:
         """Whether each robot of these last checks creeps, as far as it is known already."""
         now = time.monotonic()
         due = [name for name, one in last.items() if self._is_due(name, one, now)][: self._most]
@@ -97,7 +101,7 @@ class Creeping:
         made = store.checks(session, keys.values())
         log, repaired = store.activations(session, keys.values()), repairs.of_robots(session, keys.values())
         for name, key in keys.items():
-            charts = _own(session, made.get(key, []), log.get(key, []), repaired.get(key, []))[1]
+            charts = _checks_and_charts(session, made.get(key, []), log.get(key, []), repaired.get(key, []))[1]
             creeps = last[name].verdict == "ok" and any(one.alarms for one in charts)
             self._known[name] = (last[name].job_id, now + self._kept_s, creeps)
         self._known = {name: one for name, one in self._known.items() if name in last}
@@ -111,7 +115,7 @@ class Creeping:
 def _agreeing_again(made: Sequence[StoredCheck]) -> list[DriftMark]:
     """Checks that agree again with a version that the one before missed; not by frames that took up what it said."""
     return [
-        wire.repaired(after)
+        wire.valid_again_mark(after)
         for before, after in pairwise([one for one in made if one.whole])
         if before.result.get("version_id") == after.result.get("version_id")
         and before.result["verdict"] != "ok"
@@ -135,12 +139,12 @@ def _of_active(made: Sequence[StoredCheck], log: Sequence[Activated], repaired: 
     return [one for one in own if not repaired or one.at >= repaired[-1].at]
 
 
-def _own(
+def _checks_and_charts(
     session: Session, made: Sequence[StoredCheck], log: Sequence[Activated], repaired: Sequence[Repair]
 ) -> tuple[list[StoredCheck], list[ControlChart]]:
     """The checks of the active version since the last repair, and the charts of those that looked at every cause."""
     own = _of_active(made, log, repaired)
-    return own, KEPT.of([one for one in own if one.whole], partial(store.with_numbers, session))
+    return own, KEPT.get_charts([one for one in own if one.whole], partial(store.with_numbers, session))
 
 
 def _summary(
@@ -160,7 +164,7 @@ def _summary(
     )
 
 
-def _since(made: Sequence[StoredCheck], log: Sequence[Activated], repaired: Sequence[Repair]) -> str:
+def _describe_start_of_checks(made: Sequence[StoredCheck], log: Sequence[Activated], repaired: Sequence[Repair]) -> str:
     """Since when checks of the active version count, in words; empty without one.
 
     Rows that are sent late are dated before the activation of their version, and a repair after them may be, too.

@@ -55,7 +55,7 @@ def checks(session: Session, of: Collection[int], most: int = MOST) -> dict[int,
         for robot, job, campaigns, *result in session.execute(query)
         if result[0] is not None
     ]
-    at, digests = measured(session, {campaign for _, _, campaign, _ in found})
+    at, digests = measurement_times_and_digests(session, {campaign for _, _, campaign, _ in found})
     out: dict[int, list[StoredCheck]] = {}
     for robot, job, campaign, result in found:
         if campaign in at:
@@ -85,7 +85,9 @@ def _newest_of_each(made: list[StoredCheck], digests: Mapping[str, Digests]) -> 
     return sorted(newest.values(), key=lambda one: one.at)
 
 
-def measured(session: Session, campaigns: Collection[str]) -> tuple[dict[str, datetime], dict[str, Digests]]:
+def measurement_times_and_digests(
+    session: Session, campaigns: Collection[str]
+) -> tuple[dict[str, datetime], dict[str, Digests]]:
     """When campaigns in use were measured, or the last of their rows came; and what tells the same rows sent twice."""
     row = CampaignRow
     query = (

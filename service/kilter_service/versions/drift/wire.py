@@ -74,7 +74,7 @@ def cause_words(cause: Cause) -> str:
     return KINDS[cause.kind].format(cause.joint)
 
 
-def unit_of(cause: Cause, place: int = 0) -> tuple[str, float]:
+def cause_unit_and_factor(cause: Cause, place: int = 0) -> tuple[str, float]:
     """Return the unit of a number of a cause on the wire, and what converts SI to it."""
     if cause.kind == "scale":
         return "ppm", PPM
@@ -92,7 +92,7 @@ def cause_document(one: Judged) -> dict[str, Any]:
     numbers = []
     told = zip(names, one.change, one.u95, one.summed, QUANTILE * one.summed_sigma, strict=True)
     for place, (name, change, half, summed, half_summed) in enumerate(told):
-        unit, factor = unit_of(one.cause, place)
+        unit, factor = cause_unit_and_factor(one.cause, place)
         u95, summed_u95 = (float(value * factor) if np.isfinite(value) else None for value in (half, half_summed))
         number = {"name": name, "unit": unit, "change": float(change * factor), "u95": u95}
         numbers.append({**number, "summed": float(summed * factor), "summed_u95": summed_u95})
@@ -107,14 +107,14 @@ def smallest_documents(found: Check) -> list[dict[str, Any]]:
     causes = {one.cause.name: one.cause for one in found.judged}
     out = []
     for name, value in found.smallest.items():
-        unit, factor = unit_of(causes[name])
+        unit, factor = cause_unit_and_factor(causes[name])
         out.append({"name": name, "words": cause_words(causes[name]), "value": float(value * factor), "unit": unit})
     return out
 
 
 def sentence(found: Check, agreed_at: datetime | None = None) -> str:
     """Return the verdict in one sentence, and others on its conditions and on what could not be seen."""
-    return _verdict(found, agreed_at) + condition_words(found) + _limited(found)
+    return _verdict(found, agreed_at) + condition_words(found) + _limitation_words(found)
 
 
 def condition_words(found: Check) -> str:
@@ -128,7 +128,7 @@ def condition_words(found: Check) -> str:
     return f"{said} The rows scatter {found.scatter:.2g} times as much as the version's, which counts as their noise."
 
 
-def _limited(found: Check) -> str:
+def _limitation_words(found: Check) -> str:
     """What a check did not see because frames were fitted first, or nobody measured a place; empty of any other."""
     unseen = ", ".join(cause_words(one) for one in found.unseen)
     if found.joint_log:
@@ -163,7 +163,7 @@ def chance_words(p_value: float, digits: int = 1) -> str:
 
 def rezero_sentence(found: Rezeroed, start: str, rows: int, campaign: str) -> str:
     """Return what was changed in a version, by how many rows of which campaign."""
-    changes = " and ".join(by_how_much(one) for one in found.changed)
+    changes = " and ".join(by_how_much(one) for one in found.changed_causes)
     setup = f" with {' and '.join(found.before.new_setup)} set up anew" if found.before.new_setup else ""
     return (
         f"Version {start} re-zeroed{setup}: {changes}; everything else is as it was identified. The {rows} rows of "
@@ -175,7 +175,7 @@ def by_how_much(one: Judged) -> str:
     """Return a cause with its change: `zero of joint 3 by 0.21 deg (0.19 to 0.23)`; of a frame its shift and its rotation."""
     words = cause_words(one.cause)
     if not one.cause.frame:
-        unit, factor = unit_of(one.cause)
+        unit, factor = cause_unit_and_factor(one.cause)
         value, u95 = float(one.change[0] * factor), float(one.u95[0] * factor)
         return f"{words} by {value:.3g} {unit} ({value - u95:.3g} to {value + u95:.3g})"
     seen = np.isfinite(one.sigma)
@@ -227,7 +227,7 @@ def _repair(cause: Cause, names: Sequence[str]) -> str:
 
 def faint_sentence(one: Faint) -> str:
     """Return what poses do not show of a zero, why, and what would."""
-    words, (unit, factor) = cause_words(one.cause), unit_of(one.cause)
+    words, (unit, factor) = cause_words(one.cause), cause_unit_and_factor(one.cause)
     if one.seen is None:
         off = "" if one.lever is None else f" The measured point is {to_mm(one.lever):.2g} mm off that axis."
         return f"The {words} is not seen at all, whatever the poses.{off}"

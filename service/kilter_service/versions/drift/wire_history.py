@@ -32,6 +32,6 @@ def repair(one: Repair) -> DriftMark:
     return DriftMark(at=one.at, what="repair", version_id="", note=one.what, repair_id=one.id)
 
 
-def repaired(first: StoredCheck) -> DriftMark:
+def valid_again_mark(first: StoredCheck) -> DriftMark:
     """Say that a version holds again since a check."""
     return DriftMark(at=first.at, what="repaired", version_id=str(first.result["version_id"]))

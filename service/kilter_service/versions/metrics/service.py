@@ -59,17 +59,17 @@ class _Asked(Collector):
         yield from machine.gauges(self._settings)
         try:
             with self._database.reading() as session:
-                known = list(_of(session))
+                known = list(_iter_database_metrics(session))
         except Exception as error:  # the metrics are there to say so
-            reading.failed(error)
+            reading.report_failure(error)
             yield _gauge("kilter_database_up", DATABASE_UP, (), [((), 0.0)])
             return
-        reading.worked()
+        reading.report_success()
         yield _gauge("kilter_database_up", DATABASE_UP, (), [((), 1.0)])
         yield from known
 
 
-def _of(session: Session) -> Iterable[Metric]:
+def _iter_database_metrics(session: Session) -> Iterable[Metric]:
     jobs = [((kind, state), float(number)) for kind, state, number in store.jobs_by_state(session)]
     yield _gauge("kilter_jobs", "Jobs in the database.", ("kind", "state"), jobs)
     age = [((), store.queue_age_s(session))]
@@ -79,7 +79,7 @@ def _of(session: Session) -> Iterable[Metric]:
     text = "Time since a process last said that it is alive."
     yield _gauge("kilter_heartbeat_age_seconds", text, ("process", "name"), beats)
     checks = last_checks(session)
-    yield from _of_checks(checks, CREEPING.of(session, checks))
+    yield from _of_checks(checks, CREEPING.creeping_by_robot(session, checks))
     yield from _of_webhooks(store.webhooks(session))
     yield from _of_streams(store.streams(session))
 

@@ -15,7 +15,7 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import predictive, transforms, walker
-from kilter_service.ground.correction_limits import options_of
+from kilter_service.ground.correction_limits import correction_options
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.tables.assemble import with_default_load
@@ -65,10 +65,10 @@ def at_pose(
     """
     with database.reading() as session:
         limits = CorrectionLimits(**store.get(session, version).limits)
-        options = options_of(limits, temperature_c, rules=store.rules_of(session, version))
-        calibration, known = store.calibration(session, version), store.known(session, version)
+        options = correction_options(limits, temperature_c, rules=store.rules_of(session, version))
+        calibration, known = store.calibration(session, version), store.load_predictive(session, version)
         rows = _rows(session, calibration, q, campaign, row)
-    return _looked_at(calibration, known, rows, options)
+    return _predict_at_pose(calibration, known, rows, options)
 
 
 def _rows(session: Session, calibration: Calibration, q: Floats | None, campaign: str, row: int) -> Observations:
@@ -86,13 +86,13 @@ def _rows(session: Session, calibration: Calibration, q: Floats | None, campaign
     return Observations(q=one.q if q is None else q[None, :], **kept)
 
 
-def _looked_at(
+def _predict_at_pose(
     calibration: Calibration,
     known: Predictive | None,
     rows: Observations,
     options: CorrectionOptions,
 ) -> AtPose:
-    arm, wanted = predictive.acting(calibration, rows), calibration.wanted()
+    arm, wanted = predictive.acting(calibration, rows), calibration.nominal_in_wanted_frames()
     to_base = transforms.inverse(np.asarray(wanted.model.T_base))
     tool, expected = arm.predict(rows).position[0], wanted.predict(rows).position[0]
     done = walker.correct_trajectory(arm, rows, options)
@@ -100,25 +100,34 @@ def _looked_at(
     missing = [one.id for one in calibration.model.effects if one.stage != "measurement" and one.id not in there]
     sigma = None if known is None else float(known.of_the_tool(calibration, rows).max()) / QUANTILE
     return AtPose(
-        rows.q[0], to_base[:3, :3] @ tool + to_base[:3, 3], to_base[:3, :3] @ (tool - expected),
-        Status(int(done.status[0])).name, tuple(_parts(arm, known, rows, expected)), tuple(dict.fromkeys(missing)), sigma,
-    )  # fmt: skip
+        rows.q[0],
+        to_base[:3, :3] @ tool + to_base[:3, 3],
+        to_base[:3, :3] @ (tool - expected),
+        Status(int(done.status[0])).name,
+        tuple(_iter_contributions(arm, known, rows, expected)),
+        tuple(dict.fromkeys(missing)),
+        sigma,
+    )
 
 
-def _parts(arm: Calibration, known: Predictive | None, rows: Observations, expected: Floats) -> Iterator[Part]:
+def _iter_contributions(
+    arm: Calibration, known: Predictive | None, rows: Observations, expected: Floats
+) -> Iterator[Part]:
     """What geometry and each effect move the tool by, the geometry first, then the largest."""
     model = arm.model
     rigid = arm.with_effects([]).predict(rows).position[0] - expected
     # With the base: what a first link does a base does too, so either alone is hardly known, and both together are.
-    yield _part("geometry", rigid, arm, known, rows, range(model.n_geometric))
+    yield _contribution_with_interval("geometry", rigid, arm, known, rows, range(model.n_geometric))
     slices = model.effect_slices()
     moved = model.contribution(rows, arm.values)
     for key, shift in sorted(moved.items(), key=lambda one: -float(np.linalg.norm(one[1][0]))):
         where = slices[key]
-        yield _part(key.partition("#")[0], shift[0], arm, known, rows, range(where.start, where.stop))
+        yield _contribution_with_interval(
+            key.partition("#")[0], shift[0], arm, known, rows, range(where.start, where.stop)
+        )
 
 
-def _part(
+def _contribution_with_interval(
     name: str, shift: Floats, arm: Calibration, known: Predictive | None, rows: Observations, own: Sequence[int]
 ) -> Part:
     """The size of a movement with its 95 % interval along itself, by the covariance of the parameters that make it."""

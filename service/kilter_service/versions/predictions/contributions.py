@@ -25,7 +25,7 @@ def contributions(database: Database, version_id: str) -> tuple[int, list[Contri
     with database.reading() as session:
         calibration = store.calibration(session, version_id)
     arm = [effect for effect in calibration.model.effects if effect.stage != "measurement"]
-    kept = calibration.with_effects([effect for effect in arm if closest_table.at_rest(effect)])
+    kept = calibration.with_effects([effect for effect in arm if closest_table.acts_at_rest(effect)])
     rows = closest_table.workspace(calibration.robot)
     moved = {}
     for name, shift in kept.model.contribution(rows, kept.values).items():

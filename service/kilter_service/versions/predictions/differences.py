@@ -11,11 +11,11 @@ from kilter_core.errors import CoreError
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.fits import Metrics
 from kilter_service.contract.versions import ParameterChange, VersionDiff
-from kilter_service.ground.called import called
+from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.versions import store
-from kilter_service.versions.predictions.paired import NOTHING, Pairs, Side, judged, pairs
+from kilter_service.versions.predictions.paired import NOTHING, Pairs, Side, judge_pairs, pairs
 from kilter_service.versions.predictions.values import Value, wire_values
 from kilter_service.versions.wire import summary
 
@@ -61,17 +61,17 @@ def diff(database: Database, a: str, b: str, wanted: Sequence[str] = ()) -> Vers
         ServiceError: they are of different robots, or both are nominal.
 
     """
-    return compared(database, a, b, wanted).diff
+    return compare_versions(database, a, b, wanted).diff
 
 
-def compared(
+def compare_versions(
     database: Database, a: str, b: str, wanted: Sequence[str] = (), few: Callable[[Sequence[str]], bool] | None = None
 ) -> Compared:
     """Compare two versions as ``diff`` does, and keep the rows.
 
     Where ``few`` says no of the campaigns, rows are left alone: neither ``paired`` nor ``not_paired`` is said.
     """
-    a, b = version_of(a), version_of(b)
+    a, b = resolve_version_id(a), resolve_version_id(b)
     if a == b == NOMINAL:
         raise ServiceError(f"Both are {NOMINAL!r}: name a version to compare with it.", code="option_invalid")
     with database.reading() as session:
@@ -80,7 +80,7 @@ def compared(
         known = first or second
         assert known is not None
         drawn = _Side(NOMINAL, known.robot, [], _drawn(session, b if a == NOMINAL else a), {}, Metrics())
-        found = _compared(first or drawn, second or drawn)
+        found = _diff_sides(first or drawn, second or drawn)
         chosen = list(wanted) or _usual(session, [one for one in (a, b) if one != NOMINAL])
     if first is None or second is None:
         return Compared(found.model_copy(update={"not_paired": NO_BASE}), chosen, None)
@@ -90,7 +90,7 @@ def compared(
         return Compared(found, chosen, None)
     try:
         rows = pairs(database, a, b, chosen)
-        said = judged(database, rows, *(Side(one.name, one.called or one.name) for one in (first, second)))
+        said = judge_pairs(database, rows, *(Side(one.name, one.called or one.name) for one in (first, second)))
     except CoreError as error:
         return Compared(found.model_copy(update={"not_paired": error.message}), chosen, None)
     if said is None:
@@ -98,7 +98,7 @@ def compared(
     return Compared(found.model_copy(update={"paired": said}), chosen, rows)
 
 
-def version_of(name: str) -> str:
+def resolve_version_id(name: str) -> str:
     """Return the version that a job made, for its id; any other name as it is."""
     return f"ver_{name.removeprefix('job_')}" if name.startswith("job_") else name
 
@@ -107,7 +107,9 @@ def _usual(session: Session, versions: Sequence[str]) -> list[str]:
     """Campaigns that either version was made from, else the newest of the robot."""
     rows = [store.get(session, one) for one in versions]
     used = list(dict.fromkeys(part["id"] for row in rows for part in row.campaigns))
-    there = [one for one in campaigns.ids_of_robot(session, rows[0].robot_id) if campaigns.uploads_of(session, one)]
+    there = [
+        one for one in campaigns.ids_of_robot(session, rows[0].robot_id) if campaigns.uploads_of_campaign(session, one)
+    ]
     known = [one for one in used if one in there][:MOST_CAMPAIGNS]
     return known or there[-1:]
 
@@ -124,7 +126,7 @@ def _of_version(session: Session, version: str) -> _Side:
         wire_values(store.calibration(session, version)),
         sigma,
         about.metrics,
-        called(about),
+        display_name(about),
     )
 
 
@@ -136,7 +138,7 @@ def _drawn(session: Session, version: str) -> dict[str, Value]:
     return wire_values(replace(calibration, model=nominal, values=model.values0()))
 
 
-def _compared(a: _Side, b: _Side) -> VersionDiff:
+def _diff_sides(a: _Side, b: _Side) -> VersionDiff:
     if a.robot != b.robot:
         raise ServiceError(
             f"Version {a.name} is of robot {a.robot!r}, {b.name} of {b.robot!r}: compare versions of one robot.",

@@ -25,7 +25,7 @@ class OwnError:
     held_out: bool
 
     @staticmethod
-    def of(report: Mapping[str, Any], block: str) -> OwnError | None:
+    def from_report(report: Mapping[str, Any], block: str) -> OwnError | None:
         """The error on the rows of a block, "validation" or "train"; None: none is stored."""
         return OwnError.read((report.get("metrics") or {}).get(block) or {}, block == "validation")
 
@@ -49,7 +49,7 @@ class OwnError:
         return f"{self.mean:.4g} mm on {self.rows} rows that it {'held out' if self.held_out else 'was fitted to'}"
 
 
-def compared(
+def compare_with_active(
     new: Mapping[str, Any], rival: Mapping[str, Any], active: str
 ) -> tuple[list[Objection], list[dict[str, Any]]]:
     """What the stored errors of a version say beside those of the active one: an objection, or a remark with both numbers.
@@ -57,7 +57,10 @@ def compared(
     Errors of fitted rows flatter, the more so the fewer the rows: they count against the version only, and of the active
     one held-out rows are needed.
     """
-    mine, other = OwnError.of(new, "validation") or OwnError.of(new, "train"), OwnError.of(rival, "validation")
+    mine, other = (
+        OwnError.from_report(new, "validation") or OwnError.from_report(new, "train"),
+        OwnError.from_report(rival, "validation"),
+    )
     if mine is None or other is None:
         return [], []
     message = (

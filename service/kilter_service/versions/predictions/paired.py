@@ -54,14 +54,14 @@ def pairs(database: Database, a: str, b: str, campaigns: Sequence[str]) -> Pairs
 
     """
     first, second = residuals(database, a, campaigns), residuals(database, b, campaigns)
-    sizes = size_of(first), size_of(second)
+    sizes = error_lengths(first), error_lengths(second)
     seen = ~np.isnan(sizes[0]) & ~np.isnan(sizes[1])
     unseen = seen & np.asarray(first["held_out"], dtype=bool) & np.asarray(second["held_out"], dtype=bool)
     used = unseen if unseen.any() else seen
     return Pairs((first, second), used, (sizes[0][used], sizes[1][used]), bool(unseen.any()))
 
 
-def judged(database: Database, found: Pairs, a: Side, b: Side) -> PairedErrors | None:
+def judge_pairs(database: Database, found: Pairs, a: Side, b: Side) -> PairedErrors | None:
     """Say which of two versions is better; None where no row was seen."""
     if not found.used.any():
         return None
@@ -122,7 +122,7 @@ def residuals(database: Database, version: str, chosen: Sequence[str]) -> dict[s
     return {name: found.column(name).to_numpy(zero_copy_only=False) for name in found.column_names}
 
 
-def size_of(table: Mapping[str, Any]) -> Floats:
+def error_lengths(table: Mapping[str, Any]) -> Floats:
     """Length of the errors, mm; NaN where nothing was seen."""
     return np.asarray(np.sqrt(sum(np.asarray(table[f"d{axis}_mm"], dtype=np.float64) ** 2 for axis in "xyz")))
 
@@ -139,7 +139,7 @@ def _poses(database: Database, table: Mapping[str, Any]) -> Ints:
     """Number the poses of all rows, those of each campaign apart."""
     found, last = [], 0
     for campaign in dict.fromkeys(table["campaign"]):
-        rows = looking.stored(database, campaign)
+        rows = looking.load_campaign_rows(database, campaign)
         seen = observations(rows.table, rows.columns, rows.conditions)
         own = numbered_poses(seen.q) if seen.pose_id is None else np.unique(seen.pose_groups(), return_inverse=True)[1]
         found.append(own + last)

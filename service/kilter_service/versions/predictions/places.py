@@ -23,12 +23,12 @@ from kilter_service.ground.core import (
     transforms,
     walker,
 )
-from kilter_service.ground.correction_limits import options_of
+from kilter_service.ground.correction_limits import correction_options
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.versions import store
 from kilter_service.versions.predictions.preview import drawn
-from kilter_service.versions.predictions.residuals import Part, frames_of, parts_of, refitted
+from kilter_service.versions.predictions.residuals import Part, iter_frame_groups, load_parts, refit_frames
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
@@ -86,23 +86,25 @@ def places(database: Database, version: str, campaign: str) -> Places:
     """
     with database.reading() as session:
         record = store.get(session, version)
-        files = tuple(upload.sha256 for upload in campaigns.uploads_of(session, campaign))
+        files = tuple(upload.sha256 for upload in campaigns.uploads_of_campaign(session, campaign))
         key = (version, campaign, *files)
         kept = _LATELY.get(key)  # another request may drop it between a look and a read
         if kept is not None and campaigns.whole(session, campaign).robot_id == record.robot_id:
             return kept
         calibration = store.calibration(session, version)
-        (part,) = parts_of(session, record, [campaign])
-    found = _found(part, calibration, record.report)
+        (part,) = load_parts(session, record, [campaign])
+    found = _build_places(part, calibration, record.report)
     while len(_LATELY) >= MOST_KEPT:
         _LATELY.pop(next(iter(_LATELY)), None)
     _LATELY[key] = found
     return found
 
 
-def _found(part: Part, calibration: Calibration, report: dict[str, Any]) -> Places:
-    calibration = part.seen_by(calibration)
-    frames = [frame for where, refit in frames_of(part, report) if (frame := _frame(part, calibration, where, refit))]
+def _build_places(part: Part, calibration: Calibration, report: dict[str, Any]) -> Places:
+    calibration = part.calibration_for_rows(calibration)
+    frames = [
+        frame for where, refit in iter_frame_groups(part, report) if (frame := _frame(part, calibration, where, refit))
+    ]
     if not frames:
         raise ServiceError(
             f"Campaign {part.campaign} has no measured point, so its errors have no place: choose another one.",
@@ -139,7 +141,7 @@ def _frame(part: Part, calibration: Calibration, where: Bools, refit: Sequence[s
     rows = np.flatnonzero(where)
     shape = calibration.marker_points
     here = (
-        refitted(calibration, core_measurement.Measurement.of(part.rows.select(where), shape), refit)
+        refit_frames(calibration, core_measurement.Measurement.from_observations(part.rows.select(where), shape), refit)
         if refit
         else calibration
     )
@@ -153,14 +155,14 @@ def _frame(part: Part, calibration: Calibration, where: Bools, refit: Sequence[s
 
 def _sizes(part: Part, here: Calibration, rows: Ints) -> tuple[Floats, Floats] | None:
     """Places (n, 3) m of rows and the sizes (n,) m of their errors; None where no instrument saw a place."""
-    measurement = core_measurement.Measurement.of(part.rows.select(rows), here.marker_points, held=True)
+    measurement = core_measurement.Measurement.from_observations(part.rows.select(rows), here.marker_points, held=True)
     if measurement.tool.places_itself:
         at = here.predict(measurement.observations).position
         return in_base(here, at), np.linalg.norm(measurement.tool.row_errors(here)[0], axis=1)
     if not measurement.observes_places:
         return None
     predicted = here.predict(measurement.observations)
-    size = np.linalg.norm(row_errors.mean_of(measurement.residual(predicted).points), axis=1)
+    size = np.linalg.norm(row_errors.mean_marker_error(measurement.residual(predicted).points), axis=1)
     return in_base(here, predicted.position), size
 
 
@@ -169,17 +171,20 @@ def _stages(part: Part, frame: _Frame, chosen: Bools) -> Floats:
     nominal = core_model.Calibration.nominal(frame.here.robot)
     some = frame.rows[np.linspace(0, len(frame.rows) - 1, min(len(frame.rows), FITTED_ROWS)).astype(np.int64)]
     fitted = estimate.registration_only(
-        nominal, core_measurement.Measurement.of(part.rows.select(some), frame.here.marker_points, held=True)
+        nominal,
+        core_measurement.Measurement.from_observations(part.rows.select(some), frame.here.marker_points, held=True),
     )
     return _errors(part, dict(zip(STAGES, (nominal, fitted, frame.here), strict=True)), frame.rows[chosen])
 
 
 def _errors(part: Part, stages: dict[str, Calibration], rows: Ints) -> Floats:
     """Errors (n, stages, 3) m of rows, in the axes of the robot's base."""
-    measurement = core_measurement.Measurement.of(part.rows.select(rows), stages[STAGES[-1]].marker_points, held=True)
+    measurement = core_measurement.Measurement.from_observations(
+        part.rows.select(rows), stages[STAGES[-1]].marker_points, held=True
+    )
     if measurement.tool.places_itself:
         return np.stack([measurement.tool.row_errors(stage)[0] for stage in stages.values()], axis=1)
-    return np.stack([row_errors.RowErrors.of(stages, measurement, rows).left[name] for name in stages], axis=1)
+    return np.stack([row_errors.RowErrors.from_stages(stages, measurement, rows).left[name] for name in stages], axis=1)
 
 
 def spread(at: Floats, size: Floats, most: int = MOST_ROWS) -> Ints:
@@ -197,9 +202,9 @@ def reach(database: Database, version: str) -> Reach:
     """Return how far a version corrects the tool, and how well it knows it, wherever it corrects within the joint limits."""
     with database.reading() as session:
         limits, rules = CorrectionLimits(**store.get(session, version).limits), store.rules_of(session, version)
-        calibration, known = store.calibration(session, version), store.known(session, version)
+        calibration, known = store.calibration(session, version), store.load_predictive(session, version)
     rows = Observations(q=drawn(calibration.robot, DRAWN))
-    done = walker.correct_trajectory(calibration, rows, options_of(limits, None, rules=rules))
+    done = walker.correct_trajectory(calibration, rows, correction_options(limits, None, rules=rules))
     good = done.status == Status.OK
     rows = rows.select(good)
     before = np.linalg.norm(done.error_removed[good], axis=1)

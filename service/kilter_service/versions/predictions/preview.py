@@ -16,7 +16,7 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground import correction_outcome as outcome
-from kilter_service.ground.correction_limits import options_of
+from kilter_service.ground.correction_limits import correction_options
 from kilter_service.ground.db import Database
 from kilter_service.versions import store, wire
 from kilter_service.versions.records import PreviewedPoses
@@ -55,7 +55,7 @@ def over_poses(
     """
     with database.reading() as session:
         record = store.get(session, version_id)
-        calibration, known = store.calibration(session, version_id), store.known(session, version_id)
+        calibration, known = store.calibration(session, version_id), store.load_predictive(session, version_id)
         driven = campaigns.driven(session, record.robot_id, calibration.robot, MOST_POSES)
     q = drawn(calibration.robot) if driven is None else driven[:MOST_POSES]
     found = at_poses(calibration, known, CorrectionLimits(**record.limits), q, temperature_c)
@@ -70,14 +70,14 @@ def at_poses(
     temperature_c: float | None = None,
 ) -> PreviewedPoses:
     """Correct poses ``q (N, n)`` as `correct` corrects a file of them without times, within these limits."""
-    found = outcome.correct(calibration, Observations(q=q), options_of(limits, temperature_c), known)
+    found = outcome.correct(calibration, Observations(q=q), correction_options(limits, temperature_c), known)
     with np.errstate(over="ignore"):  # a version of nonsense moves the tool beyond all numbers
         moved = np.linalg.norm(found.done.error_removed, axis=1)
     return PreviewedPoses(
         q=q,
         words=tuple(found.words),
         moved=moved,
-        left=found.left,
+        left=found.remaining_errors,
         delta=found.done.q - q,
         unsupported=found.done.not_corrected,
         where_stated=found.done.where_stated,

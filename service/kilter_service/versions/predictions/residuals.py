@@ -40,7 +40,7 @@ class Part:
     set_aside: frozenset[int]
     own: bool
 
-    def seen_by(self, calibration: Calibration) -> Calibration:
+    def calibration_for_rows(self, calibration: Calibration) -> Calibration:
         """The version as it predicts these rows."""
         return calibration if self.own else calibration.for_another_campaign(self.rows)
 
@@ -62,8 +62,11 @@ def table(database: Database, version: str, wanted: Sequence[str], expected: boo
     """
     with database.reading() as session:
         row = store.get(session, version)
-        calibration, known = store.calibration(session, version), store.known(session, version) if expected else None
-        parts = list(parts_of(session, row, wanted))
+        calibration, known = (
+            store.calibration(session, version),
+            store.load_predictive(session, version) if expected else None,
+        )
+        parts = list(load_parts(session, row, wanted))
         report = row.report
     if not parts:
         raise ServiceError(
@@ -74,14 +77,14 @@ def table(database: Database, version: str, wanted: Sequence[str], expected: boo
     return pa.concat_tables([pa.table(_columns(part, calibration, known, report)) for part in parts])
 
 
-def parts_of(session: Session, version: VersionRecord, wanted: Sequence[str]) -> Iterator[Part]:
+def load_parts(session: Session, version: VersionRecord, wanted: Sequence[str]) -> Iterator[Part]:
     """Read the rows of campaigns, by default of all a version was made from, and what its fit did with each.
 
     Raises:
         ServiceError: a campaign of another robot.
 
     """
-    archive, own = Archive(session, version.robot_id), store.made_from(session, version.id)
+    archive, own = Archive(session, version.robot_id), store.training_campaign_ids(session, version.id)
     for campaign in wanted or dict.fromkeys(used["id"] for used in version.campaigns):
         if campaigns.whole(session, campaign).robot_id != version.robot_id:
             raise ServiceError(
@@ -92,44 +95,44 @@ def parts_of(session: Session, version: VersionRecord, wanted: Sequence[str]) ->
         rows = campaigns.observations(session, campaign, archive.robot)
         named = version.report.get("set_aside") or []
         aside = [one["row"] for one in named if one["campaign"] == campaign]
-        yield Part(campaign, rows, archive.fitted(version.id, campaign), frozenset(aside), campaign in own)
+        yield Part(campaign, rows, archive.mark_fitted_rows(version.id, campaign), frozenset(aside), campaign in own)
 
 
 def _columns(part: Part, calibration: Calibration, known: Predictive | None, report: dict[str, Any]) -> Columns:
     count = len(part.rows)
     out: Columns = {"campaign": [part.campaign] * count, "row": np.arange(1, count + 1)}
-    out |= _left(part, calibration, known, report)
+    out |= _row_errors(part, calibration, known, report)
     out["set_aside"] = np.isin(out["row"], list(part.set_aside))
     out["held_out"] = ~part.fitted
     return out
 
 
-def _left(part: Part, calibration: Calibration, known: Predictive | None, report: dict[str, Any]) -> Columns:
+def _row_errors(part: Part, calibration: Calibration, known: Predictive | None, report: dict[str, Any]) -> Columns:
     """Errors of the rows, and half the interval that expects them."""
-    calibration = part.seen_by(calibration)
+    calibration = part.calibration_for_rows(calibration)
     count, shape = len(part.rows), calibration.marker_points
     error, u95 = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
     turn, size = np.full(count, np.nan), np.full(count, np.nan)
-    point_noise, turn_noise = wire.noise_of(report)
-    for where, refit in frames_of(part, report):
-        measurement = core_measurement.Measurement.of(part.rows.select(where), shape, held=True)
-        here = refitted(calibration, measurement, refit) if refit else calibration
+    point_noise, turn_noise = wire.noise_from_report(report)
+    for where, refit in iter_frame_groups(part, report):
+        measurement = core_measurement.Measurement.from_observations(part.rows.select(where), shape, held=True)
+        here = refit_frames(calibration, measurement, refit) if refit else calibration
         if not measurement.observes_places:  # views say it one by one, contacts and distances only together
             error[where], turn[where], size[where] = measurement.tool.row_errors(here)
             continue
         left = measurement.residual(here.predict(measurement.observations))
         error[where] = core_evaluate.mean_errors(left)
-        half = None if known is None else core_evaluate.expected_of(here, measurement, refit, known)
+        half = None if known is None else core_evaluate.expected_error_half_widths(here, measurement, refit, known)
         u95[where] = np.nan if half is None else half
         if np.isnan(turn_noise):
             left = left.of_points()
-        size[where] = tukey.sizes_of(left, point_noise or np.nan, turn_noise or np.nan)
+        size[where] = tukey.whitened_row_sizes(left, point_noise or np.nan, turn_noise or np.nan)
         if left.turns is not None:
             turn[where] = np.linalg.norm(left.turns, axis=1)
     return wire.residual_columns(error, u95, turn, size)
 
 
-def frames_of(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bools, tuple[str, ...]]]:
+def iter_frame_groups(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bools, tuple[str, ...]]]:
     """Rows given in one frame, and the frames that were fitted to them alone: a sheet lies in another place every time."""
     which: dict[int | None, tuple[str, ...]] = {}
     for frame in ("base", "tool"):
@@ -146,6 +149,6 @@ def frames_of(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bools, tuple
         yield rest, ()
 
 
-def refitted(calibration: Calibration, measurement: Any, frames: Sequence[str]) -> Calibration:
+def refit_frames(calibration: Calibration, measurement: Any, frames: Sequence[str]) -> Calibration:
     """Return a calibration with the frames in which it predicts these rows best."""
-    return setups.with_own(calibration, measurement, "huber", frames)
+    return setups.with_own_frames(calibration, measurement, "huber", frames)

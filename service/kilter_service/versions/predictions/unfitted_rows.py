@@ -59,16 +59,16 @@ class Archive:
                 self._read[campaign_id], self.left_out[campaign_id] = None, error.message
         return self._read[campaign_id]
 
-    def named(self, campaign_id: str, hashes: Collection[str]) -> Bools:
+    def mark_uploaded_rows(self, campaign_id: str, hashes: Collection[str]) -> Bools:
         """Mark the rows of a campaign that came in uploads with these hashes."""
-        uploads = campaigns.uploads_of(self.session, campaign_id)
+        uploads = campaigns.uploads_of_campaign(self.session, campaign_id)
         return np.repeat([u.sha256 in hashes for u in uploads], [u.rows for u in uploads]).astype(bool)
 
-    def fitted(self, version: str, campaign_id: str) -> Bools:
+    def mark_fitted_rows(self, version: str, campaign_id: str) -> Bools:
         """Mark the rows of a campaign that a version, or one that it continues, was fitted to."""
-        return self._trained(store.trainings(self.session, version)).mask(campaign_id)
+        return self._collect_training(store.trainings(self.session, version)).mask(campaign_id)
 
-    def copied(self, version: str, campaign_id: str) -> int:
+    def count_fitted_rows(self, version: str, campaign_id: str) -> int:
         """Count the rows of a campaign that a version, or one that it continues, was fitted to, in whatever order or file.
 
         A motion may have a few by chance: an arm at rest reads the same twice.
@@ -76,17 +76,17 @@ class Archive:
         rows = self.rows(campaign_id)
         if rows is None:
             return 0
-        trained = self._trained(store.trainings(self.session, version))
+        trained = self._collect_training(store.trainings(self.session, version))
         marked = int(trained.mask(campaign_id).sum())
-        return max([marked, *(len(rows_beyond_chance(part, rows)) for part in trained.parts())])
+        return max([marked, *(len(rows_beyond_chance(part, rows)) for part in trained.fitted_rows())])
 
     def unseen(self, versions: Iterable[str]) -> Unseen:
         """Rows at poses none of these versions was fitted to."""
-        return self.unseen_by(part for version in versions for part in store.trainings(self.session, version))
+        return self.unfitted_rows(part for version in versions for part in store.trainings(self.session, version))
 
     def fitted_by_each(self, fits: Iterable[Iterable[Training]]) -> Unseen:
         """Rows that every one of these fits took."""
-        all_trained = [self._trained(trainings) for trainings in fits]
+        all_trained = [self._collect_training(trainings) for trainings in fits]
         out = {}
         for campaign_id in self._worth_reading(set[str]().union(*(trained.rows for trained in all_trained))):
             rows = self.rows(campaign_id)
@@ -97,15 +97,15 @@ class Archive:
                 out[campaign_id] = rows.select(shared)
         return Unseen(out, dict(self.left_out))
 
-    def _trained(self, trainings: Iterable[Training]) -> _Trained:
+    def _collect_training(self, trainings: Iterable[Training]) -> _Trained:
         trained = _Trained(self)
         for training in trainings:
             trained.add(training)
         return trained
 
-    def unseen_by(self, trainings: Iterable[Training]) -> Unseen:
+    def unfitted_rows(self, trainings: Iterable[Training]) -> Unseen:
         """Rows at poses that nothing was fitted to."""
-        trained = self._trained(trainings)
+        trained = self._collect_training(trainings)
         poses = trained.poses()
         out, places = {}, {}
         for campaign_id in self._worth_reading(set(trained.rows)):
@@ -120,7 +120,7 @@ class Archive:
     def _worth_reading(self, always: set[str]) -> list[str]:
         chosen, read = [], 0
         for campaign_id in reversed(campaigns.ids_of_robot(self.session, self.robot_id)):
-            count = sum(upload.rows for upload in campaigns.uploads_of(self.session, campaign_id))
+            count = sum(upload.rows for upload in campaigns.uploads_of_campaign(self.session, campaign_id))
             if count == 0:
                 continue
             if campaign_id not in always and read + count > MOST_ROWS:
@@ -145,7 +145,7 @@ class _Trained:
             self.whole.update(campaign_id for campaign_id, _ in training.campaigns)
         masks = None if training.fraction is None else self._split(training, training.fraction)
         for campaign_id, hashes in training.campaigns:
-            named = self.archive.named(campaign_id, hashes)
+            named = self.archive.mark_uploaded_rows(campaign_id, hashes)
             mask = self.rows.setdefault(campaign_id, np.zeros(len(named), dtype=bool))
             if masks is None:
                 self.hashes.update(hashes)
@@ -155,7 +155,7 @@ class _Trained:
 
     def mask(self, campaign_id: str) -> Bools:
         """Rows of a campaign that were fitted, there or as the same file in another campaign."""
-        whole = self.archive.named(campaign_id, self.hashes)
+        whole = self.archive.mark_uploaded_rows(campaign_id, self.hashes)
         return whole | self.rows.get(campaign_id, np.zeros(len(whole), dtype=bool))
 
     def poses(self) -> Floats:
@@ -164,13 +164,13 @@ class _Trained:
         A re-zeroing that took one number from eighteen follows nothing: the same planned poses are measured every day, and
         those of a later day are new.
         """
-        fitted = [rows.q for rows in self._parts_of(self.whole)]
+        fitted = [rows.q for rows in self._fitted_rows_of_campaigns(self.whole)]
         return np.concatenate([np.zeros((0, self.archive.robot.n_joints)), *fitted])
 
     def sent_again(self, rows: Observations) -> Bools:
         """Mark rows that a re-zeroing took, in whatever file: their poses may come again, and they may not."""
         out = np.zeros(len(rows), dtype=bool)
-        for part in self._parts_of(set(self.rows) - self.whole):
+        for part in self._fitted_rows_of_campaigns(set(self.rows) - self.whole):
             out[rows_beyond_chance(part, rows)] = True
         return out
 
@@ -181,11 +181,11 @@ class _Trained:
         parts = [self.archive.rows(campaign_id) for campaign_id, _ in training.campaigns]
         return training.changed * NUMBERS_EACH <= sum(3 * len(rows) for rows in parts if rows is not None)
 
-    def parts(self) -> list[Observations]:
+    def fitted_rows(self) -> list[Observations]:
         """The rows that were fitted, of each campaign that can be read."""
-        return self._parts_of(self.rows)
+        return self._fitted_rows_of_campaigns(self.rows)
 
-    def _parts_of(self, campaigns: Iterable[str]) -> list[Observations]:
+    def _fitted_rows_of_campaigns(self, campaigns: Iterable[str]) -> list[Observations]:
         parts = [(self.archive.rows(one), self.rows[one]) for one in campaigns if one in self.rows]
         return [rows.select(mask) for rows, mask in parts if rows is not None]
 
@@ -196,7 +196,7 @@ class _Trained:
                 campaigns.observations(self.archive.session, c, self.archive.robot, only=hashes)
                 for c, hashes in training.campaigns
             ]
-            whole = Observations.concatenate(campaigns.numbered(parts))
+            whole = Observations.concatenate(campaigns.renumber_poses_and_sessions(parts))
             if training.rounded and whole.pose_id is None:
                 whole = replace(whole, pose_id=rounded_poses(whole.q))
             inside = np.zeros(len(whole), dtype=bool)

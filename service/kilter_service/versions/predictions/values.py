@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from kilter_core.parameters import reported
+from kilter_core.parameters import display_unit_and_scale
 from kilter_service.ground.core import transforms
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def wire_values(calibration: Calibration) -> dict[str, Value]:
     model, values = calibration.model.absorb_frame_increments(calibration.values)
     out = {}
     for parameter, value in zip(model.parameters, values, strict=True):
-        unit, scale = reported(parameter.unit)
+        unit, scale = display_unit_and_scale(parameter.unit)
         out[parameter.name] = Value(float(value) * scale, unit)
     robot = calibration.robot
     for which, T, nominal in (("base", model.T_base, robot.T_base), ("tool", model.T_tool, robot.T_tool)):

@@ -38,7 +38,7 @@ def workspace(database: Database, version_id: str, temperature_c: float | None) 
     """
     with database.reading() as session:
         limits = CorrectionLimits(**store.get(session, version_id).limits)
-        calibration, known = store.calibration(session, version_id), store.known(session, version_id)
+        calibration, known = store.calibration(session, version_id), store.load_predictive(session, version_id)
     q = drawn(calibration.robot)
     rows = Observations(q=q)
     points = in_base(calibration, predictive.acting(calibration, rows).predict(rows).position)

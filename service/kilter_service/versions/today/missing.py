@@ -15,7 +15,7 @@ from kilter_service.versions.today.store import Active, Searched
 def against(found: Searched, active: Active | None) -> SearchToday:
     """Say what a search named, which of it the active version corrects, and what is missing now."""
     result = as_written(GapResult, {key: value for key, value in found.result.items() if key != "figures"})
-    named = [_named(one, () if active is None else active.effects) for one in result.effects or []]
+    named = [_missing_from_effect(one, () if active is None else active.effects) for one in result.effects or []]
     return SearchToday(
         job_id=found.job_id,
         at=found.at,
@@ -29,30 +29,34 @@ def against(found: Searched, active: Active | None) -> SearchToday:
     )
 
 
-def called(effect: NamedEffect) -> str:
+def format_claim(effect: NamedEffect) -> str:
     """Name an effect; where these data cannot tell it from others of its class, the class or all of them."""
     if effect.claim is not None and effect.claim.said != "member":
         return effect.claim.words.replace("_", " ")
-    rivals = [_plain(one.id, one.joints or []) for one in effect.alias_set or []] if _undecided(effect) else []
-    names = list(dict.fromkeys([_plain(effect.id, effect.joints or []), *rivals]))
+    rivals = (
+        [_format_effect_at_joints(one.id, one.joints or []) for one in effect.alias_set or []]
+        if _is_undecided(effect)
+        else []
+    )
+    names = list(dict.fromkeys([_format_effect_at_joints(effect.id, effect.joints or []), *rivals]))
     return names[0] if len(names) == 1 else f"{' or '.join(names)} (these data cannot tell)"
 
 
-def _undecided(effect: NamedEffect) -> bool:
+def _is_undecided(effect: NamedEffect) -> bool:
     return effect.verdict in ("class_confirmed", "provisional", "contradicted") or effect.class_ is not None
 
 
-def _plain(name: str, joints: Sequence[int]) -> str:
+def _format_effect_at_joints(name: str, joints: Sequence[int]) -> str:
     words = name.replace("_", " ")
     return words if not joints else f"{words} of joint{'s' if len(joints) > 1 else ''} {', '.join(map(str, joints))}"
 
 
-def _named(effect: NamedEffect, corrected: Iterable[dict[str, Any]]) -> NamedMissing:
+def _missing_from_effect(effect: NamedEffect, corrected: Iterable[dict[str, Any]]) -> NamedMissing:
     joints = set(effect.joints or [])
-    alike: list[AtJoints] = [effect, *((effect.alias_set or []) if _undecided(effect) else [])]
+    alike: list[AtJoints] = [effect, *((effect.alias_set or []) if _is_undecided(effect) else [])]
     there = any(one.get("id") == like.id and set(like.joints or []) <= _joints(one, set(like.joints or []))
                 for one in corrected for like in alike)  # fmt: skip
-    return NamedMissing(id=effect.id, joints=sorted(joints), words=called(effect), corrected=there)
+    return NamedMissing(id=effect.id, joints=sorted(joints), words=format_claim(effect), corrected=there)
 
 
 def _joints(effect: dict[str, Any], wanted: set[int]) -> set[int]:
@@ -63,7 +67,7 @@ def _joints(effect: dict[str, Any], wanted: set[int]) -> set[int]:
 
 def _open(result: GapResult) -> str:
     """What a search leaves unsettled."""
-    unsure = [called(one) for one in result.effects or [] if one.verdict == "provisional"]
+    unsure = [format_claim(one) for one in result.effects or [] if one.verdict == "provisional"]
     said = ["something is left that no known effect explains"] if result.verdict == "unexplained" else []
     said += [f"not yet confirmed: {', '.join(unsure)}"] if unsure else []
     return "; ".join(said) or "nothing that these data show"

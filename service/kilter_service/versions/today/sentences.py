@@ -17,7 +17,7 @@ SOURCES = {
 }
 
 
-def sentences_on(today: Today) -> list[str]:
+def describe_today(today: Today) -> list[str]:
     """Say how good the robot is, whether that has changed, and what nobody has looked at."""
     return list(_sentences(today))
 
@@ -45,7 +45,7 @@ def _numbers(today: Today, newest: ErrorsToday) -> Iterator[str]:
     most = largest(newest, today.own)
     ends = interval(newest.errors.identified, newest.errors.n)
     known = f" (95 % interval {said_of_error(ends[0], most)} to {said_of_error(ends[1], most)})" if ends else ""
-    yield f"Mean error {said_of_error(mean, most)}{known} {newest.rows}{aside}: {where(newest)}."
+    yield f"Mean error {said_of_error(mean, most)}{known} {newest.rows}{aside}: {describe_source_rows(newest)}."
     if today.compared:
         yield today.compared
     if newest.source == "fitted":
@@ -63,7 +63,7 @@ def largest(*errors: ErrorsToday | None) -> float:
     return max((widest(found, n) for found, n in known if found is not None), default=0.0)
 
 
-def compared(
+def describe_change(
     robot: str,
     newest: ErrorsToday | None,
     own: ErrorsToday | None,
@@ -100,7 +100,7 @@ def left_out(rows: int | None) -> str:
     return "" if rows is None else f", {rows or 'no'} row{'' if rows in (0, 1) else 's'} left out"
 
 
-def where(found: ErrorsToday) -> str:
+def describe_source_rows(found: ErrorsToday) -> str:
     """Say which rows, and from when."""
     named = "; ".join(f"campaign {one.name}, {one.when}" for one in found.campaigns) or "campaigns that are gone"
     return f"{named}; computed {found.at:%Y-%m-%d}"
@@ -111,7 +111,7 @@ def ago(days: int) -> str:
     return "today" if days == 0 else f"{plural(days, 'day')} ago"
 
 
-def when(at: datetime, days: int, *, stated: bool) -> str:
+def describe_measurement_time(at: datetime, days: int, *, stated: bool) -> str:
     """Say when rows were measured, or that only their upload is known."""
     if stated:
         return f"measured on {at:%Y-%m-%d}, {ago(days)}"

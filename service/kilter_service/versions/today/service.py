@@ -13,7 +13,7 @@ from kilter_service.contract.written import as_written
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
 from kilter_service.robots import store as arms
-from kilter_service.robots.compensation import compensation_in, sentence
+from kilter_service.robots.compensation import parse_compensation, sentence
 from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions.predictions.own_errors import larger
 from kilter_service.versions.today import missing, sentences, store
@@ -30,8 +30,8 @@ def of_robot(database: Database, robot: str) -> Today:
         active = store.active(session, robots).get(key)
         found = store.newest_search(session, key)
         searched = None if found is None else missing.against(found, active)
-        compensation = compensation_in(arms.compensation_of(session, key))
-        known = _with_repair(_all(session, robots, searched)[robots[key]], repairs.last(session, key))
+        compensation = parse_compensation(arms.get_compensation(session, key))
+        known = _with_repair(_today_by_robot(session, robots, searched)[robots[key]], repairs.last_repair(session, key))
         return _with_controller(known, compensation)
 
 
@@ -57,34 +57,34 @@ def _with_controller(today: Today, compensation: ControllerCompensation) -> Toda
 def of_robots(database: Database) -> dict[str, Today]:
     """Say the same of all robots in use, by name, without their searches; however many, it takes a few queries."""
     with database.reading() as session:
-        return _all(session, arms.names_by_key(session, None), None)
+        return _today_by_robot(session, arms.names_by_key(session, None), None)
 
 
-def _all(session: Session, robots: Mapping[int, str], searched: SearchToday | None) -> dict[str, Today]:
-    active, measured = store.active(session, robots), store.measured(session, robots)
+def _today_by_robot(session: Session, robots: Mapping[int, str], searched: SearchToday | None) -> dict[str, Today]:
+    active, measured = store.active(session, robots), store.measured_campaigns(session, robots)
     evaluated = store.evaluations(session, [one.id for one in active.values()])
     out = {}
     for key, name in robots.items():
         version, campaigns = active.get(key), measured.get(key, {})
         if version is None:
-            out[name] = _uncorrected(name, searched)
+            out[name] = _today_without_version(name, searched)
         else:
             out[name] = _today(name, version, campaigns, evaluated.get(version.id, []), searched)
     return out
 
 
-def _uncorrected(robot: str, searched: SearchToday | None) -> Today:
+def _today_without_version(robot: str, searched: SearchToday | None) -> Today:
     found = Today(
         robot=robot, version_id=None, newest=None, own=None, changed=False, larger_by_mm=None, compared="",
         not_evaluated=[], missing=searched, sentences=[],
     )  # fmt: skip
-    return found.model_copy(update={"sentences": sentences.sentences_on(found)})
+    return found.model_copy(update={"sentences": sentences.describe_today(found)})
 
 
 def _today(
     robot: str, version: Active, campaigns: Campaigns, evaluated: Sequence[Evaluated], searched: SearchToday | None
 ) -> Today:
-    own = _own(version, campaigns)
+    own = _errors_of_own_job(version, campaigns)
     candidates = [one for one in _evaluations(version, campaigns, evaluated) if one.errors.identified is not None]
     if own is not None and own.source == "held_out":
         candidates.append(own)
@@ -99,12 +99,12 @@ def _today(
         own=own,
         changed=more is not None,
         larger_by_mm=more,
-        compared=sentences.compared(robot, newest, own, more),
+        compared=sentences.describe_change(robot, newest, own, more),
         not_evaluated=_not_evaluated(version, campaigns, newest, candidates),
         missing=searched,
         sentences=[],
     )
-    return found.model_copy(update={"sentences": sentences.sentences_on(found)})
+    return found.model_copy(update={"sentences": sentences.describe_today(found)})
 
 
 def _age(found: ErrorsToday) -> tuple[bool, Any, Any]:
@@ -113,7 +113,7 @@ def _age(found: ErrorsToday) -> tuple[bool, Any, Any]:
     return measured is not None, measured or found.at, found.at
 
 
-def _own(version: Active, campaigns: Campaigns) -> ErrorsToday | None:
+def _errors_of_own_job(version: Active, campaigns: Campaigns) -> ErrorsToday | None:
     """What the job of a version said of it: of rows it held out, else of those its line was fitted to."""
     metrics = as_written(Metrics, version.metrics)
     held = metrics.validation is not None and metrics.validation.identified is not None
@@ -172,7 +172,7 @@ def _campaign(found: Measured) -> MeasuredCampaign:
     days = days_since(found.measured_at)
     return MeasuredCampaign(
         id=found.id, name=found.name, measured_at=found.measured_at, stated=found.stated, age_days=days,
-        when=sentences.when(found.measured_at, days, stated=found.stated),
+        when=sentences.describe_measurement_time(found.measured_at, days, stated=found.stated),
     )  # fmt: skip
 
 

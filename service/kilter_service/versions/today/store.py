@@ -75,7 +75,7 @@ def active(session: Session, of: Collection[int]) -> dict[int, Active]:
     query = select(*columns).join(ActivationRow, ActivationRow.version_id == row.id).where(ActivationRow.id.in_(last))
     line = _lines(session, of)
     return {
-        robot: Active(key, job, at, used, metrics or {}, effects or [], _fitted(line, key))
+        robot: Active(key, job, at, used, metrics or {}, effects or [], _training_file_hashes(line, key))
         for robot, key, job, at, used, metrics, effects in session.execute(query)
     }
 
@@ -85,7 +85,7 @@ def _lines(session: Session, of: Collection[int]) -> dict[str, tuple[str | None,
     return {key: (parent, used) for key, parent, used in session.execute(query)}
 
 
-def _fitted(lines: Mapping[str, tuple[str | None, list[dict[str, Any]]]], version: str) -> frozenset[str]:
+def _training_file_hashes(lines: Mapping[str, tuple[str | None, list[dict[str, Any]]]], version: str) -> frozenset[str]:
     """Hashes of the files that a version, or one that it continues, was fitted to."""
     found: set[str] = set()
     following: str | None = version
@@ -95,7 +95,7 @@ def _fitted(lines: Mapping[str, tuple[str | None, list[dict[str, Any]]]], versio
     return frozenset(found)
 
 
-def measured(session: Session, of: Collection[int]) -> dict[int, dict[str, Measured]]:
+def measured_campaigns(session: Session, of: Collection[int]) -> dict[int, dict[str, Measured]]:
     """Return the campaigns in use that have rows, by robot and id."""
     row = CampaignRow
     begins = func.substr(row.notes, 1, rest.READ)
@@ -109,7 +109,7 @@ def measured(session: Session, of: Collection[int]) -> dict[int, dict[str, Measu
     retired: set[str] = set()
     out: dict[int, dict[str, Measured]] = {}
     for robot, key, name, stated, ended, notes, sha256, sent in session.execute(query):
-        at, whole = stated or sent, rest.whole_of(notes)
+        at, whole = stated or sent, rest.parse_origin_campaign(notes)
         retired |= {key} if ended is not None else set()
         known = out.setdefault(robot, {}).get(key, Measured(key, name, at, stated is not None, frozenset(), whole))
         out[robot][key] = replace(known, measured_at=max(known.measured_at, at), hashes=known.hashes | {sha256})

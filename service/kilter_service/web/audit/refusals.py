@@ -15,7 +15,7 @@ from fastapi import Request
 from kilter_service.ground.caller import ANYBODY, CALLER, Caller
 from kilter_service.ground.db import Database, audited
 from kilter_service.ground.failure_log import Failing
-from kilter_service.web.auth.forwarded import address_of
+from kilter_service.web.auth.forwarded import client_address
 
 log = logging.getLogger("kilter.api")
 
@@ -89,9 +89,9 @@ class Refusals:
             try:
                 with self._database.transaction() as session:
                     audited.note(session, "refused", None, {"code": group.code, "times": times})
-                self._writing.worked()
+                self._writing.report_success()
             except Exception as error:  # whatever the database says: they wait for the next time
-                self._writing.failed(error)
+                self._writing.report_failure(error)
                 with self._lock:
                     for kept in found[at:]:
                         self._add(*kept)
@@ -124,6 +124,6 @@ def note(request: Request, code: str) -> None:
         path = getattr(request.scope.get("route"), "path", "(none)")
         method = request.method if request.method in METHODS else "(none)"
         caller = Caller(
-            ANYBODY, "viewer", None, "", address_of(request, request.app.state.settings), f"{method} {path}"
+            ANYBODY, "viewer", None, "", client_address(request, request.app.state.settings), f"{method} {path}"
         )
     refusals.count(Group(code, caller))

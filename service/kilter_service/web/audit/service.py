@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from kilter_service.contract.audit import AuditEntry, AuditPage
 from kilter_service.ground.db import Database
-from kilter_service.ground.db.audited import hash_of
+from kilter_service.ground.db.audited import hash_entry
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.web.audit import store
@@ -28,7 +28,7 @@ class Head(NamedTuple):
     sha256: str
 
 
-def head_in(text: str | None) -> Head | None:
+def parse_head(text: str | None) -> Head | None:
     """Read an entry that somebody noted, as NUMBER:SHA256.
 
     Raises:
@@ -43,7 +43,7 @@ def head_in(text: str | None) -> Head | None:
     return Head(int(number), sha256)
 
 
-def heads_in(journal: Path) -> list[Head]:
+def parse_journal_heads(journal: Path) -> list[Head]:
     """Return the entries that a log names; its lines may have any form.
 
     Raises:
@@ -81,15 +81,17 @@ def verify(database: Database, *noted: Head) -> Head:
 
     """
     with database.reading() as session:
-        return verified(store.everything(session), *noted)
+        return verify_entries(store.everything(session), *noted)
 
 
-def verified(entries: Iterable[AuditRecord], *noted: Head) -> Head:
+def verify_entries(entries: Iterable[AuditRecord], *noted: Head) -> Head:
     """Return the last of entries that continue each other; raises as `verify` does."""
     head, wanted = Head(0, ""), set(noted)
     for entry in entries:
-        expected = (head.number + 1, head.sha256, hash_of(entry.previous, entry.content))
-        if (entry.number, entry.previous, entry.sha256) != expected or _number_in(entry.content) != entry.number:
+        expected = (head.number + 1, head.sha256, hash_entry(entry.previous, entry.content))
+        if (entry.number, entry.previous, entry.sha256) != expected or _parse_entry_number(
+            entry.content
+        ) != entry.number:
             raise _broken(f"Entry {head.number + 1} of the audit is not what was written, or is missing", head)
         head = Head(entry.number, entry.sha256)
         wanted.discard(head)
@@ -99,7 +101,7 @@ def verified(entries: Iterable[AuditRecord], *noted: Head) -> Head:
     return head
 
 
-def _number_in(content: str) -> object:
+def _parse_entry_number(content: str) -> object:
     try:
         found = json.loads(content)
     except ValueError:

@@ -29,7 +29,7 @@ def entries_on_page(session: Session, page: Page = ALL) -> list[AuditRecord]:
     query = select(row.number, row.previous, row.sha256, row.content).order_by(row.number)
     if page.number is not None:
         query = query.where(row.number > page.number)
-    return [AuditRecord(*found) for found in session.execute(query.limit(page.fetched))]
+    return [AuditRecord(*found) for found in session.execute(query.limit(page.fetch_limit))]
 
 
 def everything(session: Session) -> Iterator[AuditRecord]:

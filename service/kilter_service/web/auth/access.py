@@ -11,8 +11,8 @@ from fastapi.concurrency import run_in_threadpool
 from kilter_service.ground.caller import ADMIN, ANYBODY, CALLER, RANK, Caller
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
-from kilter_service.web.auth.forwarded import address_of, is_direct
-from kilter_service.web.auth.policy import Rule, rule_of
+from kilter_service.web.auth.forwarded import client_address, is_direct
+from kilter_service.web.auth.policy import Rule, rule_for_route
 from kilter_service.web.auth.scope import check_path
 from kilter_service.web.logins import service as logins
 from kilter_service.web.tokens import service as tokens
@@ -35,7 +35,7 @@ async def admit(request: Request, path: str) -> Rule:
 
     """
     route = f"{request.method} {path}"
-    rule = rule_of(route)
+    rule = rule_for_route(route)
     caller = await _caller(request, rule, route)
     request.state.caller = caller
     CALLER.set(caller)
@@ -43,7 +43,7 @@ async def admit(request: Request, path: str) -> Rule:
         return rule
     _check_role(caller, rule, route)
     if rule.computes:
-        request.app.state.rates.take(caller.sender)
+        request.app.state.rates.count_request(caller.sender)
     if caller.robots is not None:
         if rule.server:
             raise ServiceError(
@@ -59,14 +59,14 @@ async def admit(request: Request, path: str) -> Rule:
 
 async def _caller(request: Request, rule: Rule, route: str) -> Caller:
     settings: Settings = request.app.state.settings
-    address, ids = address_of(request, settings), {name: str(value) for name, value in request.path_params.items()}
+    address, ids = client_address(request, settings), {name: str(value) for name, value in request.path_params.items()}
     nobody = Caller(ANYBODY, "viewer", None, "", address, route, ids)
     if rule.role is None:
         return nobody
     scheme, _, given = request.headers.get("authorization", "").partition(" ")
     secret = given.strip()
     bearer = scheme.lower() == "bearer" and bool(secret)
-    sha256 = tokens.hash_of(secret) if bearer else await _logged_in(request)
+    sha256 = tokens.hash_secret(secret) if bearer else await _login_token_hash(request)
     request.state.credentials = Credentials(sha256, "" if bearer else request.cookies.get(logins.COOKIE, ""))
     if sha256 is None:
         if rule.role == "viewer" and request.method in PLAIN_READS and is_direct(request, settings):
@@ -78,17 +78,17 @@ async def _caller(request: Request, rule: Rule, route: str) -> Caller:
             code="token_missing",
             role=rule.role,
         )
-    if secrets.compare_digest(sha256, tokens.hash_of(request.app.state.token)):
+    if secrets.compare_digest(sha256, tokens.hash_secret(request.app.state.token)):
         return Caller(ADMIN, "admin", None, "", address, route, ids)
-    found = await run_in_threadpool(tokens.known, request.app.state.database, sha256)
+    found = await run_in_threadpool(tokens.get_valid_token, request.app.state.database, sha256)
     robots = None if found.robots is None else frozenset(found.robots)
     return Caller(found.name, found.role, robots, found.id, address, route, ids)
 
 
-async def _logged_in(request: Request) -> str | None:
+async def _login_token_hash(request: Request) -> str | None:
     """Return the hash of the token that whoever uses this browser logged in with; None: nobody did."""
     kept = request.cookies.get(logins.COOKIE, "")
-    found = await run_in_threadpool(logins.token_of, request.app.state.database, kept) if kept else None
+    found = await run_in_threadpool(logins.login_token_hash, request.app.state.database, kept) if kept else None
     if found is not None and request.method not in PLAIN_READS:
         logins.check_csrf(kept, request.headers.get(logins.CSRF_HEADER, ""))
     return found
@@ -105,7 +105,7 @@ def _check_role(caller: Caller, rule: Rule, route: str) -> None:
         )
 
 
-def caller_of(request: Request) -> Caller:
+def get_caller(request: Request) -> Caller:
     """Return who sends a request."""
     caller: Caller = request.state.caller
     return caller
@@ -113,7 +113,7 @@ def caller_of(request: Request) -> Caller:
 
 async def actor(request: Request) -> str:
     """Return what the records call whoever sends a request."""
-    return caller_of(request).actor
+    return get_caller(request).actor
 
 
 Admin = Annotated[str, Depends(actor)]  # what the records call whoever makes a change; `policy` says who may

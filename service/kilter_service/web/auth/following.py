@@ -13,7 +13,7 @@ from fastapi.concurrency import run_in_threadpool
 
 from kilter_service.ground.caller import ANYBODY
 from kilter_service.ground.errors import ServiceError
-from kilter_service.web.auth.access import Credentials, caller_of
+from kilter_service.web.auth.access import Credentials, get_caller
 from kilter_service.web.logins import service as logins
 from kilter_service.web.tokens import service as tokens
 
@@ -33,7 +33,7 @@ class Following:
         self._looked: dict[Credentials, tuple[float, bool]] = {}
 
     @contextmanager
-    def entered(self, sender: str) -> Iterator[None]:
+    def register_follower(self, sender: str) -> Iterator[None]:
         """Count a follower in, and out again."""
         self.open[sender] += 1
         try:
@@ -63,10 +63,10 @@ class Following:
 def _holds(request: Request, shown: Credentials) -> bool:
     database, sha256 = request.app.state.database, shown.token_sha256
     try:
-        if shown.login and logins.token_of(database, shown.login) is None:
+        if shown.login and logins.login_token_hash(database, shown.login) is None:
             return False
-        if sha256 is not None and sha256 != tokens.hash_of(request.app.state.token):
-            tokens.known(database, sha256)
+        if sha256 is not None and sha256 != tokens.hash_secret(request.app.state.token):
+            tokens.get_valid_token(database, sha256)
     except ServiceError as error:
         return error.code not in ("token_ended", "token_wrong")
     except Exception:  # the database may be away for a while; who was let in before stays
@@ -74,14 +74,14 @@ def _holds(request: Request, shown: Credentials) -> bool:
     return True
 
 
-def followed(request: Request, events: Events) -> Events:
+def limit_event_stream(request: Request, events: Events) -> Events:
     """Yield events to whoever sends a request, as long as that may be.
 
     Raises:
         ServiceError: the same token follows as much as one may.
 
     """
-    following, caller = following_of(request.app), caller_of(request)
+    following, caller = get_following(request.app), get_caller(request)
     sender = f"address {caller.address}" if caller.actor == ANYBODY else caller.token_id or caller.actor
     if following.open[sender] >= MOST:
         raise ServiceError(
@@ -95,7 +95,7 @@ def followed(request: Request, events: Events) -> Events:
 
 
 async def _while_it_holds(request: Request, following: Following, sender: str, events: Events) -> Events:
-    with following.entered(sender):
+    with following.register_follower(sender):
         if following.open[sender] > MOST:  # many came at once
             return
         coming = asyncio.ensure_future(anext(events, None))
@@ -117,7 +117,7 @@ async def _while_it_holds(request: Request, following: Following, sender: str, e
             await events.aclose()
 
 
-def following_of(app: FastAPI) -> Following:
+def get_following(app: FastAPI) -> Following:
     """Return who follows events of an application."""
     if not hasattr(app.state, "following"):
         app.state.following = Following()

@@ -24,10 +24,12 @@ def is_direct(request: HTTPConnection, settings: Settings) -> bool:
         return False
     if request.headers.get("sec-fetch-site", "none") in OTHER_SITES:
         return False
-    return is_loopback_name(request.client.host) and is_loopback_name(host_of(request.headers.get("host", "")))
+    return is_loopback_name(request.client.host) and is_loopback_name(
+        parse_host_header(request.headers.get("host", ""))
+    )
 
 
-def host_of(header: str) -> str:
+def parse_host_header(header: str) -> str:
     """Return the host of a Host header, in lower case and without its port and brackets."""
     text = header.strip().lower()
     if text.startswith("["):
@@ -50,7 +52,7 @@ def is_loopback_name(host: str) -> bool:
     return host == "localhost" if found is None else found.is_loopback
 
 
-def address_of(request: HTTPConnection, settings: Settings) -> str:
+def client_address(request: HTTPConnection, settings: Settings) -> str:
     """Return the address a request comes from; what a proxy says counts only where the proxy is one of the settings."""
     peer = "" if request.client is None else request.client.host
     if not settings.trusts(peer):

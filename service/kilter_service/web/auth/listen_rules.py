@@ -19,16 +19,16 @@ def check_binding(settings: Settings) -> None:
     if settings.is_loopback:
         return
     if settings.token is None and not settings.token_file.exists():
-        raise _refused(settings, "no token is configured: set KILTER_TOKEN, or listen on 127.0.0.1")
+        raise _binding_error(settings, "no token is configured: set KILTER_TOKEN, or listen on 127.0.0.1")
     if settings.tls_certificate is None and not settings.proxy:
-        raise _refused(
+        raise _binding_error(
             settings,
             "tokens would travel in the clear: set KILTER_TLS_CERTIFICATE and KILTER_TLS_KEY, or put a proxy with TLS in "
             "front and set KILTER_PROXY to its address, or listen on 127.0.0.1",
         )
 
 
-def _refused(settings: Settings, why: str) -> ServiceError:
+def _binding_error(settings: Settings, why: str) -> ServiceError:
     return ServiceError(
         f"{settings.host} can be reached from other machines and {why}.", code="binding_refused", host=settings.host
     )

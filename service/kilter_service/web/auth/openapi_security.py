@@ -7,7 +7,7 @@ from typing import Any
 
 from fastapi import FastAPI
 
-from kilter_service.web.auth.policy import rule_of
+from kilter_service.web.auth.policy import rule_for_route
 
 SCHEME = "token"
 ROLE = "x-kilter-role"
@@ -17,7 +17,7 @@ WORDS = (
 )
 
 
-def described(app: FastAPI) -> Callable[[], dict[str, Any]]:
+def openapi_with_security(app: FastAPI) -> Callable[[], dict[str, Any]]:
     """Return what makes the description of an application, with its tokens."""
     plain = app.openapi
 
@@ -34,7 +34,7 @@ def described(app: FastAPI) -> Callable[[], dict[str, Any]]:
 
 
 def _describe(operation: dict[str, Any], route: str) -> None:
-    rule = rule_of(route)
+    rule = rule_for_route(route)
     if rule.role is None:
         operation["security"] = []
         return

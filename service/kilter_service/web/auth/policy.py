@@ -27,7 +27,7 @@ class Rule(NamedTuple):
     instead: str = ""
     room: Kind | None = None
 
-    def timed(self, instead: str) -> Rule:
+    def with_time_limit(self, instead: str) -> Rule:
         """Return the same with a limited time."""
         return self._replace(instead=instead)
 
@@ -65,9 +65,9 @@ RULES: Mapping[str, Rule] = {
     "GET /v1/robots/{robot}/today": READ,
     "GET /v1/robots/{robot}/bridges": READ,
     "PUT /v1/robots/{robot}/bridges/{bridge}": Rule("operator"),  # every 2 s of each bridge, so it has no rate
-    "GET /v1/robots/{robot}/drift": READ_COMPUTED.timed(LATER),
-    "GET /v1/drift": READ_COMPUTED.timed(LATER),
-    "GET /v1/robots/{robot}/acceptance": READ_COMPUTED.timed("Name fewer campaigns."),
+    "GET /v1/robots/{robot}/drift": READ_COMPUTED.with_time_limit(LATER),
+    "GET /v1/drift": READ_COMPUTED.with_time_limit(LATER),
+    "GET /v1/robots/{robot}/acceptance": READ_COMPUTED.with_time_limit("Name fewer campaigns."),
     "GET /v1/robots/{robot}/campaigns": READ,
     "GET /v1/instruments": READ,
     "POST /v1/instruments": SERVER,
@@ -77,8 +77,8 @@ RULES: Mapping[str, Rule] = {
     "GET /v1/robots/{robot}/urdf-shapes": READ,
     "GET /v1/robots/{robot}/meshes/{link}": READ,
     "GET /v1/campaigns/{campaign}": READ,
-    "GET /v1/campaigns/{campaign}/suspicious": READ_COMPUTED.timed(LATER),
-    "GET /v1/campaigns/{campaign}/observations": READ_COMPUTED.timed(LATER),
+    "GET /v1/campaigns/{campaign}/suspicious": READ_COMPUTED.with_time_limit(LATER),
+    "GET /v1/campaigns/{campaign}/observations": READ_COMPUTED.with_time_limit(LATER),
     "GET /v1/jobs": READ,
     "GET /v1/jobs/{job}": READ,
     "GET /v1/jobs/{job}/events": READ,
@@ -87,20 +87,22 @@ RULES: Mapping[str, Rule] = {
     "GET /v1/versions/{version}": READ,
     "GET /v1/resolve": READ,
     "GET /v1/tombstones": READ,
-    "GET /v1/versions/{version}/preview": READ_COMPUTED.timed(LATER),
-    "GET /v1/versions/{a}/diff/{b}": READ_COMPUTED.timed(LATER),
-    "GET /v1/versions/{version}/residuals": READ_COMPUTED.timed(
+    "GET /v1/versions/{version}/preview": READ_COMPUTED.with_time_limit(LATER),
+    "GET /v1/versions/{a}/diff/{b}": READ_COMPUTED.with_time_limit(LATER),
+    "GET /v1/versions/{version}/residuals": READ_COMPUTED.with_time_limit(
         "Name fewer campaigns, or submit an evaluate job (POST /v1/jobs)."
     ),
-    "GET /v1/versions/{version}/export": READ_COMPUTED.timed(LATER),
-    "POST /v1/robots/check": OPERATE.timed(SMALLER),
-    "POST /v1/robots/convert": OPERATE.timed(SMALLER),
-    "POST /v1/robots/from-circles": OPERATE.timed("Send fewer rows of each circle."),
-    "POST /v1/frames": OPERATE.timed(SMALLER),
-    "POST /v1/robots/{robot}/forward": OPERATE.timed("Send fewer rows."),
-    "POST /v1/robots/{robot}/inverse": OPERATE.timed("Send fewer poses."),
-    "POST /v1/robots/{robot}/correct": OPERATE.timed("Send the path in parts with fewer rows.").within("corrections"),
-    "POST /v1/robots/{robot}/observations/check": OPERATE.timed("Send fewer rows."),
+    "GET /v1/versions/{version}/export": READ_COMPUTED.with_time_limit(LATER),
+    "POST /v1/robots/check": OPERATE.with_time_limit(SMALLER),
+    "POST /v1/robots/convert": OPERATE.with_time_limit(SMALLER),
+    "POST /v1/robots/from-circles": OPERATE.with_time_limit("Send fewer rows of each circle."),
+    "POST /v1/frames": OPERATE.with_time_limit(SMALLER),
+    "POST /v1/robots/{robot}/forward": OPERATE.with_time_limit("Send fewer rows."),
+    "POST /v1/robots/{robot}/inverse": OPERATE.with_time_limit("Send fewer poses."),
+    "POST /v1/robots/{robot}/correct": OPERATE.with_time_limit("Send the path in parts with fewer rows.").within(
+        "corrections"
+    ),
+    "POST /v1/robots/{robot}/observations/check": OPERATE.with_time_limit("Send fewer rows."),
     "POST /v1/robots/{robot}/campaigns": OPERATE,
     "PATCH /v1/campaigns/{campaign}": OPERATE,
     "POST /v1/campaigns/{campaign}/commit": OPERATE,
@@ -109,7 +111,7 @@ RULES: Mapping[str, Rule] = {
     "POST /v1/campaigns/{campaign}/restore": OPERATE,
     "DELETE /v1/campaigns/{campaign}": OPERATE,  # a staged one, which was never whole
     "POST /v1/jobs": OPERATE,
-    "POST /v1/jobs/check": OPERATE.timed(
+    "POST /v1/jobs/check": OPERATE.with_time_limit(
         "Name fewer campaigns, or submit it as a job (POST /v1/jobs), which has no such limit."
     ),
     "POST /v1/jobs/{job}/cancel": OPERATE,
@@ -149,34 +151,34 @@ PAGE_RULES: Mapping[str, Rule] = {
     "GET /": READ,
     "GET /robots/{robot}": READ,
     "GET /new-robot": READ,
-    "POST /new-robot/check": OPERATE.timed(SMALLER),
+    "POST /new-robot/check": OPERATE.with_time_limit(SMALLER),
     "POST /new-robot": ADMINISTER,
     "GET /robots/{robot}/correct": READ,
-    "GET /robots/{robot}/kit": READ_COMPUTED.timed(LATER),
+    "GET /robots/{robot}/kit": READ_COMPUTED.with_time_limit(LATER),
     "GET /robots/{robot}/settings": READ,
     "POST /robots/{robot}/remarks": ADMINISTER,
     "POST /robots/{robot}/repairs": OPERATE,
     "POST /robots/{robot}/repairs/{repair}/remove": OPERATE,
     "POST /robots/{robot}/compensation": ADMINISTER,
     "GET /robots/{robot}/state": READ,
-    "GET /robots/{robot}/worst": READ_COMPUTED.timed(LATER),
-    "GET /robots/{robot}/pose": READ_COMPUTED.timed(LATER),
-    "GET /robots/{robot}/arm.json": READ_COMPUTED.timed(LATER),
-    "GET /robots/{robot}/places.json": READ_COMPUTED.timed(LATER),
-    "GET /robots/{robot}/reach.json": READ_COMPUTED.timed(LATER),
-    "GET /robots/{robot}/meshes/{link}": READ_COMPUTED.timed(LATER),
+    "GET /robots/{robot}/worst": READ_COMPUTED.with_time_limit(LATER),
+    "GET /robots/{robot}/pose": READ_COMPUTED.with_time_limit(LATER),
+    "GET /robots/{robot}/arm.json": READ_COMPUTED.with_time_limit(LATER),
+    "GET /robots/{robot}/places.json": READ_COMPUTED.with_time_limit(LATER),
+    "GET /robots/{robot}/reach.json": READ_COMPUTED.with_time_limit(LATER),
+    "GET /robots/{robot}/meshes/{link}": READ_COMPUTED.with_time_limit(LATER),
     "POST /robots/{robot}/meshes/{link}": ADMINISTER,
     "POST /robots/{robot}/meshes/{link}/remove": ADMINISTER,
     "GET /robots/{robot}/versions": READ,
-    "GET /robots/{robot}/versions/compare": READ_COMPUTED.timed(LATER),
+    "GET /robots/{robot}/versions/compare": READ_COMPUTED.with_time_limit(LATER),
     "GET /versions/{version}": READ,
-    "GET /versions/{version}/exports": READ_COMPUTED.timed(LATER),
-    "GET /versions/{version}/contributions": READ_COMPUTED.timed(LATER),
-    "GET /versions/{version}/by-factor": READ_COMPUTED.timed(LATER),
-    "GET /versions/{version}/workspace": READ_COMPUTED.timed(LATER),
-    "GET /versions/{version}/activation": READ_COMPUTED.timed(LATER),
-    "GET /versions/{a}/compare/{b}": READ_COMPUTED.timed(LATER),
-    "GET /robots/{robot}/rollback": READ_COMPUTED.timed(LATER),
+    "GET /versions/{version}/exports": READ_COMPUTED.with_time_limit(LATER),
+    "GET /versions/{version}/contributions": READ_COMPUTED.with_time_limit(LATER),
+    "GET /versions/{version}/by-factor": READ_COMPUTED.with_time_limit(LATER),
+    "GET /versions/{version}/workspace": READ_COMPUTED.with_time_limit(LATER),
+    "GET /versions/{version}/activation": READ_COMPUTED.with_time_limit(LATER),
+    "GET /versions/{a}/compare/{b}": READ_COMPUTED.with_time_limit(LATER),
+    "GET /robots/{robot}/rollback": READ_COMPUTED.with_time_limit(LATER),
     "POST /versions/{version}/activate": STOP,
     "POST /robots/{robot}/rollback": STOP,
     "GET /robots/{robot}/campaigns": READ,
@@ -189,12 +191,12 @@ PAGE_RULES: Mapping[str, Rule] = {
     "POST /robots/{robot}/campaigns/new/{draft}/read": DROP,
     "POST /robots/{robot}/campaigns/new/{draft}/store": OPERATE.within("files"),
     "POST /robots/{robot}/campaigns/new/{draft}/discard": OPERATE,
-    "GET /campaigns/{campaign}": READ_COMPUTED.timed(LATER),
-    "GET /campaigns/{campaign}/series.json": READ_COMPUTED.timed(LATER),
-    "GET /campaigns/{campaign}/values.json": READ_COMPUTED.timed(LATER),
-    "GET /campaigns/{campaign}/rows.json": READ_COMPUTED.timed(LATER),
-    "GET /campaigns/{campaign}/rows": READ_COMPUTED.timed(LATER),
-    "GET /campaigns/{campaign}/rows.csv": READ_COMPUTED.timed(LATER),
+    "GET /campaigns/{campaign}": READ_COMPUTED.with_time_limit(LATER),
+    "GET /campaigns/{campaign}/series.json": READ_COMPUTED.with_time_limit(LATER),
+    "GET /campaigns/{campaign}/values.json": READ_COMPUTED.with_time_limit(LATER),
+    "GET /campaigns/{campaign}/rows.json": READ_COMPUTED.with_time_limit(LATER),
+    "GET /campaigns/{campaign}/rows": READ_COMPUTED.with_time_limit(LATER),
+    "GET /campaigns/{campaign}/rows.csv": READ_COMPUTED.with_time_limit(LATER),
     "POST /campaigns/{campaign}/rows/aside": OPERATE,
     "POST /campaigns/{campaign}/change": OPERATE,
     "POST /campaigns/{campaign}/retire": OPERATE,
@@ -202,10 +204,10 @@ PAGE_RULES: Mapping[str, Rule] = {
     "GET /robots/{robot}/stream": READ,
     "GET /robots/{robot}/stream/events": READ,
     "GET /robots/{robot}/bridges": READ,
-    "GET /versions/{version}/report": READ_COMPUTED.timed(LATER),
-    "GET /versions/{version}/report.pdf": READ_COMPUTED.timed(LATER),
-    "GET /jobs/{job}/report": READ_COMPUTED.timed(LATER),
-    "GET /jobs/{job}/report.pdf": READ_COMPUTED.timed(LATER),
+    "GET /versions/{version}/report": READ_COMPUTED.with_time_limit(LATER),
+    "GET /versions/{version}/report.pdf": READ_COMPUTED.with_time_limit(LATER),
+    "GET /jobs/{job}/report": READ_COMPUTED.with_time_limit(LATER),
+    "GET /jobs/{job}/report.pdf": READ_COMPUTED.with_time_limit(LATER),
     "GET /jobs": READ,
     "GET /jobs/compare": READ,
     "GET /audit": SERVER,
@@ -216,7 +218,7 @@ PAGE_RULES: Mapping[str, Rule] = {
     "POST /jobs/{job}/gap/again": OPERATE,
     "GET /robots/{robot}/jobs": READ,
     "GET /robots/{robot}/jobs/campaigns": READ,
-    "POST /robots/{robot}/jobs/check": OPERATE.timed(LATER),
+    "POST /robots/{robot}/jobs/check": OPERATE.with_time_limit(LATER),
     "POST /robots/{robot}/jobs": OPERATE,
     "GET /jobs/{job}": READ,
     "GET /jobs/{job}/poses.csv": READ,
@@ -224,7 +226,7 @@ PAGE_RULES: Mapping[str, Rule] = {
 }
 
 
-def rule_of(route: str) -> Rule:
+def rule_for_route(route: str) -> Rule:
     """Return what a route (``"GET /v1/robots"``) needs."""
     read = "GET" + route.removeprefix("HEAD") if route.startswith("HEAD ") else route
     return RULES.get(read) or PAGE_RULES.get(read, SERVER)

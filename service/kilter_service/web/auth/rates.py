@@ -20,7 +20,7 @@ class Rates:
         self._full = max(1.0, per_second * BURST_S)
         self._buckets: dict[str, tuple[float, float]] = {}  # what is in it, and when that was
 
-    def take(self, sender: str) -> None:
+    def count_request(self, sender: str) -> None:
         """Count a request.
 
         Raises:
@@ -28,7 +28,7 @@ class Rates:
 
         """
         moment = self._clock()
-        left = self._left(sender, moment)
+        left = self._remaining_tokens(sender, moment)
         if left < 1.0:
             wait_s = max(1, math.ceil((1.0 - left) / self._rate))
             raise ServiceError(
@@ -38,9 +38,11 @@ class Rates:
                 retry_after_s=wait_s,
             )
         if len(self._buckets) >= MOST_SENDERS and sender not in self._buckets:
-            self._buckets = {name: was for name, was in self._buckets.items() if self._left(name, moment) < self._full}
+            self._buckets = {
+                name: was for name, was in self._buckets.items() if self._remaining_tokens(name, moment) < self._full
+            }
         self._buckets[sender] = (left - 1.0, moment)
 
-    def _left(self, sender: str, moment: float) -> float:
+    def _remaining_tokens(self, sender: str, moment: float) -> float:
         left, since = self._buckets.get(sender, (self._full, moment))
         return min(self._full, left + (moment - since) * self._rate)

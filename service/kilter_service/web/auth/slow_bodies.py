@@ -20,7 +20,7 @@ class Unhurried:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one connection."""
-        await self.app(scope, _Body(receive).next if scope["type"] == "http" else receive, send)
+        await self.app(scope, _Body(receive).receive_message if scope["type"] == "http" else receive, send)
 
 
 class _Body:
@@ -28,7 +28,7 @@ class _Body:
         self._receive, self._whole = receive, False
         self._waited, self._bytes = 0.0, 0
 
-    async def next(self) -> Message:
+    async def receive_message(self) -> Message:
         """Return what comes next of a request.
 
         Raises:

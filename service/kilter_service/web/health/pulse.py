@@ -65,11 +65,11 @@ class Pulse:
         while not self._ended.wait(BEAT_S if self._said else 0.0):
             self._said = True
             if self._well() and time.monotonic() - self._round_at < STUCK_S:
-                self._tell(database, stopped=False)
-        self._tell(database, stopped=True)
+                self._write_heartbeat(database, stopped=False)
+        self._write_heartbeat(database, stopped=True)
         database.close()
 
-    def _tell(self, database: db.Database, *, stopped: bool) -> None:
+    def _write_heartbeat(self, database: db.Database, *, stopped: bool) -> None:
         try:
             # Before the tables are there, as while a new server makes them, the check of the database says what is missing.
             if not self._migrated and is_migrating(self._settings.data):
@@ -82,6 +82,6 @@ class Pulse:
                     store.silence(session, self._process, self._name)
                 else:
                     store.beat(session, self._process, self._name, os.getpid(), self._details())
-            self._telling.worked()
+            self._telling.report_success()
         except Exception as error:  # whatever the database says, the process goes on
-            self._telling.failed(error)
+            self._telling.report_failure(error)

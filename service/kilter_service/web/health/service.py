@@ -62,14 +62,14 @@ def _check(name: str, look: Callable[[], Check]) -> Check:
     try:
         found = look()
     except Exception as error:  # the driver's, the system's: whatever it is, the document is what helps
-        looks[name].failed(error)
+        looks[name].report_failure(error)
         remedy = (
             "see that it runs and can be reached, KILTER_DATABASE_URL says where"
             if name == "database"
             else "see the log"
         )
         return Check(ok=False, detail=f"cannot be read ({type(error).__name__}): {remedy}")
-    looks[name].worked()
+    looks[name].report_success()
     return found
 
 

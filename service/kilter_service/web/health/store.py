@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import select
 
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import HeartbeatRow
 
 
@@ -24,7 +24,7 @@ def beat(
     session: Session, process: str, name: str, pid: int, details: Mapping[str, Any] = MappingProxyType({})
 ) -> None:
     """Say that a process ("worker", "corrector", "ros2") called ``name`` is alive now, and what it does."""
-    session.merge(HeartbeatRow(process=process, name=name, pid=pid, at=now(), details=dict(details)))
+    session.merge(HeartbeatRow(process=process, name=name, pid=pid, at=utc_now(), details=dict(details)))
 
 
 def silence(session: Session, process: str, name: str) -> None:
@@ -37,5 +37,5 @@ def silence(session: Session, process: str, name: str) -> None:
 def heartbeats(session: Session, process: str) -> list[Heartbeat]:
     """Return when the processes of a kind, which have not stopped by themselves, last said that they are alive."""
     rows = session.execute(select(HeartbeatRow).where(HeartbeatRow.process == process).order_by(HeartbeatRow.name))
-    at = now()
+    at = utc_now()
     return [Heartbeat(row.name, (at - row.at).total_seconds()) for row in rows.scalars()]

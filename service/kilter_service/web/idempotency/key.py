@@ -16,7 +16,7 @@ from pydantic import BaseModel, TypeAdapter
 
 from kilter_service.ground.db import Session
 from kilter_service.ground.errors import ServiceError
-from kilter_service.web.auth.access import caller_of
+from kilter_service.web.auth.access import get_caller
 from kilter_service.web.idempotency import store
 
 A = TypeVar("A")
@@ -30,7 +30,7 @@ class Once:
 
     id: str | None = None
 
-    def first(self, session: Session, body_sha256: str, answer: TypeAdapter[A]) -> A | None:
+    def first_answer(self, session: Session, body_sha256: str, answer: TypeAdapter[A]) -> A | None:
         """Return the first answer under this key, None when this is the first request.
 
         Raises:
@@ -58,12 +58,12 @@ class Once:
 NOT_REPEATED = Once()
 
 
-def hash_of(body: BaseModel) -> str:
+def hash_document(body: BaseModel) -> str:
     """Return the hash of a document as it was understood: another order of its fields is the same."""
     return hashlib.sha256(body.model_dump_json().encode()).hexdigest()
 
 
-async def key_of(
+async def once_from_header(
     request: Request,
     idempotency_key: Annotated[
         str | None,
@@ -78,9 +78,9 @@ async def key_of(
     """Return the key that a request brings; a dependency of its route."""
     if idempotency_key is None:
         return Once()
-    caller = caller_of(request)
+    caller = get_caller(request)
     whole = (request.method, request.url.path, caller.token_id, caller.actor, idempotency_key)
     return Once(hashlib.sha256("\0".join(whole).encode()).hexdigest())
 
 
-OnceOnly = Annotated[Once, Depends(key_of)]
+OnceOnly = Annotated[Once, Depends(once_from_header)]

@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import delete
 
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import AnsweredRow
 
 KEPT_FOR = timedelta(days=7)
@@ -22,6 +22,6 @@ def answer(session: Session, key_id: str) -> tuple[str, dict[str, Any]] | None:
 
 def keep(session: Session, key_id: str, body_sha256: str, document: dict[str, Any]) -> None:
     """Keep the answer of a request that is done in this transaction; forget those of long ago."""
-    session.execute(delete(AnsweredRow).where(AnsweredRow.at < now() - KEPT_FOR))
+    session.execute(delete(AnsweredRow).where(AnsweredRow.at < utc_now() - KEPT_FOR))
     session.add(AnsweredRow(id=key_id, body_sha256=body_sha256, answer=document))
     session.flush()

@@ -11,10 +11,10 @@ import secrets
 from datetime import datetime, timedelta
 
 from kilter_service.ground.db import Database, audited
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.web.logins import store
-from kilter_service.web.tokens.service import hash_of
+from kilter_service.web.tokens.service import hash_secret
 
 COOKIE = "kilter_login"
 CSRF_HEADER = "X-CSRF-Token"
@@ -22,13 +22,13 @@ HOURS = 12
 SECRET_BYTES = 32
 
 
-def log_in(database: Database, token_sha256: str) -> str:
+def create_login(database: Database, token_sha256: str) -> str:
     """Keep a login with a token that holds; returns the secret for the browser. Logins that ended are deleted."""
     secret = secrets.token_urlsafe(SECRET_BYTES)
-    until = now() + timedelta(hours=HOURS)
+    until = utc_now() + timedelta(hours=HOURS)
     with database.transaction() as session:
         store.forget_ended(session)
-        store.add(session, hash_of(secret), token_sha256, until)
+        store.add(session, hash_secret(secret), token_sha256, until)
         audited.note(session, "login", None, {"until": until.isoformat()})
     return secret
 
@@ -36,10 +36,10 @@ def log_in(database: Database, token_sha256: str) -> str:
 def link(database: Database, token_sha256: str, minutes: int) -> tuple[str, datetime]:
     """Keep a login that a browser may begin once; returns the secret of its link, and until when that holds."""
     secret = secrets.token_urlsafe(SECRET_BYTES)
-    until = now() + timedelta(minutes=minutes)
+    until = utc_now() + timedelta(minutes=minutes)
     with database.transaction() as session:
         store.forget_ended(session)
-        store.add(session, _link_of(secret), token_sha256, until)
+        store.add(session, _stored_link_key(secret), token_sha256, until)
         audited.note(session, "login_link", None, {"until": until.isoformat()})
     return secret, until
 
@@ -52,7 +52,7 @@ def take_link(database: Database, secret: str) -> str:
 
     """
     with database.transaction() as session:
-        found = store.take(session, _link_of(secret))
+        found = store.consume_login(session, _stored_link_key(secret))
     if found is None:
         raise ServiceError(
             "This link was used already or is too old: print a new one with `kilter login`, or log in with your token.",
@@ -61,24 +61,24 @@ def take_link(database: Database, secret: str) -> str:
     return found
 
 
-def _link_of(secret: str) -> str:
+def _stored_link_key(secret: str) -> str:
     """What is stored of a link: never the hash of a cookie, so a link is not a login before it is used up."""
-    return f"link{hash_of(secret)[:60]}"
+    return f"link{hash_secret(secret)[:60]}"
 
 
 def log_out(database: Database, secret: str) -> None:
     """End a login; nothing happens when it has ended already."""
     with database.transaction() as session:
-        store.forget(session, hash_of(secret))
+        store.forget(session, hash_secret(secret))
 
 
-def token_of(database: Database, secret: str) -> str | None:
+def login_token_hash(database: Database, secret: str) -> str | None:
     """Return the hash of the token that a browser logged in with; None: it did not, or its login has ended."""
     with database.reading() as session:
-        return store.token_of(session, hash_of(secret))
+        return store.login_token_hash(session, hash_secret(secret))
 
 
-def csrf_of(secret: str) -> str:
+def csrf_token(secret: str) -> str:
     """Return what the page sends with every change; another site can neither read nor compute it."""
     return hashlib.blake2s(b"csrf", key=secret.encode()[:32]).hexdigest()
 
@@ -90,7 +90,7 @@ def check_csrf(secret: str, given: str) -> None:
         ServiceError: the header is missing or of another login.
 
     """
-    if not secrets.compare_digest(csrf_of(secret).encode(), given.encode()):
+    if not secrets.compare_digest(csrf_token(secret).encode(), given.encode()):
         raise ServiceError(
             f"A change by somebody who is logged in needs the header {CSRF_HEADER} that the page sends: load the page anew "
             "and try again. Programs send `Authorization: Bearer ...` and no cookie.",

@@ -80,7 +80,7 @@ class JsonLines(logging.Formatter):
         return json.dumps(line, default=str)
 
 
-def say_end(sentence: str) -> None:
+def log_exit_reason(sentence: str) -> None:
     """Say on standard error why a command ends; a line of JSON where the log has such lines."""
     if any(isinstance(handler.formatter, JsonLines) for handler in logging.getLogger().handlers):
         log.error(sentence)

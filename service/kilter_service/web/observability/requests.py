@@ -37,7 +37,7 @@ class Observed:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        request_id = _given(scope) or new_request_id()
+        request_id = _request_id_from_header(scope) or new_request_id()
         scope.setdefault("state", {})["request_id"] = request_id
         answer = _Answer(send)
         began = time.perf_counter()
@@ -70,7 +70,7 @@ class _Answer:
         await self._send(message)
 
 
-def _given(scope: Scope) -> str | None:
+def _request_id_from_header(scope: Scope) -> str | None:
     for name, value in scope["headers"]:
         if name == HEADER:
             text = value.decode("latin-1")

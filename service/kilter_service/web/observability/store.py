@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import func, select
 
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import EndedJobsRow, HeartbeatRow, JobRow
 from kilter_service.ground.ended_jobs.store import NEVER_RAN
 
@@ -32,7 +32,7 @@ def jobs_by_state(session: Session) -> list[tuple[str, str, int]]:
 def queue_age_s(session: Session) -> float:
     """Return for how long the oldest queued job has waited, 0 without one."""
     oldest = session.execute(select(func.min(JobRow.created_at)).where(JobRow.state == "queued")).scalar_one()
-    return 0.0 if oldest is None else max(0.0, (now() - oldest).total_seconds())
+    return 0.0 if oldest is None else max(0.0, (utc_now() - oldest).total_seconds())
 
 
 def ended_jobs(session: Session) -> dict[tuple[str, str], Ended]:
@@ -52,7 +52,7 @@ def beats(session: Session) -> list[tuple[str, str, float]]:
 
     Bridges are none: one that has ended is remembered.
     """
-    moment = now()
+    moment = utc_now()
     rows = session.execute(select(HeartbeatRow).where(HeartbeatRow.process != "bridge")).scalars()
     return [(row.process, row.name, (moment - row.at).total_seconds()) for row in rows]
 

@@ -44,7 +44,7 @@ def configure(process: str) -> None:
     _tracer = provider.get_tracer("kilter")
 
 
-def _started(name: str, kind: str, carrier: Mapping[str, str], attributes: Mapping[str, Any]) -> Any:
+def _start_span(name: str, kind: str, carrier: Mapping[str, str], attributes: Mapping[str, Any]) -> Any:
     assert _tracer is not None
     parent = propagation.TraceContextTextMapPropagator().extract(carrier)
     return _tracer.start_as_current_span(name, context=parent, kind=trace.SpanKind[kind], attributes=dict(attributes))
@@ -59,7 +59,7 @@ def request(scope: Any) -> Iterator[None]:
     headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
     given = {"http.request.method": scope["method"], "url.path": scope["path"]}
     span: Span
-    with _started(scope["method"], "SERVER", headers, given) as span:
+    with _start_span(scope["method"], "SERVER", headers, given) as span:
         yield
         route = getattr(scope.get("route"), "path", None)
         if route is not None:
@@ -74,7 +74,7 @@ def job(kind: str, job_id: str, robot: str, traceparent: str) -> Iterator[None]:
         yield
         return
     given = {"kilter.job.id": job_id, "kilter.robot": robot}
-    with _started(f"job {kind}", "CONSUMER", {"traceparent": traceparent} if traceparent else {}, given):
+    with _start_span(f"job {kind}", "CONSUMER", {"traceparent": traceparent} if traceparent else {}, given):
         yield
 
 

@@ -10,7 +10,7 @@ from datetime import timedelta
 from kilter_service.contract.tokens import MadeToken, NewToken, Token, TokenList
 from kilter_service.ground.caller import ADMIN, ANYBODY
 from kilter_service.ground.db import Database
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.web.tokens import store
@@ -34,9 +34,9 @@ def add(database: Database, wanted: NewToken, actor: str) -> MadeToken:
             name=wanted.name,
         )
     secret = PREFIX + secrets.token_urlsafe(SECRET_BYTES)
-    expires = None if wanted.days is None else now() + timedelta(days=wanted.days)
+    expires = None if wanted.days is None else utc_now() + timedelta(days=wanted.days)
     with database.transaction() as session:
-        made = store.add(session, hash_of(secret), wanted.name, wanted.role, wanted.robots, expires, actor)
+        made = store.add(session, hash_secret(secret), wanted.name, wanted.role, wanted.robots, expires, actor)
     return MadeToken(**asdict(made), token=secret)
 
 
@@ -54,7 +54,7 @@ def revoke(database: Database, token_id: str, actor: str) -> Token:
         return Token(**asdict(store.revoke(session, token_id, actor)))
 
 
-def known(database: Database, sha256: str) -> TokenRecord:
+def get_valid_token(database: Database, sha256: str) -> TokenRecord:
     """Return the token whose secret has this hash, if it still holds.
 
     Raises:
@@ -69,7 +69,7 @@ def known(database: Database, sha256: str) -> TokenRecord:
             "an admin for a new one (`kilter token add`).",
             code="token_wrong",
         )
-    if found.revoked_at is not None or (found.expires_at is not None and found.expires_at <= now()):
+    if found.revoked_at is not None or (found.expires_at is not None and found.expires_at <= utc_now()):
         ended = f"was revoked by {found.revoked_by}" if found.revoked_at else "has expired"
         raise ServiceError(
             f"Token {found.name!r} {ended}: ask an admin for a new one (`kilter token add`).",
@@ -79,6 +79,6 @@ def known(database: Database, sha256: str) -> TokenRecord:
     return found
 
 
-def hash_of(secret: str) -> str:
+def hash_secret(secret: str) -> str:
     """Return what is stored of a secret. It has 256 random bits, so that a plain hash cannot be searched backwards."""
     return hashlib.sha256(secret.encode()).hexdigest()

@@ -11,7 +11,7 @@ from sqlalchemy import and_, or_, select
 from kilter_service.contract.tokens import Role
 from kilter_service.ground.caller import CALLER
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.row import now
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import TokenRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
@@ -35,7 +35,7 @@ def add(
     """
     taken = select(TokenRow).where(TokenRow.name == name, TokenRow.revoked_at.is_(None))
     for other in session.execute(taken).scalars():
-        if other.expires_at is None or other.expires_at > now():
+        if other.expires_at is None or other.expires_at > utc_now():
             raise ServiceError(
                 f"There is a token called {name!r} already, {other.id}: give another name, or revoke that one "
                 f"(kilter token revoke {other.id}).",
@@ -65,7 +65,7 @@ def tokens_on_page(session: Session, page: Page) -> list[TokenRecord]:
     if page.moment is not None:
         moment, key = page.moment
         query = query.where(or_(row.created_at < moment, and_(row.created_at == moment, row.id > key)))
-    return [_record(found) for found in session.execute(query.limit(page.fetched)).scalars()]
+    return [_record(found) for found in session.execute(query.limit(page.fetch_limit)).scalars()]
 
 
 def revoke(session: Session, token_id: str, actor: str) -> TokenRecord:
@@ -81,7 +81,7 @@ def revoke(session: Session, token_id: str, actor: str) -> TokenRecord:
             f"There is no token {token_id!r}: list them with `kilter token list`.", code="token_not_found", id=token_id
         )
     if row.revoked_at is None:
-        row.revoked_at, row.revoked_by = now(), actor
+        row.revoked_at, row.revoked_by = utc_now(), actor
         session.flush()
     return _record(row)
 
@@ -97,7 +97,7 @@ def left_s(session: Session) -> float:
     row = None if caller is None or not caller.token_id else session.get(TokenRow, caller.token_id)
     if row is None:
         return float("inf")
-    left = float("inf") if row.expires_at is None else (row.expires_at - now()).total_seconds()
+    left = float("inf") if row.expires_at is None else (row.expires_at - utc_now()).total_seconds()
     if row.revoked_at is not None or left <= 0.0:
         raise ServiceError(
             f"Token {row.name!r} has ended: ask an admin for a new one.", code="token_ended", name=row.name

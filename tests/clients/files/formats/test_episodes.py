@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from pyarrow import parquet
 
-from kilter_files.formats.joints.lerobot.episodes import episodes_of
-from kilter_files.formats.joints.lerobot.moved import Move, moves_of
+from kilter_files.formats.joints.lerobot.episodes import read_episodes
+from kilter_files.formats.joints.lerobot.moved import Move, detect_joint_moves
 from kilter_files.formats.reader import LogHints
 from kilter_files.ground.errors import FileError
 from tests.clients.files.formats.test_lerobot import JOINTS, SERVOS, VERSIONS, calibration, dataset, hints
@@ -53,7 +53,7 @@ def steps(episodes: int, at: int, joint: int, by: float) -> list[Floats]:
 
 
 def found(folder: Path) -> list[Move]:
-    return moves_of(episodes_of(folder, LogHints(norm_mode="DEGREES")), LEAST)
+    return detect_joint_moves(read_episodes(folder, LogHints(norm_mode="DEGREES")), LEAST)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -126,9 +126,9 @@ def test_two_joints_are_named_each_with_its_episodes(tmp_path: Path, version: st
 def test_what_the_numbers_mean_is_stated_or_refused(tmp_path: Path) -> None:
     folder = recorded(tmp_path / "set", steps(20, 10, 1, 9.0))
     with pytest.raises(FileError, match="does not say what its numbers mean"):
-        episodes_of(folder, LogHints())
+        read_episodes(folder, LogHints())
     servos = calibration(tmp_path)
-    by_json = moves_of(episodes_of(folder, hints(servos)), LEAST)
+    by_json = detect_joint_moves(read_episodes(folder, hints(servos)), LEAST)
     assert by_json == found(folder)
 
 

@@ -10,8 +10,8 @@ import pytest
 from pyarrow import parquet
 
 from kilter_files import read_joints
-from kilter_files.formats.joints.lerobot.episodes import episodes_of
-from kilter_files.formats.joints.lerobot.moved import Move, moves_of
+from kilter_files.formats.joints.lerobot.episodes import read_episodes
+from kilter_files.formats.joints.lerobot.moved import Move, detect_joint_moves
 from kilter_files.formats.reader import LogHints
 from kilter_files.ground.errors import FileError
 from kilter_files.look.inspection import inspect
@@ -90,7 +90,9 @@ def test_a_file_with_other_rows_than_its_episodes_is_refused(tmp_path: Path, com
 
 def moves(folder: Path, version: str, shifts: list[Floats]) -> list[Move]:
     rng = np.random.default_rng(3)
-    return moves_of(episodes_of(dataset(folder, version, [task(rng, shift) for shift in shifts], SERVOS), DEGREES), 2.0)
+    return detect_joint_moves(
+        read_episodes(dataset(folder, version, [task(rng, shift) for shift in shifts], SERVOS), DEGREES), 2.0
+    )
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -132,7 +134,7 @@ def test_motion_from_one_end_of_the_range_to_the_other_is_no_rotation_of_a_servo
         one = np.zeros((80, 6))
         one[:, 4] = np.linspace(-170.0, 170.0, 80) * (1.0 if k % 2 else -1.0)
         values.append(one)
-    assert moves_of(episodes_of(dataset(tmp_path / "set", "v3.0", values, SERVOS), DEGREES), 2.0) == []
+    assert detect_joint_moves(read_episodes(dataset(tmp_path / "set", "v3.0", values, SERVOS), DEGREES), 2.0) == []
 
 
 @pytest.mark.parametrize("version", VERSIONS)

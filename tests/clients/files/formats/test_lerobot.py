@@ -18,7 +18,7 @@ from pyarrow import parquet
 
 from kilter_files import read_joints
 from kilter_files.formats.joints.lerobot.calibration import read_calibration
-from kilter_files.formats.joints.lerobot.log import blocks, opened
+from kilter_files.formats.joints.lerobot.log import blocks, open_recorded_joints
 from kilter_files.formats.reader import Hints, LogHints
 from kilter_files.ground.errors import FileError
 from kilter_files.look.inspection import inspect
@@ -360,7 +360,7 @@ def test_memory_is_that_of_a_block_however_long_the_data_set(tmp_path: Path) -> 
     asked = hints(calibration(tmp_path))
     peaks = []
     for name, episodes in (("one", [values]), ("five", [values] * 5)):
-        found = opened(dataset(tmp_path / name, "v2.1", episodes), asked)
+        found = open_recorded_joints(dataset(tmp_path / name, "v2.1", episodes), asked)
         before, peak, rows = pa.total_allocated_bytes(), 0, 0
         for block in blocks(found):
             rows += len(block.angles)

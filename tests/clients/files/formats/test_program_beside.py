@@ -200,7 +200,7 @@ def test_after_an_arc_that_ends_by_its_angle_nobody_knows_where_the_arm_stands(t
 @pytest.mark.parametrize(("said", "wanted"), [("66", "65"), ("'B 1000010'", "'B 1000001'")])
 def test_the_bits_of_further_axes_stay(said: str, wanted: str) -> None:
     stated = StatusTurn(2, 0b1000010, said, (0, len(said)))
-    assert dict(stated.restated([-5.0, 5.0, 5.0, 5.0, 5.0, 5.0])) == {(0, len(said)): wanted}
+    assert dict(stated.edits_for_joints([-5.0, 5.0, 5.0, 5.0, 5.0, 5.0])) == {(0, len(said)): wanted}
 
 
 def test_a_table_whose_joint_stands_in_it_twice_is_refused(tmp_path: Path) -> None:

@@ -201,7 +201,7 @@ def test_fanuc_fills_a_register_and_sets_a_frame_by_it(tmp_path: Path, lines: tu
     path.write_text(fanuc(*lines))
     program = read_program(path, Stated({}, {"1": (0.0, 0, 100, 0, 0, 0)}))
     (pose,) = program.cartesian
-    assert said in pose.why_left()
+    assert said in pose.reason_left_unresolved()
     if not said:
         bases, _ = pose.frames()
         assert bases[0].numbers == (10.5, -20.0, 130.0, 0.0, 0.5, -17.189)

@@ -34,7 +34,7 @@ def test_the_three_turn_numbers_are_those_of_j1_j4_and_j6(
     stated = read_program(program(tmp_path, config)).cartesian[0].configuration
     assert stated is not None
     assert all(stated.fits_joint(k, value) for k, value in enumerate(joints))
-    assert stated.restated(joints) == {}
+    assert stated.edits_for_joints(joints) == {}
     turned_back = joints[beyond] - 360.0 if joints[beyond] > 0 else joints[beyond] + 360.0
     assert not stated.fits_joint(beyond, turned_back)
 
@@ -50,4 +50,4 @@ def test_a_joint_that_passes_half_a_turn_gets_its_own_number(
     stated, joints = read.cartesian[0].configuration, [10.0, 20.0, -5.0, 30.0, 40.0, 50.0]
     assert stated is not None
     joints[joint] = value
-    assert f"CONFIG : 'F U T, {wanted}'" in read.rewritten([], stated.restated(joints))
+    assert f"CONFIG : 'F U T, {wanted}'" in read.rewritten([], stated.edits_for_joints(joints))

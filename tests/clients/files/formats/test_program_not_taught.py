@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from kilter_files.formats.programs.reading import read_program, visited
+from kilter_files.formats.programs.reading import read_program, targets_in_visit_order
 from kilter_files.formats.programs.targets import read_targets
 from kilter_files.ground.errors import FileError
 
@@ -26,7 +26,7 @@ def test_a_position_of_fanuc_that_nobody_taught_is_left(tmp_path: Path, said: st
     program = read_program(path)
     assert [one.name for one in program.targets] == ["P[1]"]
     assert program.left == [(6, f"P[2], a pose: it is not taught ({STARS})")]
-    assert len(visited([program])) == 2
+    assert len(targets_in_visit_order([program])) == 2
     with pytest.raises(FileError, match=r"P\[2\] is not taught"):
         read_targets(path)
 
@@ -38,7 +38,7 @@ def test_a_pose_of_variables_in_krl_is_left(tmp_path: Path, move: str) -> None:
     program = read_program(path)
     assert len(program.targets) == 1
     assert [line for line, _ in program.left] == [3]
-    assert len(visited([program])) == 2
+    assert len(targets_in_visit_order([program])) == 2
 
 
 FORCE = "  force_mode(p[0,0,0,0,0,0],[0,0,1,0,0,0],[0,0,10,0,0,0],2,[0.1,0.1,0.1,0.1,0.1,0.1])"
@@ -72,7 +72,7 @@ def test_a_pose_to_which_one_move_goes_without_force_is_rewritten(tmp_path: Path
     path.write_text("\n".join(["def w():", *lines, FORCE, "  movel(A)", "  end_force_mode()", "end", ""]))
     program = read_program(path)
     assert program.left == [(7, "movel(A: force_mode moves the arm beside it")]
-    assert program.cartesian[0].why_left() == ""
+    assert program.cartesian[0].reason_left_unresolved() == ""
 
 
 RAPID = """MODULE w

@@ -158,5 +158,5 @@ def test_each_line_of_a_public_construct_is_rewritten_named_or_alone(tmp_path: P
     assert [(known(programs[0], k), text) for k, (_, text) in enumerate(lines, 1)] == lines
     if name in LEFT_OF_DATA:
         poses = programs[1].cartesian
-        assert [pose.name for pose in poses if pose.why_left()] == LEFT_OF_DATA[name]
+        assert [pose.name for pose in poses if pose.reason_left_unresolved()] == LEFT_OF_DATA[name]
         assert len(poses) == 3

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from kilter_files.formats.programs.reading import read_program, read_programs
-from kilter_files.formats.programs.remedies import remedies, remedy_of
+from kilter_files.formats.programs.remedies import remedies, remedy_for_reason
 from kilter_files.ground.errors import FileError
 
 NO_AXES = "[9E9,9E9,9E9,9E9,9E9,9E9]"
@@ -65,11 +65,15 @@ def test_urscript_has_two_endings(tmp_path: Path) -> None:
 
 
 def test_each_reason_has_one_remedy() -> None:
-    assert remedies(["p1, a pose: it is out of reach", "p2, a pose: it is out of reach"]) == [remedy_of("out of reach")]
-    assert remedy_of("tool t1 is not in this program: state it, --tool t1=x,y,z,q1,q2,q3,q4") == ""
-    assert remedy_of("MoveJ p1: no target of this file").startswith("Filter the file that declares")
-    assert remedy_of("LIN XP1: not a target of this file or of its .dat").startswith("Filter the file that declares")
-    assert remedy_of("MoveL Offs(p1,0,0,reg1): no target of this file") == "Write the target with numbers."
-    assert remedy_of("servoj([0,0: no target of this file") == ""
+    assert remedies(["p1, a pose: it is out of reach", "p2, a pose: it is out of reach"]) == [
+        remedy_for_reason("out of reach")
+    ]
+    assert remedy_for_reason("tool t1 is not in this program: state it, --tool t1=x,y,z,q1,q2,q3,q4") == ""
+    assert remedy_for_reason("MoveJ p1: no target of this file").startswith("Filter the file that declares")
+    assert remedy_for_reason("LIN XP1: not a target of this file or of its .dat").startswith(
+        "Filter the file that declares"
+    )
+    assert remedy_for_reason("MoveL Offs(p1,0,0,reg1): no target of this file") == "Write the target with numbers."
+    assert remedy_for_reason("servoj([0,0: no target of this file") == ""
     several = remedies(["it is declared several times", "LIN_REL {X 5}: a relative move"])
     assert several == ["Give each target a name of its own.", "Move to a target that is written out."]

@@ -232,7 +232,7 @@ PROGRAMS = {"a.mod": RAPID, "a.script": URSCRIPT, "a.ls": FANUC, "a.src": KRL}
 def known(program: Program, line: int) -> str:
     """What is made of a line."""
     found = {"J" for target in program.targets if target.line == line}
-    found |= {"P" for pose in program.cartesian if pose.line == line and not pose.why_left()}
+    found |= {"P" for pose in program.cartesian if pose.line == line and not pose.reason_left_unresolved()}
     found |= {"L" for number, _ in program.left if number == line}
     return found.pop() if len(found) == 1 else "B" if found else "."
 

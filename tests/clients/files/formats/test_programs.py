@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from kilter_files.formats.programs.reading import read_program, read_programs, visited
+from kilter_files.formats.programs.reading import read_program, read_programs, targets_in_visit_order
 from kilter_files.ground.errors import FileError
 
 OTHER = {
@@ -147,7 +147,7 @@ def test_targets_of_two_files_come_as_the_program_moves_to_them(tmp_path: Path) 
         programs = read_programs(given)
         assert programs[0].path == given
         assert [program.left for program in programs] == [[], []]
-        order = [(program.path.suffix, target.joints_deg[0]) for program, target in visited(programs)]
+        order = [(program.path.suffix, target.joints_deg[0]) for program, target in targets_in_visit_order(programs)]
         assert order == [(".dat", 3), (".src", 9), (".dat", 1), (".dat", 2)]
 
 
@@ -293,7 +293,7 @@ def test_poses_of_which_too_little_is_known_are_named_with_their_reason(
     assert told.keys() == left.keys()
     for line, said in left.items():
         assert said in told[line]
-    assert sorted(pose.line for pose in program.cartesian if not pose.why_left()) == taken
+    assert sorted(pose.line for pose in program.cartesian if not pose.reason_left_unresolved()) == taken
 
 
 SIX = "X {},Y 0,Z 0,A 0,B 0,C 0"

@@ -79,7 +79,7 @@ def test_every_reader_states_what_it_is() -> None:
     for reader in found.values():
         assert reader.title, reader.name
         assert bool(reader.is_a) or not reader.instead, reader.name
-        assert list(reader.listed()), reader.name
+        assert list(reader.names_and_titles()), reader.name
 
 
 def test_a_reader_is_stated_without_the_packages_that_it_needs() -> None:

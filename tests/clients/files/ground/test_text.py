@@ -13,7 +13,7 @@ from kilter_client import FileError
 from kilter_files.formats.tables.text import read_text
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.orientation import from_euler
-from kilter_files.ground.units import converter, unit_of
+from kilter_files.ground.units import column_unit, converter
 from kilter_files.tables.source import Layout
 
 
@@ -110,7 +110,7 @@ def test_another_encoding_is_named(tmp_path: Path) -> None:
      ("tau1_nm", "Nm"), ("pose_id", ""), ("temperature_c", "C"), ("q1", None), ("x", None), ("banana", None)],
 )  # fmt: skip
 def test_the_unit_is_in_the_name(column: str, unit: str | None) -> None:
-    assert unit_of(column) == unit
+    assert column_unit(column) == unit
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_contract_columns_agree_with_the_service() -> None:
                   ["qdd1_deg_s2", "qdd2_m_s2"], ["link1_deg", "link2_m"], ["cmd1_deg", "cmd2_mm"],
                   ["sx_mm", "sy_mm", "sz_mm"]):  # fmt: skip
         read_columns(tail + names, kinds)
-        assert all(unit_of(name) is not None for name in names)
+        assert all(column_unit(name) is not None for name in names)
 
 
 def test_quaternions_are_unit(tmp_path: Path) -> None:

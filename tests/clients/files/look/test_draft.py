@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from kilter_client import FileError, Kilter, prepare
 from kilter_client.cli import run
-from kilter_files.formats.unknown.table_shape import shape_of
+from kilter_files.formats.unknown.table_shape import detect_table_shape
 from kilter_files.look.draft import draft
 from kilter_files.look.inspection import inspect
-from kilter_files.look.summary import columns_of
+from kilter_files.look.summary import numeric_columns
 from tests.clients.answered import document
 from tests.clients.files.look.labs import LABS, Measured, write_lab
 from tests.clients.files.test_fuzz import EDITS, edited
@@ -49,7 +49,7 @@ def test_a_draft_means_what_the_lab_measured(tmp_path: Path, capsys: Capture, na
         with pytest.raises(FileError, match=r"the draft could not determine"):
             prepare(path, column_map=target)
     target.write_text(fill(target.read_text(encoding="utf-8"), name), encoding="utf-8")
-    columns = columns_of(prepare(path, column_map=target))
+    columns = numeric_columns(prepare(path, column_map=target))
     to_deg = {f"q{k}_rad": np.degrees(values) for k in range(1, 6) if (values := columns.get(f"q{k}_rad"))}
     q = [to_deg.get(f"q{k}_rad", columns.get(f"q{k}_deg", [])) for k in range(1, 6)]
     np.testing.assert_allclose(np.array(q).T, measured.q, atol=1e-3)
@@ -155,7 +155,7 @@ def test_markers(tmp_path: Path) -> None:
     head = ",".join(["A1", "A2", *(f"Marker {k} {a}" for k in (1, 2) for a in "XYZ")])
     text = drafted(tmp_path, table(head, [[*r[:2], *r[3:], *(v + 50 for v in r[3:])] for r in ROWS]))
     assert '"m*x_mm" = { from = "Marker * X", unit = "mm" }' in text
-    found = columns_of(prepare(tmp_path / "lab.csv", column_map=write(tmp_path / "m.toml", text)))
+    found = numeric_columns(prepare(tmp_path / "lab.csv", column_map=write(tmp_path / "m.toml", text)))
     assert found["m2z_mm"] == [352, 354, 356, 358, 360]
 
 
@@ -177,7 +177,7 @@ def test_angles_of_unknown_order_are_marked_and_refused_until_filled(tmp_path: P
     with pytest.raises(FileError, match=r"orientation: the draft could not determine: fill in what is \"\?\""):
         prepare(tmp_path / "lab.csv", column_map=column_map)
     write(column_map, text.replace('euler = "?"', 'euler = "xyz"'))
-    assert "qw" in columns_of(prepare(tmp_path / "lab.csv", column_map=column_map))
+    assert "qw" in numeric_columns(prepare(tmp_path / "lab.csv", column_map=column_map))
 
 
 def test_empty_cells_states_and_times(tmp_path: Path) -> None:
@@ -199,7 +199,7 @@ def test_joints_of_a_points_file_come_by_the_join_that_the_draft_offers(tmp_path
     lines = [line for line in text.splitlines() if not line.startswith('"q*"')]
     start = next(k for k, line in enumerate(lines) if "# [join]" in line)
     lines[start : start + 5] = [line.removeprefix("# ") for line in lines[start : start + 5]]
-    found = columns_of(prepare(tmp_path / "lab.csv", column_map=write(tmp_path / "m.toml", "\n".join(lines))))
+    found = numeric_columns(prepare(tmp_path / "lab.csv", column_map=write(tmp_path / "m.toml", "\n".join(lines))))
     assert found["q2_deg"] == [-20, -40, -60, -80, -100]
 
 
@@ -221,7 +221,7 @@ def test_a_unit_that_the_file_states_is_never_guessed_from_the_values(tmp_path: 
     assert found.open == ["columns.x_mm", "columns.y_mm", "columns.z_mm"]
     assert "the file states [ft], which is none of m, cm, mm" in found.text
     column_map = write(tmp_path / "map.toml", found.text.replace('unit = "?"', 'unit = "m", scale = 0.3048'))
-    columns = columns_of(prepare(path, column_map=column_map))
+    columns = numeric_columns(prepare(path, column_map=column_map))
     np.testing.assert_allclose([columns["x_mm"][0], columns["q2_deg"][1]], [304.8, (3.0 - 100.0) * 0.9])
 
 
@@ -234,7 +234,7 @@ def test_arrays_of_matlab_that_lie_across_are_read_by_rows(tmp_path: Path, poses
     found = draft(path)
     assert found.open == []
     column_map = write(tmp_path / "map.toml", found.text)
-    columns = columns_of(prepare(path, column_map=column_map))
+    columns = numeric_columns(prepare(path, column_map=column_map))
     joints = [np.radians(columns[f"q{k}_deg"]) for k in range(1, 7)]
     np.testing.assert_allclose(joints, q, atol=1e-9)
     np.testing.assert_allclose([columns[f"{axis}_mm"] for axis in "xyz"], p, atol=1e-9)
@@ -249,7 +249,7 @@ def test_words_for_what_was_not_measured_are_listed_as_missing(tmp_path: Path) -
     found = draft(path)
     assert found.open == []
     assert 'missing = ["---"]' in found.text
-    columns = columns_of(prepare(path, column_map=write(tmp_path / "map.toml", found.text)))
+    columns = numeric_columns(prepare(path, column_map=write(tmp_path / "map.toml", found.text)))
     assert columns["x_mm"] == [101, 102, 103, 105, 106, 107, 108]
 
 
@@ -289,7 +289,7 @@ def test_no_table_no_draft(tmp_path: Path, text: str) -> None:
 
 def test_layouts(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_bytes("a|b\n1|2\n3|4\n".encode("utf-16"))
-    layout = shape_of(tmp_path / "a.csv").layout
+    layout = detect_table_shape(tmp_path / "a.csv").layout
     assert (layout.delimiter, layout.encoding) == ("|", "utf-16")
     bare = drafted(tmp_path, "1,2,3,4\n5,6,7,8\n")
     assert "header = false" in bare
@@ -370,7 +370,7 @@ def test_a_pose_matrix_is_recognised(tmp_path: Path, capsys: Capture, cell: str,
     path.write_text("\n".join([",".join(["A1 [deg]", "A2 [deg]", *head]), *lines]) + "\n")
     found = document(capsys, "inspect", path, "--draft", target)
     assert (found["open"], found["unused"]) == ([], [])
-    columns = columns_of(prepare(path, column_map=target))
+    columns = numeric_columns(prepare(path, column_map=target))
     assert pytest.approx(1000.0 * points, abs=1e-4) == np.array([columns[f"{a}_mm"] for a in "xyz"]).T
     quaternion = np.array([columns[f"q{a}"] for a in "xyzw"]).T
     assert np.abs((quaternion * turned.as_quat()).sum(axis=1)) == pytest.approx(1.0, abs=1e-6)

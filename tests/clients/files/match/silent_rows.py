@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from kilter_client import FileError
-from kilter_files.match.arm import Arm, arm_of
+from kilter_files.match.arm import Arm, arm_from_check
 from kilter_files.match.clock_checks import Checks
 from kilter_files.match.frames_by_time import match_frames
 from kilter_files.match.matching import frame_rows, match_dwells
@@ -49,7 +49,7 @@ def model(arm: str) -> Arm:
     from kilter_service.robots.check import check
     from kilter_service.robots.wire import DOCUMENT
 
-    return arm_of(check(DOCUMENT.validate_python(document(arm, arm))).model_dump(mode="json"))
+    return arm_from_check(check(DOCUMENT.validate_python(document(arm, arm))).model_dump(mode="json"))
 
 
 def planned(seed: int, what: str) -> tuple[Plan, str]:

@@ -9,8 +9,8 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document, preset_names
 from kilter_core.model import Calibration
 from kilter_core.model.geometry import arm_screws
-from kilter_files.match.arm import Arm, arm_of
-from kilter_files.match.registration import calibrated, register
+from kilter_files.match.arm import Arm, arm_from_check
+from kilter_files.match.registration import fit_arm_errors, register
 from kilter_service.robots.check import check
 from kilter_service.robots.convert import convert
 from kilter_service.robots.wire import DOCUMENT
@@ -27,10 +27,10 @@ SLIDING = {
 
 def both(document: dict[str, object], q: np.ndarray) -> tuple[Arm, np.ndarray]:
     validated = DOCUMENT.validate_python(document)
-    arm = arm_of(check(validated).model_dump(mode="json"))
+    arm = arm_from_check(check(validated).model_dump(mode="json"))
     posted = validated.model_dump(mode="json", exclude_none=True)
     robot = robot_from_document(preset_document(posted["preset"]) if posted["convention"] == "preset" else posted)
-    return arm, arm_screws(Calibration.nominal(robot)).moved(robot.T_base, np.eye(4)).poses(q)
+    return arm, arm_screws(Calibration.nominal(robot)).compose_with_poses(robot.T_base, np.eye(4)).poses(q)
 
 
 @pytest.mark.parametrize("name", [*preset_names(), "gantry", "ur10 as mdh"])
@@ -61,7 +61,7 @@ def test_a_registration_finds_base_and_markers_and_small_errors_of_the_arm() -> 
     points = np.einsum("nij,mj->nmi", turns, markers) + places[:, None] + [500, -900, 1200]
     points[rng.random((40, 3)) < 0.1] = np.nan
     found = register(*arm.poses(q), points)
-    off = found.predicted(*arm.poses(q)) - points
+    off = found.predict_markers(*arm.poses(q)) - points
     assert 0.1 < np.sqrt(np.nanmean(off**2)) < 3.0
-    better, columns = calibrated(arm, q, points, found)
-    assert np.nanmax(np.abs(better.predicted(*arm.poses(q), columns) - points)) < 0.05
+    better, columns = fit_arm_errors(arm, q, points, found)
+    assert np.nanmax(np.abs(better.predict_markers(*arm.poses(q), columns) - points)) < 0.05

@@ -14,12 +14,12 @@ from kilter_client import FileError
 from kilter_client.cli import run
 from kilter_files.formats.joints.joint_log import read_joint_log
 from kilter_files.formats.opening import open_recording
-from kilter_files.ground.turns import quaternions_of
+from kilter_files.ground.turns import quaternions_from_matrices
 from kilter_files.look.inspection import inspect
 from kilter_files.match.clock_checks import Checks
 from kilter_files.match.matching import frame_rows, match_dwells
 from kilter_files.match.rigid_body import Body, find_body, poses, tool_as_markers
-from kilter_files.tables.cut_recording import without
+from kilter_files.tables.cut_recording import drop_markers
 from tests.clients.files.simulated import BODY, arm, stops, write_csv, write_log, write_n3d
 
 POSES = np.random.default_rng(1).uniform(-60, 60, (8, 3))
@@ -42,7 +42,7 @@ def test_a_pose_is_the_rotation_and_shift_that_moved_the_markers() -> None:
 
 def test_quaternions_at_half_turns() -> None:
     turns = Rotation.from_rotvec(np.pi * np.vstack([np.eye(3), [[0.6, 0.8, 0]], [[0, 0, 0]]]))
-    got = Rotation.from_quat(quaternions_of(turns.as_matrix())[:, [1, 2, 3, 0]])
+    got = Rotation.from_quat(quaternions_from_matrices(turns.as_matrix())[:, [1, 2, 3, 0]])
     assert (got * turns.inv()).magnitude().max() < 1e-7
 
 
@@ -76,7 +76,7 @@ def test_dwells_as_poses_of_the_mean_and_of_a_digitised_point(tmp_path: Path) ->
     held = Rotation.from_euler("xyz", [20, -40, 100], degrees=True).apply(hand) + np.array([500, 300, 900])
     noise = np.random.default_rng(6).normal(0, 0.02, (300, 5, 3))
     write_csv(tmp_path / "tip.csv", held + noise, 100.0)
-    fewer = find_body(without(recording, ["Marker_2"]), open_recording(tmp_path / "tip.csv"))
+    fewer = find_body(drop_markers(recording, ["Marker_2"]), open_recording(tmp_path / "tip.csv"))
     assert fewer.markers.shape == (3, 3)
     tip = find_body(recording, open_recording(tmp_path / "tip.csv"))
     columns = match_dwells(recording, log, "order", body=tip).columns
@@ -100,7 +100,7 @@ def test_a_marker_that_was_knocked_is_named_and_the_remedies_work(tmp_path: Path
     later = match_dwells(bent, log, "order", checks=Checks(since_s=since))
     assert (later.columns["t_s"] > since).all()
     assert later.report["dwells"] == 3
-    left = without(bent, ["Marker_1"])
+    left = drop_markers(bent, ["Marker_1"])
     assert match_dwells(left, log, "order", body=find_body(left, "mean")).report["dwells"] == 8
     said = match_dwells(bent, log, "order", checks=Checks(unchecked=True)).report["warnings"]
     assert any("'Marker_1' moved" in text for text in said)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from kilter_client.cli import run
 from kilter_client.errors import FileError
 from kilter_files import prepare
-from kilter_files.formats.logs.ballbar import analysed, read_ballbar
+from kilter_files.formats.logs.ballbar import circle_fit_by_run, read_ballbar
 
 ANGLES = np.arange(0.0, 361.0, 2.0)
 
@@ -39,7 +39,7 @@ def test_two_runs_under_titles(end: str, tmp_path: Path) -> None:
     path.write_bytes(two_runs(end).encode())
     found = read_ballbar(path)
     assert (found.nominal_mm, len(found.radius_mm)) == (100.0, 2 * len(ANGLES))
-    first, second = analysed(found)
+    first, second = circle_fit_by_run(found)
     assert [first["direction"], second["direction"]] == ["ccw", "cw"]
     assert first["centre_mm"] == pytest.approx([0.040, -0.020], abs=2e-4)
     assert first["circularity_mm"] == pytest.approx(0.006, abs=2e-4)
@@ -53,7 +53,7 @@ def test_radius_with_decimal_commas_and_a_bar_that_turns_back(tmp_path: Path) ->
     rows = [f"{a:.1f};{150 + d / 1000:.4f}".replace(".", ",") for a, d in zip(angles, deviation(angles), strict=True)]
     path.write_text("\n".join(["Winkel_deg;Radius_mm", *rows]), encoding="latin-1")
     found = read_ballbar(path)
-    assert [r["direction"] for r in analysed(found)] == ["ccw", "cw"]
+    assert [r["direction"] for r in circle_fit_by_run(found)] == ["ccw", "cw"]
     assert found.radius_mm == pytest.approx(150 + deviation(angles) / 1000, abs=1e-4)
     assert "the median" in found.notes[0]
 
@@ -127,7 +127,7 @@ def test_damaged_logs_are_refused_or_read_never_worse(tmp_path: Path, at: int, j
     else:
         said = str(found.path)
         assert np.isfinite(found.radius_mm).all()
-        json.dumps(analysed(found), allow_nan=False)
+        json.dumps(circle_fit_by_run(found), allow_nan=False)
     assert str(path) in said
 
 
@@ -137,7 +137,7 @@ def test_a_run_of_one_reading_has_no_circle(tmp_path: Path) -> None:
     path.write_bytes(text[: len(text) - 2160])
     found = read_ballbar(path)
     assert np.bincount(found.run)[-1] == 1
-    assert len(analysed(found)) == len(np.unique(found.run)) - 1
+    assert len(circle_fit_by_run(found)) == len(np.unique(found.run)) - 1
 
 
 def test_joined_with_a_joint_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from kilter_files.rig.kit.examples import Sought
-from kilter_files.rig.kit.loads import LEAST_LOAD_NM, pulled
+from kilter_files.rig.kit.loads import LEAST_LOAD_NM, count_gravity_directions
 from kilter_files.rig.kit.moments import gravity_moments
 from tests.clients.lerobot.so101_arm import JOINTS, PRESET
 from tests.clients.lerobot.so101_twin import gravity_nm
@@ -44,7 +44,7 @@ def linked() -> dict[str, Any]:
 
 @pytest.mark.parametrize("chain", [without("links"), linked()], ids=["without masses", "with a linkage"])
 def test_nothing_is_said_of_loads_that_the_document_does_not_tell(chain: Mapping[str, Any]) -> None:
-    assert pulled(Sought(chain, np.array(poses(5), dtype=float), LIMITS), [0.0] * 5) == []
+    assert count_gravity_directions(Sought(chain, np.array(poses(5), dtype=float), LIMITS), [0.0] * 5) == []
 
 
 def one_way() -> Iterator[tuple[NDArray[np.float64], float]]:
@@ -58,7 +58,9 @@ def test_a_pose_is_named_at_which_gravity_pulls_the_other_way() -> None:
     views = [view for _, view in zip(range(40), one_way(), strict=False)]
     asked = {
         one.joint: one
-        for one in pulled(Sought(CHAIN, np.array([q for q, _ in views]), LIMITS), [kg for _, kg in views])
+        for one in count_gravity_directions(
+            Sought(CHAIN, np.array([q for q, _ in views]), LIMITS), [kg for _, kg in views]
+        )
     }
     lift = asked[2]
     assert [*asked] == [2, 3, 4]
@@ -77,7 +79,7 @@ def test_a_pose_is_named_at_which_gravity_pulls_the_other_way() -> None:
     assert lift.untold is not None
     assert "cannot be told from its zero: gravity pulls it the other way in 0 of 40 views only" in lift.untold
     more = [*views, *[(np.array(lift.examples_deg[0]), kg) for kg in (0.0, 0.2)] * 3]
-    again = pulled(Sought(CHAIN, np.array([q for q, _ in more]), LIMITS), [kg for _, kg in more])[0]
+    again = count_gravity_directions(Sought(CHAIN, np.array([q for q, _ in more]), LIMITS), [kg for _, kg in more])[0]
     assert (again.wanted, again.missing, again.untold, again.examples_deg) == (0, None, None, ())
 
 
@@ -85,7 +87,7 @@ def test_an_arm_that_cannot_is_told_so_and_asked_for_nothing() -> None:
     """Its joints stop before the upper arm is upright."""
     views = [view for _, view in zip(range(40), one_way(), strict=False)]
     tight = [(-1.0, 1.0), (30.0, 40.0), (-10.0, 10.0), (-10.0, 10.0), (-1.0, 1.0)]
-    lift = pulled(Sought(CHAIN, np.array([q for q, _ in views]), tight), [kg for _, kg in views])[0]
+    lift = count_gravity_directions(Sought(CHAIN, np.array([q for q, _ in views]), tight), [kg for _, kg in views])[0]
     assert lift.missing is None
     assert lift.untold is not None
     assert lift.untold.endswith("and within the limits of the joints no pose changes that")

@@ -15,9 +15,9 @@ import pytest
 from numpy.typing import NDArray
 
 from kilter_files.rig.kit import coverage
-from kilter_files.rig.kit.coverage import captured
+from kilter_files.rig.kit.coverage import capture_from_files
 from kilter_files.rig.kit.examples import Sought
-from kilter_files.rig.kit.loads import pulled
+from kilter_files.rig.kit.loads import count_gravity_directions
 from tests.clients.lerobot.so101_arm import PRESET, tool
 from tests.clients.lerobot.so101_twin import Twin
 from tests.clients.lerobot.webcam import BOARD, CORNERS, FOCAL, SIZE, View, camera, project, rotation, views, written
@@ -38,7 +38,7 @@ def seen() -> list[View]:
 def test_every_pose_that_is_advised_shows_the_whole_board(tmp_path: Path, seen: list[View]) -> None:
     """On the worn arm, from both sides and with both payloads, although only the nominal arm was known."""
     rows, rig = written(tmp_path, "views", seen)
-    capture = captured([rows], CHAIN["joints"], CHAIN, json.loads(rig.read_text()))
+    capture = capture_from_files([rows], CHAIN["joints"], CHAIN, json.loads(rig.read_text()))
     asked = [one for one in capture.pulled if one.wanted]
     assert asked[0].joint == 2
     assert [one.shown for one in asked] == [True] * len(asked)
@@ -58,7 +58,7 @@ def test_a_joint_that_moved_too_little_gets_poses_that_show_the_board(tmp_path: 
         more = [view for view in views(WORN, 30, np.random.default_rng(12), (0.0,), 0.5) if abs(
             view.reading[joint] - seen[0].reading[joint]) < 15.0]  # fmt: skip
         rows, rig = written(tmp_path, f"little-{joint}", little + more)
-        capture = captured([rows], CHAIN["joints"], CHAIN, json.loads(rig.read_text()))
+        capture = capture_from_files([rows], CHAIN["joints"], CHAIN, json.loads(rig.read_text()))
         told = next(line for line in capture.missing if line.startswith(f"motion of joint {joint + 1} "))
         assert told.endswith("deg, where the camera sees the board")
         wanted = float(told.split(" would do")[0].split(" ")[-1])
@@ -75,13 +75,13 @@ def test_views_that_do_not_say_where_the_camera_stands_leave_that_to_the_person(
 ) -> None:
     """Of four views, and of a camera that somebody moved between them."""
     rows, rig = written(tmp_path, "few", seen[:4])
-    few = captured([rows], CHAIN["joints"], CHAIN, json.loads(rig.read_text())).pulled[0]
+    few = capture_from_files([rows], CHAIN["joints"], CHAIN, json.loads(rig.read_text())).pulled[0]
     moved = [
         View(one.reading, one.side, one.payload_kg, one.pixels + 400.0 * (k % 2), one.tool)
         for k, one in enumerate(seen)
     ]
     rows, rig = written(tmp_path, "moved", moved)
-    of_moved = captured([rows], CHAIN["joints"], CHAIN, json.loads(rig.read_text())).pulled[0]
+    of_moved = capture_from_files([rows], CHAIN["joints"], CHAIN, json.loads(rig.read_text())).pulled[0]
     for one in (few, of_moved):
         assert one.shown is None
         assert one.examples_deg
@@ -158,7 +158,7 @@ def test_where_no_such_pose_shows_the_board_the_camera_is_to_be_moved(tmp_path: 
     rows, rig = written(tmp_path, "low", low)
     limits = [(-20.0, 20.0), (-100.0, 100.0), (-30.0, 30.0), (-20.0, 20.0), (-20.0, 20.0)]
     joints = [{**joint, "limits_deg": pair} for joint, pair in zip(CHAIN["joints"], limits, strict=True)]
-    lift = captured([rows], joints, CHAIN, json.loads(rig.read_text())).pulled[0]
+    lift = capture_from_files([rows], joints, CHAIN, json.loads(rig.read_text())).pulled[0]
     assert (lift.fewer, lift.examples_deg, lift.shown, lift.missing) == (0, (), False, None)
     assert lift.untold is not None
     assert lift.untold.endswith(f"{HIDDEN}: {REMEDY}")
@@ -169,7 +169,10 @@ def test_where_no_such_pose_shows_the_board_the_camera_is_to_be_moved(tmp_path: 
     )
     assert here.world_side == pytest.approx(camera(), abs=60.0)
     elsewhere = [replace(here, world_side=_looking(place)) for place in PLACES]
-    assert any(pulled(Sought(CHAIN, q, limits, lambda one=one: [one]), [0.0] * len(q))[0].shown for one in elsewhere)
+    assert any(
+        count_gravity_directions(Sought(CHAIN, q, limits, lambda one=one: [one]), [0.0] * len(q))[0].shown
+        for one in elsewhere
+    )
 
 
 PLACES = [(-700.0, y, z) for y in (-400.0, 0.0, 400.0) for z in (300.0, 600.0, 900.0)]

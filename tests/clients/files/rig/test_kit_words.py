@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
-from kilter_files.rig.kit.words import lines_of, off_by
+from kilter_files.rig.kit.words import describe_tool_error, result_sentences
 
 JOINTS = [{"name": "pan"}, {"name": "lift"}]
 
 
 def said(**parameter: Any) -> list[str]:
-    return lines_of({"parameters": [{"name": "backlash_load_2", "unit": "deg", **parameter}]}, JOINTS, [], 0.3, {})
+    return result_sentences(
+        {"parameters": [{"name": "backlash_load_2", "unit": "deg", **parameter}]}, JOINTS, [], 0.3, {}
+    )
 
 
 @pytest.mark.parametrize(
@@ -51,7 +53,7 @@ def test_a_width_is_never_below_zero(parameter: dict[str, Any], line: str) -> No
 )
 def test_a_sag_says_how_well_its_stiffness_is_known(parameter: dict[str, Any], stiffness: str) -> None:
     found = {"name": "compliance_2", "unit": "deg/(N m)", **parameter}
-    (line,) = lines_of({"parameters": [found]}, JOINTS, [], 0.3, {})
+    (line,) = result_sentences({"parameters": [found]}, JOINTS, [], 0.3, {})
     assert line == f"joint 2 (lift) sags by 1.0 deg more with 200 g held 30 cm away from it ({stiffness})"
 
 
@@ -64,15 +66,17 @@ def test_of_a_joint_that_gravity_pulls_one_way_no_backlash_is_told() -> None:
     why = "the backlash of joint 2 (lift) cannot be told from its zero: ..."
     for value, sigma in ((0.5, 0.02), (0.02, 0.1), (-0.5, 0.05)):
         result = {"parameters": [{"name": "backlash_load_2", "unit": "deg", "value": value, "sigma": sigma}]}
-        assert lines_of(result, JOINTS, [], 0.3, {2: why}) == [why]
+        assert result_sentences(result, JOINTS, [], 0.3, {2: why}) == [why]
 
 
 def test_an_arm_that_is_left_off_by_little_is_not_called_perfect() -> None:
     placed = "(views held out, camera and board where they fit best)"
-    assert off_by(31.94, 0.034) == f"the tool is off by 31.9 mm, corrected by 0.03 mm {placed}"
-    assert off_by(18.5, 0.002) == f"the tool is off by 18.5 mm, corrected by less than 0.01 mm {placed}"
-    assert off_by(None, None).startswith("how far off the tool is elsewhere is not known: no view was held out")
-    assert off_by(31.94, 2.34) == f"the tool is off by 31.9 mm, corrected by 2.3 mm {placed}"
+    assert describe_tool_error(31.94, 0.034) == f"the tool is off by 31.9 mm, corrected by 0.03 mm {placed}"
+    assert describe_tool_error(18.5, 0.002) == f"the tool is off by 18.5 mm, corrected by less than 0.01 mm {placed}"
+    assert describe_tool_error(None, None).startswith(
+        "how far off the tool is elsewhere is not known: no view was held out"
+    )
+    assert describe_tool_error(31.94, 2.34) == f"the tool is off by 31.9 mm, corrected by 2.3 mm {placed}"
 
 
 @pytest.mark.parametrize("value", [-0.09, -0.05, -0.02, 0.0])
@@ -90,5 +94,5 @@ def test_what_a_joint_could_have_at_most_is_of_a_width_that_cannot_be_negative(v
 )
 def test_the_interval_of_a_zero_has_a_width(half_deg: float, within: str) -> None:
     zero = {"joint": "lift", "offset_deg": 0.6, "half_width_deg": half_deg, "state": "known"}
-    (line,) = lines_of({"parameters": []}, JOINTS, [zero], 0.3, {})
+    (line,) = result_sentences({"parameters": []}, JOINTS, [zero], 0.3, {})
     assert line.startswith(f"the zero of joint 2 (lift) is off by +0.6 deg {within}: 7 ticks (")

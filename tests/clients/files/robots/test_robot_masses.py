@@ -131,7 +131,7 @@ def test_exported_masses_load_the_joints_as_the_identified_arm(
     document = read(tmp_path / "table.csv", export(form, file).text, convention=None)
     again = robot_from_document(document)
     assert document["load"] == carried
-    identified = calibration.model.loads_at(calibration.values).load_robot
+    identified = calibration.model.with_loads_at_values(calibration.values).load_robot
     q = np.random.default_rng(2).uniform(-2, 2, (10, 6))
     motion = {"qd": np.cos(q), "qdd": np.sin(q)}
     expected = joint_loads(identified, q, **motion).joints[:, :, 5]

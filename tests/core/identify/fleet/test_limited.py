@@ -24,7 +24,9 @@ def fleet() -> tuple[Type, list[FleetVersion]]:
     kind, robot, out = Type.drawn(rng), robot_from_document(document()), []
     for k in range(7):
         found = identify(robot, kind.arm(rng).measured(poses(50, rng), rng, NOISE))
-        out.append(FleetVersion.of(f"r{k}", f"ver_{k}", found.calibration, found.predictive.to_document()))
+        out.append(
+            FleetVersion.from_calibration(f"r{k}", f"ver_{k}", found.calibration, found.predictive.to_document())
+        )
     return kind, out
 
 

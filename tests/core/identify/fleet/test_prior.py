@@ -33,7 +33,7 @@ class Fleet:
 
 def version_of(arm: Arm, name: str, rng: np.random.Generator, options: IdentifyOptions | None = None) -> FleetVersion:
     found = identify(robot_from_document(document()), arm.measured(poses(50, rng), rng, NOISE), options=options)
-    return FleetVersion.of(name, f"ver_{name}", found.calibration, found.predictive.to_document())
+    return FleetVersion.from_calibration(name, f"ver_{name}", found.calibration, found.predictive.to_document())
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from typing import Any
 from kilter_files.formats.joints.mcap_check import MCAP, SQLITE, check_mcap, check_sqlite
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import KilterError
-from kilter_files.ground.faults import fault, head_of
+from kilter_files.ground.faults import fault, read_head
 from kilter_files.ground.later import need, np, rosbag1, rosbag2, typesys
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -60,7 +60,7 @@ def topics(path: Path) -> list[BagTopic]:
         MissingPackageError: rosbags is not installed.
 
     """
-    with _opened(path) as reader:
+    with _open_bag(path) as reader:
         return [BagTopic(c.topic, c.msgtype, c.msgcount) for c in reader.connections]
 
 
@@ -71,11 +71,11 @@ def read_bag(path: Path, topic: str | None = None, wanted: Sequence[str] = (), l
         FileError: no such topic, several to choose from, messages of different joints, time that goes back.
 
     """
-    with _opened(path) as reader, _guarded(path):
+    with _open_bag(path) as reader, _translate_library_errors(path):
         chosen = _topic(path, reader, topic)
         kept = _Kept(path, tuple(wanted), tuple(likely))
         for number, state, written in _states(reader, chosen):
-            kept.take(number, state, written)
+            kept.add_message(number, state, written)
     if not kept.numbers:
         what = f"no message of {chosen} holds {', '.join(wanted) or 'a joint'}"
         raise fault(path, what, "Choose another topic (--topic) or other joints (--joint-order).")
@@ -92,16 +92,16 @@ def read_bag(path: Path, topic: str | None = None, wanted: Sequence[str] = (), l
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _open_bag(path: Path) -> Iterator[Any]:
     place = _place(path)
     for file in sorted(place.iterdir()) if place.is_dir() else [place]:
-        head = b"" if file.is_dir() else head_of(file, 16)
+        head = b"" if file.is_dir() else read_head(file, 16)
         if head.startswith(MCAP):
             check_mcap(file)
         elif head.startswith(SQLITE):
             check_sqlite(file)
     need(f"{path}: ROS bags need", "rosbags")
-    with _guarded(path):
+    with _translate_library_errors(path):
         reader: Any = rosbag1.Reader(place) if _is_ros1(place) else rosbag2.Reader(place)
         reader.open()
     try:
@@ -111,7 +111,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _is_ros1(place: Path) -> bool:
-    return not place.is_dir() and head_of(place, len(ROS1)).startswith(ROS1)
+    return not place.is_dir() and read_head(place, len(ROS1)).startswith(ROS1)
 
 
 def _place(path: Path) -> Path:
@@ -124,7 +124,7 @@ def _place(path: Path) -> Path:
                 path, "is a folder without metadata.yaml: no bag", "Name the bag's folder, or its .mcap or .db3."
             )
         return path
-    text = head_of(description, MOST_METADATA).decode("utf-8", "replace")
+    text = read_head(description, MOST_METADATA).decode("utf-8", "replace")
     packed = COMPRESSED.search(text)
     if packed and packed[1].lower() != "none":
         by = "its files: unpack them (`zstd -d`) and name one" if packed[1].lower() == "file" else "its messages"
@@ -135,7 +135,7 @@ def _place(path: Path) -> Path:
 
 
 @contextmanager
-def _guarded(path: Path) -> Iterator[None]:
+def _translate_library_errors(path: Path) -> Iterator[None]:
     """Whatever the library stumbles over in a damaged bag is that bag's fault."""
     try:
         yield
@@ -157,7 +157,7 @@ def bag_messages(
         FileError: no bag, a damaged one, no such topic, several to choose from.
 
     """
-    with _opened(path) as reader, _guarded(path):
+    with _open_bag(path) as reader, _translate_library_errors(path):
         found = {c.topic: c.msgtype for c in reader.connections if c.msgtype in kinds and c.msgcount}
         if topic is not None and topic not in found:
             remedy = f"Those with pictures are {', '.join(found)}." if found else "It holds no pictures at all."
@@ -207,14 +207,14 @@ class _Kept:
         self.numbers: list[int] = []
         self.left = 0
 
-    def take(self, number: int, state: Any, written: int) -> None:
+    def add_message(self, number: int, state: Any, written: int) -> None:
         """Take a message, or count it as left out."""
         place = {name: i for i, name in enumerate(state.name)}
         if not self.names and place:
             self.chosen = bool(self.likely) and set(self.likely) <= set(place)
             self.names = self.likely if self.chosen else tuple(place)
         if place and not self.chosen and set(place) != set(self.names):
-            raise _mixed(self.path, number, self.names, state.name)
+            raise _mixed_joints_fault(self.path, number, self.names, state.name)
         if not place or not all(name in place for name in self.names):
             self.left += 1
             return
@@ -270,6 +270,6 @@ class _Kept:
         return int(again.sum()), len(times) - len(first)
 
 
-def _mixed(path: Path, number: int, names: Sequence[str], other: Sequence[str]) -> Exception:
+def _mixed_joints_fault(path: Path, number: int, names: Sequence[str], other: Sequence[str]) -> Exception:
     what = f"its messages hold different joints ({', '.join(names)}; here {', '.join(other)})"
     return fault(path, what, "Name the arm's joints from the base to the tool (--joint-order a,b,c).", message=number)

@@ -10,7 +10,7 @@ from kilter_files.formats.joints.joint_log import log_of_bag
 from kilter_files.formats.joints.joint_order import by_name
 from kilter_files.formats.reader import Document, LogHints
 from kilter_files.ground.later import np
-from kilter_files.ground.units import unit_of
+from kilter_files.ground.units import column_unit
 from kilter_files.tables.joint_log import JointLog
 
 GAP = 5.0  # a step so many times the usual one is a gap
@@ -42,7 +42,7 @@ def describe_log(log: JointLog) -> Document:
     still = [name for name in log.joints if len(log) > 20 and np.ptp(log.columns[name]) == 0]
     if still:
         warnings.append(f"never move: {', '.join(still)}")
-    columns = [column(name, unit_of(name), values) for name, values in log.columns.items()]
+    columns = [column(name, column_unit(name), values) for name, values in log.columns.items()]
     notes = [*log.notes, "joins a recording with kilter match, points with kilter upload --joints"]
     timing = {} if log.t_s is None else _timing(log.t_s)
     warnings += timing.pop("gaps", [])

@@ -6,15 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from kilter_files.formats.joints.bag import read_bag
-from kilter_files.formats.joints.joint_order import ordered
+from kilter_files.formats.joints.joint_order import joints_in_arm_order
 from kilter_files.formats.joints.lerobot.log import log_of_dataset
 from kilter_files.formats.opening import open_source
 from kilter_files.formats.programs.targets import read_targets
 from kilter_files.formats.reader import NO_LOG_HINTS, LogHints
-from kilter_files.formats.registry import recognised
+from kilter_files.formats.registry import has_format
 from kilter_files.ground.faults import fault
 from kilter_files.ground.later import np
-from kilter_files.ground.units import NAMES, unit_of
+from kilter_files.ground.units import NAMES, column_unit
 from kilter_files.tables.joint_log import JointLog, checked_log
 from kilter_files.tables.source import Layout
 from kilter_files.tables.text_source import TextSource
@@ -27,15 +27,15 @@ def read_joint_log(path: Path, hints: LogHints = NO_LOG_HINTS) -> JointLog:
         FileError: no joints, an unknown column, an empty cell, time that goes back, degrees called radians.
 
     """
-    if recognised(path, "bag"):
+    if has_format(path, "bag"):
         return log_of_bag(path, hints)
-    if recognised(path, "lerobot"):
+    if has_format(path, "lerobot"):
         return log_of_dataset(path, hints)
-    if path.suffix.lower() != ".parquet" and recognised(path, "program"):
+    if path.suffix.lower() != ".parquet" and has_format(path, "program"):
         return log_of_targets(path)
     source = open_source(path, "csv" if path.suffix.lower() == ".log" else None, Layout())
     names = [name for name in getattr(source, "names", []) if name not in NAMES]
-    unknown = [name for name in names if unit_of(name) is None]
+    unknown = [name for name in names if column_unit(name) is None]
     if unknown:
         what = "is not a contract column such as q1_deg or t_s"
         raise fault(path, what, "Rename it, or give the log's column map (--joints-map).", line=1, column=unknown[0])
@@ -54,7 +54,7 @@ def log_of_bag(path: Path, hints: LogHints) -> JointLog:
     likely = [name.removesuffix(":m") for name in hints.likely]
     found = read_bag(path, hints.topic, plain, likely)
     known = found.names == tuple(likely)
-    names = ordered(path, found.names, plain or (likely if known else ()))
+    names = joints_in_arm_order(path, found.names, plain or (likely if known else ()))
     slides = {name.removesuffix(":m") for name in (*hints.order, *hints.likely) if name.endswith(":m")}
     columns = {
         f"q{k}_{'m' if name in slides else 'rad'}": found.positions[:, found.names.index(name)]

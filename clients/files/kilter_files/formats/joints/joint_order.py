@@ -16,7 +16,7 @@ KNOWN = (
 )
 
 
-def ordered(path: Path, names: Sequence[str], wanted: Sequence[str]) -> list[str]:
+def joints_in_arm_order(path: Path, names: Sequence[str], wanted: Sequence[str]) -> list[str]:
     """Return ``names`` from the first joint to the last: as ``wanted``, by their numbers, or as known of their maker.
 
     Raises:

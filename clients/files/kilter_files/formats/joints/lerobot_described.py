@@ -9,7 +9,7 @@ from pathlib import Path
 from kilter_files.formats.joints.described import describe_log
 from kilter_files.formats.joints.lerobot.calibration import NORM_MODES, read_calibration
 from kilter_files.formats.joints.lerobot.dataset import Dataset, open_dataset, refuse_unfinished
-from kilter_files.formats.joints.lerobot.log import joints_of, log_of_dataset, refuse_leader
+from kilter_files.formats.joints.lerobot.log import arm_joint_names, log_of_dataset, refuse_leader
 from kilter_files.formats.reader import Document, LogHints
 from kilter_files.ground.errors import FileError
 
@@ -21,21 +21,21 @@ def describe_dataset(path: Path, hints: LogHints) -> Document:
     dataset = open_dataset(path)
     refuse_unfinished(dataset)
     notes = [
-        dataset.told,
+        dataset.summary_text,
         f"joints {', '.join(dataset.names)}",
     ]
     modes = " or ".join(NORM_MODES)
     warnings = [
         f"nothing says what its numbers mean: give --calibration JSON and --norm-mode {modes}",
-        *_refused(dataset, partial(joints_of, dataset, hints.order)),
+        *_refusal_messages(dataset, partial(arm_joint_names, dataset, hints.order)),
     ]
-    problems = [{"what": text} for text in _refused(dataset, partial(refuse_leader, dataset))]
+    problems = [{"what": text} for text in _refusal_messages(dataset, partial(refuse_leader, dataset))]
     duration_s = dataset.frames / dataset.fps if dataset.fps else None
     return {"kind": "joint-log", "rows": dataset.frames, "rate_hz": dataset.fps, "duration_s": duration_s, "notes": notes,
             "warnings": warnings, "problems": problems}  # fmt: skip
 
 
-def _refused(dataset: Dataset, check: Callable[[], object]) -> list[str]:
+def _refusal_messages(dataset: Dataset, check: Callable[[], object]) -> list[str]:
     """What ``check`` has against a data set, without its name; nothing where it passes."""
     try:
         check()

@@ -6,7 +6,7 @@ import struct
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from kilter_files.ground.faults import fault, head_of
+from kilter_files.ground.faults import fault, read_head
 from kilter_files.ground.later import need
 
 MCAP = b"\x89MCAP0\r\n"
@@ -53,7 +53,7 @@ def check_sqlite(path: Path) -> None:
         FileError: cut off.
 
     """
-    head = head_of(path, 100)
+    head = read_head(path, 100)
     if len(head) < 100:
         raise fault(path, "is cut off", "Copy it again.", byte=len(head))
     page, pages = struct.unpack_from(">H", head, 16)[0], struct.unpack_from(">I", head, 28)[0]
@@ -79,11 +79,11 @@ def _check_chunk(path: Path, stream: BinaryIO, at: int, length: int) -> None:
     packed = struct.unpack("<Q", stated)[0]
     if packed != length - CHUNK.size - named - 8:
         raise fault(path, "a chunk's size is not that of its record", AGAIN, byte=at)
-    if _unpacked(path, stream.read(packed), packing, unpacked, at) != unpacked:
+    if _unpacked_size(path, stream.read(packed), packing, unpacked, at) != unpacked:
         raise fault(path, f"a chunk does not unpack to the {unpacked} bytes it states", AGAIN, byte=at)
 
 
-def _unpacked(path: Path, content: bytes, packing: str, limit: int, at: int) -> int:
+def _unpacked_size(path: Path, content: bytes, packing: str, limit: int, at: int) -> int:
     """Return how many bytes ``content`` unpacks to, counted no further than one beyond ``limit``."""
     if not packing:
         return len(content)

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_files.formats.logs.inclinometer import TIME
-from kilter_files.formats.tracker_header import plain
+from kilter_files.formats.tracker_header import canonical_column_name
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.later import np
-from kilter_files.ground.text_blocks import cut_remark, lines_of
+from kilter_files.ground.text_blocks import cut_remark, numbered_lines
 from kilter_files.ground.text_layout import UNITS, TextLayout, sniff
 from kilter_files.ground.units import converter
 from kilter_files.tables.table import Table
@@ -60,7 +60,7 @@ class BallBar:
 
 def is_ballbar(layout: TextLayout) -> bool:
     """Tell whether a text's columns are an angle and a radius, or its deviation and no time."""
-    names = [plain(name) for name in layout.names]
+    names = [canonical_column_name(name) for name in layout.names]
     radius, deviation = (any(map(pattern.match, names)) for pattern in (RADIUS, DEVIATION))
     return any(map(ANGLE.match, names)) and (radius or (deviation and not any(name in TIME for name in names)))
 
@@ -81,11 +81,11 @@ def read_ballbar(path: Path, nominal_mm: float | None = None) -> BallBar:
         raise fault(path, f"no angle and radius among {', '.join(layout.names[:12])}", REMEDY, line=layout.first_line)
     joints = {i: name for i, name in enumerate(layout.names) if JOINT.match(name.lower())}
     values, run, line, cut = _rows(path, layout, [angle, length, *joints])
-    degrees = _converted(path, layout, angle, values[:, 0], "deg", "deg")
+    degrees = _convert_to_unit(path, layout, angle, values[:, 0], "deg", "deg")
     if layout.units[angle] is None and np.ptp(degrees) < 6.5 and len(degrees) > 20:
         what = f"rotates by only {np.ptp(degrees):.3g} in all: are these radians"
         raise fault(path, what, "State the unit: angle_rad or angle_deg.", column=layout.names[angle])
-    lengths = _converted(path, layout, length, values[:, 1], "mm", None)
+    lengths = _convert_to_unit(path, layout, length, values[:, 1], "mm", None)
     said = nominal_mm or _nominal(path, layout)
     nominal = said or (float(np.median(lengths)) if radius is not None else None)
     if nominal is None:
@@ -104,7 +104,7 @@ def read_ballbar(path: Path, nominal_mm: float | None = None) -> BallBar:
 
 
 def _column(layout: TextLayout, pattern: re.Pattern[str]) -> int | None:
-    return next((i for i, name in enumerate(layout.names) if pattern.match(plain(name))), None)
+    return next((i for i, name in enumerate(layout.names) if pattern.match(canonical_column_name(name))), None)
 
 
 def _rows(
@@ -119,7 +119,7 @@ def _rows(
     lines: list[int] = []
     run, titled = 1, False
     broken: tuple[FileError, str | None] | None = None
-    for number, text in lines_of(path, layout):
+    for number, text in numbered_lines(path, layout):
         if broken is not None:
             raise broken[0]
         if len(text) > LONGEST_LINE:
@@ -144,7 +144,7 @@ def _rows(
             raise fault(path, f"has more than {MOST_ROWS} rows", "Split the file.", line=number)
     if len(rows) < ROWS_NEEDED:
         raise fault(path, f"has {len(rows)} readings", f"At least {ROWS_NEEDED} are needed to see a circle.")
-    turned = _turned(np.array([row[0] for row in rows]), np.array(runs))
+    turned = _split_runs_at_reversal(np.array([row[0] for row in rows]), np.array(runs))
     return np.array(rows), turned, np.array(lines), None if broken is None else broken[1]
 
 
@@ -152,15 +152,16 @@ def _is_title(cells: list[str], layout: TextLayout) -> bool:
     """A line between runs: it names one, or it is the header or the row of units again, or ends with a colon."""
     words = [cell for cell in cells if cell]
     text = " ".join(words)
-    known = {plain(name) for name in layout.names}
+    known = {canonical_column_name(name) for name in layout.names}
     again = bool(words) and all(
-        plain(re.sub(r"[\[(].*?[\])]|_[a-zµ]+$", "", word)) in known or word.strip("[]()").lower() in UNITS
+        canonical_column_name(re.sub(r"[\[(].*?[\])]|_[a-zµ]+$", "", word)) in known
+        or word.strip("[]()").lower() in UNITS
         for word in words
     )
     return again or bool(RUN.search(text)) or (bool(text) and (":" in text or "=" in text) and len(text) < 200)
 
 
-def _turned(angle: Floats, run: NDArray[np.int64]) -> NDArray[np.int64]:
+def _split_runs_at_reversal(angle: Floats, run: NDArray[np.int64]) -> NDArray[np.int64]:
     """Begin a run also where the bar reverses for good."""
     step = np.diff(angle)
     way = np.sign(np.where(np.abs(step) > 180, 0.0, step))
@@ -176,7 +177,9 @@ def _turned(angle: Floats, run: NDArray[np.int64]) -> NDArray[np.int64]:
     return out
 
 
-def _converted(path: Path, layout: TextLayout, column: int, values: Floats, unit: str, default: str | None) -> Floats:
+def _convert_to_unit(
+    path: Path, layout: TextLayout, column: int, values: Floats, unit: str, default: str | None
+) -> Floats:
     stated = layout.units[column] or default
     convert = converter(stated, unit) if stated else None
     if convert is None:
@@ -213,7 +216,7 @@ def _refuse(path: Path, radii: Floats, nominal: float, line: NDArray[np.int64], 
         )
 
 
-def analysed(found: BallBar) -> list[dict[str, Any]]:
+def circle_fit_by_run(found: BallBar) -> list[dict[str, Any]]:
     """Return each run's direction, centre, radius and circularity: the spread left when a circle is fitted.
 
     A run that broke off before its third reading has no circle and is left out.

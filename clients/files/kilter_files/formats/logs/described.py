@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from kilter_files.formats.column import column
-from kilter_files.formats.logs.ballbar import analysed, read_ballbar
+from kilter_files.formats.logs.ballbar import circle_fit_by_run, read_ballbar
 from kilter_files.formats.logs.inclinometer import read_inclinometer
 from kilter_files.formats.reader import Document, Head
-from kilter_files.ground.units import unit_of
+from kilter_files.ground.units import column_unit
 
 
 def describe_inclinometer(head: Head) -> Document:
     """Describe the log of an inclinometer."""
     assert head.layout is not None  # it was recognised
     found = read_inclinometer(head.path, head.hints.unit)
-    columns = [column(name, unit_of(name), values) for name, values in found.columns.items()]
+    columns = [column(name, column_unit(name), values) for name, values in found.columns.items()]
     rows = len(found.columns["t_s"])
     told = {"notes": list(found.notes), "warnings": list(found.warnings)}
     shape = {"layout": head.layout.to_document()}
@@ -26,8 +26,8 @@ def describe_ballbar(head: Head) -> Document:
     found = read_ballbar(head.path)
     measured = {"angle_deg": ("deg", found.angle_deg), "radius_mm": ("mm", found.radius_mm)}
     columns = [column(name, unit, values) for name, (unit, values) in measured.items()]
-    columns += [column(name, unit_of(name), values) for name, values in found.joints.items()]
-    runs = analysed(found)
+    columns += [column(name, column_unit(name), values) for name, values in found.joints.items()]
+    runs = circle_fit_by_run(found)
     notes = [*found.notes]
     for run in runs:
         x, y = run["centre_mm"]

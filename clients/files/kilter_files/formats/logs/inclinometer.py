@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from kilter_files.formats.tracker_header import plain
+from kilter_files.formats.tracker_header import canonical_column_name
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.later import np
-from kilter_files.ground.text_blocks import blocks, count_rows, line_of
+from kilter_files.ground.text_blocks import blocks, count_rows, line_number_of_row
 from kilter_files.ground.text_layout import TextLayout, sniff
 from kilter_files.ground.units import SIZES, converter
 
@@ -31,11 +31,11 @@ class Inclinations:
     warnings: tuple[str, ...] = ()
 
 
-def tilts_of(layout: TextLayout) -> dict[str, int]:
+def tilt_column_indices(layout: TextLayout) -> dict[str, int]:
     """Return which column is the inclination x and y; empty when it is not an inclinometer's file."""
     found: dict[str, int] = {}
     for i, name in enumerate(layout.names):
-        match = TILT.match(plain(name))
+        match = TILT.match(canonical_column_name(name))
         if match:
             found.setdefault(AXES[match[1]], i)
     return found
@@ -49,8 +49,8 @@ def read_inclinometer(path: Path, unit: str | None = None) -> Inclinations:
 
     """
     layout = sniff(path)
-    tilts = tilts_of(layout)
-    time = next((i for i, name in enumerate(layout.names) if plain(name) in TIME), None)
+    tilts = tilt_column_indices(layout)
+    time = next((i for i, name in enumerate(layout.names) if canonical_column_name(name) in TIME), None)
     if not tilts or time is None:
         said = ", ".join(layout.names[:12])
         raise fault(path, f"no time and inclination among {said}", "Name the columns so.", line=layout.first_line)
@@ -86,7 +86,7 @@ def _too_steep(path: Path, layout: TextLayout, row: int, column: int, stated: st
     factors = [f"{unit} ({SIZES['angle'][unit] / SIZES['angle'][stated]:.4g} of it)" for unit in smaller]
     what = f"more than 180 degrees, declared as {stated}: are these {' or '.join(factors) or 'no angles'}"
     remedy = f"Give the unit (--unit {smaller[0]}), or correct the row." if smaller else "Correct the row."
-    return fault(path, what, remedy, line=line_of(path, layout, row), column=layout.names[column])
+    return fault(path, what, remedy, line=line_number_of_row(path, layout, row), column=layout.names[column])
 
 
 def _refuse(
@@ -97,6 +97,6 @@ def _refuse(
     column: int | None,
 ) -> None:
     if wrong.any():
-        line = line_of(path, layout, int(np.argmax(wrong)))
+        line = line_number_of_row(path, layout, int(np.argmax(wrong)))
         place = {} if column is None else {"column": layout.names[column]}
         raise fault(path, what, "Correct the row, or export again.", line=line, **place)

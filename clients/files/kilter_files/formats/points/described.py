@@ -5,24 +5,24 @@ from __future__ import annotations
 from kilter_files.formats.column import column
 from kilter_files.formats.reader import Document, Head
 from kilter_files.ground.later import np
-from kilter_files.ground.units import unit_of
+from kilter_files.ground.units import column_unit
 from kilter_files.tables.table import Table
 
 
 def describe_points(head: Head, table: Table) -> Document:
     """Describe points that were read, and say which of them are suspicious."""
     assert head.layout is not None  # it was recognised
-    columns = [column(name, unit_of(name), np.array(values)) for name, values in table.columns.items()]
+    columns = [column(name, column_unit(name), np.array(values)) for name, values in table.columns.items()]
     return {
         "layout": head.layout.to_document(),
         "rows": len(table),
         "columns": columns,
         "notes": table.notes,
-        "warnings": table.warnings + _alike(table.columns),
+        "warnings": table.warnings + _plausibility_warnings(table.columns),
     }
 
 
-def _alike(columns: dict[str, list[float]]) -> list[str]:
+def _plausibility_warnings(columns: dict[str, list[float]]) -> list[str]:
     points = np.array([columns[f"{axis}_mm"] for axis in "xyz"]).T
     size = float(np.abs(points).max())
     same = len(points) - len(np.unique(points, axis=0))

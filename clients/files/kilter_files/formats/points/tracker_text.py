@@ -17,7 +17,7 @@ from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.faults import fault
 from kilter_files.ground.later import np
 from kilter_files.ground.orientation import from_euler, is_sequence
-from kilter_files.ground.text_blocks import blocks, count_rows, line_of, lines_of
+from kilter_files.ground.text_blocks import blocks, count_rows, line_number_of_row, numbered_lines
 from kilter_files.ground.text_layout import TextLayout, sniff
 from kilter_files.ground.time_stamps import times_of_rows
 from kilter_files.ground.units import SIZES, converter
@@ -75,14 +75,14 @@ def read_tracker(
     _orientation(export, values)
     _spread(export, values)
     _joints_and_more(export, values)
-    _joints_beside(export, joints)
+    _join_joint_columns(export, joints)
     _frame(export)
     return _table(export)
 
 
 def _without_header(path: Path, layout: TextLayout) -> dict[str, int]:
     """The first three columns of numbers are x, y, z, after the names of the points."""
-    _, first = next(lines_of(path, layout))
+    _, first = next(numbered_lines(path, layout))
     numbers = [
         i for i, cell in enumerate(layout.split(first)) if cell and parse_number(cell, layout.decimal) is not None
     ]
@@ -178,7 +178,7 @@ def _joints_and_more(export: _Export, values: dict[str, Floats]) -> None:
             export.columns["t_s"] = np.asarray(times_of_rows(t.tolist()), dtype=np.float64)
 
 
-def _joints_beside(export: _Export, joints: Mapping[str, Floats] | None) -> None:
+def _join_joint_columns(export: _Export, joints: Mapping[str, Floats] | None) -> None:
     """Join columns of another file; points and joints must be as many, before any row is left out."""
     if joints is None:
         return
@@ -202,7 +202,7 @@ def _frame(export: _Export) -> None:
 
 
 def _table(export: _Export) -> Table:
-    lines = [line for line, _ in itertools.islice(lines_of(export.path, export.layout), export.rows)]
+    lines = [line for line, _ in itertools.islice(numbered_lines(export.path, export.layout), export.rows)]
     absent = np.zeros(export.rows, bool)
     for name, values in export.columns.items():
         absent |= np.isnan(values)
@@ -225,7 +225,7 @@ def _table(export: _Export) -> Table:
 
 def _refuse(export: _Export, wrong: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], key: str, what: str) -> None:
     if wrong.any():
-        line = line_of(export.path, export.layout, int(np.argmax(wrong)))
+        line = line_number_of_row(export.path, export.layout, int(np.argmax(wrong)))
         raise fault(export.path, what, "Correct the row, or export again.", line=line, column=_name(export, key))
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 
-from kilter_files.formats.programs.found import DATA, EXTERNAL_AXES, NUMBER, Dialect, Mark, Program, line_at, sign
+from kilter_files.formats.programs.found import DATA, EXTERNAL_AXES, NUMBER, Dialect, Mark, Program, line_number, sign
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Spans
-from kilter_files.formats.programs.poses.fanuc import NOT_TAUGHT, OFFSET, OTHER_FRAME, pose_of
+from kilter_files.formats.programs.poses.fanuc import NOT_TAUGHT, OFFSET, OTHER_FRAME, parse_pose_target
 
 POSITION = re.compile(r"\bP\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]\s?\{([^}]{0,2000})(\};?|\Z)")
 AXIS = re.compile(r"\bJ(\d)\s?=\s{0,9}([^\s,]+)\s{0,9}(deg|mm)?")
@@ -50,7 +50,7 @@ def find(program: Program) -> None:
         arm = [axis for axis in axes if axis[3] != "mm"]  # an axis in mm moves the arm's base, or a tool
         not_taught = NOT_TAUGHT.search(text, *span) is not None
         if not arm or not_taught:
-            pose = pose_of(program, match[1], match.start(), span)
+            pose = parse_pose_target(program, match[1], match.start(), span)
             poses[match[1]] = program.add_pose(pose, counted=not not_taught)
             if not_taught:
                 program.unknown.append((pose.line, f"{pose.name} is not taught", "Teach it, or delete it."))
@@ -62,7 +62,7 @@ def find(program: Program) -> None:
         if any(float(value[1] or value[2]) for value in FURTHER.finditer(text, match.start(2), match.end(2))):
             program.warn(EXTERNAL_AXES)
         numbers = [(part[2], part.span(2)) for part in arm]
-        known[match[1]] = program.add(f"P[{match[1]}]", numbers, line=line_at(text, match.start()))
+        known[match[1]] = program.add(f"P[{match[1]}]", numbers, line=line_number(text, match.start()))
     gone = _follow(program, known, poses)
     _name_other_uses(program, known, poses, gone)
     program.notes.append("FANUC reads J3 against the horizontal: the robot needs --follows J3=J2")
@@ -78,7 +78,7 @@ def _follow(program: Program, known: dict[str, JointTarget], poses: dict[str, Po
     text, moves = program.text, list(MOVE.finditer(program.text))
     beside: set[str] = set()
     plain: set[str] = set()
-    touched = _displaced(text)
+    touched = _touch_displaced_spans(text)
     for match in moves:
         end = text.find(";", match.start(4), match.start(4) + LONGEST)  # an instruction may go on in further lines
         said = text[match.start(4) : end] if end >= 0 else match[4]
@@ -92,7 +92,7 @@ def _follow(program: Program, known: dict[str, JointTarget], poses: dict[str, Po
         elif displaced:
             program.leave(match.start(1), f"{match[1]}: moves beside it")
         elif number in poses:
-            program.moves_to_poses.append((line_at(text, match.start(1)), match[1], poses[number]))
+            program.moves_to_poses.append((line_number(text, match.start(1)), match[1], poses[number]))
         if number in poses and OTHER_FRAME.search(said):
             poses[number].problem = poses[number].problem or "a move to it has another frame (RTCP, COORD)"
     for match in ELSEWHERE.finditer(text):
@@ -103,7 +103,7 @@ def _follow(program: Program, known: dict[str, JointTarget], poses: dict[str, Po
     return beside | plain | (rest if ANY in beside | plain else set())
 
 
-def _displaced(text: str) -> Spans:
+def _touch_displaced_spans(text: str) -> Spans:
     """The parts of a program whose positions are all displaced by what the robot touched."""
     ends = [match.start() for match in TOUCH_END.finditer(text)]
     starts = [match.start() for match in TOUCH.finditer(text)]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
-from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, edited
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, replace_spans
 from kilter_files.ground.faults import fault
 
 # every repeat is bounded: a damaged file must not make the search slow
@@ -78,7 +78,7 @@ class Program:
             math.degrees(float(n)) if turn else float(n) for (n, _), turn in zip(numbers, turns, strict=True)
         )
         spans = tuple(span for _, span in numbers)
-        place = line_at(self.text, spans[0][0]) if line is None else line
+        place = line_number(self.text, spans[0][0]) if line is None else line
         self.targets.append(JointTarget(name, place, degrees, spans, turns))
         return self.targets[-1]
 
@@ -88,11 +88,11 @@ class Program:
 
     def leave(self, at: int, what: str) -> None:
         """Name a target that stays as it is."""
-        self.left.append((line_at(self.text, at), what))
+        self.left.append((line_number(self.text, at), what))
 
     def leave_pose(self, at: int, name: str, what: str) -> None:
         """Name a target that is a pose."""
-        self.poses.append((name, line_at(self.text, at)))
+        self.poses.append((name, line_number(self.text, at)))
         self.leave(at, what)
 
     def add_pose(self, pose: PoseTarget, *, counted: bool = True) -> PoseTarget:
@@ -119,7 +119,7 @@ class Program:
 
     def refuse(self, at: int, what: str, remedy: str) -> Exception:
         """Build the error of a place."""
-        return fault(self.path, what, remedy, line=line_at(self.text, at))
+        return fault(self.path, what, remedy, line=line_number(self.text, at))
 
     def rewritten(self, joints_deg: Sequence[Sequence[float]], others: Mapping[Span, str] | None = None) -> str:
         """Return the text with these joints (n rows, deg) in place of the targets' own, and with others; all else stays."""
@@ -129,7 +129,7 @@ class Program:
             for span, old, value, turn in zip(target.spans, target.joints_deg, row, target.radians, strict=True)
             if abs(value - old) > SAME_DEG
         }
-        return edited(self.text, new | dict(others or {}))
+        return replace_spans(self.text, new | dict(others or {}))
 
 
 @dataclass(frozen=True)
@@ -196,17 +196,17 @@ def written(old: str, value: float, least: int) -> str:
     return f"{value:{'+' if old[0] == '+' else ''}.{decimals}f}"
 
 
-def blanked(text: str, comment: str) -> str:
+def blank_strings_and_comments(text: str, comment: str) -> str:
     """Blank strings and comments: places stay."""
     return re.sub(rf'"[^"\n]*"|{comment}[^\r\n]*', lambda match: " " * len(match[0]), text)
 
 
-def lines_of(text: str) -> list[str]:
+def split_lines(text: str) -> list[str]:
     """Return the lines of a text with their ends; unlike ``splitlines`` it takes no letter of Latin-1 for an end."""
     return re.findall(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+", text)
 
 
-def line_at(text: str, at: int) -> int:
+def line_number(text: str, at: int) -> int:
     """Return the line of a place in a text."""
     return bisect_left(_line_ends(text), at) + 1
 

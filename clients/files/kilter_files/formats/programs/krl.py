@@ -13,11 +13,11 @@ from kilter_files.formats.programs.found import (
     Dialect,
     Mark,
     Program,
-    blanked,
-    line_at,
+    blank_strings_and_comments,
+    line_number,
     sign,
 )
-from kilter_files.formats.programs.krl_lines import MOTIONS, given, not_kept, used_as_data
+from kilter_files.formats.programs.krl_lines import MOTIONS, not_kept, reassigned_or_passed_variables, used_as_data
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
 from kilter_files.formats.programs.poses.krl import (
     NAME,
@@ -26,7 +26,7 @@ from kilter_files.formats.programs.poses.krl import (
     note_changes,
     note_computed,
     note_external,
-    pose_of,
+    parse_pose_target,
 )
 from kilter_files.formats.programs.poses.krl_frames import KrlFrames
 
@@ -75,7 +75,7 @@ def find(program: Program) -> None:
         FileError: axes of a target are missing, are other than numbers, or it is cut.
 
     """
-    text = blanked(program.text, ";")
+    text = blank_strings_and_comments(program.text, ";")
     moves, lists = list(MOVE.finditer(text)), list(AXES.finditer(text))
     relative = [match.span() for match in moves if match[1].upper().endswith("_REL")]
     declared = program.beside
@@ -83,7 +83,7 @@ def find(program: Program) -> None:
     if declared is not None:
         known.joints |= {target.name.upper(): [(-1, target)] for target in declared.targets}
         known.poses |= {pose.name.upper(): pose for pose in declared.cartesian}
-    known.given = given(text)
+    known.given = reassigned_or_passed_variables(text)
     away, inline = Spans(relative), Spans([match.span(2) for match in moves])
     count = max((len(one.joints_deg) for one in declared.targets), default=0) if declared is not None else 0
     count = max([count, *(len(ARM_AXIS.findall(match[2])) for match in lists)])
@@ -98,7 +98,7 @@ def find(program: Program) -> None:
         if not match[1] and at not in inline and not text[max(0, at - 99) : at].rstrip(" \t").endswith("="):
             program.leave(at, f"{match[0][:40]}: axes within another list")
             continue
-        target = known.written[at] = _take(program, match, count)
+        target = known.written[at] = _add_axis_target(program, match, count)
         if target is not None and match[1]:
             known.joints.setdefault(key(match[1]), []).append((at, target))
     frames = KrlFrames(program, text)
@@ -139,10 +139,10 @@ def _take_poses(
         if at in frames.literals or OF_LOAD.search(text, max(0, at - 9), at):
             continue
         if at in away or text[max(0, at - 99) : at].rstrip(" \t").endswith(":"):
-            program.poses.append(("a move", line_at(program.text, at)))
+            program.poses.append(("a move", line_number(program.text, at)))
             continue
         inline = match.start() in moved
-        pose = program.add_pose(pose_of(program, match), counted=bool(match[1] or match[3] or inline))
+        pose = program.add_pose(parse_pose_target(program, match), counted=bool(match[1] or match[3] or inline))
         if inline:
             known.written[at] = pose
             continue
@@ -170,7 +170,7 @@ def _follow(program: Program, match: re.Match[str], known: _Known, frames: KrlFr
     if comma is not None:
         goals.append(GOAL.match(match[2], comma.end()))
     for goal in goals:
-        _go(program, match, goal, known, frames)
+        _record_motion(program, match, goal, known, frames)
     angle = ANGLE.search(match[2]) if "CIRC" in match[1].upper() else None
     if angle is not None and not _whole_turns(angle[1]):
         program.warn(ENDS_BY_ANGLE)
@@ -182,13 +182,19 @@ def _whole_turns(angle: str) -> bool:
     return re.fullmatch(NUMBER, angle) is not None and float(angle) % 360.0 == 0.0
 
 
-def _go(program: Program, match: re.Match[str], goal: re.Match[str] | None, known: _Known, frames: KrlFrames) -> None:
+def _record_motion(
+    program: Program, match: re.Match[str], goal: re.Match[str] | None, known: _Known, frames: KrlFrames
+) -> None:
     target: JointTarget | PoseTarget | None = None
     if goal is not None:
         name = key(goal[1])
         at = match.start(2) + goal.start(1)
         known.moved.add(name.partition("[")[0])
-        target = known.written.get(at) if name[0] == "{" else _joints_of(known, name, at) or known.poses.get(name)
+        target = (
+            known.written.get(at)
+            if name[0] == "{"
+            else _joints_assigned_before_place(known, name, at) or known.poses.get(name)
+        )
     said = f"{match[1]} {match[2].strip()[:40]}"
     if target is None:
         where = " or of its .dat" if program.beside is not None else f": {program.path.stem}.dat is not beside it"
@@ -199,7 +205,7 @@ def _go(program: Program, match: re.Match[str], goal: re.Match[str] | None, know
     elif isinstance(target, JointTarget):
         program.moves.append(target)
     else:
-        joined = known.last is not None and frames.way.joined(known.last[0], match.start())
+        joined = known.last is not None and frames.way.has_unbranched_path(known.last[0], match.start())
         near = known.last[1] if known.last is not None and joined else None
         _use(program, match, target, near, frames)
     sure = not isinstance(target, JointTarget) or goal is None or _is_sure(known, frames, key(goal[1]), match.start())
@@ -233,14 +239,14 @@ def _use(
 ) -> None:
     """Note a motion to a pose."""
     straight = "PTP" not in match[1].upper()
-    pose.uses.append(Use(*frames.at(match.start()), near, straight))
+    pose.uses.append(Use(*frames.base_and_tool(match.start()), near, straight))
     if straight and not frames.keeps_orientation(match.start()):
         pose.problem = pose.problem or "its orientation is not kept ($ORI_TYPE)"
     what = f"{match[1]} {match[2].strip()[:40]}"
-    program.moves_to_poses.append((line_at(program.text, match.start()), what, pose))
+    program.moves_to_poses.append((line_number(program.text, match.start()), what, pose))
 
 
-def _joints_of(known: _Known, name: str, at: int) -> JointTarget | None:
+def _joints_assigned_before_place(known: _Known, name: str, at: int) -> JointTarget | None:
     """The joints that a name was given last before a place, by the text."""
     values = known.joints.get(name, [])
     return next((target for place, target in reversed(values) if place < at), values[-1][1] if values else None)
@@ -251,10 +257,10 @@ def _is_sure(known: _Known, frames: KrlFrames, name: str, at: int) -> bool:
     values = known.joints.get(name, [])
     if name.partition("[")[0] in known.given:
         return False
-    return len(values) < 2 or frames.way.chosen(values, at) == _joints_of(known, name, at)
+    return len(values) < 2 or frames.way.chosen(values, at) == _joints_assigned_before_place(known, name, at)
 
 
-def _take(program: Program, match: re.Match[str], count: int) -> JointTarget | None:
+def _add_axis_target(program: Program, match: re.Match[str], count: int) -> JointTarget | None:
     """Take a list of axes, in any order; one that lacks some, or computes them, is named and left: the others stay."""
     parts = [AXIS.fullmatch(match[2], at.start(), at.end()) for at in re.finditer(r"[^,]+", match[2])]
     arm = sorted((part for part in parts if part is not None and part[1].upper() == "A"), key=lambda part: part[2])
@@ -266,13 +272,13 @@ def _take(program: Program, match: re.Match[str], count: int) -> JointTarget | N
     if None in parts or axes != [*range(1, count + 1)]:
         what = f"{name} computes axes" if None in parts else f"{name} lacks axes: it has {axes}"
         program.leave(match.start(), what)
-        program.unknown.append((line_at(program.text, match.start()), what, "Correct it, or export it again."))
+        program.unknown.append((line_number(program.text, match.start()), what, "Correct it, or export it again."))
         return None
     if any(part is not None and part[1].upper() == "E" and float(part[3]) for part in parts):
         program.warn(EXTERNAL_AXES)
     at = match.start(2)
     numbers = [(part[3], (at + part.start(3), at + part.end(3))) for part in arm]
-    return program.add(name, numbers, line=line_at(program.text, match.start()))
+    return program.add(name, numbers, line=line_number(program.text, match.start()))
 
 
 DIALECT = Dialect(

@@ -46,7 +46,7 @@ REST = frozenset(
 )  # never move
 
 
-def given(text: str) -> set[str]:
+def reassigned_or_passed_variables(text: str) -> set[str]:
     """Return the variables, in capitals, that a statement gives another value than a list, or hands to a subprogram."""
     found = {match[1].upper() for match in GIVEN.finditer(text) if not EXTERNAL_PART.match(match[2])}
     for at in subprograms(text):
@@ -80,7 +80,7 @@ def not_kept(
         said = line.strip()
         if said and said[0] != "&" and at not in within:  # & begins what only the editor reads
             why = "a sensor moves the arm" if SENSOR.search(said) else ""
-            why = why or _changes_target(said, bases) or _not_understood(said) or _handed_on(said, handed)
+            why = why or _changes_target(said, bases) or _not_understood(said) or _describe_passed_target(said, handed)
             if why:
                 yield number, f"{said[:40]}: {why}"
         at += len(line) + 1
@@ -95,7 +95,7 @@ def _changes_target(said: str, bases: Collection[str]) -> str:
     return f"changes the axis target {found[1]}" if (whole and not listed) or AXIS_PART.search(found[2]) else ""
 
 
-def _handed_on(said: str, targets: Collection[str]) -> str:
+def _describe_passed_target(said: str, targets: Collection[str]) -> str:
     """The subprogram that is given a target: it may move to it with other frames, or change it."""
     for call in CALLED.finditer(said):
         if call[1].upper() not in KEPT - READING and any(one[1].upper() in targets for one in HANDED.finditer(call[2])):
@@ -108,7 +108,7 @@ def _may_change(function: str) -> bool:
     return function in READING or (function not in KEPT | REST and OF_MOTION.fullmatch(function) is None)
 
 
-def handed(text: str) -> set[str]:
+def variables_passed_to_calls(text: str) -> set[str]:
     """Return the variables, in capitals, that a call is given whole or in part and may change; arrays without their index."""
     found = {name for _, name in parts_handed(text)}
     for call in CALLED.finditer(text):

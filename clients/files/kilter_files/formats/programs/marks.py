@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 
 from kilter_files.formats.programs.dialects import DIALECTS
-from kilter_files.formats.programs.found import Program, lines_of
+from kilter_files.formats.programs.found import Program, split_lines
 from kilter_files.formats.programs.table import CELL
 from kilter_files.ground.faults import fault
 
@@ -28,7 +28,7 @@ def refuse_corrected(programs: Sequence[Program]) -> None:
 
     """
     for program in programs:
-        lines = lines_of(program.text)
+        lines = split_lines(program.text)
         place = _place_of_column(lines) if DIALECTS[program.dialect].mark is None else None
         for number, line in enumerate(lines, 1):
             said = SAID.search(line)
@@ -40,9 +40,9 @@ def refuse_corrected(programs: Sequence[Program]) -> None:
                 raise fault(program.path, what, REMEDY, line=number)
 
 
-def marked(program: Program, text: str, version: str) -> str:
+def add_correction_mark(program: Program, text: str, version: str) -> str:
     """Return the corrected text of a program with the mark of a version, in place of an older one."""
-    mark, lines = DIALECTS[program.dialect].mark, lines_of(text)
+    mark, lines = DIALECTS[program.dialect].mark, split_lines(text)
     if mark is None:
         return "".join(_with_cell(lines, version))
     lines = [line for line in lines if not SAID.search(line)]
@@ -50,11 +50,11 @@ def marked(program: Program, text: str, version: str) -> str:
     number = 1 + max(numbers) if numbers else ""
     said = mark.form.format(said=f"Kilter corrected {version[: mark.most]}", number=number)
     closing = [k for k, line in enumerate(lines) if mark.before.match(line)]
-    lines.insert(closing[-1] if closing else 0, said + _end(lines))
+    lines.insert(closing[-1] if closing else 0, said + _line_ending(lines))
     return "".join(lines)
 
 
-def _end(lines: Sequence[str]) -> str:
+def _line_ending(lines: Sequence[str]) -> str:
     return "\r\n" if lines and lines[0].endswith("\r\n") else "\n"
 
 

@@ -31,11 +31,11 @@ class Notation:
         x, y, z = (value * self.mm for value in values[:3])
         return Rigid((x, y, z), self.rotation(values[3:]))
 
-    def near(self, pose: Rigid, old: Sequence[float]) -> list[float]:
+    def nearest_numbers(self, pose: Rigid, old: Sequence[float]) -> list[float]:
         """Return the numbers of a pose: of all that say the same, those nearest to the old ones."""
         return [*(value / self.mm for value in pose.place), *self.numbers(pose.turn, old[3:])]
 
-    def moved(self, k: int, old: float, new: float) -> bool:
+    def is_number_changed(self, k: int, old: float, new: float) -> bool:
         """Say whether number ``k`` is another one."""
         return abs(new - old) > self.same[k >= 3]
 
@@ -60,11 +60,14 @@ def _of_zyx(angles: Sequence[float]) -> Quaternion:
 def _to_zyx(q: Quaternion, old: Sequence[float]) -> list[float]:
     z, y, x = zyx(q, math.radians(old[0]))
     ways = [(z, y, x), (z + math.pi, math.pi - y, x + math.pi)]
-    written = [[_beside(math.degrees(angle), was) for angle, was in zip(way, old, strict=True)] for way in ways]
+    written = [
+        [_nearest_equivalent_angle(math.degrees(angle), was) for angle, was in zip(way, old, strict=True)]
+        for way in ways
+    ]
     return min(written, key=lambda way: max(abs(new - was) for new, was in zip(way, old, strict=True)))
 
 
-def _beside(angle: float, old: float) -> float:
+def _nearest_equivalent_angle(angle: float, old: float) -> float:
     """The same angle within 180 degrees of the old one."""
     return angle + 360.0 * round((old - angle) / 360.0)
 

@@ -26,7 +26,7 @@ class Spans:
         return k >= 0 and place < self._ends[k]
 
 
-def edited(text: str, new: Mapping[Span, str]) -> str:
+def replace_spans(text: str, new: Mapping[Span, str]) -> str:
     """Return a text with others at these places, which do not overlap."""
     parts, at = [], 0
     for (start, end), other in sorted(new.items()):
@@ -49,7 +49,7 @@ class JointTarget:
     radians: tuple[bool, ...] = ()
 
     @property
-    def first(self) -> int:
+    def start_offset(self) -> int:
         """Where it begins in the text."""
         return self.spans[0][0] if self.spans else 0
 
@@ -82,7 +82,7 @@ class Configuration(Protocol):
         """Say whether these joints of the program, in this branch, are still what it says, but for what is restated."""
         ...
 
-    def restated(self, joints_deg: Sequence[float]) -> Mapping[Span, str]:
+    def edits_for_joints(self, joints_deg: Sequence[float]) -> Mapping[Span, str]:
         """Return what must be written anew for these joints of the program, by its place."""
         ...
 
@@ -119,7 +119,7 @@ class WrittenOut:
     def edits(self, new: Mapping[Span, str]) -> dict[Span, str]:
         """Return the list with these numbers at the places of the other's, in place of the computation."""
         moved = {(start - self.at, end - self.at): number for (start, end), number in new.items()}
-        return {self.place: "".join(edited(self.literal, moved).split()) + self.ends}
+        return {self.place: "".join(replace_spans(self.literal, moved).split()) + self.ends}
 
 
 @dataclass(eq=False)
@@ -146,18 +146,18 @@ class PoseTarget:
     root: Frame | None = None
 
     @property
-    def first(self) -> int:
+    def start_offset(self) -> int:
         """Where it begins in the text."""
         if self.computed is not None:
             return self.computed.place[0]
         return self.spans[0][0] if self.spans else self.whole[0]
 
     @property
-    def stated(self) -> Configuration | None:
+    def active_configuration(self) -> Configuration | None:
         """The configuration, where it counts in some move; see ``Use.follows``."""
         return self.configuration if not all(use.follows for use in self.uses) or not self.uses else None
 
-    def why_left(self) -> str:
+    def reason_left_unresolved(self) -> str:
         """Say what of this target is not known; empty: all that the program can say."""
         problem = self.problem or ("" if self.computed is None else self.computed.of.problem)
         if problem or not self.uses:

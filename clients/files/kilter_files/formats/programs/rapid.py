@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import re
 
-from kilter_files.formats.programs.found import DATA, Dialect, Mark, Program, blanked, line_at, sign
+from kilter_files.formats.programs.found import (
+    DATA,
+    Dialect,
+    Mark,
+    Program,
+    blank_strings_and_comments,
+    line_number,
+    sign,
+)
 from kilter_files.formats.programs.one_target import UNUSED, Spans
-from kilter_files.formats.programs.poses.rapid import AXIS_LOCKED, DISPLACED, TARGET, UNUSED_AXIS, pose_of
+from kilter_files.formats.programs.poses.rapid import AXIS_LOCKED, DISPLACED, TARGET, UNUSED_AXIS, parse_pose_target
 from kilter_files.formats.programs.poses.rapid import DECLARED as POSE
 from kilter_files.formats.programs.rapid_moves import MOVE, PAIR, TO_POSES, Known, Poses, RapidMoves, take_joints
-from kilter_files.formats.programs.rapid_uses import changed, declared_again, elements, is_assigned, other_uses
+from kilter_files.formats.programs.rapid_uses import declared_again, elements, is_assigned, other_uses, variable_changes
 
 DECLARED = re.compile(r"\bjointtarget\s+(\w+)\s*+(\{[\w,\s]*\})?\s*+:=((?:[^;:]|:(?!=)){0,200000}+)(;|(?=:=)|\Z)", re.I)
 SEVERAL_TIMES = "it is declared several times"
@@ -30,7 +38,7 @@ def find(program: Program) -> None:
         FileError: one that is not made of six joints and six external axes.
 
     """
-    text = blanked(program.text, "!")
+    text = blank_strings_and_comments(program.text, "!")
     known: Known = {}
     for match in DECLARED.finditer(text):
         pairs = [*PAIR.finditer(text, match.start(3), match.end(3))]
@@ -40,7 +48,7 @@ def find(program: Program) -> None:
         if not pairs and match[4] == ";" and COMPUTED.search(match[3]):
             what = f"{match[1]}, a jointtarget that the program computes"
             program.leave(match.start(), what)
-            program.unknown.append((line_at(text, match.start()), what, "Write its joints."))
+            program.unknown.append((line_number(text, match.start()), what, "Write its joints."))
             continue
         if not pairs or match[4] != ";" or PAIR.sub("", match[3]).strip(" \t\r\n[],"):
             what = f"{match[1]} is not made of six joints and six external axes, [[...],[...]]"
@@ -50,8 +58,8 @@ def find(program: Program) -> None:
             name.lower(): take_joints(program, name, pair) for name, pair in zip(names, pairs, strict=True)
         }
     poses = _poses(program, text)
-    moves = RapidMoves(program, text, known, poses, {match[1].lower() for match in changed(text)})
-    left = [match.span() for match in MOVE.finditer(text) if not moves.take(match)]
+    moves = RapidMoves(program, text, known, poses, {match[1].lower() for match in variable_changes(text)})
+    left = [match.span() for match in MOVE.finditer(text) if not moves.add_move(match)]
     for match in BY_ITSELF.finditer(text):
         program.leave(match.start(), f"{match[1]}: moves the arm otherwise than to a target")
     # one from which moves only compute others is not a goal itself
@@ -59,7 +67,9 @@ def find(program: Program) -> None:
     program.cartesian = [pose for pose in program.cartesian if pose.uses or pose not in origins]
     _note_problems(text, program, poses)
     data = _note_other_uses(text, program, poses, known, moves.understood, Spans(left))
-    data |= {match[1].lower() for match in PART_READ.finditer(text)} - {match[1].lower() for match in changed(text)}
+    data |= {match[1].lower() for match in PART_READ.finditer(text)} - {
+        match[1].lower() for match in variable_changes(text)
+    }
     program.leave_targets({one: DATA for name in data - moves.moved for one in known.get(name, {}).values()})
 
 
@@ -75,7 +85,8 @@ def _poses(program: Program, text: str) -> Poses:
         for earlier in poses.get(match[1].lower(), {}).values():
             earlier.problem = SEVERAL_TIMES
         poses[match[1].lower()] = {
-            name.lower(): program.add_pose(pose_of(program, name, one)) for name, one in zip(names, found, strict=True)
+            name.lower(): program.add_pose(parse_pose_target(program, name, one))
+            for name, one in zip(names, found, strict=True)
         }
     return poses
 
@@ -85,7 +96,7 @@ def _note_problems(text: str, program: Program, poses: Poses) -> None:
     if DISPLACED.search(text):
         for pose in program.cartesian:
             pose.problem = pose.problem or "the program displaces it (PDisp, EOffs)"
-    for match in changed(text):
+    for match in variable_changes(text):
         for pose in poses.get(match[1].lower(), {}).values():
             pose.problem = pose.problem or "the program changes it"
     locked = AXIS_LOCKED.search(text) is not None
@@ -107,7 +118,7 @@ def _note_other_uses(
         program.leave(match.start(), f"{match[1]}: declared several times")
         for pose in poses.get(match[1].lower(), {}).values():
             pose.problem = SEVERAL_TIMES
-    for match in changed(text):
+    for match in variable_changes(text):
         if match[1].lower() in known and not EXTERNAL.search(match[0]):
             program.leave(match.start(), f"{match[1]}: the program changes this jointtarget")
     constant = {match[1].lower() for match in CONSTANT.finditer(text)}
@@ -120,7 +131,7 @@ def _note_other_uses(
                 use.at, f"{use.name}: used{f' by {by}' if by else ''} otherwise than as the goal of a known move"
             )
         for pose in poses.get(name, {}).values() if not TO_POSES.fullmatch(by) else ():
-            line, given = line_at(text, use.at), f"{by} is given it, and may move to it in other frames"
+            line, given = line_number(text, use.at), f"{by} is given it, and may move to it in other frames"
             elsewhere = given if by else f"line {line} uses it otherwise than as the goal of a known move"
             pose.unused = elsewhere if pose.unused == UNUSED else pose.unused
             if by and name not in constant:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 
-from kilter_files.formats.programs.found import EXTERNAL_AXES, NUMBER, Program, line_at
+from kilter_files.formats.programs.found import EXTERNAL_AXES, NUMBER, Program, line_number
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Use
-from kilter_files.formats.programs.poses.rapid import TARGET, UNUSED_AXIS, RapidFrames, arguments, pose_of
+from kilter_files.formats.programs.poses.rapid import TARGET, UNUSED_AXIS, RapidFrames, arguments, parse_pose_target
 from kilter_files.formats.programs.poses.rapid_computed import CALL, Computed
 from kilter_files.formats.programs.poses.rapid_flow import RapidFlow
 
@@ -42,12 +42,12 @@ class RapidMoves:
         self._program, self._text, self._known, self._poses, self._set_anew = program, text, known, poses, set_anew
         self._frames = RapidFrames(text, program.stated)
         self._flow = RapidFlow(text)
-        self._computed = Computed(program, text, self._declared)
+        self._computed = Computed(program, text, self._declared_target)
         self._last: tuple[int, JointTarget | PoseTarget] | None = None
         self.understood: set[int] = set()
         self.moved: set[str] = set()
 
-    def take(self, match: re.Match[str]) -> bool:
+    def add_move(self, match: re.Match[str]) -> bool:
         """Take a move, or name its line; whether its targets are known."""
         taken = self._to_poses(match) or self._to_joints(match)
         if not taken:
@@ -82,7 +82,7 @@ class RapidMoves:
             for goal in several:
                 goal.uses += uses
                 what = f"{match[1]} {said[0][1][:40]}"
-                self._program.moves_to_poses.append((line_at(self._text, match.start()), what, goal))
+                self._program.moves_to_poses.append((line_number(self._text, match.start()), what, goal))
             self._last = (match.start(), several[0]) if len(several) == 1 else None
         return True
 
@@ -92,7 +92,7 @@ class RapidMoves:
         unclear = work is not None and not work[1]
         base = "its work object is not understood" if unclear else self._frames.base(work[1] if work else "wobj0")
         tool = self._frames.tool(held[1]) if held else "its tool is not understood"
-        joined = self._last is not None and self._flow.joined(self._last[0], at)
+        joined = self._last is not None and self._flow.has_unbranched_path(self._last[0], at)
         near = self._last[1] if self._last is not None and joined else None
         kind = "J" if way == "J" else "L"
         possible = self._flow.off(kind, at)
@@ -104,24 +104,28 @@ class RapidMoves:
         for _, one in said:
             name = re.match(r"\w+", one)
             for pose in self._poses.get(name[0].lower(), {}).values() if name else ():
-                pose.unused = f"{why} (line {line_at(self._text, match.start())})"
+                pose.unused = f"{why} (line {line_number(self._text, match.start())})"
 
     def _goals(self, move: str, at: int, said: str) -> list[PoseTarget]:
         """The target that a move says, all elements of an array of which it computes the index, or none."""
         said = re.sub(r"\\\s*+ID\s*+:=.*", "", said).strip()
         if CALL.fullmatch(said):
-            computed = self._computed.take(at, said)
+            computed = self._computed.add_computed_target(at, said)
             return [] if computed is None else [computed]
         if said[:1] == "[":
             written = TARGET.match(self._text, at)
-            return [self._program.add_pose(pose_of(self._program, move, written), counted=False)] if written else []
+            return (
+                [self._program.add_pose(parse_pose_target(self._program, move, written), counted=False)]
+                if written
+                else []
+            )
         if not WRITTEN.fullmatch(said):
             element = ANY_ELEMENT.fullmatch(said)
             return [*self._poses.get(element[1].lower(), {}).values()] if element is not None else []
-        found = self._declared(said)
+        found = self._declared_target(said)
         return [] if found is None else [found]
 
-    def _declared(self, said: str) -> PoseTarget | None:
+    def _declared_target(self, said: str) -> PoseTarget | None:
         """The declared robtarget of this name, or element of an array."""
         said = "".join(said.lower().split())
         return self._poses.get(said.partition("{")[0], {}).get(said)
@@ -156,4 +160,4 @@ def take_joints(program: Program, name: str, pair: re.Match[str]) -> JointTarget
     if any(abs(value) < UNUSED_AXIS and value != 0 for value in map(float, pair.groups()[6:])):
         program.warn(EXTERNAL_AXES)
     numbers = [(pair[k], pair.span(k)) for k in range(1, 7)]
-    return program.add(name, numbers, line=line_at(program.text, pair.start()))
+    return program.add(name, numbers, line=line_number(program.text, pair.start()))

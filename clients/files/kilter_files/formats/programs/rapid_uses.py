@@ -60,7 +60,7 @@ def elements(name: str, size: str | None, count: int) -> list[str]:
 
 
 @lru_cache(maxsize=2)
-def changed(text: str) -> list[re.Match[str]]:
+def variable_changes(text: str) -> list[re.Match[str]]:
     """Return what changes a variable, its name as group 1: assignments, and instructions that are given a part of it.
 
     Declarations and named arguments are not among them.
@@ -101,7 +101,7 @@ def _given_to_functions(text: str, by_value: Collection[str]) -> Iterator[re.Mat
 
 def _gives_back(text: str, at: int, by_value: Collection[str]) -> bool:
     """Say whether an instruction may change the part of a variable that it is given, as ``Add p10.trans.z, 5`` does."""
-    before = text[_begin(text, at) : at]
+    before = text[_statement_start(text, at) : at]
     if ":=" in before.rpartition(",")[2] or before.count("(") != before.count(")") or is_assigned(text, at):
         return False
     by = _instruction(before, by_value)
@@ -128,7 +128,7 @@ def is_assigned(text: str, at: int) -> bool:
     """Say whether a place is inside an assignment: moves to what it sets are named where they are."""
     begins, ends = _assignments(text)
     last = bisect_right(ends, at) - 1
-    return last >= 0 and begins[last] >= _begin(text, at)
+    return last >= 0 and begins[last] >= _statement_start(text, at)
 
 
 def other_uses(text: str, names: Collection[str], understood: Collection[int]) -> Iterator[Use]:
@@ -144,12 +144,12 @@ def other_uses(text: str, names: Collection[str], understood: Collection[int]) -
         if match[1].lower() in names and at not in understood and at not in declared:
             if ASSIGNS.match(text, at) or is_assigned(text, at):
                 continue
-            before = text[_begin(text, at) : at]
+            before = text[_statement_start(text, at) : at]
             bare = before[-1:] in ", \t\r\n" and before.count("(") == before.count(")")
             yield Use(at, match[1], _instruction(before, by_value) if bare else "")
 
 
-def _begin(text: str, at: int) -> int:
+def _statement_start(text: str, at: int) -> int:
     """Where the statement of a place begins, with the words that open a block in front of it."""
     starts = _starts(text)
     return max(at - LOOKED_BACK, starts[bisect_right(starts, at) - 1])

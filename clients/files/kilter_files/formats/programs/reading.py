@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from kilter_files.formats.programs.dialects import DIALECTS
-from kilter_files.formats.programs.found import Dialect, Program, Stated, line_at
+from kilter_files.formats.programs.found import Dialect, Program, Stated, line_number
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget
 from kilter_files.formats.programs.remedies import remedies
-from kilter_files.ground.faults import fault, head_of
+from kilter_files.ground.faults import fault, read_head
 
 MOST_BYTES = 16 << 20
 MOST_IN_LINE = 1 << 16  # characters: no controller writes as many
@@ -30,7 +30,7 @@ def read_program(path: Path, stated: Stated = NOTHING_STATED) -> Program:
         FileError: an unknown dialect, no targets, damaged ones, or ones of different arms.
 
     """
-    return _checked([_found(path, dialect_of_file(path), stated)])[0]
+    return _validate_programs([_parse_program(path, dialect_of_file(path), stated)])[0]
 
 
 def read_programs(path: Path, stated: Stated = NOTHING_STATED) -> list[Program]:
@@ -41,24 +41,24 @@ def read_programs(path: Path, stated: Stated = NOTHING_STATED) -> list[Program]:
 
     """
     dialect = dialect_of_file(path)
-    other = None if dialect.pair is None else _beside(path, dialect.pair)
+    other = None if dialect.pair is None else _companion_file(path, dialect.pair)
     if dialect.pair is None or other is None:
         return [read_program(path, stated)]
     moving, declaring = (path, other) if path.suffix.lower() == dialect.pair[0] else (other, path)
-    declares = _found(declaring, dialect, stated)
-    moves = _found(moving, dialect, stated, declares)
+    declares = _parse_program(declaring, dialect, stated)
+    moves = _parse_program(moving, dialect, stated, declares)
     _refuse_other_names(moves, declares)
-    return _checked([moves, declares] if moving == path else [declares, moves])
+    return _validate_programs([moves, declares] if moving == path else [declares, moves])
 
 
-def visited(programs: Sequence[Program]) -> list[tuple[Program, JointTarget | PoseTarget]]:
+def targets_in_visit_order(programs: Sequence[Program]) -> list[tuple[Program, JointTarget | PoseTarget]]:
     """Return all targets: those of one file as it has them, those of two as the program first moves to them."""
     owners: list[tuple[Program, JointTarget | PoseTarget]] = []
     for program in programs:
         owners += [(program, target) for target in program.targets]
         owners += [(program, pose) for pose in program.cartesian]
     if len(programs) == 1:
-        return sorted(owners, key=lambda one: one[1].first)
+        return sorted(owners, key=lambda one: one[1].start_offset)
     first: dict[int, int] = {}
     for program in programs:
         for target in program.visits:
@@ -80,7 +80,7 @@ def dialect_of_file(path: Path) -> Dialect:
     return dialect
 
 
-def _beside(path: Path, pair: tuple[str, str]) -> Path | None:
+def _companion_file(path: Path, pair: tuple[str, str]) -> Path | None:
     """The other file of a program; a controller does not tell capitals from small letters."""
     ending = pair[path.suffix.lower() == pair[0]]
     wanted = f"{path.stem}{ending}".casefold()
@@ -94,8 +94,8 @@ def _beside(path: Path, pair: tuple[str, str]) -> Path | None:
     return found[0] if found else None
 
 
-def _found(path: Path, dialect: Dialect, stated: Stated, beside: Program | None = None) -> Program:
-    content = head_of(path, MOST_BYTES + 1)
+def _parse_program(path: Path, dialect: Dialect, stated: Stated, beside: Program | None = None) -> Program:
+    content = read_head(path, MOST_BYTES + 1)
     if len(content) > MOST_BYTES or b"\0" in content:
         raise fault(path, f"is larger than {MOST_BYTES >> 20} MB or not text of 8 bits", "Export it as plain text.")
     lengths = [*map(len, content.split(b"\n"))]
@@ -115,18 +115,22 @@ def _refuse_other_names(moves: Program, declares: Program) -> None:
     named = DECLARING.search(declares.text)
     if named is not None and names and named[1].upper() not in names:
         what = f"DEFDAT {named[1]} is not of the program beside it ({moves.path.name})"
-        raise fault(declares.path, what, "Keep other programs elsewhere.", line=line_at(declares.text, named.start(1)))
+        raise fault(
+            declares.path, what, "Keep other programs elsewhere.", line=line_number(declares.text, named.start(1))
+        )
 
 
-def _checked(programs: list[Program]) -> list[Program]:
+def _validate_programs(programs: list[Program]) -> list[Program]:
     """Name the poses that the program says too little of; refuse files without targets, or with those of several arms."""
-    poses = {pose: why for one in programs for pose in one.cartesian if (why := pose.why_left())}
+    poses = {pose: why for one in programs for pose in one.cartesian if (why := pose.reason_left_unresolved())}
     for program in programs:
         program.leave_poses(poses)
     targets = [(program, target) for program in programs for target in program.targets]
     if not targets and len(poses) == sum(len(program.cartesian) for program in programs):
         named = [(program, line, what) for program in programs for line, what in program.left]
-        where = " ".join(f"Line {line}{_of(program, programs)}: {what}." for program, line, what in named[:5])
+        where = " ".join(
+            f"Line {line}{_file_name_phrase(program, programs)}: {what}." for program, line, what in named[:5]
+        )
         helps = remedies(what for _, _, what in named) if named else ["Store its targets as joints."]
         raise fault(programs[0].path, "holds no targets to rewrite", " ".join([where, *helps]).strip())
     count = len(targets[0][1].joints_deg) if targets else 0
@@ -137,5 +141,5 @@ def _checked(programs: list[Program]) -> list[Program]:
     return programs
 
 
-def _of(program: Program, programs: Sequence[Program]) -> str:
+def _file_name_phrase(program: Program, programs: Sequence[Program]) -> str:
     return f" of {program.path.name}" if len(programs) > 1 else ""

@@ -67,11 +67,11 @@ MOST = 3
 
 def remedies(reasons: Iterable[str]) -> list[str]:
     """Return the remedies of reasons, each once, in the order of the reasons; the most frequent kinds only."""
-    found = [remedy for remedy in map(remedy_of, reasons) if remedy]
+    found = [remedy for remedy in map(remedy_for_reason, reasons) if remedy]
     return [*dict.fromkeys(found)][:MOST]
 
 
-def remedy_of(reason: str) -> str:
+def remedy_for_reason(reason: str) -> str:
     """Return what helps; empty where the reason says it itself, or nothing is known."""
     if any(said in reason for said in (": state it", ": state a rail", ": write ", ": set it", ": filter ")):
         return ""

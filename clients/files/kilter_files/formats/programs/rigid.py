@@ -17,9 +17,9 @@ class Rigid(NamedTuple):
     place: Point = (0.0, 0.0, 0.0)
     turn: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
-    def then(self, other: Rigid) -> Rigid:
+    def compose_frames(self, other: Rigid) -> Rigid:
         """Return the frame ``other``, which is seen from this one."""
-        x, y, z = rotated(self.turn, other.place)
+        x, y, z = rotate_vector(self.turn, other.place)
         place = (self.place[0] + x, self.place[1] + y, self.place[2] + z)
         return Rigid(place, upright(product(self.turn, other.turn)))
 
@@ -27,11 +27,11 @@ class Rigid(NamedTuple):
         """Return the frame from which this one is seen, seen from this one."""
         w, x, y, z = self.turn
         back = (w, -x, -y, -z)
-        a, b, c = rotated(back, self.place)
+        a, b, c = rotate_vector(back, self.place)
         return Rigid((-a, -b, -c), back)
 
 
-def rotated(q: Quaternion, v: Point) -> Point:
+def rotate_vector(q: Quaternion, v: Point) -> Point:
     """Return a vector rotated by a unit quaternion."""
     _, x, y, z = product(product(q, (0.0, *v)), (q[0], -q[1], -q[2], -q[3]))
     return (x, y, z)
@@ -52,8 +52,8 @@ def to_document(pose: Rigid) -> dict[str, float]:
 
 def zyx(q: Quaternion, first: float) -> Point:
     """Return the angles rad about z, y and x of a rotation; at 90 degrees about y the first is the one that is given."""
-    x_axis, y_axis = rotated(q, (1.0, 0.0, 0.0)), rotated(q, (0.0, 1.0, 0.0))
-    z_axis = rotated(q, (0.0, 0.0, 1.0))
+    x_axis, y_axis = rotate_vector(q, (1.0, 0.0, 0.0)), rotate_vector(q, (0.0, 1.0, 0.0))
+    z_axis = rotate_vector(q, (0.0, 0.0, 1.0))
     turn = math.atan2(x_axis[1], x_axis[0]) if math.hypot(x_axis[0], x_axis[1]) > 1e-12 else first
     c, s = math.cos(turn), math.sin(turn)
     # near 90 degrees about y the first angle is rounding noise: what it took off, the last gives back

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from kilter_files.formats.programs.found import NUMBER, Dialect, Program, lines_of
+from kilter_files.formats.programs.found import NUMBER, Dialect, Program, split_lines
 
 CELL = re.compile(
     r'[ \t]*+"(?:[^"]|"")*+"[^,\r\n]*+(?:,|$|(?=[\r\n]))|[^,\r\n]*+(?:,|$|(?=[\r\n]))'
@@ -26,7 +26,7 @@ def find(program: Program) -> None:
         FileError: columns of joints are missing or in two units, or a cell is not a number.
 
     """
-    lines = lines_of(program.text)
+    lines = split_lines(program.text)
     names = [cell[0].strip(' \t,"') for cell in CELL.finditer(lines[0].removeprefix(BOM))]
     twice = next((name for k, name in enumerate(names) if JOINT.fullmatch(name) and name in names[:k]), None)
     if twice is not None:

@@ -9,8 +9,8 @@ from pathlib import Path
 from kilter_files.formats.programs.dialects import DIALECTS
 from kilter_files.formats.programs.found import Dialect, Program
 from kilter_files.formats.programs.one_target import JointTarget
-from kilter_files.ground.faults import fault, head_of
-from kilter_files.ground.text_layout import encoding_of
+from kilter_files.ground.faults import fault, read_head
+from kilter_files.ground.text_layout import detect_encoding
 
 MOST_BYTES = 16 << 20
 LOOKED_AT = 1 << 18
@@ -31,12 +31,12 @@ class Targets:
     warnings: list[str]
 
 
-def dialect_of(path: Path) -> str | None:
+def detect_dialect(path: Path) -> str | None:
     """Return whose program a text is by its content, None when it holds no joint targets."""
-    head = head_of(path, LOOKED_AT)
+    head = read_head(path, LOOKED_AT)
     if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return None
-    text = head.decode(encoding_of(path, head), "replace")
+    text = head.decode(detect_encoding(path, head), "replace")
     return next((name for name, one in DIALECTS.items() if one.sign is not None and one.sign.search(text)), None)
 
 
@@ -47,14 +47,14 @@ def read_targets(path: Path) -> Targets:
         FileError: no targets, one that is damaged, targets of several arms, or poses only.
 
     """
-    name = dialect_of(path)
+    name = detect_dialect(path)
     if name is None:
         known = [name for name, dialect in DIALECTS.items() if dialect.sign is not None]
         raise fault(path, "holds no joint targets", f"{', '.join(known)} are understood.")
-    content = head_of(path, MOST_BYTES + 1)
+    content = read_head(path, MOST_BYTES + 1)
     if len(content) > MOST_BYTES:
         raise fault(path, f"is larger than {MOST_BYTES >> 20} MB", "Is it a program?")
-    program = Program(path, content.decode(encoding_of(path, content), "replace").removeprefix("\ufeff"), name)
+    program = Program(path, content.decode(detect_encoding(path, content), "replace").removeprefix("\ufeff"), name)
     DIALECTS[name].find(program)
     _refuse_incomplete(program, DIALECTS[name])
     rows = _in_order(program, DIALECTS[name])

@@ -6,7 +6,15 @@ import math
 import re
 from dataclasses import replace
 
-from kilter_files.formats.programs.found import NUMBER, Dialect, Mark, Program, blanked, line_at, sign
+from kilter_files.formats.programs.found import (
+    NUMBER,
+    Dialect,
+    Mark,
+    Program,
+    blank_strings_and_comments,
+    line_number,
+    sign,
+)
 from kilter_files.formats.programs.one_target import JointTarget, Span
 from kilter_files.formats.programs.poses.urscript import (
     BY_FORCE,
@@ -42,7 +50,7 @@ def find(program: Program) -> None:
         FileError: joints that are not numbers, or degrees.
 
     """
-    text = blanked(program.text, "#")
+    text = blank_strings_and_comments(program.text, "#")
     declared: Places = {}
     for match in DECLARED.finditer(text):
         declared.setdefault(match[1], []).append((match.start(2), match[2].rstrip()))
@@ -63,19 +71,20 @@ def find(program: Program) -> None:
             continue
         if match[1] in TO_JOINTS and listed:
             name = match[1] if goal.startswith("[") else goal
-            taken |= {at: _take(program, name, at, written) for at, written in places if at not in taken}
-            target = taken[_before(match.start(), places)]
+            taken |= {at: _add_joint_target(program, name, at, written) for at, written in places if at not in taken}
+            target = taken[_assignment_in_effect(match.start(), places)]
             by_force = match.start() in poses.forced
-            program.left += [(line_at(text, match.start()), f"{match[1]}({goal[:40]}: {BY_FORCE}")] if by_force else []
+            if by_force:
+                program.left.append((line_number(text, match.start()), f"{match[1]}({goal[:40]}: {BY_FORCE}"))
             (forced if by_force else plain).add(target)
             sure = goal.startswith("[") or poses.is_sure(goal, match.start(), places)
             poses.last = (match.start(), target) if target is not None and sure else None
-            program.moves.append(target and replace(target, line=line_at(text, match.start())))
+            program.moves.append(target and replace(target, line=line_number(text, match.start())))
             if target is None and not goal.startswith("["):
                 program.leave(match.start(), f"{match[1]}({goal[:40]}: its joints are computed")
             continue
         hint, doubt = _hint(program, text, match, declared, poses)
-        taken_here = poses.take(match, hint, doubt)
+        taken_here = poses.add_move_poses(match, hint, doubt)
         hint = hint if match[1] == "movej" else None
         if not taken_here:
             program.leave(match.start(), f"{match[1]}({goal[:40]}: no target of this file")
@@ -103,7 +112,7 @@ def _name_changes(program: Program, text: str, declared: Places, taken: dict[int
             program.leave(match.start(), f"{match[0].strip()[:40]}: changes joints to which a move goes")
 
 
-def _before(at: int, places: list[tuple[int, str]]) -> int:
+def _assignment_in_effect(at: int, places: list[tuple[int, str]]) -> int:
     """The assignment that holds at a place: the last one before it."""
     starts = [start for start, _ in places]
     return max((start for start in starts if start <= at), default=starts[-1]) if len(starts) > 1 else starts[0]
@@ -111,7 +120,7 @@ def _before(at: int, places: list[tuple[int, str]]) -> int:
 
 def _name_other(program: Program, match: re.Match[str], goal: str, places: list[tuple[int, str]]) -> None:
     """Name a move that has no joints: a pose, a move along a line or arc, or a variable that nobody sets."""
-    line = line_at(program.text, match.start())
+    line = line_number(program.text, match.start())
     if match[1] in ("movel", "movep", "movec"):
         program.poses.append(("a move along a line or arc", line))
     elif match[1] == "movej" and (POSE.fullmatch(goal) or any(written.startswith("p[") for _, written in places)):
@@ -137,15 +146,15 @@ def _hint(
         return None, f"its qnear is not known, {said[:40]}"
     if not poses.is_sure(said, match.start(), places):
         return None, f"its qnear {said[:40]} depends on the way that the program took"
-    at = _before(match.start(), places)
+    at = _assignment_in_effect(match.start(), places)
     numbers, radians = _numbers(program.text, at, dict(places)[at])
     if not numbers:
         what = f"qnear is {dict(places)[at][:40]!r}, no list of numbers"
-        program.unknown.append((line_at(text, match.start()), what, "Write the joints in rad."))
+        program.unknown.append((line_number(text, match.start()), what, "Write the joints in rad."))
         return None, f"its {what}"
     joints = [math.degrees(float(n)) if turn else float(n) for (n, _), turn in zip(numbers, radians, strict=True)]
     name = "movej" if said.startswith("[") else said
-    return JointTarget(name, line_at(text, match.start()), tuple(joints)), ""
+    return JointTarget(name, line_number(text, match.start()), tuple(joints)), ""
 
 
 def _name_calls(program: Program, text: str, declared: Places) -> None:
@@ -159,12 +168,12 @@ def _name_calls(program: Program, text: str, declared: Places) -> None:
                 program.leave(match.start(), f"{match[1]}({said[:40]}: {match[1]} is given a target")
 
 
-def _take(program: Program, name: str, at: int, written: str) -> JointTarget | None:
+def _add_joint_target(program: Program, name: str, at: int, written: str) -> JointTarget | None:
     numbers, radians = _numbers(program.text, at, written)
     if not numbers:
         what = f"{name} goes to {written[:40]!r}, no list of numbers"
         program.leave(at, what)
-        program.unknown.append((line_at(program.text, at), what, "Write the joints in rad."))
+        program.unknown.append((line_number(program.text, at), what, "Write the joints in rad."))
         return None
     if any(turn and abs(float(number)) > MOST_RAD for (number, _), turn in zip(numbers, radians, strict=True)):
         raise program.refuse(at, f"{name} moves by more than two turns: are these degrees", "Give radians.")

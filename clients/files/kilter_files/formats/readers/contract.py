@@ -9,7 +9,7 @@ from kilter_files.formats.joints.described import describe_log
 from kilter_files.formats.joints.joint_log import read_joint_log
 from kilter_files.formats.reader import NO_HINTS, UPLOAD, Document, Head, Hints, Reader
 from kilter_files.ground.text_layout import TextLayout
-from kilter_files.ground.units import JOINT, unit_of
+from kilter_files.ground.units import JOINT, column_unit
 from kilter_files.tables.table import CSV_TYPE, Prepared
 
 # What an instrument reads: a point, markers, encoders and inclinometers on links, what holds the tool, or what a camera saw.
@@ -26,13 +26,13 @@ class Contract(Reader[Prepared]):
 
     def recognises(self, head: Head) -> bool:
         """Every name of a column is the contract's."""
-        return head.layout is not None and all(unit_of(name) is not None for name in _full_names(head.layout))
+        return head.layout is not None and all(column_unit(name) is not None for name in _full_names(head.layout))
 
     def describe(self, head: Head) -> Document:
         """Ranges of the joints; ready when something was measured beside them."""
         assert head.layout is not None  # it was recognised
         shape = {"layout": head.layout.to_document()}
-        names = [name for name in _full_names(head.layout) if unit_of(name) is not None]
+        names = [name for name in _full_names(head.layout) if column_unit(name) is not None]
         if not any(JOINT.fullmatch(name) for name in names):
             return {"columns": [{"name": name} for name in names], "warnings": ["no joints"]} | shape
         found = describe_log(read_joint_log(head.path)) | shape

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kilter_files.formats.logs.described import describe_inclinometer
-from kilter_files.formats.logs.inclinometer import tilts_of
+from kilter_files.formats.logs.inclinometer import tilt_column_indices
 from kilter_files.formats.reader import DEVICE, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.formats.recordings.marker_header import understand
 from kilter_files.ground.errors import FileError
@@ -21,7 +21,7 @@ class InclinometerLog(Reader[Table]):
 
     def recognises(self, head: Head) -> bool:
         """Columns that are inclinations, without coordinates."""
-        return head.layout is not None and bool(tilts_of(head.layout)) and not understand(head.layout).xyz
+        return head.layout is not None and bool(tilt_column_indices(head.layout)) and not understand(head.layout).xyz
 
     def describe(self, head: Head) -> Document:
         """Ranges of the inclinations."""

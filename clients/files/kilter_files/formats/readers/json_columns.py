@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kilter_files.formats.reader import NO_HINTS, UPLOAD, Document, Head, Hints, Reader
 from kilter_files.ground.faults import fault
-from kilter_files.ground.units import unit_of
+from kilter_files.ground.units import column_unit
 from kilter_files.tables.table import JSON_TYPE, Prepared
 
 
@@ -30,10 +30,10 @@ class JsonColumns(Reader[Prepared]):
         except ValueError as error:
             raise fault(head.path, f"is not JSON ({error})", "Write it again.") from error
         lists = {name: values for name, values in found.items() if isinstance(values, list)}
-        odd = [name for name in found if name not in lists or unit_of(name) is None]
+        odd = [name for name in found if name not in lists or column_unit(name) is None]
         return {
             "rows": max(map(len, lists.values()), default=0),
-            "columns": [{"name": name, "unit": unit_of(name)} for name in lists],
+            "columns": [{"name": name, "unit": column_unit(name)} for name in lists],
             "warnings": [f"no contract columns: {', '.join(odd[:12])}"] if odd else [],
             "ready": not odd,
         }

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
-from kilter_files.formats.tables.records import read_json_records, records_in
+from kilter_files.formats.tables.records import find_records, read_json_records
 from kilter_files.formats.unknown.described import describe_table
 from kilter_files.tables.source import Source
 
@@ -26,7 +26,7 @@ class JsonRecords(Reader[Source]):
         if head.ending not in self.endings or head.path.is_dir() or head.path.stat().st_size > MOST_BYTES:
             return False
         try:
-            return bool(records_in(json.loads(head.path.read_bytes())))
+            return bool(find_records(json.loads(head.path.read_bytes())))
         except (ValueError, RecursionError):
             return False
 

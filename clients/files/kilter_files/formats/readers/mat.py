@@ -7,7 +7,7 @@ from pathlib import Path
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.formats.tables.mat import read_mat
 from kilter_files.formats.unknown.described import describe_table
-from kilter_files.formats.unknown.understood import table_of
+from kilter_files.formats.unknown.understood import cached_understanding
 from kilter_files.ground.later import np
 from kilter_files.tables.source import Source
 
@@ -32,7 +32,7 @@ class Mat(Reader[Source]):
         """Variables and their shapes, and what a draft of a map takes their columns for."""
         variables = read_mat(head.path).variables
         shapes = [{"name": name, "shape": list(np.shape(value))} for name, value in sorted(variables.items())]
-        table = describe_table(head) if table_of(head) is not None else {"notes": [COMES_IN]}
+        table = describe_table(head) if cached_understanding(head) is not None else {"notes": [COMES_IN]}
         return {**table, "kind": self.name, "variables": shapes}
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Source:

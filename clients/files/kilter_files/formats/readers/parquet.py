@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.formats.tables.parquet import read_parquet
-from kilter_files.ground.units import unit_of
+from kilter_files.ground.units import column_unit
 from kilter_files.tables.source import Source
 
 SHOWN = 20
@@ -29,8 +29,8 @@ class Parquet(Reader[Source]):
     def describe(self, head: Head) -> Document:
         """Columns, and those that are not the contract's."""
         source = read_parquet(head.path)
-        columns = [{"name": name, "unit": unit_of(name)} for name in source.names]
-        odd = [name for name in source.names if unit_of(name) is None]
+        columns = [{"name": name, "unit": column_unit(name)} for name in source.names]
+        odd = [name for name in source.names if column_unit(name) is None]
         warnings = [f"no contract columns: {', '.join(odd[:SHOWN])} (--draft writes a column map)"] if odd else []
         return {"rows": source.table.num_rows, "columns": columns, "warnings": warnings, "ready": not odd}
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kilter_files.formats.joints.described import describe_log
 from kilter_files.formats.joints.joint_log import log_of_targets
-from kilter_files.formats.programs.targets import dialect_of
+from kilter_files.formats.programs.targets import detect_dialect
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.formats.tables.program import read_program
 from kilter_files.tables.source import Source
@@ -22,7 +22,7 @@ class Program(Reader[Source]):
 
     def recognises(self, head: Head) -> bool:
         """A text with targets of a dialect, whatever its ending."""
-        return not head.path.is_dir() and dialect_of(head.path) is not None
+        return not head.path.is_dir() and detect_dialect(head.path) is not None
 
     def describe(self, head: Head) -> Document:
         """Ranges of the joints."""

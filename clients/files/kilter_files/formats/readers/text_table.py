@@ -8,7 +8,7 @@ from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Re
 from kilter_files.formats.tables.text import read_text
 from kilter_files.formats.tracker_header import PRESETS, meaning
 from kilter_files.formats.unknown.described import describe_table
-from kilter_files.formats.unknown.understood import table_of
+from kilter_files.formats.unknown.understood import cached_understanding
 from kilter_files.tables.source import Source
 
 
@@ -24,7 +24,7 @@ class TextTable(Reader[Source]):
         """Any table of numbers but points alone: a reader of points leaves joints out, or takes them for coordinates."""
         if head.hints.say_points:
             return False
-        layout, table = head.layout, table_of(head)
+        layout, table = head.layout, cached_understanding(head)
         if layout is None:  # lists in cells, bars between them; or no table, which is refused with its reason
             return True
         if table is None or table.axes:

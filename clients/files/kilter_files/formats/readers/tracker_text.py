@@ -31,7 +31,7 @@ class TrackerText(Reader[Table]):
         """Read the points, with the joints of the hints beside them."""
         return read_tracker(path, hints.preset, hints.euler, hints.joints)
 
-    def listed(self) -> Iterator[tuple[str, str]]:
+    def names_and_titles(self) -> Iterator[tuple[str, str]]:
         """Each preset."""
         for name, preset in PRESETS.items():
             yield name, f"{self.title}: {preset.title}"

@@ -8,7 +8,7 @@ from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Re
 from kilter_files.formats.tables.workbook import read_xlsx
 from kilter_files.formats.unknown.described import describe_table
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.units import unit_of
+from kilter_files.ground.units import column_unit
 from kilter_files.tables.source import Layout, Source
 
 
@@ -41,7 +41,7 @@ def _is_contract(path: Path) -> bool:
         names = [name for name in read_xlsx(path, Layout()).choices if name]
     except FileError:
         return False
-    return bool(names) and all(unit_of(name) is not None for name in names)
+    return bool(names) and all(column_unit(name) is not None for name in names)
 
 
 READER = Workbook()

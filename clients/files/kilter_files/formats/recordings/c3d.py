@@ -21,9 +21,9 @@ from kilter_files.formats.recordings.c3d_parameters import (
     number,
     read_header,
     read_parameters,
-    unsigned,
+    unsigned_parameter,
 )
-from kilter_files.ground.faults import CUT, fault, head_of
+from kilter_files.ground.faults import CUT, fault, read_head
 from kilter_files.ground.later import np
 from kilter_files.ground.units import SIZES
 from kilter_files.tables.gaps import without_gaps
@@ -57,7 +57,7 @@ def read_c3d(path: Path, allow_cut: bool = False) -> Recording:
         FileError: another file, cut off, two glued together, without points, or in an unknown unit.
 
     """
-    content = head_of(path, HEAD_BYTES)
+    content = read_head(path, HEAD_BYTES)
     header = read_header(path, content)
     parameters = read_parameters(path, content, header.order)
     notes: list[str] = []
@@ -86,7 +86,7 @@ def _layout(
     notes: list[str],
     warnings: list[str],
 ) -> Layout:
-    points = unsigned(parameters, "POINT:USED") or header.points
+    points = unsigned_parameter(parameters, "POINT:USED") or header.points
     scale = number(parameters, "POINT:SCALE") or header.scale
     rate = number(parameters, "POINT:RATE") or header.rate_hz
     if not points:
@@ -95,7 +95,7 @@ def _layout(
         raise fault(path, f"states the scale {scale} and the rate {rate} Hz", BROKEN, byte=12)
     width = 4 if scale < 0 else 2
     words = 4 * points + header.analog_per_frame
-    start = ((unsigned(parameters, "POINT:DATA_START") or header.data_sector) - 1) * SECTOR
+    start = ((unsigned_parameter(parameters, "POINT:DATA_START") or header.data_sector) - 1) * SECTOR
     if start < SECTOR:
         raise fault(path, "its data would start inside its header", BROKEN, byte=16)
     frames = _frames(path, _claims(header, parameters), start, words * width, allow_cut, warnings)
@@ -107,12 +107,15 @@ def _layout(
 
 def _claims(header: Header, parameters: Mapping[str, Value]) -> list[tuple[str, int]]:
     """What the file says about its number of frames, the most trustworthy first."""
-    first, last = unsigned(parameters, "TRIAL:ACTUAL_START_FIELD"), unsigned(parameters, "TRIAL:ACTUAL_END_FIELD")
+    first, last = (
+        unsigned_parameter(parameters, "TRIAL:ACTUAL_START_FIELD"),
+        unsigned_parameter(parameters, "TRIAL:ACTUAL_END_FIELD"),
+    )
     trial = last - first + 1 if first is not None and last is not None and last != FULL else None
-    counted = unsigned(parameters, "POINT:FRAMES")
+    counted = unsigned_parameter(parameters, "POINT:FRAMES")
     said = {
         "TRIAL:ACTUAL_END_FIELD": trial,
-        "POINT:LONG_FRAMES": unsigned(parameters, "POINT:LONG_FRAMES"),
+        "POINT:LONG_FRAMES": unsigned_parameter(parameters, "POINT:LONG_FRAMES"),
         "POINT:FRAMES": None if counted == FULL else counted,
         "the header": None if header.last == FULL else header.last - header.first + 1,
     }
@@ -186,13 +189,15 @@ def _markers(path: Path, parameters: Mapping[str, Value], labels: Sequence[str],
     others = {label for names in groups.values() for label in names}
     kept = [i for i, label in enumerate(labels) if label not in others]
     if not kept:
-        raise fault(path, f"holds only {_listed(groups)} and no markers", "Export the trajectories of the markers too.")
+        raise fault(
+            path, f"holds only {_format_groups(groups)} and no markers", "Export the trajectories of the markers too."
+        )
     if others:
-        warnings.append(f"{_listed(groups)}: left out, for these are not markers")
+        warnings.append(f"{_format_groups(groups)}: left out, for these are not markers")
     return kept
 
 
-def _listed(groups: Mapping[str, Sequence[str]]) -> str:
+def _format_groups(groups: Mapping[str, Sequence[str]]) -> str:
     return "; ".join(f"{', '.join(names)} of POINT:{group}" for group, names in groups.items() if names)
 
 

@@ -119,7 +119,7 @@ def number(parameters: Mapping[str, Value], name: str) -> float | None:
     return value[0] if value and isinstance(value[0], float) and math.isfinite(value[0]) else None
 
 
-def unsigned(parameters: Mapping[str, Value], name: str) -> int | None:
+def unsigned_parameter(parameters: Mapping[str, Value], name: str) -> int | None:
     """Return a parameter that counts: its 16 bits have no sign, and two of them are one number."""
     value = [int(v) for v in parameters.get(name, ()) if isinstance(v, float) and math.isfinite(v)]
     if not value:

@@ -39,7 +39,7 @@ class MarkerColumns:
     ignored: tuple[str, ...]
 
     @property
-    def needed(self) -> list[int]:
+    def needed_columns(self) -> list[int]:
         """Every column that is read, in the order of the file."""
         found = {i for group in (*self.xyz, *self.turns) for i in group} | {i for i, _ in self.clock}
         return sorted(found | ({self.counter} if self.counter is not None else set()))
@@ -54,7 +54,7 @@ def understand(layout: TextLayout) -> MarkerColumns:
     found: dict[tuple[str, int], dict[str, int]] = {}
     seen: Counter[tuple[str, str]] = Counter()
     for i, name in enumerate(names):
-        part = None if i in used else _part(name)
+        part = None if i in used else _parse_column_name(name)
         if part is not None:
             found.setdefault((part[0], seen[part]), {})[part[1]] = i
             seen[part] += 1
@@ -130,7 +130,7 @@ def _clock(layout: TextLayout, names: Sequence[str]) -> tuple[tuple[int, float],
     return ()
 
 
-def _part(name: str) -> tuple[str, str] | None:
+def _parse_column_name(name: str) -> tuple[str, str] | None:
     for pattern in PARTS:
         match = pattern.fullmatch(name)
         if match:

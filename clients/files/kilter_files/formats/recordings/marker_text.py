@@ -19,7 +19,7 @@ from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import CUT, fault
 from kilter_files.ground.later import np
-from kilter_files.ground.text_blocks import blocks, count_rows, line_of
+from kilter_files.ground.text_blocks import blocks, count_rows, line_number_of_row
 from kilter_files.ground.text_layout import TextLayout, sniff
 from kilter_files.ground.units import SIZES
 from kilter_files.tables.gaps import unit_quaternions, without_gaps
@@ -72,7 +72,7 @@ class _Reader:
     rate_hz: float
 
     def blocks(self) -> Iterator[Floats]:
-        return blocks(self.path, self.layout, self.columns.needed, self.rows)
+        return blocks(self.path, self.layout, self.columns.needed_columns, self.rows)
 
 
 def _unit(path: Path, layout: TextLayout, columns: MarkerColumns) -> tuple[str, float]:
@@ -89,7 +89,7 @@ def _rows(path: Path, layout: TextLayout, allow_cut: bool) -> tuple[int, tuple[s
     if stated is not None and lines < stated and not allow_cut:
         raise fault(path, f"is cut off: it states {stated:.0f} frames, {rows} are there", CUT, frame=rows + 1)
     if stated is not None and lines > stated:
-        line = line_of(path, layout, int(stated))
+        line = line_number_of_row(path, layout, int(stated))
         raise fault(path, f"has {lines} frames where it states {stated:.0f}", GLUED, line=line)
     short = stated is not None and rows < stated
     said = f"cut off: the {rows} complete frames are used"
@@ -128,12 +128,12 @@ def _notes(layout: TextLayout, columns: MarkerColumns, reader: _Reader) -> list[
 
 
 def _seconds(reader: _Reader, table: Floats) -> Floats:
-    place = {column: i for i, column in enumerate(reader.columns.needed)}
+    place = {column: i for i, column in enumerate(reader.columns.needed_columns)}
     return np.asarray(sum(table[:, place[i]] * factor for i, factor in reader.columns.clock), dtype=np.float64)
 
 
 def _blocks(reader: _Reader) -> Iterator[Block]:
-    place = {column: i for i, column in enumerate(reader.columns.needed)}
+    place = {column: i for i, column in enumerate(reader.columns.needed_columns)}
     xyz = [[place[i] for i in group] for group in reader.columns.xyz]
     turns = [[place[i] for i in group] for group in reader.columns.turns]
     row, start, last = 0, None, -np.inf
@@ -144,7 +144,7 @@ def _blocks(reader: _Reader) -> Iterator[Block]:
         last = float(count[-1])
         _refuse_partial(reader, table, xyz, row)
         points = without_gaps(table[:, xyz] * reader.to_mm)
-        turned = _turned(reader, table[:, turns], points, row) if turns else None
+        turned = _validated_quaternions(reader, table[:, turns], points, row) if turns else None
         rows = np.arange(row, row + len(table)) + reader.layout.first_line
         yield Block((count - start) / (1.0 if reader.columns.clock else reader.rate_hz), points, rows, turned)
         row += len(table)
@@ -156,20 +156,22 @@ def _count(reader: _Reader, table: Floats, row: int) -> Floats:
         return _seconds(reader, table)
     if reader.columns.counter is None:
         return np.arange(row, row + len(table), dtype=np.float64)
-    counter: Floats = table[:, reader.columns.needed.index(reader.columns.counter)]
+    counter: Floats = table[:, reader.columns.needed_columns.index(reader.columns.counter)]
     whole = np.isnan(counter) | (counter == np.round(counter))
     if not whole.all():
-        raise _at(reader, row + int(np.argmin(whole)), "the frame counter is not a whole number: columns moved here")
+        raise _row_fault(
+            reader, row + int(np.argmin(whole)), "the frame counter is not a whole number: columns moved here"
+        )
     return counter
 
 
 def _refuse_going_back(reader: _Reader, count: Floats, last: float, row: int) -> None:
     what = "time" if reader.columns.clock else "the frame counter"
     if np.isnan(count).any():
-        raise _at(reader, row + int(np.argmax(np.isnan(count))), f"{what} is missing: columns moved here")
+        raise _row_fault(reader, row + int(np.argmax(np.isnan(count))), f"{what} is missing: columns moved here")
     back = np.diff(count, prepend=last) < 0 if reader.columns.clock else np.diff(count, prepend=last) <= 0
     if back.any():
-        raise _at(reader, row + int(np.argmax(back)), f"{what} goes back. {GLUED[:-1]}")
+        raise _row_fault(reader, row + int(np.argmax(back)), f"{what} goes back. {GLUED[:-1]}")
 
 
 def _refuse_partial(reader: _Reader, table: Floats, xyz: list[list[int]], row: int) -> None:
@@ -180,20 +182,20 @@ def _refuse_partial(reader: _Reader, table: Floats, xyz: list[list[int]], row: i
         axis = int(np.argmax(absent[frame, marker]))
         column = reader.layout.names[reader.columns.xyz[marker][axis]]
         what = f"{'xyz'[axis]} of {reader.columns.names[marker]} is blank where its other coordinates are not"
-        raise _at(reader, row + int(frame), f"{what}: did the columns move here", column)
+        raise _row_fault(reader, row + int(frame), f"{what}: did the columns move here", column)
 
 
-def _turned(reader: _Reader, raw: Floats, points: Floats, row: int) -> Floats:
+def _validated_quaternions(reader: _Reader, raw: Floats, points: Floats, row: int) -> Floats:
     turned, wrong = unit_quaternions(raw, points)
     if wrong.any():
         frame, marker = np.argwhere(wrong)[0]
         column = reader.layout.names[reader.columns.turns[marker][0]]
         what = f"the quaternion of {reader.columns.names[marker]} does not have length 1: did the columns move here"
-        raise _at(reader, row + int(frame), what, column)
+        raise _row_fault(reader, row + int(frame), what, column)
     return turned
 
 
-def _at(reader: _Reader, row: int, what: str, column: str | None = None) -> FileError:
+def _row_fault(reader: _Reader, row: int, what: str, column: str | None = None) -> FileError:
     place = {} if column is None else {"column": column}
-    line = line_of(reader.path, reader.layout, row)
+    line = line_number_of_row(reader.path, reader.layout, row)
     return fault(reader.path, what, "Correct the row, or export again.", line=line, **place)

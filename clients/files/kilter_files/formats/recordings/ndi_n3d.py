@@ -6,7 +6,7 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 
-from kilter_files.ground.faults import CUT, fault, head_of
+from kilter_files.ground.faults import CUT, fault, read_head
 from kilter_files.ground.later import np
 from kilter_files.tables.gaps import without_gaps
 from kilter_files.tables.recording import Block, Recording, frames_per_block
@@ -32,7 +32,7 @@ def read_n3d(path: Path, allow_cut: bool = False) -> Recording:
         FileError: another file, one that is cut off or too long, or one of something else than 3D markers.
 
     """
-    head = head_of(path, HEADER_BYTES)
+    head = read_head(path, HEADER_BYTES)
     if len(head) < HEADER_BYTES or not is_n3d(head):
         raise fault(
             path,

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_files.formats.recordings.marker_header import unit_above
-from kilter_files.formats.tracker_header import plain
+from kilter_files.formats.tracker_header import canonical_column_name
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.faults import fault
 from kilter_files.ground.later import np
-from kilter_files.ground.text_blocks import MISSING, count_rows, lines_of
+from kilter_files.ground.text_blocks import MISSING, count_rows, numbered_lines
 from kilter_files.ground.text_layout import TextLayout
-from kilter_files.ground.turns import quaternions_of
+from kilter_files.ground.turns import quaternions_from_matrices
 from kilter_files.ground.units import SIZES
 from kilter_files.tables.gaps import unit_quaternions, without_gaps
 from kilter_files.tables.recording import Block, Recording
@@ -47,12 +47,12 @@ class LongColumns:
 
 def long_columns(layout: TextLayout) -> LongColumns | None:
     """Return the columns of a long table, None when it is none."""
-    names = [plain(name) for name in layout.names]
+    names = [canonical_column_name(name) for name in layout.names]
 
-    def first(pattern: re.Pattern[str]) -> int | None:
+    def first_matching_column(pattern: re.Pattern[str]) -> int | None:
         return next((i for i, name in enumerate(names) if pattern.fullmatch(name)), None)
 
-    tool, frame = first(TOOL), first(FRAME)
+    tool, frame = first_matching_column(TOOL), first_matching_column(FRAME)
     place = {
         name.removeprefix("t") if name in ("tx", "ty", "tz") else TURNS.get(name, name): i
         for i, name in enumerate(names)
@@ -64,7 +64,11 @@ def long_columns(layout: TextLayout) -> LongColumns | None:
     if tool is None or frame is None or None in xyz or None in turns:
         return None
     return LongColumns(
-        tool, frame, first(TIME), tuple(i for i in xyz if i is not None), tuple(i for i in turns if i is not None)
+        tool,
+        frame,
+        first_matching_column(TIME),
+        tuple(i for i in xyz if i is not None),
+        tuple(i for i in turns if i is not None),
     )
 
 
@@ -80,7 +84,7 @@ def read_long(path: Path, layout: TextLayout, columns: LongColumns, rate_hz: flo
     cells: list[tuple[int, int, int, list[float]]] = []  # frame's place, tool, line, numbers
     there: set[tuple[int, int]] = set()
     rows, cut = count_rows(path, layout)
-    for row, (line, text) in enumerate(itertools.islice(lines_of(path, layout), rows)):
+    for row, (line, text) in enumerate(itertools.islice(numbered_lines(path, layout), rows)):
         if row == MOST_ROWS:
             raise fault(path, f"has more than {MOST_ROWS} rows", "Split it.", line=line)
         parts = layout.split(text)
@@ -150,7 +154,7 @@ def _turns(path: Path, values: Floats, points: Floats, line: Floats) -> Floats:
     if wrong.any():
         where = int(line[int(np.argmax(wrong))])
         raise fault(path, "R00 to R22 are not a rotation", "Did the columns move here?", line=where)
-    return quaternions_of(np.where(seen[:, None, None], matrices, np.nan))
+    return quaternions_from_matrices(np.where(seen[:, None, None], matrices, np.nan))
 
 
 def _time(
@@ -162,7 +166,7 @@ def _time(
     if columns.time is None:
         raise fault(path, "says neither rate nor time", "Give the rate in Hz (--rate).", line=layout.first_line)
     t = np.zeros(len(frames))
-    named = plain(layout.names[columns.time])
+    named = canonical_column_name(layout.names[columns.time])
     unit = layout.units[columns.time] or ("ms" if named.endswith("ms") and named != "ms" else "s")
     t[at[::-1]] = values[::-1, -1] * SIZES["time"].get(unit, 1.0)
     step = np.diff(t)

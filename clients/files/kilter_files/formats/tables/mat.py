@@ -42,7 +42,7 @@ class MatSource:
     def choices(self) -> list[str]:
         """Every column of every variable, written both ways: ``q[:,0]`` and ``q(:,1)``; rows of one that lies across."""
         out: list[str] = []
-        for name, value in _named(self.variables):
+        for name, value in _flatten_variables(self.variables):
             array = np.asarray(value)
             if array.dtype.kind in "iufb" and array.ndim == 2 and _lies_across(*array.shape):
                 out += [f"{name}[{k},:]" for k in range(array.shape[0])]
@@ -148,10 +148,10 @@ def _lies_across(rows: int, columns: int) -> bool:
     return rows <= MOST_ACROSS and columns > WIDER * rows
 
 
-def _named(variables: Mapping[str, Any], stem: str = "") -> Iterator[tuple[str, Any]]:
+def _flatten_variables(variables: Mapping[str, Any], stem: str = "") -> Iterator[tuple[str, Any]]:
     for name, value in variables.items():
         if isinstance(value, Mapping):
-            yield from _named(value, f"{stem}{name}.")
+            yield from _flatten_variables(value, f"{stem}{name}.")
         else:
             yield f"{stem}{name}", value
 

@@ -8,7 +8,7 @@ import zlib
 from pathlib import Path
 from typing import BinaryIO
 
-from kilter_files.ground.faults import fault, head_of
+from kilter_files.ground.faults import fault, read_head
 
 HEAD_BYTES = 128
 COMPRESSED, MATRIX = 15, 14
@@ -25,7 +25,7 @@ def check_mat(path: Path) -> None:
         FileError: cut off, a variable that unpacks to more than is sensible, or one larger than its bytes.
 
     """
-    head = head_of(path, HEAD_BYTES)
+    head = read_head(path, HEAD_BYTES)
     if not head.startswith(b"MATLAB 5.0"):
         return
     order = {b"IM": "<", b"MI": ">"}.get(head[126:128])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kilter_files.ground.cell_lists import element_of
+from kilter_files.ground.cell_lists import parse_element_name
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.ground.later import need, pa
@@ -70,7 +70,7 @@ class ParquetSource:
         return [math.nan if value in missing else value for value in values]
 
     def _column(self, name: str | int) -> list[Any]:
-        found = element_of(name) if isinstance(name, str) and not self.has(name) else None
+        found = parse_element_name(name) if isinstance(name, str) and not self.has(name) else None
         if found is not None and self.has(found[0]):
             return self._element(*found)
         if not self.has(name):

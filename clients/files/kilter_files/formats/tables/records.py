@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kilter_files.ground.faults import fault, head_of
+from kilter_files.ground.faults import fault, read_head
 from kilter_files.ground.later import need
 from kilter_files.tables.source import Layout
 from kilter_files.tables.text_source import TextSource
@@ -21,7 +21,7 @@ REMEDY = 'Write a list of records, such as [{"joints": [...], "position": [...]}
 class RecordSource(TextSource):
     """Read records: what each holds as cells, lists in one cell."""
 
-    def at(self, line: int) -> str:
+    def row_location(self, line: int) -> str:
         """Say where a record is: its number from 1."""
         return f"record {line}"
 
@@ -34,7 +34,7 @@ def read_json_records(path: Path, layout: Layout) -> RecordSource:
 
     """
     try:
-        content = json.loads(_bytes_of(path))
+        content = json.loads(_read_limited_bytes(path))
     except (ValueError, RecursionError) as error:
         raise fault(path, f"is not JSON ({error})", "Write it again.") from error
     return _source(path, content, layout)
@@ -50,13 +50,13 @@ def read_yaml_records(path: Path, layout: Layout) -> RecordSource:
     """
     yaml = need(f"{path}: YAML files need", "pyyaml", "yaml")
     try:
-        content = yaml.safe_load(_bytes_of(path))
+        content = yaml.safe_load(_read_limited_bytes(path))
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise fault(path, f"is not YAML ({str(error)[:120]})", "Write it again.") from error
     return _source(path, content, layout)
 
 
-def records_in(content: Any) -> list[dict[str, Any]]:
+def find_records(content: Any) -> list[dict[str, Any]]:
     """Return the records of a document: the document itself, or the longest list of records in it; none: empty."""
     if isinstance(content, list):
         if content and all(isinstance(one, dict) for one in content):
@@ -71,7 +71,7 @@ def records_in(content: Any) -> list[dict[str, Any]]:
             return columns
         if values and all(isinstance(one, dict) for one in values) and len(values) > 1:  # poses by their names
             return [{"name": name, **one} for name, one in content.items()]
-        return max((records_in(one) for one in values if isinstance(one, list | dict)), key=len, default=[])
+        return max((find_records(one) for one in values if isinstance(one, list | dict)), key=len, default=[])
     return []
 
 
@@ -86,15 +86,15 @@ def _columns_of_vectors(content: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [{name: values[k] for name, values in whole.items()} for k in range(count)] if len(whole) > 1 else []
 
 
-def _bytes_of(path: Path) -> bytes:
-    content = head_of(path, MOST_BYTES + 1)
+def _read_limited_bytes(path: Path) -> bytes:
+    content = read_head(path, MOST_BYTES + 1)
     if len(content) > MOST_BYTES:
         raise fault(path, f"is larger than {MOST_BYTES >> 20} MB", "Save it as CSV or Parquet.")
     return content
 
 
 def _source(path: Path, content: Any, layout: Layout) -> RecordSource:
-    records = [dict(_fields(one)) for one in records_in(content)]
+    records = [dict(_fields(one)) for one in find_records(content)]
     names = [*dict.fromkeys(name for one in records for name in one)]
     if not names:
         raise fault(path, "holds no list of records", REMEDY)

@@ -57,8 +57,8 @@ def channels(path: Path) -> list[Channel]:
         FileError: no TDMS file, or one that is cut off.
 
     """
-    with _opened(path) as found:
-        return [_described(channel) for channel in found]
+    with _open_channels(path) as found:
+        return [_describe_channel(channel) for channel in found]
 
 
 def read_channel(path: Path, name: str, calibration: Calibration | None = None) -> tuple[Floats, Floats]:
@@ -68,22 +68,22 @@ def read_channel(path: Path, name: str, calibration: Calibration | None = None) 
         FileError: no such channel, text in it, or volts far outside the calibration.
 
     """
-    with _opened(path) as found:
+    with _open_channels(path) as found:
         names = [_full(channel) for channel in found]
         if name not in names:
             remedy = f"It has {', '.join(names)}."
             raise fault(path, f"no channel {name!r}{did_you_mean(name, names)}", remedy, column=name)
         channel = found[names.index(name)]
-        raw, step = _guarded(path, lambda: channel[:]), _described(channel).step_s
+        raw, step = _call_translating_errors(path, lambda: channel[:]), _describe_channel(channel).step_s
     if raw.dtype.kind not in "iufb":
         raise fault(path, f"holds {raw.dtype}, not numbers", "Choose a channel of voltages.", column=name)
     values = np.asarray(raw, dtype=np.float64)
     if calibration is not None:
-        values = _calibrated(path, name, values, calibration)
+        values = _volts_to_mm(path, name, values, calibration)
     return np.arange(len(values), dtype=np.float64) * float(step or 1.0), values
 
 
-def _calibrated(path: Path, name: str, volts: Floats, calibration: Calibration) -> Floats:
+def _volts_to_mm(path: Path, name: str, volts: Floats, calibration: Calibration) -> Floats:
     out = calibration.to_mm(volts)
     if np.isnan(out).any():
         row = int(np.argmax(np.isnan(out)))
@@ -93,14 +93,16 @@ def _calibrated(path: Path, name: str, volts: Floats, calibration: Calibration) 
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[list[Any]]:
+def _open_channels(path: Path) -> Iterator[list[Any]]:
     """Open a file whose segments were checked, for as long as its channels are read."""
     _walk(path)
     nptdms = need(f"{path}: TDMS files need", "npTDMS", "nptdms")
     size = path.stat().st_size
     with path.open("rb") as stream:
-        file = _guarded(path, lambda: nptdms.TdmsFile.open(stream))
-        found = _guarded(path, lambda: [channel for group in file.groups() for channel in group.channels()])
+        file = _call_translating_errors(path, lambda: nptdms.TdmsFile.open(stream))
+        found = _call_translating_errors(
+            path, lambda: [channel for group in file.groups() for channel in group.channels()]
+        )
         for channel in found:
             if len(channel) * LEAST_BYTES > size:
                 what = f"claims {len(channel)} samples in {size} bytes"
@@ -108,7 +110,7 @@ def _opened(path: Path) -> Iterator[list[Any]]:
         yield found
 
 
-def _guarded(path: Path, read: Callable[[], Any]) -> Any:
+def _call_translating_errors(path: Path, read: Callable[[], Any]) -> Any:
     """Run a call of the library; whatever it stumbles over in a damaged file is that file's fault."""
     try:
         return read()
@@ -147,7 +149,7 @@ def _full(channel: Any) -> str:
     return f"{channel.group_name}/{channel.name}"
 
 
-def _described(channel: Any) -> Channel:
+def _describe_channel(channel: Any) -> Channel:
     properties = channel.properties
     step = properties.get("wf_increment")
     scaled = any(str(name).startswith(("NI_Scale[", "NI_Number_Of_Scales")) for name in properties)

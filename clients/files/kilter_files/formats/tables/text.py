@@ -25,7 +25,7 @@ def read_text(path: Path, layout: Layout) -> TextSource:
         names = header_names(path, head)
         records = records[1:] if layout.units_row else records
     else:
-        records = _joined(path, records, layout.rows_per_pose)
+        records = _join_pose_rows(path, records, layout.rows_per_pose)
         names = [str(i) for i in range(len(records[0][1]))]
     _refuse_ragged(path, names, records, layout)
     return TextSource(path, layout, names, [row for _, row in records], [line for line, _ in records])
@@ -52,7 +52,7 @@ def _records(path: Path, layout: Layout) -> list[tuple[int, list[str]]]:
         ) from error
 
 
-def _joined(path: Path, records: list[tuple[int, list[str]]], count: int) -> list[tuple[int, list[str]]]:
+def _join_pose_rows(path: Path, records: list[tuple[int, list[str]]], count: int) -> list[tuple[int, list[str]]]:
     """Join rows that make one pose together, as those of a matrix; each has the line of its first."""
     if len(records) % count:
         raise FileError(

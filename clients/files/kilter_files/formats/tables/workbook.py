@@ -31,7 +31,7 @@ class XlsxSource(TextSource):
     sheet: str = ""
     uncomputed: Sequence[Cell] = ()  # cells of formulas that have no value
 
-    def at(self, line: int) -> str:
+    def row_location(self, line: int) -> str:
         """Say where a row is: the sheet and its row."""
         return f"sheet {self.sheet!r}, row {line}"
 
@@ -92,7 +92,7 @@ def sheet_names(path: Path) -> list[str]:
         MissingPackageError: openpyxl is not installed.
 
     """
-    return _opened(path, lambda book: [str(sheet.title) for sheet in book.worksheets])
+    return _read_workbook(path, lambda book: [str(sheet.title) for sheet in book.worksheets])
 
 
 def _refuse_uncomputed(path: Path, sheet: str, cells: Sequence[Cell], column: int | None = None) -> None:
@@ -119,14 +119,14 @@ def _rows(path: Path, layout: Layout) -> tuple[str, list[Row], list[Cell]]:
         return str(sheet.title), found, [cell for cell in uncomputed if cell[0] > layout.skip_rows]
 
     openpyxl = _openpyxl(path)
-    return _opened(path, read)
+    return _read_workbook(path, read)
 
 
 def _openpyxl(path: Path) -> Any:
     return need(f"{path}: Workbooks (.xlsx) need", "openpyxl")
 
 
-def _opened(path: Path, read: Callable[[Any], Found]) -> Found:
+def _read_workbook(path: Path, read: Callable[[Any], Found]) -> Found:
     openpyxl = _openpyxl(path)
     _refuse_large(path)
     try:

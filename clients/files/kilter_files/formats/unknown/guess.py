@@ -8,10 +8,10 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from kilter_files.formats.unknown.names import Family, Triple, families, triples, words_of
+from kilter_files.formats.unknown.names import Family, Triple, families, name_as_words, triples
 from kilter_files.formats.unknown.table_shape import TableShape
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.time_stamps import stamp_of
+from kilter_files.ground.time_stamps import parse_stamp
 from kilter_files.ground.units import SIZES, TIMESTAMP, UNKNOWN
 
 JOINT = re.compile(r"\b(?:joint\w*|jnts?|axis\w*|axes|ax|achs\w*|gelenk\w*|\w*winkel|angles?|theta|[ajq])\b")
@@ -69,7 +69,7 @@ class Columns:
         lists = {name.rpartition("[")[0] for name in choices if name.endswith("]")}
         self.names = [name for name in choices if name not in lists]
 
-    def without(self, names: Sequence[str]) -> Columns:
+    def without_names(self, names: Sequence[str]) -> Columns:
         """Return the same table without some names."""
         out = Columns(self.shape)
         out.names = [name for name in self.names if name not in names]
@@ -124,7 +124,9 @@ def joints(columns: Columns) -> tuple[list[Entry], list[str]]:
     if not ranked or ranked[0][0] < 2.5:
         return [], [family.pattern for _, family in ranked]
     best = ranked[0][1]
-    equal = [family.pattern for score, family in ranked if score == ranked[0][0] and not _shared(family, best)]
+    equal = [
+        family.pattern for score, family in ranked if score == ranked[0][0] and not _has_shared_columns(family, best)
+    ]
     if equal:
         told = f"could not determine which of these are the arm's joints: {', '.join([best.pattern, *equal])}"
         return [Entry("q*", UNKNOWN, joint_unit(columns, best.names[0], best.names)[0], told)], []
@@ -136,7 +138,7 @@ def joints(columns: Columns) -> tuple[list[Entry], list[str]]:
     return [Entry("q*", best.pattern, unit, remark, best.names)], others
 
 
-def _shared(one: Family, other: Family) -> bool:
+def _has_shared_columns(one: Family, other: Family) -> bool:
     return bool(set(one.names) & set(other.names))
 
 
@@ -176,7 +178,7 @@ def _counts(values: Sequence[float]) -> bool:
 
 def _named_joints(columns: Columns) -> tuple[str, ...]:
     """Columns that carry the names of a maker's joints."""
-    words = {name: re.sub(r"(?<=[a-z])(?=\d)", " ", words_of(name)) for name in columns.names}
+    words = {name: re.sub(r"(?<=[a-z])(?=\d)", " ", name_as_words(name)) for name in columns.names}
     for arm in ARMS:
         found = []
         for joint in arm:
@@ -189,7 +191,7 @@ def _named_joints(columns: Columns) -> tuple[str, ...]:
 
 
 def _joint_score(columns: Columns, family: Family) -> float:
-    said = words_of(family.pattern.replace("*", " "))
+    said = name_as_words(family.pattern.replace("*", " "))
     if columns.largest(family.names) is None or _is_unit_length(columns, family):
         return -9.0
     unit = columns.unit(family.names[0])
@@ -237,7 +239,7 @@ def _strange(said: str, quantity: str) -> str:
 def points(columns: Columns, taken: set[str]) -> tuple[list[Entry], list[str]]:
     """Return the lines of the position or of the markers, and other triples that might be it."""
     free = [name for name in columns.names if name not in taken and columns.numbers(name)]
-    found = [triple for triple in triples(free) if not TURNED.search(words_of(triple.pattern))]
+    found = [triple for triple in triples(free) if not TURNED.search(name_as_words(triple.pattern))]
     markers = _markers(columns, found)
     if markers:
         return markers, []
@@ -251,13 +253,13 @@ def points(columns: Columns, taken: set[str]) -> tuple[list[Entry], list[str]]:
     if equal:
         told = f"could not determine which of these is the position: {', '.join([best.pattern, *equal])}"
         return [Entry(f"{axis}_mm", UNKNOWN, unit, told) for axis in "xyz"], []
-    said = words_of(best.pattern)
+    said = name_as_words(best.pattern)
     if COMPUTED.search(said) and not re.search(r"\b(?:meas\w*|tracker|laser|leica|smr|gemessen)\b", said):
         remark = "; ".join(text for text in (remark, ASK_INSTRUMENT) if text)
     return _axes(best.names, unit, remark), [t.pattern for t in ranked[1:]]
 
 
-def placed(columns: Columns, names: Sequence[str]) -> list[Entry]:
+def position_entries(columns: Columns, names: Sequence[str]) -> list[Entry]:
     """Return the lines of a position whose columns are known."""
     return _axes(names, *length_unit(columns, names))
 
@@ -268,7 +270,7 @@ def _axes(names: Sequence[str], unit: str, remark: str) -> list[Entry]:
 
 def _as_triple(family: Family) -> Triple | None:
     """The first three of a vector that is called a point or a pose."""
-    said = words_of(family.pattern)
+    said = name_as_words(family.pattern)
     fits = TOOL.search(said) or re.search(r"\b(?:p|pos\w*|coord\w*|trans\w*|measured|m[ae]ss\w*)\b", said)
     wrong = OTHER.search(said) or TURNED.search(said)
     return Triple(family.pattern, (family.names[0], family.names[1], family.names[2])) if fits and not wrong else None
@@ -291,7 +293,7 @@ def _markers(columns: Columns, found: Sequence[Triple]) -> list[Entry]:
 
 
 def _point_score(columns: Columns, triple: Triple) -> float:
-    said = words_of(triple.pattern.replace("@", " "))
+    said = name_as_words(triple.pattern.replace("@", " "))
     score = 1.0 if columns.unit(triple.names[0]) in SIZES["length"] else 0.0
     return score + (2.0 if MEASURED.search(said) else 0.0) - (2.5 if COMMANDED.search(said) else 0.0)
 
@@ -319,14 +321,14 @@ TIME = re.compile(
 def time(columns: Columns, taken: set[str]) -> Entry | None:
     """Return the line of the time."""
     for name in columns.names:
-        if name in taken or not TIME.search(words_of(name)) or columns.strange([name]):
+        if name in taken or not TIME.search(name_as_words(name)) or columns.strange([name]):
             continue
         numbers = columns.numbers(name)
         if numbers is None:
             texts = columns.texts(name)
-            if texts and all(stamp_of(text) is not None for text in texts):
+            if texts and all(parse_stamp(text) is not None for text in texts):
                 return Entry("t_s", name, TIMESTAMP, "", (name,))
-        elif numbers and columns.unit(name) in (None, *SIZES["time"]) and _goes_on(numbers):
+        elif numbers and columns.unit(name) in (None, *SIZES["time"]) and _is_increasing_overall(numbers):
             stated = columns.unit(name)
             return Entry(
                 "t_s", name, stated or _time_unit(numbers), "" if stated else "the file states no unit", (name,)
@@ -334,7 +336,7 @@ def time(columns: Columns, taken: set[str]) -> Entry | None:
     return None
 
 
-def _goes_on(numbers: Sequence[float]) -> bool:
+def _is_increasing_overall(numbers: Sequence[float]) -> bool:
     return all(after >= before for before, after in itertools.pairwise(numbers)) and numbers[-1] > numbers[0]
 
 
@@ -343,10 +345,12 @@ def _time_unit(numbers: Sequence[float]) -> str:
     return next((unit for least, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms")) if numbers[0] > least), "s")
 
 
-def one(columns: Columns, taken: set[str], words: str, make: Callable[[str], Entry | None]) -> Entry | None:
+def find_entry_by_words(
+    columns: Columns, taken: set[str], words: str, make: Callable[[str], Entry | None]
+) -> Entry | None:
     """Return the line of the first free column of numbers whose name has one of ``words``."""
     for name in columns.names:
-        if name not in taken and columns.numbers(name) and re.search(rf"\b(?:{words})\b", words_of(name)):
+        if name not in taken and columns.numbers(name) and re.search(rf"\b(?:{words})\b", name_as_words(name)):
             found = make(name)
             if found is not None:
                 return found

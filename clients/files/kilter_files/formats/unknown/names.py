@@ -60,7 +60,7 @@ def triples(names: Sequence[str]) -> list[Triple]:
     ]
 
 
-def words_of(name: str) -> str:
+def name_as_words(name: str) -> str:
     """Return a name in small letters, words apart: ``TCPposX [mm]`` is ``tcppos x mm``."""
     apart = re.sub(r"(?<=[a-zß-ÿ])(?=[A-Z])", " ", name)
     return " ".join(re.findall(r"[^\W_]+|\*|@", apart.lower()))

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from kilter_files.formats.unknown.guess import COMMANDED, OTHER, Columns, Entry, joint_unit, length_unit
-from kilter_files.formats.unknown.names import words_of
+from kilter_files.formats.unknown.names import name_as_words
 from kilter_files.ground.units import SIZES, UNKNOWN
 
 EXTERNAL = re.compile(
@@ -41,7 +41,7 @@ def robot_joints(columns: Columns, robot: Sequence[str], found: Sequence[Entry])
 def external_axes(columns: Columns, taken: Sequence[str]) -> list[str]:
     """Return columns of numbers, none of them taken, that are named as an axis beside the arm: a rail, a positioner."""
     free = [name for name in columns.names if name not in taken and columns.numbers(name)]
-    return [n for n in free if EXTERNAL.search(words_of(n)) and not OTHER.search(words_of(n))]
+    return [n for n in free if EXTERNAL.search(name_as_words(n)) and not OTHER.search(name_as_words(n))]
 
 
 def unplaced_axes(columns: Columns, found: Sequence[Entry]) -> Entry | None:
@@ -83,7 +83,7 @@ def _columns_by_name(columns: Columns, robot: Sequence[str]) -> list[str]:
 
 
 def _words(name: str) -> str:
-    return " ".join(AXIS_NUMBER.sub(" ", words_of(re.sub(r"\s*[\[(].*$", "", name))).split())
+    return " ".join(AXIS_NUMBER.sub(" ", name_as_words(re.sub(r"\s*[\[(].*$", "", name))).split())
 
 
 def _further_words(said: str, joint: str) -> tuple[bool, int] | None:

@@ -14,9 +14,9 @@ from kilter_files.formats.tables.workbook import read_xlsx, sheet_names
 from kilter_files.ground.cell_lists import parse_list
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault, head_of
-from kilter_files.ground.text_layout import COMMENTS, UNITS, encoding_of, name_and_unit, unknown_unit
-from kilter_files.ground.time_stamps import stamp_of
+from kilter_files.ground.faults import fault, read_head
+from kilter_files.ground.text_layout import COMMENTS, UNITS, detect_encoding, name_and_unit, unknown_unit
+from kilter_files.ground.time_stamps import parse_stamp
 from kilter_files.tables.source import Layout, Source
 from kilter_files.tables.text_source import header_names
 
@@ -42,7 +42,7 @@ class TableShape:
     strange: dict[str, str] = field(default_factory=dict)
 
 
-def shape_of(path: Path) -> TableShape:
+def detect_table_shape(path: Path) -> TableShape:
     """Find out how a file is laid out and read it.
 
     Raises:
@@ -87,8 +87,8 @@ def _holds_digit(word: str) -> bool:
 
 
 def _text(path: Path) -> tuple[Layout, dict[str, str | None]]:
-    head = head_of(path, SAMPLE_BYTES)
-    encoding = encoding_of(path, head)
+    head = read_head(path, SAMPLE_BYTES)
+    encoding = detect_encoding(path, head)
     text = head.decode(encoding, "ignore")
     rows = {delimiter: _rows(text, delimiter) for delimiter, _ in TRIES}
     delimiter, decimal = max(TRIES, key=lambda pair: _score(rows[pair[0]], pair[1]))
@@ -162,7 +162,7 @@ def _kinds(cells: Sequence[str], decimal: str) -> tuple[int, int]:
     """Cells that hold values (numbers, lists, time stamps), and words."""
     said = [cell for cell in cells if cell]
     lists = sum(parse_list(cell, decimal) is not None for cell in said)
-    values = sum(parse_number(cell, decimal) is not None or stamp_of(cell) is not None for cell in said)
+    values = sum(parse_number(cell, decimal) is not None or parse_stamp(cell) is not None for cell in said)
     return values + 3 * lists, len(said) - values - lists
 
 

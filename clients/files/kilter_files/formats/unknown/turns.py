@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from kilter_files.formats.unknown.bare_turns import bare_matrix, bare_quaternion
 from kilter_files.formats.unknown.guess import Columns
-from kilter_files.formats.unknown.names import words_of
+from kilter_files.formats.unknown.names import name_as_words
 from kilter_files.ground.units import SIZES, UNKNOWN
 
 QUATERNIONS: tuple[tuple[str, ...], ...] = (
@@ -51,18 +51,18 @@ class Turned:
         return UNKNOWN in (self.euler, self.unit, self.quaternion)
 
 
-def turned(columns: Columns) -> Turned | None:
+def find_orientation(columns: Columns) -> Turned | None:
     """Return the orientation, None where no columns look like one."""
-    words = {name: _plain(name) for name in columns.names}
+    words = {name: _strip_unit_and_prefix(name) for name in columns.names}
     for parts in QUATERNIONS:
-        names = _found(words, parts)
+        names = _match_columns(words, parts)
         if names and _is_unit(columns, names):
             return Turned(names, quaternion="wxyz", remark="four parts of length 1")
-    lettered = _lettered(columns)
+    lettered = _find_lettered_quaternion(columns)
     if lettered:
         return Turned(lettered, quaternion="wxyz", remark="four parts of length 1")
     for parts, order, whose in ANGLES:
-        names = _found(words, parts)
+        names = _match_columns(words, parts)
         if names and columns.largest(names) is not None and columns.unit(names[0]) in (None, *SIZES["angle"]):
             unit, remark = _unit(columns, names)
             told = "; ".join(text for text in (whose, f"{UNKNOWN} {ASK}" if order == UNKNOWN else "", remark) if text)
@@ -83,7 +83,7 @@ def _bare(columns: Columns) -> Turned | None:
     return Turned(names, quaternion=order, remark=remark, place=place)
 
 
-def _lettered(columns: Columns) -> tuple[str, ...]:
+def _find_lettered_quaternion(columns: Columns) -> tuple[str, ...]:
     """Four columns of length 1 that are alike but for the letters w, x, y and z at their ends."""
     stems: dict[str, dict[str, str]] = {}
     for name in columns.names:
@@ -133,13 +133,13 @@ def _orthonormal(m: Sequence[float]) -> bool:
     return all(abs(sum(x * y for x, y in zip(a, b, strict=True)) - float(a is b)) < UNIT for a in sides for b in sides)
 
 
-def _plain(name: str) -> str:
+def _strip_unit_and_prefix(name: str) -> str:
     """A name without its unit and without words that every column has."""
     said = re.sub(r"\s*[\[(].*$|_(?:deg|rad)$", "", name)
-    return re.sub(r"^(?:tcp|tool|pose|meas\w*|act\w*|rot|orientation|quat\w*(?= ?q))\b\s*", "", words_of(said))
+    return re.sub(r"^(?:tcp|tool|pose|meas\w*|act\w*|rot|orientation|quat\w*(?= ?q))\b\s*", "", name_as_words(said))
 
 
-def _found(words: dict[str, str], parts: tuple[str, ...]) -> tuple[str, ...]:
+def _match_columns(words: dict[str, str], parts: tuple[str, ...]) -> tuple[str, ...]:
     names = [
         next((name for name, said in words.items() if said in (part, part.replace(" ", ""))), "") for part in parts
     ]

@@ -9,11 +9,19 @@ from functools import partial
 from pathlib import Path
 
 from kilter_files.formats.reader import Head
-from kilter_files.formats.unknown.guess import Columns, Entry, joints, one, placed, points, time
-from kilter_files.formats.unknown.names import triples, words_of
+from kilter_files.formats.unknown.guess import (
+    Columns,
+    Entry,
+    find_entry_by_words,
+    joints,
+    points,
+    position_entries,
+    time,
+)
+from kilter_files.formats.unknown.names import name_as_words, triples
 from kilter_files.formats.unknown.robot_joints import robot_joints, unplaced_axes
-from kilter_files.formats.unknown.table_shape import TableShape, shape_of
-from kilter_files.formats.unknown.turns import Turned, turned
+from kilter_files.formats.unknown.table_shape import TableShape, detect_table_shape
+from kilter_files.formats.unknown.turns import Turned, find_orientation
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.units import SIZES, UNKNOWN
@@ -43,7 +51,7 @@ class Understood:
         return self.columns.shape
 
     @property
-    def unused(self) -> list[str]:
+    def unused_columns(self) -> list[str]:
         """Columns that no entry takes."""
         return [name for name in self.columns.names if name not in self.taken]
 
@@ -54,12 +62,12 @@ class Understood:
         return places + (["orientation"] if self.turn and self.turn.open else [])
 
     @property
-    def guessed(self) -> list[str]:
+    def guess_remarks(self) -> list[str]:
         """What was taken by names and ranges, and is to be checked."""
         return [f"{entry.target}: {entry.remark}" for entry in self.entries if entry.remark and not entry.open]
 
 
-def table_of(head: Head) -> Understood | None:
+def cached_understanding(head: Head) -> Understood | None:
     """What names and ranges tell of a file, None where it holds no table of numbers; of one head it is found out once."""
     if "table" not in head.found:
         try:
@@ -77,16 +85,16 @@ def understand(path: Path, robot: Sequence[str] = ()) -> Understood:
         FileError: no table of numbers is found in it.
 
     """
-    columns = Columns(shape_of(path))
-    turn = turned(columns)
+    columns = Columns(detect_table_shape(path))
+    turn = find_orientation(columns)
     pose = {*turn.names, *turn.place, *turn.rest} if turn else set()
-    axes, others = _arm(columns.without(list(pose)), robot)
+    axes, others = _arm(columns.without_names(list(pose)), robot)
     taken = {name for entry in axes for name in entry.used} | pose
-    place, elsewhere = (placed(columns, turn.place), []) if turn and turn.place else points(columns, taken)
-    entries = [*axes] or [_unknown_joints(columns.without(list(pose)))]
+    place, elsewhere = (position_entries(columns, turn.place), []) if turn and turn.place else points(columns, taken)
+    entries = [*axes] or [_unknown_joints(columns.without_names(list(pose)))]
     entries += place or [Entry(f"{a}_mm", UNKNOWN, "mm", _unknown_place(columns, taken)) for a in "xyz"]
     taken |= {name for entry in place for name in entry.used}
-    for entry in _rest(columns, taken):
+    for entry in _time_and_condition_entries(columns, taken):
         entries.append(entry)
         taken |= set(entry.used)
     return Understood(columns, tuple(axes), tuple(entries), turn, tuple(others), tuple(elsewhere), frozenset(taken))
@@ -121,7 +129,7 @@ def _unknown_place(columns: Columns, taken: set[str]) -> str:
     return told
 
 
-def _rest(columns: Columns, taken: set[str]) -> list[Entry]:
+def _time_and_condition_entries(columns: Columns, taken: set[str]) -> list[Entry]:
     """Time, temperature, payload and pose numbers."""
     found = [time(columns, taken)]
     for words, make in (
@@ -129,14 +137,14 @@ def _rest(columns: Columns, taken: set[str]) -> list[Entry]:
         ("payload|load|last|nutzlast|mass|masse", _payload),
         (POSES, _pose),
     ):
-        found.append(one(columns, taken, words, partial(make, columns)))
+        found.append(find_entry_by_words(columns, taken, words, partial(make, columns)))
     found += [] if found[-1] is not None else [_named_pose(columns, taken)]
     return [entry for entry in found if entry is not None]
 
 
 def _temperature(columns: Columns, name: str) -> Entry | None:
     unit = columns.unit(name)
-    called = bool(re.search(r"\btemp|\b(?:deg ?c|celsius|air|room|amb\w*|luft|raum|umgebung)\b", words_of(name)))
+    called = bool(re.search(r"\btemp|\b(?:deg ?c|celsius|air|room|amb\w*|luft|raum|umgebung)\b", name_as_words(name)))
     if unit not in ("C", "K") and not (unit is None and called):
         return None
     return Entry("temperature_c", name, unit or "C", "" if unit else "the file states no unit", (name,))
@@ -152,7 +160,7 @@ def _payload(columns: Columns, name: str) -> Entry | None:
 def _named_pose(columns: Columns, taken: set[str]) -> Entry | None:
     """A column that names the pose of each row in words, as ``P1`` and ``P2``."""
     for name in columns.names:
-        if name not in taken and columns.numbers(name) is None and re.search(rf"\b(?:{POSES})\b", words_of(name)):
+        if name not in taken and columns.numbers(name) is None and re.search(rf"\b(?:{POSES})\b", name_as_words(name)):
             cells = columns.texts(name)
             if all(cells) and len(set(cells)) > 1 and max(map(len, cells)) <= LONGEST_NAME:
                 return Entry("pose_id", name, None, "names become numbers", (name,))

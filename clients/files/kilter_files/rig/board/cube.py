@@ -93,10 +93,10 @@ def save_cube(cube: Cube, path: Path, page: str | None = None) -> dict[str, Any]
 
     """
     check_ending(path, "a cube")
-    return save_described(document_of(cube, page), printed(cube, page), path)
+    return save_described(cube_document(cube, page), cube_page(cube, page), path)
 
 
-def document_of(cube: Cube, page: str | None = None) -> dict[str, Any]:
+def cube_document(cube: Cube, page: str | None = None) -> dict[str, Any]:
     """Return what the JSON file holds: the front board's fields, and all corners and markers in the cube's frame."""
     name, (width, height) = _page(cube, page)
     plain = cube.board.to_document()
@@ -124,7 +124,7 @@ def document_of(cube: Cube, page: str | None = None) -> dict[str, Any]:
     }
 
 
-def printed(cube: Cube, page: str | None = None) -> Printed:
+def cube_page(cube: Cube, page: str | None = None) -> Printed:
     """Return the page of a cube.
 
     Raises:

@@ -25,10 +25,10 @@ def save_board(board: Board, path: Path, page: str | None = None) -> dict[str, A
 
     """
     check_ending(path, "a board")
-    return save_described(document_of(board, page), printed(board, page), path)
+    return save_described(board_document(board, page), board_page(board, page), path)
 
 
-def document_of(board: Board, page: str | None = None) -> dict[str, Any]:
+def board_document(board: Board, page: str | None = None) -> dict[str, Any]:
     """Return what the JSON file holds: the board, and where its origin is on the page, from its upper left corner."""
     name, size = page_for(board, page)
     left, top = ((side - own) / 2 for side, own in zip(size, board.size_mm, strict=True))
@@ -43,7 +43,7 @@ def ruler_mm(side_mm: float) -> float:
     return min(LONGEST_RULER_MM, step * (side_mm // step))
 
 
-def printed(board: Board, page: str | None = None) -> Printed:
+def board_page(board: Board, page: str | None = None) -> Printed:
     """Return the page of a board.
 
     Raises:

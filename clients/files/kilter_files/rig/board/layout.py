@@ -92,7 +92,7 @@ class Board:
             "frame": "origin at the outer corner of the upper left square, x right, y down, z into the board; mm",
             "pixels": "the centre of the upper left pixel is (0, 0)",
             "markers": [
-                {"id": number, "corners_mm": [_rounded(corner) for corner in four]}
+                {"id": number, "corners_mm": [_rounded_point(corner) for corner in four]}
                 for number, four in self.markers().items()
             ],
             "corners": [
@@ -107,11 +107,11 @@ class Board:
         return column * self.square_mm, row * self.square_mm
 
 
-def _rounded(point: Point) -> list[float]:
+def _rounded_point(point: Point) -> list[float]:
     return [round(value, 6) for value in point]
 
 
-def family_of(name: str) -> str:
+def marker_family(name: str) -> str:
     """Return the pattern of a dictionary's markers: one of 250 begins with the 50 of the smaller one."""
     return name if name.startswith("apriltag") else name.partition("_")[0]
 

@@ -11,8 +11,8 @@ from typing import Any
 
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.later import np
-from kilter_files.rig.kit.examples import Limits, Sought, near
-from kilter_files.rig.kit.loads import Pulled, pulled
+from kilter_files.rig.kit.examples import Limits, Sought, format_examples
+from kilter_files.rig.kit.loads import Pulled, count_gravity_directions
 from kilter_files.rig.kit.moments import flange
 from kilter_files.rig.kit.sight import sights
 
@@ -44,7 +44,9 @@ class Capture:
         return {one.joint: one.untold for one in self.pulled if one.untold}
 
 
-def captured(files: Sequence[Path], joints: Sequence[Mapping[str, Any]], chain: Mapping[str, Any], rig: Rig) -> Capture:
+def capture_from_files(
+    files: Sequence[Path], joints: Sequence[Mapping[str, Any]], chain: Mapping[str, Any], rig: Rig
+) -> Capture:
     """Look at views of an arm in files of ``kilter see``; ``joints`` as the server tells them, ``chain`` as it converts it.
 
     ``rig`` names ``cameras`` and ``boards`` as a campaign does.
@@ -69,7 +71,7 @@ def coverage(rows: Sequence[Row], joints: Sequence[Mapping[str, Any]], chain: Ma
     held, limits = [value or 0.0 for value in payloads], [_limits(joint) for joint in joints]
     seen = np.array(q, dtype=float)
     sought = Sought(chain, seen, limits, lambda: sights(rows, flange(chain, seen), rig))
-    loads = pulled(sought, held) if rows else []
+    loads = count_gravity_directions(sought, held) if rows else []
     missing = [
         *_counts(len(rows), len(poses)), *_loads(payloads, known), *_sides(rows, joints),
         *(_travel(one, joints[one[0]]["name"], sought if loads else None) for one in _short(q, limits)),
@@ -78,7 +80,7 @@ def coverage(rows: Sequence[Row], joints: Sequence[Mapping[str, Any]], chain: Ma
     return Capture(len(rows), len(poses), known, tuple(missing), tuple(loads))
 
 
-def wanted(joints: int, rig: Rig) -> list[str]:
+def coverage_columns(joints: int, rig: Rig) -> list[str]:
     """Columns that say something of coverage."""
     numbers = range(1, joints + 1)
     corners = range(1, 1 + max((len(board["corners_mm"]) for board in rig.get("boards") or []), default=1))
@@ -98,7 +100,7 @@ def _rows(file: Path, joints: int, rig: Rig) -> Iterator[Row]:
                 f"this arm ({joints}).",
                 file=str(file),
             )
-        told = wanted(joints, rig)
+        told = coverage_columns(joints, rig)
         for row in reader:
             yield {
                 name: row.get(name) if name in NAMED else _number(file, reader.line_num, name, row.get(name))
@@ -171,7 +173,7 @@ def _travel(short: Short, name: str, sought: Sought | None) -> str:
         return told
     examples, shown = sought.beyond(j, most - wanted, least + wanted)
     if examples:
-        return f"{told}, for example near {near(examples)}, where the camera sees the board"
+        return f"{told}, for example near {format_examples(examples)}, where the camera sees the board"
     unseen = "; at no such pose does the camera see the board: move it, or fix the board to another side of the gripper"
     return told + (unseen if shown is False else "")
 

@@ -46,7 +46,7 @@ class Sought:
         return [*range(1, self.seen.shape[1] - 1)]
 
     @property
-    def tried(self) -> Floats:
+    def grid_poses(self) -> Floats:
         """Poses (M, n) of the grid, first and last joint as in the nearest of those seen."""
         return self._grid[0]
 
@@ -65,28 +65,30 @@ class Sought:
 
         None where nothing says so or none fits, False where it is seen at none that fits.
         """
-        found = self._apart(np.where(fits, self._grid[1], np.inf), self._steps(0, WAYS_TO_SHOW), self._last())
+        found = self._cheapest_distinct_poses(
+            np.where(fits, self._grid[1], np.inf), self._steps(0, WAYS_TO_SHOW), self._last_joint_steps()
+        )
         return found, (bool(found) if self.sights and fits.any() else None)
 
     def beyond(self, joint: int, below: float, above: float) -> tuple[Examples, bool | None]:
         """Poses with a joint, from 0, at ``below`` or less or ``above`` or more, as :meth:`nearest`."""
         if joint in self.inner:
-            return self.nearest((self.tried[:, joint] <= below) | (self.tried[:, joint] >= above))
-        ways = [self._steps(0, WAYS_TO_SHOW), self._last()]
+            return self.nearest((self.grid_poses[:, joint] <= below) | (self.grid_poses[:, joint] >= above))
+        ways = [self._steps(0, WAYS_TO_SHOW), self._last_joint_steps()]
         own = ways[0 if joint == 0 else 1]
         ways[0 if joint == 0 else 1] = own = own[(own <= below) | (own >= above)]
         if not len(own):
             return (), None
-        found = self._apart(self._grid[1], *ways) if self.sights else ()
+        found = self._cheapest_distinct_poses(self._grid[1], *ways) if self.sights else ()
         return found, (bool(found) if self.sights else None)
 
-    def _apart(self, cost: Floats, pans: Floats, rolls: Floats) -> Examples:
+    def _cheapest_distinct_poses(self, cost: Floats, pans: Floats, rolls: Floats) -> Examples:
         """The cheapest of the grid whose inner joints are apart and that show the board; those of infinite cost never."""
-        chosen, left, inner = list[tuple[float, ...]](), cost.copy(), self.tried[:, self.inner]
+        chosen, left, inner = list[tuple[float, ...]](), cost.copy(), self.grid_poses[:, self.inner]
         ways = self._ways(pans, rolls) if self.sights else None
         while len(chosen) < MOST_EXAMPLES and np.isfinite(left).any():
             k = int(np.argmin(left))
-            pose = self.tried[k].copy()
+            pose = self.grid_poses[k].copy()
             if ways is not None:
                 score = self._score(pose, *ways)
                 a, b = np.unravel_index(np.argmax(score), score.shape)
@@ -115,7 +117,7 @@ class Sought:
         own = flange(self.chain, straight[None])[0]
         return np.asarray(np.max([one.score(before[:, None] @ (own @ after)) for one in self.sights], axis=0))
 
-    def _last(self) -> Floats:
+    def _last_joint_steps(self) -> Floats:
         return self._steps(self.seen.shape[1] - 1, WAYS_TO_SHOW)
 
     def _steps(self, k: int, steps: int) -> Floats:
@@ -124,6 +126,6 @@ class Sought:
         return np.linspace(low + off, high - off, steps)
 
 
-def near(examples_deg: Examples) -> str:
+def format_examples(examples_deg: Examples) -> str:
     """Poses as a sentence names them."""
     return " or ".join(f"({', '.join(f'{value:.0f}' for value in one)})" for one in examples_deg) + " deg"

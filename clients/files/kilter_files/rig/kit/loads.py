@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from kilter_files.ground.arrays import Bools, Floats
 from kilter_files.ground.later import np
-from kilter_files.rig.kit.examples import Examples, Sought, near
+from kilter_files.rig.kit.examples import Examples, Sought, format_examples
 from kilter_files.rig.kit.moments import gravity_moments
 
 LEAST_LOAD_NM = 0.05  # well beyond the friction of a servo: it rests on one flank then
@@ -45,7 +45,7 @@ class Pulled:
         )
         return (
             f"views in which gravity pulls joint {self.joint} ({self.name}) the other way: it does in {self.fewer} of "
-            f"{self.views}, take {self.wanted} more, for example near {near(self.examples_deg)}, {sees}"
+            f"{self.views}, take {self.wanted} more, for example near {format_examples(self.examples_deg)}, {sees}"
         )
 
     @property
@@ -65,12 +65,12 @@ class Pulled:
         )
 
 
-def loaded(joints: int) -> range:
+def gravity_loaded_joints(joints: int) -> range:
     """Joints, from 1, that gravity loads: the first is vertical, the last carries no moment about itself."""
     return range(2, joints)
 
 
-def pulled(sought: Sought, payloads_kg: Sequence[float]) -> list[Pulled]:
+def count_gravity_directions(sought: Sought, payloads_kg: Sequence[float]) -> list[Pulled]:
     """Count the views by the way in which gravity pulls each joint; nothing where the chain does not tell its loads.
 
     The views are those ``sought.seen`` (N, n), with ``payloads_kg`` (N,). Examples are poses at which one of its sights shows
@@ -81,7 +81,7 @@ def pulled(sought: Sought, payloads_kg: Sequence[float]) -> list[Pulled]:
     if moments is None:
         return []
     lacking, found = dict[int, float](), []
-    for joint in loaded(q.shape[1]):
+    for joint in gravity_loaded_joints(q.shape[1]):
         up = int(np.sum(moments[:, joint - 1] > LEAST_LOAD_NM))
         down = int(np.sum(moments[:, joint - 1] < -LEAST_LOAD_NM))
         wanted = max(0, FEWEST_EITHER_WAY - min(up, down))
@@ -97,7 +97,7 @@ def _examples(
     sought: Sought, payloads: Sequence[float], lacking: Mapping[int, float]
 ) -> dict[int, tuple[Examples, bool | None]]:
     """For each joint poses at which gravity pulls it the way that is lacking, and whether the board is seen there."""
-    ends, tried = sorted({payloads[0], payloads[-1]}), sought.tried
+    ends, tried = sorted({payloads[0], payloads[-1]}), sought.grid_poses
     moments = [gravity_moments(sought.chain, tried, np.full(len(tried), kg)) for kg in ends]
     return {
         joint: sought.nearest(_pulls([sign * one[:, joint - 1] for one in moments if one is not None]))

@@ -24,9 +24,12 @@ def gravity_moments(chain: Mapping[str, Any], q_deg: Floats, payload_kg: Floats)
         return None
     frames, tool = _frames(chain["elements"], q_deg, names), chain.get("tool") or {}
     gravity = np.array(chain.get("gravity_m_s2") or G_M_S2, dtype=float)
-    held = _placed(frames[-1], [float(tool.get(f"{axis}_mm") or 0.0) for axis in "xyz"]), payload_kg[:, None] * gravity
+    held = (
+        _points_in_base(frames[-1], [float(tool.get(f"{axis}_mm") or 0.0) for axis in "xyz"]),
+        payload_kg[:, None] * gravity,
+    )
     hung = [
-        (_placed(frame, link.get("com_mm") or [0.0, 0.0, 0.0]), float(link.get("mass_kg") or 0.0) * gravity)
+        (_points_in_base(frame, link.get("com_mm") or [0.0, 0.0, 0.0]), float(link.get("mass_kg") or 0.0) * gravity)
         for frame, link in zip(frames, links, strict=False)
     ]
     told = []
@@ -54,7 +57,7 @@ def _frames(elements: Sequence[Mapping[str, Any]], q_deg: Floats, names: Sequenc
     return [*frames, T]
 
 
-def _placed(frame: Floats, point_mm: Sequence[float]) -> Floats:
+def _points_in_base(frame: Floats, point_mm: Sequence[float]) -> Floats:
     """A point (N, 3), mm, that stands still in frames (N, 4, 4)."""
     placed: Floats = frame[:, :3, :3] @ np.array(point_mm, dtype=float) + frame[:, :3, 3]
     return placed

@@ -13,8 +13,8 @@ from typing import Any
 from kilter_files.ground.arrays import Bools, Floats
 from kilter_files.ground.later import np
 from kilter_files.match.arm import rotations
-from kilter_files.rig.see.optics.homography import nearest_rotation, placed
-from kilter_files.rig.see.optics.lens import projected
+from kilter_files.rig.see.optics.homography import nearest_rotation, pose_from_homography
+from kilter_files.rig.see.optics.lens import project_points
 
 FEWEST_VIEWS, FEWEST_CORNERS = 6, 6
 PASSES, FAR = 4, 4.0  # times the median, beyond which a view does not count
@@ -43,11 +43,11 @@ class Sight:
     facing: float = 0.0
     depths_mm: tuple[float, float] = (0.0, np.inf)
 
-    def left(self, flange: Floats, pixels: Floats) -> Floats:
+    def reprojection_residuals(self, flange: Floats, pixels: Floats) -> Floats:
         """What is left of corners (N, m, 2), px, with the flange at (N, 4, 4); NaN of those not seen."""
         before = self._before_the_camera(flange)
         points = self.corners @ np.swapaxes(before[:, :3, :3], 1, 2) + before[:, None, :3, 3]
-        return np.asarray(projected(points, _intrinsics(self.camera), _model(self.camera)) - pixels)
+        return np.asarray(project_points(points, _intrinsics(self.camera), _model(self.camera)) - pixels)
 
     def score(self, flange: Floats) -> Floats:
         """How clearly the board is seen with the flange at poses (..., 4, 4): 1 at best, below 0 where it is not whole."""
@@ -55,16 +55,20 @@ class Sight:
         before = self._before_the_camera(flange)
         points = corners @ np.swapaxes(before[..., :3, :3], -1, -2) + before[..., None, :3, 3]
         size = np.array([self.camera["width_px"], self.camera["height_px"]], dtype=float)
-        pixels = projected(points, _intrinsics(self.camera), _model(self.camera))
+        pixels = project_points(points, _intrinsics(self.camera), _model(self.camera))
         room = np.minimum(pixels, size - 1.0 - pixels).min(axis=(-1, -2)) - self.margin_px - EDGE_PX
         least = abs(self.facing)
         faces = (np.sign(self.facing) * _facing(before) - least) / max(1.0 - least, 1e-9)
         near, far = self.depths_mm
         depths = points[..., 2]
-        there = (depths.min(axis=-1) > near / SLACK) & (depths.max(axis=-1) < far * SLACK) & self._within(points)
+        there = (
+            (depths.min(axis=-1) > near / SLACK)
+            & (depths.max(axis=-1) < far * SLACK)
+            & self._is_within_lens_range(points)
+        )
         return np.where(there, np.minimum(2.0 * room / size.min(), faces), -1.0)
 
-    def _within(self, points: Floats) -> Bools:
+    def _is_within_lens_range(self, points: Floats) -> Bools:
         """Whether points are so near the middle that a lens does not fold them back into the picture."""
         away = np.hypot(points[..., 0], points[..., 1]) / np.maximum(points[..., 2], 1e-9)
         diagonal = np.hypot(self.camera["width_px"], self.camera["height_px"]) / float(self.camera["fx_px"])
@@ -85,19 +89,19 @@ class Seen:
 
     def exactly(self, flange: Floats) -> Seen:
         """Camera and board where all corners together fit best, with the flange at (N, 4, 4) in all views given."""
-        return Seen(_refined(self.sight, flange[self.views], self.pixels, np.inf), self.views, self.pixels)
+        return Seen(_refine_poses(self.sight, flange[self.views], self.pixels, np.inf), self.views, self.pixels)
 
-    def moved(self, step: Floats) -> Seen:
+    def apply_pose_step(self, step: Floats) -> Seen:
         """Camera and board moved by ``step`` (12,): rotation (rad) and shift (mm) of what is on the tool, then of the other."""
-        return Seen(_moved(self.sight, step), self.views, self.pixels)
+        return Seen(_apply_pose_step(self.sight, step), self.views, self.pixels)
 
 
 def sights(views: Sequence[Mapping[str, Any]], flange: Floats, rig: Mapping[str, Any]) -> list[Sight]:
-    """Cameras and boards of ``rig`` that :func:`seen` finds."""
-    return [one.sight for one in seen(views, flange, rig)]
+    """Cameras and boards of ``rig`` that :func:`find_seen_boards` finds."""
+    return [one.sight for one in find_seen_boards(views, flange, rig)]
 
 
-def seen(views: Sequence[Mapping[str, Any]], flange: Floats, rig: Mapping[str, Any]) -> list[Seen]:
+def find_seen_boards(views: Sequence[Mapping[str, Any]], flange: Floats, rig: Mapping[str, Any]) -> list[Seen]:
     """Cameras and boards of ``rig`` where views show them, one of them on the flange; none of which the views tell too little.
 
     ``views`` have ``u1_px``, ``v1_px`` ..., and ``camera`` and ``board`` where there are several; ``flange`` (N, 4, 4), mm.
@@ -108,19 +112,19 @@ def seen(views: Sequence[Mapping[str, Any]], flange: Floats, rig: Mapping[str, A
             if camera.get("mount") == board.get("mount"):
                 continue
             named = {"camera": (camera.get("name"), c), "board": (board.get("name"), b)}
-            own = [k for k, row in enumerate(views) if _is_of(row, named)]
-            one = _seen(camera, board, views, own, flange)
+            own = [k for k, row in enumerate(views) if _is_view_of_pair(row, named)]
+            one = _fit_seen_board(camera, board, views, own, flange)
             if one is not None:
                 found.append(one)
     return found
 
 
-def _is_of(row: Mapping[str, Any], named: Mapping[str, tuple[Any, int]]) -> bool:
+def _is_view_of_pair(row: Mapping[str, Any], named: Mapping[str, tuple[Any, int]]) -> bool:
     """Whether a view is of this camera and this board, which rows call by name or number."""
     return all(row.get(column) in (None, "", name, number, str(number)) for column, (name, number) in named.items())
 
 
-def _seen(
+def _fit_seen_board(
     camera: Mapping[str, Any], board: Mapping[str, Any], views: Sequence[Mapping[str, Any]], own: Sequence[int],
     flange: Floats,
 ) -> Seen | None:  # fmt: skip
@@ -140,13 +144,13 @@ def _seen(
     sides = _hand_eye(flange, boards if camera["mount"] == "fixed" else np.linalg.inv(boards))
     if sides is None:
         return None
-    sight = _judged(_refined(Sight(camera, corners, *sides), flange, pixels, FAR_PX), flange, pixels)
+    sight = _sight_with_margins(_refine_poses(Sight(camera, corners, *sides), flange, pixels, FAR_PX), flange, pixels)
     return None if sight is None else Seen(sight, which, pixels)
 
 
-def _judged(sight: Sight, flange: Floats, pixels: Floats) -> Sight | None:
+def _sight_with_margins(sight: Sight, flange: Floats, pixels: Floats) -> Sight | None:
     """With what was seen of the board, and how well the nominal arm says where; None where it does not."""
-    off = np.linalg.norm(sight.left(flange, pixels), axis=2)
+    off = np.linalg.norm(sight.reprojection_residuals(flange, pixels), axis=2)
     worst = np.where(np.isnan(off), 0.0, off).max(axis=1)
     margin = float(np.quantile(worst, 0.9))
     if not margin < MOST_MARGIN * min(sight.camera["width_px"], sight.camera["height_px"]):
@@ -174,20 +178,20 @@ def _outline(corners: Floats) -> list[int]:
 def _board_pose(camera: Mapping[str, Any], corners: Floats, pixels: Floats) -> Floats:
     """Pose (4, 4) of a flat board before the camera, by the homography of its corners."""
     seen = np.isfinite(pixels).all(axis=1)
-    size, plain = float(np.abs(corners).max()), _plain(camera, pixels[seen])
+    size, plain = float(np.abs(corners).max()), _undistort_pixels(camera, pixels[seen])
     flat = np.column_stack([corners[seen, :2] / size, np.ones(int(seen.sum()))])
     nil = np.zeros_like(flat)
     rows = [np.hstack([flat, nil, -plain[:, :1] * flat]), np.hstack([nil, flat, -plain[:, 1:] * flat])]
     H = np.linalg.svd(np.vstack(rows))[2][-1].reshape(3, 3) / np.array([size, size, 1.0])
-    return _pose(*placed(H))
+    return _pose(*pose_from_homography(H))
 
 
-def _plain(camera: Mapping[str, Any], pixels: Floats) -> Floats:
+def _undistort_pixels(camera: Mapping[str, Any], pixels: Floats) -> Floats:
     """Directions (n, 2) of pixels, the lens undone by fixed-point steps."""
     intrinsics, model = _intrinsics(camera), _model(camera)
     plain = (pixels - intrinsics[2:4]) / intrinsics[:2]
     for _ in range(20):
-        through = projected(np.column_stack([plain, np.ones(len(plain))]), intrinsics, model)
+        through = project_points(np.column_stack([plain, np.ones(len(plain))]), intrinsics, model)
         plain = plain + (pixels - through) / intrinsics[:2]
     return np.asarray(plain)
 
@@ -215,28 +219,30 @@ def _hand_eye(T: Floats, M: Floats) -> tuple[Floats, Floats] | None:
     return _pose(A, t[:3]), _pose(B, t[3:])
 
 
-def _refined(sight: Sight, flange: Floats, pixels: Floats, far_px: float) -> Sight:
+def _refine_poses(sight: Sight, flange: Floats, pixels: Floats, far_px: float) -> Sight:
     """Both poses moved until corners fit best, by Gauss-Newton with steps that gain only; a corner farther off pulls less."""
     shown = np.isfinite(pixels)
 
-    def left(one: Sight) -> Floats:
-        found = one.left(flange, pixels)[shown]
+    def weighted_residuals(one: Sight) -> Floats:
+        found = one.reprojection_residuals(flange, pixels)[shown]
         return found / np.sqrt(1.0 + np.abs(found) / far_px)
 
-    best = left(sight)
+    best = weighted_residuals(sight)
     for _ in range(ROUNDS):
         moves = np.eye(12) * np.tile([STEP, STEP, STEP, 1e3 * STEP, 1e3 * STEP, 1e3 * STEP], 2)
-        slopes = np.column_stack([(left(_moved(sight, move)) - best) / move.sum() for move in moves])
+        slopes = np.column_stack(
+            [(weighted_residuals(_apply_pose_step(sight, move)) - best) / move.sum() for move in moves]
+        )
         step = np.linalg.lstsq(slopes, -best, rcond=None)[0]
-        tried = _moved(sight, step)
-        now = left(tried)
+        tried = _apply_pose_step(sight, step)
+        now = weighted_residuals(tried)
         if not now @ now < best @ best:
             break
         sight, best = tried, now
     return sight
 
 
-def _moved(sight: Sight, step: Floats) -> Sight:
+def _apply_pose_step(sight: Sight, step: Floats) -> Sight:
     A, B = (side @ _pose(rotations(own[None, :3])[0], own[3:]) for side, own in
             ((sight.tool_side, step[:6]), (sight.world_side, step[6:])))  # fmt: skip
     return Sight(sight.camera, sight.corners, A, B)

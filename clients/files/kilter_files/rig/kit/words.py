@@ -18,7 +18,7 @@ HELD_KG = 0.2  # of which the words speak
 REACH_M = 0.3  # how far away it is held
 
 
-def lines_of(
+def result_sentences(
     result: Mapping[str, Any], joints: Sequence[Mapping[str, Any]], offsets: Sequence[Mapping[str, Any]], reach_m: float,
     untold: Mapping[int, str],
 ) -> list[str]:  # fmt: skip
@@ -35,7 +35,7 @@ def lines_of(
         *_backlash(parameters, joints), *_sag(parameters, joints, reach_m), *_zeros(zeros, numbers, parameters)
     ]  # fmt: skip
     told = (text for _, text in sorted(found, key=lambda one: -one[0]))
-    return [*told, *_no_backlash(parameters, joints), *untold.values(), *_not_told(zeros, numbers)]
+    return [*told, *_no_backlash(parameters, joints), *untold.values(), *_unknown_zero_sentences(zeros, numbers)]
 
 
 def steps(robot: str) -> list[str]:
@@ -51,13 +51,13 @@ def steps(robot: str) -> list[str]:
     ]
 
 
-def seen(views: int, poses: int, payloads_kg: Sequence[float]) -> str:
+def describe_views(views: int, poses: int, payloads_kg: Sequence[float]) -> str:
     """How much was photographed."""
     held = ", ".join(f"{1000 * kg:g} g" for kg in payloads_kg)
     return f"{views} views of {poses} poses with {held or 'unknown payloads'}"
 
 
-def off_by(before_mm: float | None, after_mm: float | None) -> str:
+def describe_tool_error(before_mm: float | None, after_mm: float | None) -> str:
     """How far off the tool is, on views held out; 0.00 mm would be a perfect arm. None: it is not known, and why.
 
     What camera and board can make up for is not in it: where they stand is not known otherwise.
@@ -73,27 +73,27 @@ def off_by(before_mm: float | None, after_mm: float | None) -> str:
 NOTHING = "no joint has backlash, sag or a zero that shows in these views"
 
 
-def told(
+def result_summary(
     result: Mapping[str, Any], joints: Sequence[Mapping[str, Any]], table: bytes, untold: Mapping[int, str]
 ) -> dict[str, Any]:
     """What people are told of a result or a version; ``table`` is its export ``mdh-csv``, empty where there is none."""
     zeros = lists_of_export(table).get("zero_offsets", [])
     return {
-        "lines": lines_of(result, joints, zeros, REACH_M, untold),
+        "lines": result_sentences(result, joints, zeros, REACH_M, untold),
         "zero_offsets": zeros,
-        **errors_of(result),
+        **held_out_errors(result),
         "warnings": [str(one["message"]) for one in result.get("warnings") or []],
     }
 
 
-def errors_of(result: Mapping[str, Any]) -> dict[str, float | None]:
+def held_out_errors(result: Mapping[str, Any]) -> dict[str, float | None]:
     """Mean error of the tool on views that were held out, mm: as it came, and with all that was found."""
     held = (result.get("metrics") or {}).get("validation") or {}
     stages = {"before_mm": "registration_only", "after_mm": "identified"}
     return {name: (held.get(stage) or {}).get("mean_mm") for name, stage in stages.items()}
 
 
-def _sure(parameter: Mapping[str, Any] | None) -> float:
+def _significant_value(parameter: Mapping[str, Any] | None) -> float:
     """Value of a parameter that is surely there, else 0."""
     if parameter is None or parameter.get("value") is None:
         return 0.0
@@ -105,7 +105,7 @@ def _backlash(
     parameters: Mapping[str, Mapping[str, Any]], joints: Sequence[Mapping[str, Any]]
 ) -> Iterator[tuple[float, str]]:
     for j, joint in enumerate(joints, 1):
-        width = 2.0 * _sure(parameters.get(f"backlash_load_{j}"))
+        width = 2.0 * _significant_value(parameters.get(f"backlash_load_{j}"))
         if width >= LEAST_BACKLASH_DEG:
             yield width, f"joint {j} ({joint['name']}) has {width:.1f} deg of backlash"
 
@@ -117,13 +117,13 @@ def _no_backlash(parameters: Mapping[str, Mapping[str, Any]], joints: Sequence[M
     """
     for j, joint in enumerate(joints, 1):
         found = parameters.get(f"backlash_load_{j}")
-        if found is None or found.get("value") is None or 2.0 * _sure(found) >= LEAST_BACKLASH_DEG:
+        if found is None or found.get("value") is None or 2.0 * _significant_value(found) >= LEAST_BACKLASH_DEG:
             continue
         low, high = _width(found)
         name = f"joint {j} ({joint['name']})"
         if low is None or high is None:
             yield f"how well the backlash of {name} is known cannot be said"
-        elif _sure({**found, "value": -float(found["value"])}) * 2.0 >= LEAST_BACKLASH_DEG:
+        elif _significant_value({**found, "value": -float(found["value"])}) * 2.0 >= LEAST_BACKLASH_DEG:
             yield (
                 f"{name}: no backlash seen; {-high:.1f} to {-low:.1f} deg (95 %) against the load instead: check "
                 "payload_kg, and that the robot's base stands upright"
@@ -167,7 +167,7 @@ def _sag(
     parameters: Mapping[str, Mapping[str, Any]], joints: Sequence[Mapping[str, Any]], reach_m: float
 ) -> Iterator[tuple[float, str]]:
     for j, joint in enumerate(joints, 1):
-        compliance = _sure(parameters.get(f"compliance_{j}"))  # deg/(N m)
+        compliance = _significant_value(parameters.get(f"compliance_{j}"))  # deg/(N m)
         sag = compliance * HELD_KG * G * reach_m
         if sag >= LEAST_SAG_DEG:
             held = f"{HELD_KG * 1000:.0f} g held {reach_m * 100:.0f} cm away from it"
@@ -208,7 +208,7 @@ def _zeros(
         )
 
 
-def _not_told(zeros: Sequence[Mapping[str, Any]], numbers: Mapping[str, int]) -> Iterator[str]:
+def _unknown_zero_sentences(zeros: Sequence[Mapping[str, Any]], numbers: Mapping[str, int]) -> Iterator[str]:
     """What nobody should write into a servo."""
     for one in zeros:
         number, name = numbers[str(one["joint"])], one["joint"]

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, Protocol
 
 from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.rig.board.opencv import opencv
-from kilter_files.rig.see.pictures import ENDINGS, MOST_BYTES, Grey, RefusedError, grey_of, read_grey
+from kilter_files.rig.see.pictures import ENDINGS, MOST_BYTES, Grey, RefusedError, read_grey, read_grey_stream
 from kilter_files.rig.see.refusals import Refusal
 
 POLL_S = 0.1
@@ -46,7 +46,7 @@ class Feed(Protocol):
         """One picture after the other until ``stop``; None while nothing comes."""
 
 
-def feed_of(source: str) -> Feed:
+def open_feed(source: str) -> Feed:
     """Return the feed of an address, a device or a folder.
 
     Raises:
@@ -117,12 +117,12 @@ class Stream:
         while not stop.is_set():
             try:
                 with urllib.request.urlopen(self.name, timeout=PATIENCE_S) as answer:  # noqa: S310 (http or https, see feed_of)
-                    mark = boundary_of(self.name, str(answer.headers.get("Content-Type", "")))
-                    for packed in parts(answer, mark):
+                    mark = multipart_boundary(self.name, str(answer.headers.get("Content-Type", "")))
+                    for packed in multipart_pictures(answer, mark):
                         if stop.is_set():
                             return
                         number, met = number + 1, True
-                        yield _unpacked(f"{self.name}#{number}", packed)
+                        yield _decode_shot(f"{self.name}#{number}", packed)
             except (OSError, urllib.error.URLError) as error:
                 if not met:
                     raise FileError(f"{self.name}: sends no pictures: {error}. Open it in a browser first.") from error
@@ -130,7 +130,7 @@ class Stream:
             stop.wait(AGAIN_S)
 
 
-def boundary_of(name: str, kind: str) -> bytes:
+def multipart_boundary(name: str, kind: str) -> bytes:
     """Return the line between the parts of a stream.
 
     Raises:
@@ -144,7 +144,7 @@ def boundary_of(name: str, kind: str) -> bytes:
     return b"--" + mark.strip().strip('"').lstrip("-").encode()
 
 
-def parts(stream: BinaryIO, mark: bytes) -> Iterator[bytes]:
+def multipart_pictures(stream: BinaryIO, mark: bytes) -> Iterator[bytes]:
     """Return the pictures between the marks, each no longer than a picture may be.
 
     Raises:
@@ -170,9 +170,9 @@ def parts(stream: BinaryIO, mark: bytes) -> Iterator[bytes]:
         yield packed
 
 
-def _unpacked(name: str, packed: bytes) -> Shot:
+def _decode_shot(name: str, packed: bytes) -> Shot:
     try:
-        return Shot(name, time.monotonic(), grey_of(name, io.BytesIO(packed), len(packed)))
+        return Shot(name, time.monotonic(), read_grey_stream(name, io.BytesIO(packed), len(packed)))
     except RefusedError as error:
         return Shot(name, time.monotonic(), None, error.refusal)
 

@@ -24,7 +24,7 @@ MOST_DROPPED = 16  # pieces of a body that nobody reads
 
 
 @contextmanager
-def page_of(session: Session, port: int = 0) -> Iterator[str]:
+def serve_live_page(session: Session, port: int = 0) -> Iterator[str]:
     """Serve the page of a session while the context lasts; its address.
 
     Raises:
@@ -77,7 +77,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif self.path != "/take":
             self._answer(404, "text/plain", b"Nothing is here.")
         else:
-            self.shown.take_next()
+            self.shown.request_next_view()
             self._answer(202, "text/plain", b"")
 
     def _of_this_page(self) -> bool:

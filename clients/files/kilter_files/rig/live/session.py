@@ -14,7 +14,7 @@ from kilter_files.ground.errors import FileError
 from kilter_files.rig.board.opencv import opencv
 from kilter_files.rig.live.feeds import Shot
 from kilter_files.rig.live.taken import Taken
-from kilter_files.rig.see.optics.coverage import CELLS, gates_of
+from kilter_files.rig.see.optics.coverage import CELLS, evaluate_gates
 from kilter_files.rig.see.optics.intrinsics_fit import fit_intrinsics
 from kilter_files.rig.see.pictures import Grey
 from kilter_files.rig.see.refusals import Refusal
@@ -68,11 +68,11 @@ class Session:
         """Whether as many views were taken as were wanted."""
         return self.wanted is not None and len(self.taken) >= self.wanted
 
-    def take_next(self) -> None:
+    def request_next_view(self) -> None:
         """Take the next picture in which the board is seen, whether it moves or not."""
         self.asked = True
 
-    def look(self, shot: Shot) -> None:
+    def process_shot(self, shot: Shot) -> None:
         """Look at a picture, and take it where the arm rests at another pose."""
         self.numbers += 1
         views: list[View] = []
@@ -83,7 +83,7 @@ class Session:
             self.refusal = next((one for one in found if isinstance(one, Refusal)), None) if not views else None
         rests = self._rests(views, shot)
         if views and shot.grey is not None and ((rests and self._another(views)) or self.asked):
-            self._take(shot, views)
+            self._store_views(shot, views)
         self._publish(shot, views, rests)
 
     def _fits(self, name: str, grey: Grey) -> bool:
@@ -99,7 +99,7 @@ class Session:
         before, self._before = self._before, views
         if shot.still:
             return bool(views)
-        moved = _moved(before, views)
+        moved = _median_corner_shift(before, views)
         limit = REST_PX + 3.0 * float(np.mean([v.sigmas.mean() for v in views])) if views else 0.0
         if moved is None or moved > limit:
             self._still_since = shot.t_s if views else None
@@ -109,10 +109,10 @@ class Session:
         return shot.t_s - self._still_since >= REST_S
 
     def _another(self, views: list[View]) -> bool:
-        moved = _moved(self.taken.last, views)
+        moved = _median_corner_shift(self.taken.last, views)
         return moved is None or moved > ANOTHER_PX
 
-    def _take(self, shot: Shot, views: list[View]) -> None:
+    def _store_views(self, shot: Shot, views: list[View]) -> None:
         asked, self.asked = self.asked, False
         assert shot.grey is not None
         try:
@@ -126,18 +126,18 @@ class Session:
             assert self.size is not None
             cells = np.clip(((view.pixels + 0.5) / self.size * CELLS).astype(int), 0, np.subtract(CELLS, 1))
             self.cells |= {(int(x), int(y)) for x, y in cells}
-        self._gated()
+        self._update_gates()
 
-    def _gated(self) -> None:
+    def _update_gates(self) -> None:
         """What is missing for intrinsics, by the gates of `kilter see`."""
-        seen = self.looker.kept.thinned()
+        seen = self.looker.kept.thinned_views()
         if len(seen) < FEWEST_FOR_GATES or self.size is None:
             return
         try:
             fit = fit_intrinsics(seen, self.size, self.lens)
         except FileError:
             return  # views that no camera explains yet: `kilter see` says so of all of them
-        self.gates = [gate.to_document() | {"remedy": gate.remedy} for gate in gates_of(seen, fit)]
+        self.gates = [gate.to_document() | {"remedy": gate.remedy} for gate in evaluate_gates(seen, fit)]
 
     def _publish(self, shot: Shot, views: list[View], rests: bool) -> None:
         picture = b"" if shot.grey is None else drawn(shot.grey, views, rests)
@@ -158,7 +158,7 @@ def follow(session: Session, shots: Iterable[Shot | None]) -> None:
     """Look at pictures until enough views were taken, or none comes any more."""
     for shot in shots:
         if shot is not None:
-            session.look(shot)
+            session.process_shot(shot)
         if session.full:
             return
 
@@ -176,7 +176,7 @@ def drawn(grey: Grey, views: list[View], rests: bool) -> bytes:
     return bytes(cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 85])[1])
 
 
-def _moved(before: list[View], now: list[View]) -> float | None:
+def _median_corner_shift(before: list[View], now: list[View]) -> float | None:
     """Median (px) by which corners of two pictures differ; None where they share none."""
     old = {(view.board, k): p for view in before for k, p in zip(view.places, view.pixels, strict=True)}
     steps: list[Floats] = [

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.units import unit_of
+from kilter_files.ground.units import column_unit
 from kilter_files.rig.board.opencv import opencv
 from kilter_files.rig.live.feeds import Shot
 from kilter_files.rig.see.views import View
@@ -95,7 +95,7 @@ def read_row(path: Path) -> dict[str, str]:
         raise FileError(f"{path}: has no whole row of joints: give a head (q1_deg,q2_deg,...) and a row.")
     found = dict(zip((name.strip() for name in rows[0]), (cell.strip() for cell in rows[-1]), strict=True))
     for name, cell in found.items():
-        if unit_of(name) is None:
+        if column_unit(name) is None:
             raise FileError(f"{path}: column {name!r} is not a contract column such as q1_deg.")
         try:
             float(cell)

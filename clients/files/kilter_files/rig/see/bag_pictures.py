@@ -16,7 +16,7 @@ from kilter_files.formats.joints.bag import METADATA, bag_messages
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
 from kilter_files.rig.board.opencv import opencv
-from kilter_files.rig.see.pictures import Grey, RefusedError, check_size, grey_of
+from kilter_files.rig.see.pictures import Grey, RefusedError, check_size, read_grey_stream
 from kilter_files.rig.see.poses import Poses
 from kilter_files.rig.see.refusals import Refusal
 from kilter_files.rig.see.sources import Frame
@@ -124,15 +124,19 @@ def pictures_of_bag(path: Path, topic: str | None, log: JointLog, every: int = 1
 
 def _frame(name: str, message: Any, size: tuple[int, int] | None, t_s: float) -> Frame:
     try:
-        with _guarded(name):
-            grey = _packed(name, message, size) if hasattr(message, "format") else _plain(name, message, size)
+        with _translate_library_errors(name):
+            grey = (
+                _decode_compressed(name, message, size)
+                if hasattr(message, "format")
+                else _decode_raw(name, message, size)
+            )
     except RefusedError as error:
         return Frame(name, None, error.refusal, t_s)
     return Frame(name, grey, None, t_s)
 
 
 @contextmanager
-def _guarded(name: str) -> Iterator[None]:
+def _translate_library_errors(name: str) -> Iterator[None]:
     try:
         yield
     except RefusedError:
@@ -141,11 +145,11 @@ def _guarded(name: str) -> Iterator[None]:
         raise RefusedError(Refusal(name, "picture_unreadable", f"is damaged: {type(error).__name__}")) from error
 
 
-def _packed(name: str, message: Any, size: tuple[int, int] | None) -> Grey:
-    return grey_of(name, io.BytesIO(bytes(message.data)), len(message.data), size)
+def _decode_compressed(name: str, message: Any, size: tuple[int, int] | None) -> Grey:
+    return read_grey_stream(name, io.BytesIO(bytes(message.data)), len(message.data), size)
 
 
-def _plain(name: str, message: Any, size: tuple[int, int] | None) -> Grey:
+def _decode_raw(name: str, message: Any, size: tuple[int, int] | None) -> Grey:
     width, height, step, kind = int(message.width), int(message.height), int(message.step), str(message.encoding)
     check_size(name, (width, height), size)
     deep = PLAIN.get(kind, 2 if kind in YUV else 1 if kind in BAYER else 0)

@@ -27,7 +27,7 @@ def differing(markers: Markers, target: Target, picture: str) -> Refusal | None:
     board = target.board
     if len(target.faces) > 1 or len(markers.numbers) < LEAST_MARKERS or _off(markers, board, target.legacy) < MOST_OFF:
         return None
-    printed = _printed(markers, board)
+    printed = _smallest_fitting_board(markers, board)
     if printed is None:
         return None
     seen = f"{len(markers.numbers)} markers of {target.name} are seen"
@@ -41,7 +41,7 @@ def differing(markers: Markers, target: Target, picture: str) -> Refusal | None:
     return Refusal(picture, "board_size_differs", what, board=target.name)
 
 
-def _printed(markers: Markers, board: Board) -> Board | None:
+def _smallest_fitting_board(markers: Markers, board: Board) -> Board | None:
     """The smallest board on which the markers stand as they are seen; None where none does, or counts do as well."""
     tried = []
     for columns in range(1 if board.kind == "apriltag" else 3, MOST_COLUMNS + 1):

@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.rig.board.opencv import opencv
-from kilter_files.rig.see.edges import Pieces, area, fitted, offsets, reach_of, settled
+from kilter_files.rig.see.edges import Pieces, area, fit_edge_curves, iterate_until_settled, offsets, profile_reach
 from kilter_files.rig.see.noise import Noise
 from kilter_files.rig.see.pictures import Grey
 
@@ -22,7 +22,7 @@ FLOOR_PX = 0.007
 LEFT = 0.2  # markers shift both arms of a line to opposite sides, and not by quite the same
 
 
-def corners_of(
+def refine_corners(
     grey: Grey, start: Floats, board_mm: Floats, square_mm: float, marker_mm: float, noise: Noise
 ) -> tuple[Floats, Floats, Floats]:
     """Return corners (n, 2), covariances (n, 2, 2) px², NaN where there is none, and blur across both lines (n, 2).
@@ -32,7 +32,9 @@ def corners_of(
     sides = _sides(start, board_mm, square_mm)
     gap = (square_mm - marker_mm) / 2 / square_mm
     straight = np.zeros((2 * len(start), 2))
-    return settled(start, straight, lambda at, blur, bow: _crossing(grey, at, sides, gap, noise, blur, bow))
+    return iterate_until_settled(
+        start, straight, lambda at, blur, bow: _crossing(grey, at, sides, gap, noise, blur, bow)
+    )
 
 
 def _sides(start: Floats, board_mm: Floats, square_mm: float) -> Floats:
@@ -56,7 +58,7 @@ def _crossing(
     normals = np.stack([-along[..., 1], along[..., 0]], axis=-1)
     # the other side of the square seen across a line: what a profile can reach
     heights = area(sides[:, 0], sides[:, 1])[:, None] / lengths
-    reach, left = reach_of(gap * float(np.percentile(heights, 10)), blur, LEFT, FLOOR_PX)
+    reach, left = profile_reach(gap * float(np.percentile(heights, 10)), blur, LEFT, FLOOR_PX)
     end = np.minimum(END * lengths, MOST_ARM_PX)
     profiles = int(np.clip(np.median(end) - BEGIN_PX, LEAST_PROFILES, MOST_PROFILES))
     t = BEGIN_PX + (np.maximum(end, BEGIN_PX + 2) - BEGIN_PX)[..., None] * np.linspace(0, 1, profiles)
@@ -69,7 +71,7 @@ def _crossing(
     ]
     first, second = (offsets(grey, arm, reach, noise) for arm in arms)
     out = np.concatenate([first.out, second.out], axis=1)
-    curves, covariances = fitted(flat, out, (first.variances + second.variances) / 2, 2)
+    curves, covariances = fit_edge_curves(flat, out, (first.variances + second.variances) / 2, 2)
     lines = (first.rises * second.rises == -1).reshape(count, 2).all(axis=1)
     slopes = curves[:, 1].reshape(count, 2)
     tilted = normals - slopes[..., None] * along

@@ -55,7 +55,7 @@ class Offsets:
     blur_px: Floats
 
 
-def reach_of(gap_px: float, blur_px: float, part: float, floor_px: float) -> tuple[float, float]:
+def profile_reach(gap_px: float, blur_px: float, part: float, floor_px: float) -> tuple[float, float]:
     """How far profiles reach where the next edge is ``gap_px`` away, and what standard deviation its blur leaves, px.
 
     ``part`` of what the blur shifts an edge by shifts the corner too; ``floor_px`` is left without noise and blur.
@@ -76,7 +76,7 @@ def usual_blur(blur_px: Floats) -> float:
     return float(np.clip(np.median(known), LEAST_BLUR_PX, MOST_BLUR_PX)) if len(known) else LEAST_BLUR_PX
 
 
-def settled(start: Floats, bow: Floats, crossing: Crossing) -> tuple[Floats, Floats, Floats]:
+def iterate_until_settled(start: Floats, bow: Floats, crossing: Crossing) -> tuple[Floats, Floats, Floats]:
     """Corners, covariances and blur by ``crossing``, again from what it found before until no corner moves."""
     at, blur = start, LEAST_BLUR_PX
     for _ in range(ROUNDS):
@@ -94,7 +94,7 @@ def offsets(grey: Grey, pieces: Pieces, reach: float, noise: Noise) -> Offsets:
     steps = np.linspace(-reach, reach, 2 * round(reach / STEP) + 1)
     places = (pieces.starts[:, None] + pieces.t[..., None] * pieces.along[:, None])[:, :, None]
     out = (pieces.bow[..., None] + steps)[..., None]
-    profiles = _sampled(grey, places + out * pieces.normals[:, None, None])
+    profiles = _sample_bilinear(grey, places + out * pieces.normals[:, None, None])
     width = max(1, len(steps) // 6)
     ends = [_straight(pieces.t, side.mean(axis=2)) for side in (profiles[..., :width], profiles[..., -width:])]
     difference = ends[1] - ends[0]
@@ -112,7 +112,7 @@ def offsets(grey: Grey, pieces: Pieces, reach: float, noise: Noise) -> Offsets:
     return Offsets(pieces.bow + reach - risen @ weights, variances, rises, 1.0 / (slope * np.sqrt(2 * np.pi)))
 
 
-def _sampled(grey: Grey, places: Floats) -> Floats:
+def _sample_bilinear(grey: Grey, places: Floats) -> Floats:
     cv2 = opencv()
     x, y = (np.ascontiguousarray(places[..., k].reshape(len(places), -1), dtype=np.float32) for k in range(2))
     low = np.array([max(0.0, np.floor(part.min()) - 1) for part in (x, y)]).astype(int)
@@ -132,7 +132,7 @@ def _straight(t: Floats, values: Floats) -> Floats:
     return np.asarray(values.mean(axis=1, keepdims=True) + slope[:, None] * off)
 
 
-def fitted(t: Floats, out: Floats, variances: Floats, degree: int) -> tuple[Floats, Floats]:
+def fit_edge_curves(t: Floats, out: Floats, variances: Floats, degree: int) -> tuple[Floats, Floats]:
     """Curves (n, degree + 1) through offsets (n, m), lowest power first, and their covariances.
 
     What the curves leave counts where it is more than the noise.

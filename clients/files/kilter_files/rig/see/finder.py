@@ -26,7 +26,7 @@ class Markers:
     numbers: list[int]
     quads: Floats
 
-    def of(self, numbers: set[int]) -> Markers:
+    def select_numbers(self, numbers: set[int]) -> Markers:
         """Those with one of these numbers."""
         kept = [k for k, number in enumerate(self.numbers) if number in numbers]
         return Markers([self.numbers[k] for k in kept], self.quads[kept])

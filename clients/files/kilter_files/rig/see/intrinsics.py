@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from kilter_files.rig.see.optics.camera import Camera
-from kilter_files.rig.see.optics.coverage import gates_of
-from kilter_files.rig.see.optics.intrinsics_fit import LEAST_CORNERS, Seen, fit_intrinsics, left_by
+from kilter_files.rig.see.optics.coverage import evaluate_gates
+from kilter_files.rig.see.optics.intrinsics_fit import LEAST_CORNERS, Seen, fit_intrinsics, median_view_rms
 from kilter_files.rig.see.target import Target
 from kilter_files.rig.see.views import View
 
@@ -36,7 +36,7 @@ class Kept:
                 self.views, self._every = self.views[::2], 2 * self._every
         self._offered += 1
 
-    def thinned(self) -> list[Seen]:
+    def thinned_views(self) -> list[Seen]:
         """The views that are fitted, spread over all."""
         return self.views[:: 1 + len(self.views) // MOST_KEPT]
 
@@ -57,16 +57,18 @@ def _planes(view: View, target: Target) -> list[Seen]:
     return found
 
 
-def fitted(kept: Kept, size: tuple[int, int], model: str, name: str) -> tuple[Camera, dict[str, Any], list[str]]:
+def fit_camera_with_report(
+    kept: Kept, size: tuple[int, int], model: str, name: str
+) -> tuple[Camera, dict[str, Any], list[str]]:
     """Return the camera, the report of its fit, and warnings.
 
     Raises:
         FileError: too few views, or none that a camera explains.
 
     """
-    views = kept.thinned()
+    views = kept.thinned_views()
     fit = fit_intrinsics(views, size, model, name)
-    gates = gates_of(views, fit)
+    gates = evaluate_gates(views, fit)
     missing = [gate for gate in gates if not gate.met]
     warnings = [
         f"intrinsics are not to be trusted, whatever they leave: {gate.name} is {gate.value:.3g}, needed {gate.needed:g}. "
@@ -99,8 +101,8 @@ def fitted(kept: Kept, size: tuple[int, int], model: str, name: str) -> tuple[Ca
 
 def check_known(kept: Kept, camera: Camera) -> list[str]:
     """Warn where known intrinsics do not fit the views."""
-    views = kept.thinned()
-    left = left_by(views, camera)
+    views = kept.thinned_views()
+    left = median_view_rms(views, camera)
     if left is None or left < LEAST_SHOWN_PX or sum(len(view.pixels) >= LEAST_CORNERS for view in views) < ENOUGH_VIEWS:
         return []
     lens = "brown" if camera.distortion_model == "none" else camera.distortion_model

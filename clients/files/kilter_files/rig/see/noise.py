@@ -33,7 +33,7 @@ class Noise:
         return np.asarray((1.0 - share) * self.dark**2 + share * self.bright**2)
 
 
-def noise_of(grey: Grey, corners: Floats) -> Noise:
+def estimate_noise(grey: Grey, corners: Floats) -> Noise:
     """Noise around corners (n, 2) px: what is left of flat places when planes and bows are taken off."""
     low, high = corners.min(axis=0), corners.max(axis=0)
     part_of = min(

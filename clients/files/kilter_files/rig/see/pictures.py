@@ -43,12 +43,12 @@ def read_grey(path: Path, size: tuple[int, int] | None = None) -> Grey:
     """
     try:
         with path.open("rb") as stream:
-            return grey_of(str(path), stream, path.stat().st_size, size)
+            return read_grey_stream(str(path), stream, path.stat().st_size, size)
     except OSError as error:
         raise RefusedError(Refusal(str(path), "picture_unreadable", f"cannot be read: {error.strerror}")) from error
 
 
-def grey_of(name: str, stream: BinaryIO, length: int, size: tuple[int, int] | None = None) -> Grey:
+def read_grey_stream(name: str, stream: BinaryIO, length: int, size: tuple[int, int] | None = None) -> Grey:
     """Read a picture of so many bytes, as :func:`read_grey` does."""
     need("Pictures need", "Pillow", "PIL.Image", install=INSTALL)
     try:

@@ -11,7 +11,7 @@ import numpy as np
 from kilter_files.formats.joints.joint_log import read_joint_log
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
-from kilter_files.ground.units import unit_of
+from kilter_files.ground.units import column_unit
 from kilter_files.rig.see.sources import Frame
 from kilter_files.tables.joint_log import JointLog, checked_log
 
@@ -31,7 +31,7 @@ class Poses:
     used: set[int] = field(default_factory=set)
     continuous: bool = False  # a recording, most rows of which have no picture
 
-    def row_of(self, frame: Frame, number: int) -> int | None:
+    def claim_row(self, frame: Frame, number: int) -> int | None:
         """Row of a picture, the ``number``-th of all from 0; None: it has none."""
         row = self._row(frame, number)
         if row is not None:
@@ -50,7 +50,7 @@ class Poses:
             return int(apart.argmin()) if apart.min() <= MOST_APART_S else None
         return number if number < len(self.log) else None
 
-    def unused(self) -> list[int]:
+    def unused_rows(self) -> list[int]:
         """Rows without a picture, numbered from 1; none of a recording."""
         if self.continuous:
             return []
@@ -106,7 +106,7 @@ def _with_names(path: Path) -> tuple[JointLog, dict[str, int]] | None:
 
 
 def _numbers(path: Path, name: str, k: int, body: list[tuple[int, list[str]]]) -> np.ndarray:
-    if unit_of(name) is None:
+    if column_unit(name) is None:
         what = "is not a contract column such as q1_deg or t_s"
         raise fault(path, what, "Rename it or leave it out.", line=1, column=name)
     values = []

@@ -11,7 +11,7 @@ import numpy as np
 
 from kilter_files.ground.errors import FileError
 from kilter_files.rig.see.finder import LARGE, Finder, Markers
-from kilter_files.rig.see.intrinsics import Kept, check_known, fitted
+from kilter_files.rig.see.intrinsics import Kept, check_known, fit_camera_with_report
 from kilter_files.rig.see.optics.camera import Camera
 from kilter_files.rig.see.pictures import Grey
 from kilter_files.rig.see.poses import Poses
@@ -21,7 +21,7 @@ from kilter_files.rig.see.second import MOST_BIAS_PX, Second
 from kilter_files.rig.see.sources import Frame, Pictures
 from kilter_files.rig.see.table import Rows
 from kilter_files.rig.see.target import Target
-from kilter_files.rig.see.views import FEW_CORNERS, View, view_of
+from kilter_files.rig.see.views import FEW_CORNERS, View, detect_view
 
 MOST_MOVED_PX, MOST_FRAME_S = 0.2, 0.25  # between frames of a video
 MOST_SEARCHES = 20  # pictures without a board that are searched for what they show instead; later ones are like these
@@ -59,7 +59,9 @@ class Looker:
     searches: int = 0
     kept: Kept = field(default_factory=Kept)
 
-    def look(self, source: Pictures, stream: TextIO, camera_name: str | None, told: Told = lambda _: None) -> Seen:
+    def write_views(
+        self, source: Pictures, stream: TextIO, camera_name: str | None, told: Told = lambda _: None
+    ) -> Seen:
         """Write a row for every view.
 
         Raises:
@@ -79,7 +81,7 @@ class Looker:
 
     def _intrinsics(self, seen: Seen, name: str) -> None:
         if self.lens is not None and seen.size is not None:
-            self.camera, seen.intrinsics, warnings = fitted(self.kept, seen.size, self.lens, name)
+            self.camera, seen.intrinsics, warnings = fit_camera_with_report(self.kept, seen.size, self.lens, name)
             seen.warnings += warnings
         elif self.camera is not None:
             seen.warnings += check_known(self.kept, self.camera)
@@ -97,7 +99,7 @@ class Looker:
             what = f"has {size[0]} x {size[1]} pixels, and those before it {seen.size[0]} x {seen.size[1]}"
             seen.refused.append(Refusal(frame.name, "picture_other_camera", what))
             return
-        row = self.poses.row_of(frame, number) if self.poses else None
+        row = self.poses.claim_row(frame, number) if self.poses else None
         if self.poses is not None and row is None:
             if frame.video is None:
                 seen.refused.append(Refusal(frame.name, "joints_missing", "has no row in the joint log"))
@@ -107,7 +109,7 @@ class Looker:
                 seen.refused.append(found)
                 continue
             target = next(target for target in self.targets if target.name == found.board)
-            if against := self._moving(frame, found) or self._compared(frame.grey, found, target):
+            if against := self._moving(frame, found) or self._cross_check(frame.grey, found, target):
                 seen.refused.append(against)
                 continue
             seen.size = size
@@ -134,28 +136,31 @@ class Looker:
         what = f"{view.board} has moved by {moved:.1f} px since the frame before"
         return Refusal(frame.name, "arm_moving", what, board=view.board)
 
-    def _compared(self, grey: Grey, view: View, target: Target) -> Refusal | None:
+    def _cross_check(self, grey: Grey, view: View, target: Target) -> Refusal | None:
         if self.second is None or target.board.kind != "apriltag":
             return None
         return self.second.compare(grey, view, target)
 
     def boards(self, grey: Grey, name: str) -> list[View | Refusal]:
         """Return the view of every board, or why there is none; a board of several may be out of sight."""
-        by_dictionary = {key: self.finder.markers(grey, key, numbers) for key, numbers in self._wanted().items()}
+        by_dictionary = {
+            key: self.finder.markers(grey, key, numbers)
+            for key, numbers in self._marker_numbers_by_dictionary().items()
+        }
         found = [self._board(grey, by_dictionary, target, name) for target in self.targets]
         some = any(isinstance(one, View) for one in found)
         both = zip(found, self.targets, strict=True)
-        return [one or self._why(grey, target, name) for one, target in both if one or not some]
+        return [one or self._explain_missing_board(grey, target, name) for one, target in both if one or not some]
 
     def _board(self, grey: Grey, markers: dict[str, Markers], target: Target, name: str) -> View | Refusal | None:
         key = target.board.dictionary
-        found = view_of(self.finder, grey, markers[key], target, name)
+        found = detect_view(self.finder, grey, markers[key], target, name)
         if found is None and grey.size > LARGE:
-            markers[key] = self.finder.markers(grey, key, self._wanted()[key], thorough=True)
-            found = view_of(self.finder, grey, markers[key], target, name)
+            markers[key] = self.finder.markers(grey, key, self._marker_numbers_by_dictionary()[key], thorough=True)
+            found = detect_view(self.finder, grey, markers[key], target, name)
         return found
 
-    def _wanted(self) -> dict[str, tuple[int, ...]]:
+    def _marker_numbers_by_dictionary(self) -> dict[str, tuple[int, ...]]:
         """Numbers of all boards' markers, by dictionary."""
         names = {target.board.dictionary for target in self.targets}
         return {
@@ -163,7 +168,7 @@ class Looker:
             for name in names
         }
 
-    def _why(self, grey: Grey, target: Target, name: str) -> Refusal:
+    def _explain_missing_board(self, grey: Grey, target: Target, name: str) -> Refusal:
         self.searches += 1
         if self.searches > MOST_SEARCHES:
             return Refusal(name, "board_not_found", f"{target.name} is not found", board=target.name)
@@ -179,7 +184,7 @@ class Looker:
                 f"{len(few)} views have fewer than {FEW_CORNERS} corners ({names}): "
                 "they tell the place of the board badly, whatever their pixels leave"
             )
-        if self.poses is not None and (unused := self.poses.unused()):
+        if self.poses is not None and (unused := self.poses.unused_rows()):
             rows = ", ".join(map(str, unused[:8])) + (" ..." if len(unused) > 8 else "")
             warnings.append(f"{len(unused)} rows of {self.poses.log.path} have no picture: {rows}")
         if self.second is not None and (biased := self.second.bias_px()) > MOST_BIAS_PX:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_files.rig.board.layout import DICTIONARIES, family_of
+from kilter_files.rig.board.layout import DICTIONARIES, marker_family
 from kilter_files.rig.see.board_size import differing
 from kilter_files.rig.see.finder import Finder, Markers
 from kilter_files.rig.see.pictures import Grey
@@ -20,10 +20,10 @@ WIDE_PX = 6.0  # an edge over which grey levels rise, from which the picture is 
 
 def why_not(finder: Finder, grey: Grey, markers: Markers, target: Target, picture: str) -> Refusal:
     """Say why ``target`` is not found; ``markers`` are those of its dictionary."""
-    own = markers.of(set(target.marker_numbers))
+    own = markers.select_numbers(set(target.marker_numbers))
     if len(own.numbers) >= 2:
         found = _other_pattern(finder, grey, own, target, picture)
-        found = found or differing(_from(markers, target), target, picture)
+        found = found or differing(_markers_from_first_id(markers, target), target, picture)
         if found is not None:
             return found
         what = f"{len(own.numbers)} markers of {target.name} are seen, and no corner between two of them"
@@ -36,9 +36,9 @@ def why_not(finder: Finder, grey: Grey, markers: Markers, target: Target, pictur
     return _nothing(finder, grey, target, picture)
 
 
-def _from(markers: Markers, target: Target) -> Markers:
+def _markers_from_first_id(markers: Markers, target: Target) -> Markers:
     """Markers from the board's first on: one that was printed larger has more than its JSON."""
-    return markers.of({number for number in markers.numbers if number >= target.board.first_id})
+    return markers.select_numbers({number for number in markers.numbers if number >= target.board.first_id})
 
 
 def _nothing(finder: Finder, grey: Grey, target: Target, picture: str) -> Refusal:
@@ -61,8 +61,8 @@ def _other_pattern(finder: Finder, grey: Grey, own: Markers, target: Target, pic
     board = target.board
     if board.kind != "charuco":
         return None
-    board = max(target.faces, key=lambda face: len(own.of(set(face.markers())).numbers))
-    own = own.of(set(board.markers()))
+    board = max(target.faces, key=lambda face: len(own.select_numbers(set(face.markers())).numbers))
+    own = own.select_numbers(set(board.markers()))
     swapped = replace(board, columns=board.rows, rows=board.columns)
     other = f"it is a board of {board.rows} x {board.columns} squares, columns first"
     tries = [
@@ -84,7 +84,7 @@ def _legacy(target: Target) -> str:
 
 def other_dictionary(finder: Finder, grey: Grey, own: str, among: str | None = None) -> str | None:
     """Return the smallest dictionary whose markers are seen, or None; ``among`` those of one family, or of all."""
-    family = family_of(own)
+    family = marker_family(own)
     for start in SURE if among is None else (among,):
         for name in (n for n in DICTIONARIES if n.startswith(start) and n.endswith(("1000", "h5", "h9", "h10", "h11"))):
             if start == family:

@@ -37,7 +37,7 @@ class Second:
     def compare(self, grey: Grey, view: View, target: Target) -> Refusal | None:
         """Compare a view's corners; a refusal where one is far from where the other detector sees it."""
         numbers = [target.numbers[place] for place in view.places]
-        others = self._found(grey)
+        others = self._detect_tags(grey)
         off, known = [], []
         for number, place in zip(numbers, view.pixels, strict=True):
             quad = others.get(number // 4)
@@ -61,7 +61,7 @@ class Second:
         self._squares += (all_off**2).sum(axis=0)
         return None
 
-    def _found(self, grey: Grey) -> dict[int, Floats]:
+    def _detect_tags(self, grey: Grey) -> dict[int, Floats]:
         """Quads (4, 2) px by the number of the tag, in our convention."""
         if self._detector is None:
             self._detector = _detector(self.family)
@@ -85,7 +85,7 @@ class Second:
         }
 
 
-def second_of(targets: list[Target]) -> Second:
+def create_second_detector(targets: list[Target]) -> Second:
     """Return the second detector for these boards.
 
     Raises:

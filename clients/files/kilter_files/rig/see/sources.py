@@ -68,7 +68,7 @@ class Source:
                 yield _picture(path, size)
 
 
-def source_of(paths: list[Path], every: int = 1) -> Source:
+def gather_source(paths: list[Path], every: int = 1) -> Source:
     """Gather pictures and videos: folders give theirs, in the order of the numbers in their names.
 
     Raises:
@@ -101,7 +101,7 @@ def _picture(path: Path, size: tuple[int, int] | None) -> Frame:
         return Frame(str(path), None, error.refusal)
 
 
-def _opened(path: Path) -> Any:
+def _open_video(path: Path) -> Any:
     cv2 = opencv()
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     if not video.isOpened():
@@ -112,7 +112,7 @@ def _opened(path: Path) -> Any:
 
 def _frames(path: Path) -> int:
     cv2 = opencv()
-    video = _opened(path)
+    video = _open_video(path)
     count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
     video.release()
     return max(count, 0)
@@ -120,7 +120,7 @@ def _frames(path: Path) -> int:
 
 def _video(path: Path, every: int, size: tuple[int, int] | None) -> Iterator[Frame]:
     cv2 = opencv()
-    video = _opened(path)
+    video = _open_video(path)
     try:
         stated = int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT))
         check_size(str(path), stated, size)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.rig.see.edges import Pieces, area, fitted, offsets, reach_of, settled
+from kilter_files.rig.see.edges import Pieces, area, fit_edge_curves, iterate_until_settled, offsets, profile_reach
 from kilter_files.rig.see.noise import Noise
 from kilter_files.rig.see.pictures import Grey
 
@@ -15,13 +15,13 @@ BOWED_FROM = 16  # profiles, from which an edge may be bowed by a lens
 FLOOR_PX = 0.015
 
 
-def corners_of(grey: Grey, quads: Floats, cells: int, white: float, noise: Noise) -> tuple[Floats, Floats, Floats]:
+def refine_corners(grey: Grey, quads: Floats, cells: int, white: float, noise: Noise) -> tuple[Floats, Floats, Floats]:
     """Return corners (n, 4, 2), clockwise, covariances (n, 4, 2, 2) px², and blur (n, 4) across each edge.
 
     ``quads`` are within 2 px; ``white`` is how wide the white around a tag is, in parts of its side.
     """
     gap, straight = min(1.0 / cells, white), np.zeros(4 * len(quads))
-    return settled(quads, straight, lambda at, blur, bow: _meeting(grey, at, gap, noise, blur, bow))
+    return iterate_until_settled(quads, straight, lambda at, blur, bow: _meeting(grey, at, gap, noise, blur, bow))
 
 
 def _meeting(
@@ -33,15 +33,15 @@ def _meeting(
     along = chords / lengths[..., None]
     normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)  # outwards
     whole = area(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]) / 2
-    reach, left = reach_of(gap * float(np.percentile(whole[:, None] / lengths, 10)), blur, 1.0, FLOOR_PX)
+    reach, left = profile_reach(gap * float(np.percentile(whole[:, None] / lengths, 10)), blur, 1.0, FLOOR_PX)
     profiles = int(np.clip((1 - 2 * ENDS) * np.median(lengths), LEAST_PROFILES, MOST_PROFILES))
     t = lengths[..., None] * np.linspace(ENDS, 1 - ENDS, profiles)
     starts, ways, outwards, flat = (part.reshape(4 * count, -1) for part in (quads, along, normals, t))
     bowed = bow[:, None] * flat * (flat - lengths.reshape(-1, 1))  # nothing at the corners
     seen = offsets(grey, Pieces(starts, ways, outwards, flat, bowed), reach, noise)
     degree = 2 if profiles >= BOWED_FROM else 1
-    curves, covariances = fitted(flat, seen.out, seen.variances, degree)
-    ends = [_at(curves, covariances, where) for where in (np.zeros(4 * count), lengths.ravel())]
+    curves, covariances = fit_edge_curves(flat, seen.out, seen.variances, degree)
+    ends = [_evaluate_curves(curves, covariances, where) for where in (np.zeros(4 * count), lengths.ravel())]
     (begin, begin_slope, begin_variance), (end, end_slope, end_variance) = (
         tuple(part.reshape(count, 4) for part in one) for one in ends
     )
@@ -60,7 +60,7 @@ def _meeting(
     return places, spread, seen.blur_px.reshape(count, 4), curves[:, 2] if degree == 2 else bow
 
 
-def _at(curves: Floats, covariances: Floats, t: Floats) -> tuple[Floats, Floats, Floats]:
+def _evaluate_curves(curves: Floats, covariances: Floats, t: Floats) -> tuple[Floats, Floats, Floats]:
     """Offset, slope and variance of curves at one place each."""
     powers = t[:, None] ** np.arange(curves.shape[1])
     degrees = np.arange(1, curves.shape[1])

@@ -13,7 +13,7 @@ import numpy as np
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import UsageError
 from kilter_files.ground.faults import fault
-from kilter_files.rig.board.layout import Board, Point, check_board, family_of
+from kilter_files.rig.board.layout import Board, Point, check_board, marker_family
 
 MOST_BYTES = 1 << 24
 REMEDY = "Take the JSON that kilter board wrote, or write one anew with the board's sizes."
@@ -44,7 +44,7 @@ class Target:
         first = self.board.first_corner(face)
         return {first + number: point for number, point in self.faces[face].corners().items()}
 
-    def column_of(self) -> dict[int, int]:
+    def column_by_number(self) -> dict[int, int]:
         """Place of every corner's number in the order of the file, from 0."""
         return {number: k for k, number in enumerate(self.numbers)}
 
@@ -81,7 +81,7 @@ def read_target(path: Path) -> Target:
 
 def _check_distances(path: Path, target: Target, face: int) -> None:
     """Refuse corners whose distances are not those of the squares; where they are is free."""
-    own, column = target.on_face(face), target.column_of()
+    own, column = target.on_face(face), target.column_by_number()
     places = target.corners_mm[[column[number] for number in own]]
     flat = np.array(list(own.values()))
     off = np.abs(np.linalg.norm(places - places[0], axis=1) - np.linalg.norm(flat - flat[0], axis=1))
@@ -121,7 +121,7 @@ def check_apart(targets: list[Target]) -> None:
             if one.name == other.name:
                 raise UsageError(f'--board: two boards are called {one.name}: give one a "name" in its JSON.')
             both = set(one.marker_numbers) & set(other.marker_numbers)
-            if both and family_of(one.board.dictionary) == family_of(other.board.dictionary):
+            if both and marker_family(one.board.dictionary) == marker_family(other.board.dictionary):
                 what = f"--board: {other.name} and {one.name} both have marker {min(both)}"
                 raise UsageError(f"{what}: print one with other numbers (kilter board --first-id).")
 

@@ -10,7 +10,7 @@ from kilter_files.ground.arrays import Floats
 from kilter_files.rig.see import board_size, chess_corners, tag_corners
 from kilter_files.rig.see.edges import usual_blur
 from kilter_files.rig.see.finder import Finder, Markers
-from kilter_files.rig.see.noise import noise_of
+from kilter_files.rig.see.noise import estimate_noise
 from kilter_files.rig.see.pictures import Grey
 from kilter_files.rig.see.refusals import Refusal
 from kilter_files.rig.see.target import Target
@@ -37,9 +37,9 @@ class View:
         return np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2))
 
 
-def view_of(finder: Finder, grey: Grey, markers: Markers, target: Target, picture: str) -> View | Refusal | None:
+def detect_view(finder: Finder, grey: Grey, markers: Markers, target: Target, picture: str) -> View | Refusal | None:
     """Return the view of a board, a refusal that needs no further search, or None where nothing was found."""
-    own = markers.of(set(target.marker_numbers))
+    own = markers.select_numbers(set(target.marker_numbers))
     if twice := own.twice():
         what = f"marker {twice[0]} of {target.name} is seen at two places"
         return Refusal(picture, "board_twice", what, board=target.name)
@@ -60,7 +60,7 @@ def view_of(finder: Finder, grey: Grey, markers: Markers, target: Target, pictur
         if not sure.any() and len(numbers) >= LEAST_CORNERS:
             what = f"no corner of {target.name} is seen well enough, or {len(numbers)} on one line"
         return Refusal(picture, "too_few_corners", what, corner=numbers[0], board=target.name)
-    column = target.column_of()
+    column = target.column_by_number()
     order = sorted(np.flatnonzero(sure), key=lambda k: column[numbers[k]])
     places = [column[numbers[k]] for k in order]
     size = (grey.shape[1], grey.shape[0])
@@ -80,7 +80,7 @@ def _face(
     finder: Finder, grey: Grey, markers: Markers, target: Target, face: int
 ) -> tuple[list[int], Floats, Floats, Floats]:
     board, first = target.faces[face], target.board.first_corner(face)
-    rough = finder.chessboard(grey, markers.of(set(board.markers())), board, target.legacy)
+    rough = finder.chessboard(grey, markers.select_numbers(set(board.markers())), board, target.legacy)
     numbers = sorted(rough)
     start = np.array([rough[number] for number in numbers]).reshape(-1, 2)
     on_board = board.corners()
@@ -88,8 +88,8 @@ def _face(
     if len(start) < LEAST_CORNERS or _on_a_line(mm):
         nothing = np.full((len(start), 2, 2), np.nan)
         return [first + number for number in numbers], start, nothing, np.full((len(start), 2), np.nan)
-    places, covariances, blur = chess_corners.corners_of(
-        grey, start, mm, board.square_mm, board.marker_mm, noise_of(grey, start)
+    places, covariances, blur = chess_corners.refine_corners(
+        grey, start, mm, board.square_mm, board.marker_mm, estimate_noise(grey, start)
     )
     covariances[~(np.abs(places - start).max(axis=1) < MOST_MOVED_PX)] = np.nan
     return [first + number for number in numbers], places, covariances, blur
@@ -102,9 +102,9 @@ def _on_a_line(mm: Floats) -> bool:
 
 def _tags(grey: Grey, markers: Markers, target: Target) -> tuple[list[int], Floats, Floats, Floats]:
     board = target.board
-    noise = noise_of(grey, markers.quads.reshape(-1, 2))
+    noise = estimate_noise(grey, markers.quads.reshape(-1, 2))
     white = board.square_mm / board.marker_mm - 1.0
-    places, covariances, blur = tag_corners.corners_of(grey, markers.quads, board.cells, white, noise)
+    places, covariances, blur = tag_corners.refine_corners(grey, markers.quads, board.cells, white, noise)
     covariances[~(np.abs(places - markers.quads).max(axis=2) < MOST_MOVED_PX)] = np.nan
     numbers = [4 * number + k for number in markers.numbers for k in range(4)]
     return numbers, places.reshape(-1, 2), covariances.reshape(-1, 2, 2), blur

@@ -11,7 +11,7 @@ import numpy as np
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.faults import fault
 from kilter_files.rig.sheet.camera import Camera, fit_camera
-from kilter_files.rig.sheet.layout import CORNER_IDS, TARGET_MM, Sheet, radius_of
+from kilter_files.rig.sheet.layout import CORNER_IDS, TARGET_MM, Sheet, radius_from_marker
 from kilter_files.rig.sheet.picture import Picture, Pixels
 from kilter_files.rig.sheet.shapes import aruco
 
@@ -90,7 +90,7 @@ def _middle(quad: Floats) -> Floats:
 
 
 def _sheet(picture: Picture, seen: dict[int, Any], radius_mm: float | None) -> Sheet:
-    said = {radius for number in seen if (radius := radius_of(number)) is not None}
+    said = {radius for number in seen if (radius := radius_from_marker(number)) is not None}
     if len(said) > 1:
         raise fault(picture.path, f"shows sheets of {len(said)} radii", "Leave one sheet in the picture.")
     radius = said.pop() if said else radius_mm

@@ -70,7 +70,7 @@ class Sheet:
         return ((out, 0.0), (0.0, out), (-out, 0.0), (0.0, -out))
 
 
-def radius_of(marker: int) -> float | None:
+def radius_from_marker(marker: int) -> float | None:
     """Return the radius a marker's number says, None when it says none."""
     radius = (marker - FIRST_RADIUS_ID) * RADIUS_STEP_MM
     return radius if radius >= SMALLEST_RADIUS_MM else None

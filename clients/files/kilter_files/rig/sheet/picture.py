@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault, head_of
+from kilter_files.ground.faults import fault, read_head
 from kilter_files.ground.later import Image, ImageOps, need, pypdfium2
 from kilter_files.rig.whole_picture import whole_picture
 
@@ -42,7 +42,7 @@ def read_picture(path: Path, page: int = 1) -> Picture:
         MissingPackageError: Pillow or pypdfium2 is not installed.
 
     """
-    head = head_of(path, 1024)
+    head = read_head(path, 1024)
     size = path.stat().st_size
     if size > MOST_BYTES:
         raise fault(path, f"has {size >> 20} MB", "A scan of a sheet has less than 512 MB: use 300 to 600 dpi.")
@@ -110,12 +110,12 @@ def _pdf(path: Path, page: int) -> Picture:
         if not 1 <= page <= count:
             remedy = f"Choose a page from 1 to {count} with --page." if count else "Scan the sheet into it again."
             raise fault(path, f"has {count or 'no'} pages", remedy, page=page)
-        return _rendered(path, document, page)
+        return _render_pdf_page(path, document, page)
     finally:
         document.close()
 
 
-def _rendered(path: Path, document: Any, page: int) -> Picture:
+def _render_pdf_page(path: Path, document: Any, page: int) -> Picture:
     try:
         sheet = document[page - 1]
         width, height = (side * INCH_MM / 72 for side in sheet.get_size())

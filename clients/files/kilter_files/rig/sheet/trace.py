@@ -52,12 +52,15 @@ def trace(ring: Ring) -> Line:
     # A median over the gap: a stroke in it is the lesser part, wherever it stands.
     profiles = np.median(gaps[:, :, :, free], axis=3)
     ridges = [_ridge(_smooth(of_channel)) for of_channel in profiles]
-    darkness = [float(np.median(_at(of_channel, path))) for of_channel, path in zip(profiles, ridges, strict=True)]
+    darkness = [
+        float(np.median(_values_along_path(of_channel, path)))
+        for of_channel, path in zip(profiles, ridges, strict=True)
+    ]
     channel = int(np.argmax(darkness))
     profile, path = profiles[channel], ridges[channel]
     noise = _noise(profile)
     smooth = _smooth(profile)
-    dark = _at(smooth, path) - np.median(smooth, axis=1)
+    dark = _values_along_path(smooth, path) - np.median(smooth, axis=1)
     there = dark > max(LEAST_DARK, LEAST_OVER_NOISE * noise, 0.3 * float(np.median(dark)))
     out, sigma, width = _measure(ring, gaps[channel], path, there)
     return Line(out, sigma, width, dark, _second(smooth, path, dark, noise) & there, channel)
@@ -74,7 +77,7 @@ def _smooth(profile: Floats) -> Floats:
     return np.asarray(gaussian_filter1d(profile, 0.1 / STEP_MM, axis=1))
 
 
-def _at(profile: Floats, path: NDArray[np.int64]) -> Floats:
+def _values_along_path(profile: Floats, path: NDArray[np.int64]) -> Floats:
     return np.asarray(profile[np.arange(len(path)), path])
 
 
@@ -116,13 +119,15 @@ def _measure(
     pieces = _pieces(ring, along)
     found = np.full((ring.periods, len(pieces), 2), np.nan)
     for k in np.flatnonzero(there):
-        crossed = _crossed(ring, gaps[k], path[k])
+        crossed = _crossed_columns(ring, gaps[k], path[k])
         for i, columns in enumerate(pieces):
             good = columns & ~crossed
             if np.count_nonzero(good) >= 0.6 * np.count_nonzero(columns):
-                found[k, i] = middle_of(gaps[k][:, good].mean(axis=1), ring.out_mm, ring.out_mm[path[k]], WINDOW_MM)
+                found[k, i] = line_middle_and_width(
+                    gaps[k][:, good].mean(axis=1), ring.out_mm, ring.out_mm[path[k]], WINDOW_MM
+                )
     at = np.array([float(along[columns].mean()) for columns in pieces])
-    out, sigma = _combined(found[:, :, 0], at)
+    out, sigma = _gap_means_and_sigmas(found[:, :, 0], at)
     known = ~np.isnan(found[:, :, 1])
     width = np.where(known, found[:, :, 1], 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
     return out, sigma, np.where(known.any(axis=1), width, np.nan)
@@ -136,7 +141,7 @@ def _pieces(ring: Ring, along: Floats) -> list[NDArray[np.bool_]]:
     return [free & (along >= low) & (along < high) for low, high in itertools.pairwise(edges)]
 
 
-def _crossed(ring: Ring, gap: Floats, ridge: int) -> NDArray[np.bool_]:
+def _crossed_columns(ring: Ring, gap: Floats, ridge: int) -> NDArray[np.bool_]:
     """Columns that a stroke darkens beside the line."""
     off = np.abs(ring.out_mm - ring.out_mm[ridge])
     band = (off > STROKE_BAND_MM[0]) & (off < STROKE_BAND_MM[1])
@@ -147,7 +152,7 @@ def _crossed(ring: Ring, gap: Floats, ridge: int) -> NDArray[np.bool_]:
     return np.convolve(dark, np.ones(2 * reach + 1), mode="same") > 0.5
 
 
-def middle_of(profile: Floats, at: Floats, near: float, window: float) -> tuple[float, float]:
+def line_middle_and_width(profile: Floats, at: Floats, near: float, window: float) -> tuple[float, float]:
     """Return middle and width of the dark line nearest to ``near``: the centre of what is above a third of its peak."""
     middle = near
     width = np.nan
@@ -173,7 +178,7 @@ def middle_of(profile: Floats, at: Floats, near: float, window: float) -> tuple[
     return middle, width
 
 
-def _combined(found: Floats, at: Floats) -> tuple[Floats, Floats]:
+def _gap_means_and_sigmas(found: Floats, at: Floats) -> tuple[Floats, Floats]:
     """Mean (gaps) over the pieces at the gap's middle, and its sigma from how the pieces of all gaps scatter."""
     out, sigma = np.full(len(found), np.nan), np.full(len(found), np.nan)
     slope = _slope(found, at)
@@ -232,7 +237,7 @@ def _stroke(ring: Ring, gap: Floats, along: Floats, side: float, out: float, dar
     peak = int(np.argmax(profile))
     if profile[peak] < max(STROKE_SHARE * dark, LEAST_DARK):
         return float("nan")
-    return middle_of(profile, along, float(along[peak]), 0.6)[0]
+    return line_middle_and_width(profile, along, float(along[peak]), 0.6)[0]
 
 
 def printed_circle(ring: Ring, line: Line) -> tuple[NDArray[np.int64], Floats]:
@@ -260,7 +265,9 @@ def printed_circle(ring: Ring, line: Line) -> tuple[NDArray[np.int64], Floats]:
     for k in free:
         start = float(ring.out_mm[near][int(np.argmax(best[k][near]))])
         high = float(best[k][near].max() - np.median(best[k]))
-        found.append(middle_of(best[k], ring.out_mm, start, 0.45)[0] if high > max(0.04, 5 * noise) else np.nan)
+        found.append(
+            line_middle_and_width(best[k], ring.out_mm, start, 0.45)[0] if high > max(0.04, 5 * noise) else np.nan
+        )
     out = np.array(found)
     good = ~np.isnan(out)
     return free[good], out[good]

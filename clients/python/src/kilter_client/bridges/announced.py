@@ -24,9 +24,9 @@ class Announcer:
         self._thread = threading.Thread(target=self._announce, name="announcements", daemon=True)
         self._thread.start()
 
-    def take(self, document: Mapping[str, Any]) -> None:
+    def update_state(self, document: Mapping[str, Any]) -> None:
         """Take over the state of the bridge."""
-        news, before = news_of(document), self._news
+        news, before = bridge_status_document(document), self._news
         self._news = news
         if before is None or (before["state"], before["version_id"]) != (news["state"], news["version_id"]):
             self._changed.set()
@@ -45,10 +45,10 @@ class Announcer:
             self._changed.wait(PERIOD_S)
             self._changed.clear()
             over, news = self._over, self._news
-            if news is not None and not self._told(news):
+            if news is not None and not self._send_news(news):
                 return
 
-    def _told(self, news: Mapping[str, Any]) -> bool:
+    def _send_news(self, news: Mapping[str, Any]) -> bool:
         """Tell once; False where there is no sense in telling again."""
         try:
             with Kilter() as kilter:
@@ -61,7 +61,7 @@ class Announcer:
         return True
 
 
-def news_of(document: Mapping[str, Any]) -> dict[str, Any]:
+def bridge_status_document(document: Mapping[str, Any]) -> dict[str, Any]:
     """What the server is told of a bridge's state."""
     counts: Mapping[str, int] = document["counts"]
     return {

@@ -21,8 +21,8 @@ from typing import Any
 
 from kilter_client.bridges.announced import Announcer
 from kilter_client.bridges.news import Kind, Line
-from kilter_client.bridges.versions import Followed, look
-from kilter_client.streaming.corrector import StreamError, find_corrector, root_of, session_config
+from kilter_client.bridges.versions import Followed, poll_server
+from kilter_client.streaming.corrector import StreamError, find_corrector, robot_key_prefix, session_config
 
 POLL_S = 1.0
 SILENT_S = 5.0  # without an answer of the server, which is said then: a request may be repeated for longer
@@ -53,7 +53,7 @@ class Companion:
         self._ended = threading.Event()
         self._said = self._server = ""
         self._problem, self._answered_s = "", time.monotonic()
-        self._announcer = Announcer(task.robot, secrets.token_hex(8), lambda text: _tell(task, text))
+        self._announcer = Announcer(task.robot, secrets.token_hex(8), lambda text: _print_unless_quiet(task, text))
 
     def run(self) -> None:
         """Work until the bridge ends."""
@@ -69,8 +69,8 @@ class Companion:
                         continue
                     document = json.loads(packet[1]) | {"robot": self._task.robot, "bridge": self._task.bridge}
                     publish(json.dumps(document).encode())
-                    self._announcer.take(document)
-                    self._say(document)
+                    self._announcer.update_state(document)
+                    self._print_if_changed(document)
             publish(json.dumps({"robot": self._task.robot, "bridge": self._task.bridge, "state": last}).encode())
         self._ended.set()
         self._announcer.close(last)
@@ -78,7 +78,7 @@ class Companion:
     def _follow(self) -> None:
         known = Followed(self._task.number)
         while not self._ended.wait(POLL_S):
-            known, news, self._problem = look(self._task.robot, self._task.version, self._task.force, known)
+            known, news, self._problem = poll_server(self._task.robot, self._task.version, self._task.force, known)
             self._answered_s = time.monotonic()
             for kind, text in news:
                 while not self._line.send(kind, text) and not self._line.cut:
@@ -91,13 +91,13 @@ class Companion:
         if problem != self._server and self._line.send(Kind.SERVER, problem.encode()):
             self._server = problem
 
-    def _say(self, document: dict[str, Any]) -> None:
+    def _print_if_changed(self, document: dict[str, Any]) -> None:
         version = document["version_id"]
         text = f"{document['bridge']} bridge of {document['robot']}: {document['state']}, {version}"
         text += f": {document['why']}" if document["why"] else ""
         text += f" ({document['server']})" if document["server"] else ""
         if text != self._said:
-            _tell(self._task, text)
+            _print_unless_quiet(self._task, text)
         self._said = text
 
 
@@ -110,17 +110,17 @@ def _publisher(task: Task) -> Iterator[Callable[[bytes], object]]:
         endpoint = _with_port(task.publish)
         session = zenoh.open(_listening(zenoh, endpoint))
     except (ImportError, OSError, ValueError, StreamError) as error:
-        _tell(task, f"The state is not published: {error}")
+        _print_unless_quiet(task, f"The state is not published: {error}")
         yield lambda _: None
         return
     except zenoh.ZError as error:
-        _tell(task, f"The state is not published on {task.publish}: {error}")
+        _print_unless_quiet(task, f"The state is not published on {task.publish}: {error}")
         yield lambda _: None
         return
     try:
-        key = f"{root_of(_site(), task.robot, task.bridge)}/bridge/{task.bridge}"
+        key = f"{robot_key_prefix(_site(), task.robot, task.bridge)}/bridge/{task.bridge}"
         publisher = session.declare_publisher(key)
-        _tell(task, f"The state is published on {endpoint} as {key}.")
+        _print_unless_quiet(task, f"The state is published on {endpoint} as {key}.")
         yield publisher.put
     finally:
         session.close()  # type: ignore[no-untyped-call]
@@ -148,7 +148,7 @@ def _listening(zenoh: Any, endpoint: str) -> Any:
     return config
 
 
-def _tell(task: Task, text: str) -> None:
+def _print_unless_quiet(task: Task, text: str) -> None:
     if not task.quiet:
         print(text, file=sys.stderr, flush=True)
 

@@ -55,7 +55,7 @@ class Correction:
         """The last offsets, rad."""
         return self._guard.offset
 
-    def begin(self) -> None:
+    def reset_to_zero(self) -> None:
         """Begin at zero: a controller that starts has no offsets yet."""
         self._guard.restart()
         self._track.restart(settled=True)
@@ -99,11 +99,11 @@ class Correction:
 
         ``taken``: the controller surely carries the last offsets out.
         """
-        offset = self._next(q, cycles, taken)
+        offset = self._compute_offset(q, cycles, taken)
         self._largest_rad = max(self._largest_rad, max(map(abs, offset)))
         return offset
 
-    def _next(self, q: Sequence[float] | None, cycles: int, taken: bool) -> tuple[float, ...]:
+    def _compute_offset(self, q: Sequence[float] | None, cycles: int, taken: bool) -> tuple[float, ...]:
         self._since_s += cycles * self._cycle_s
         passed = cycles if self._makes_up else 1
         if self.off:

@@ -35,19 +35,19 @@ class EgmWire:
     def read(self, data: bytes) -> Request | None:
         """Return a request; None when it is not the message of a robot."""
         try:
-            header = protobuf.message_of(data, HEADER)
-            stamp = None if header is None else protobuf.number_of(header, SEQUENCE)
+            header = protobuf.read_message(data, HEADER)
+            stamp = None if header is None else protobuf.read_number(header, SEQUENCE)
             if header is None or stamp is None:
                 return None
-            state = protobuf.message_of(data, MCI)
-            moving = state is None or protobuf.number_of(state, STATE) == RUNNING
-            return Request(stamp, self._joints(data), None, moving, protobuf.number_of(header, TIME) or 0)
+            state = protobuf.read_message(data, MCI)
+            moving = state is None or protobuf.read_number(state, STATE) == RUNNING
+            return Request(stamp, self._joints(data), None, moving, protobuf.read_number(header, TIME) or 0)
         except ValueError:
             return None
 
     def _joints(self, data: bytes) -> tuple[float, ...] | None:
-        joints = protobuf.message_of(data, FEEDBACK, JOINTS)
-        degrees = [] if joints is None else protobuf.doubles_of(joints, JOINTS)
+        joints = protobuf.read_message(data, FEEDBACK, JOINTS)
+        degrees = [] if joints is None else protobuf.read_doubles(joints, JOINTS)
         good = len(degrees) == len(self._signs) and all(map(math.isfinite, degrees))
         if not good:  # the plan goes on: it needs the arm's joints at its beginning only
             self._setpoints.counts["joints_unusable"] += 1
@@ -58,7 +58,7 @@ class EgmWire:
         """Return the cycles between sequence numbers so far apart: as many."""
         return stamps
 
-    def wanted(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
+    def wanted_joints(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
         """Return the setpoint: of the plan, and where the arm stands when the controller begins.
 
         The arm stands while cycles are lost, so that none of them has passed for the plan: it would have to jump. Where
@@ -66,7 +66,7 @@ class EgmWire:
         """
         if fresh:
             self._told = None
-            return self._setpoints.begin(request.joints)
+            return self._setpoints.start_from_joints(request.joints)
         if self._told is not None and request.joints is not None and self._setpoints.is_far(self._told, request.joints):
             self._setpoints.counts["arm_behind"] += 1
             return self._setpoints.at

@@ -82,7 +82,7 @@ class Rejoined:
                 return self._first_step(state)
         if self._since_s >= self._over_s:
             return intended
-        return tuple(map(add, intended, self._left()))
+        return tuple(map(add, intended, self._remaining_offset()))
 
     def unsent(self) -> None:
         """Take back the last command: it was not sent, and the robot extrapolates."""
@@ -148,7 +148,7 @@ class Rejoined:
         """The middle of the time for which the robot may keep an acceleration, by the cycles that it missed lately."""
         return 0.5 * CYCLE_S * (1.0 + self._pause)
 
-    def _left(self) -> Joints:
+    def _remaining_offset(self) -> Joints:
         """What is left of the way back now: from the start with all its derivatives to zero with all of them."""
         T, u = self._over_s, self._since_s / self._over_s
         of_place = 1.0 - smooth(u)
@@ -221,13 +221,13 @@ class Fci:
         self._note_opened(asked_s, cycles)
         self.counts["lost"] += cycles - 1
         if not self.counts["answered"]:
-            self._begin(state)
+            self._start_from_commanded(state)
         wanted = self._setpoints.step(cycles, self._pace) or tuple(state.q_d)
         offset = self._correction.step(wanted, cycles)
         intended = tuple(q + one for q, one in zip(wanted, offset, strict=True))
         self._success = float(state.control_command_success_rate)
         command = self._franka.JointPositions(list(self._rejoined.command(intended, cycles, state)))
-        at_rest = self._setpoints.ended or self._pace == 0.0
+        at_rest = self._setpoints.is_finished or self._pace == 0.0
         if at_rest:
             self._correction.off = "the motion is over"
         command.motion_finished = over = at_rest and self._correction.out and self._rejoined.back
@@ -242,7 +242,7 @@ class Fci:
             self._pace = max(0.0, self._pace - cycles * CYCLE_S / BRAKE_S)
         while (packet := self._line.receive()) is not None:
             self._correction.hear(*packet)
-        self._line.tell(self.document)
+        self._line.send_state_if_due(self.document)
         return bool(over and sent)
 
     @property
@@ -265,10 +265,10 @@ class Fci:
             self._out_of_step = 0 if waited else self._out_of_step - 1
         self._read_s = now_s
 
-    def _begin(self, state: Any) -> None:
+    def _start_from_commanded(self, state: Any) -> None:
         """Stand where the robot is told to stand already."""
-        self._correction.begin()
-        self._setpoints.begin(state.q_d)
+        self._correction.reset_to_zero()
+        self._setpoints.start_from_joints(state.q_d)
 
     def document(self) -> dict[str, Any]:
         """The state, JSON-able."""

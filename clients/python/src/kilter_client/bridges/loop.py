@@ -69,7 +69,7 @@ class Wire(Protocol):
         """Return the cycles that are between stamps so far apart, at least one; None where that cannot be told."""
         ...
 
-    def wanted(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
+    def wanted_joints(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
         """Return the wanted joints (n,) rad, ``cycles`` after the last ones; ``fresh``: the controller begins."""
         ...
 
@@ -146,16 +146,16 @@ class Loop:
     def _cycle(self) -> None:
         self._asked.poll(1000 * self._patience_s)
         newest, more_wait = self._newest()
-        asked = newest is not None and self._take(newest)
+        asked = newest is not None and self._answer_request(newest)
         if not asked and not more_wait:  # what came was of nobody who may ask, or of no controller
             self._quiet_s = time.monotonic()
         while (packet := self._line.receive()) is not None:
             self._correction.hear(*packet)
         if self._leaving:
             self._correction.off = "the bridge is being ended"
-        self._line.tell(self.document)
+        self._line.send_state_if_due(self.document)
 
-    def _received(self) -> Packet:
+    def _receive_packet(self) -> Packet:
         data, ancillary, flags, sender = self._port.recvmsg(LARGEST_PACKET, 64)
         waited_s = 0.0
         if ancillary and len(ancillary[0][2]) == _TIMESPEC.size:
@@ -171,7 +171,7 @@ class Loop:
         newest: Packet | None = None
         for _ in range(MOST_WAITING):
             try:
-                packet = self._received()
+                packet = self._receive_packet()
             except BlockingIOError:
                 return newest, False
             except ConnectionError:  # the controller's port was closed
@@ -191,7 +191,7 @@ class Loop:
             return False
         return self._controller is None or sender == self._controller or self._silent()
 
-    def _take(self, packet: Packet) -> bool:
+    def _answer_request(self, packet: Packet) -> bool:
         """Answer a request; False: the packet is none."""
         began_s = time.monotonic()
         request = self._wire.read(packet.data) if packet.whole else None
@@ -204,15 +204,15 @@ class Loop:
 
     def _answer(self, request: Request, packet: Packet, began_s: float) -> None:
         fresh = self._stamp < 0 or not request.moving
-        cycles = 1 if fresh else self._passed(request.stamp, began_s)
+        cycles = 1 if fresh else self._elapsed_cycles(request.stamp, began_s)
         self.counts["lost"] += max(0, cycles - 1 - self._passed_over)  # no request of these cycles came
         self._passed_over = 0
         taken = fresh or self._was_taken(request.missed, cycles)
         self._was_out = taken and self._correction.out
         self._stamp, self._heard_s, self._missed = request.stamp, began_s, request.missed
-        wanted = self._wire.wanted(request, cycles, fresh)
+        wanted = self._wire.wanted_joints(request, cycles, fresh)
         if not request.moving:
-            self._correction.begin()
+            self._correction.reset_to_zero()
         offset = self._correction.step(wanted, cycles, taken) if request.moving else self._correction.offset
         answer = self._wire.answer(request, offset)
         if answer and not self._sent(answer, packet.sender):
@@ -239,7 +239,7 @@ class Loop:
             return missed - self._missed < cycles
         return not self._was_late
 
-    def _passed(self, stamp: int, now_s: float) -> int:
+    def _elapsed_cycles(self, stamp: int, now_s: float) -> int:
         """Cycles since the last request: by the controller's stamps, which do not jitter, else by the time that has passed."""
         elapsed = max(1, round((now_s - self._heard_s) / self._cycle_s))
         counted = self._wire.cycles(stamp - self._stamp)
@@ -249,7 +249,7 @@ class Loop:
         """Whether the controller's request is to be answered: newer than the last, after a silence at its start."""
         if self._silent():
             self._controller, self._stamp = sender, -1
-            self._correction.begin()
+            self._correction.reset_to_zero()
             return True
         if self._controller is None or now_s - self._heard_s >= self._gone_after_s:
             # It asked before the bridge listened, or while the bridge was held up: it must fall silent first.

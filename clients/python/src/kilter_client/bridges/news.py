@@ -44,7 +44,7 @@ class Line:
             return False
         return True
 
-    def tell(self, state: Callable[[], Mapping[str, Any]]) -> None:
+    def send_state_if_due(self, state: Callable[[], Mapping[str, Any]]) -> None:
         """Send the state, if it is time to."""
         now_s = time.monotonic()
         if now_s - self._told_s >= TELL_S:

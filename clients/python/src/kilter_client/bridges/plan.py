@@ -30,15 +30,15 @@ class Plan(Protocol):
     counts: Counter[str]
 
     @property
-    def ended(self) -> bool:
+    def is_finished(self) -> bool:
         """Whether nothing more is planned."""
         ...
 
-    def begin(self) -> None:
+    def restart_plan(self) -> None:
         """The controller has begun."""
         ...
 
-    def next(self, step_s: float) -> Sequence[float] | None:
+    def next_setpoint(self, step_s: float) -> Sequence[float] | None:
         """Return the setpoint ``step_s`` after the last one; None where nothing new is planned."""
         ...
 
@@ -52,15 +52,15 @@ class Table:
         self._row, self._now_s, self._begun = 0, times_s[0], False
 
     @property
-    def ended(self) -> bool:
+    def is_finished(self) -> bool:
         """Whether the last row has come."""
         return self._now_s > self._times_s[-1]
 
-    def begin(self) -> None:
+    def restart_plan(self) -> None:
         """Begin at the first row."""
         self._row, self._now_s, self._begun = 0, self._times_s[0], False
 
-    def next(self, step_s: float) -> Sequence[float] | None:
+    def next_setpoint(self, step_s: float) -> Sequence[float] | None:
         """Return the setpoint after a step; the first call, and those behind the end, return the first and last row."""
         self._now_s += step_s if self._begun else 0.0
         self._begun = True
@@ -147,14 +147,14 @@ class Heard:
         self._port, self._joints, self._seq = port, joints, -1
         self._layout = struct.Struct(f"<{joints}d")
         port.setblocking(False)
-        self.ended = False
+        self.is_finished = False
 
-    def begin(self) -> None:
+    def restart_plan(self) -> None:
         """Forget what came before the controller began."""
         self._newest()
         self._seq = -1
 
-    def next(self, step_s: float) -> Sequence[float] | None:
+    def next_setpoint(self, step_s: float) -> Sequence[float] | None:
         """Return the newest setpoint that has come; None where none has."""
         return self._newest()
 
@@ -206,17 +206,17 @@ class Setpoints:
         return self._plan.counts
 
     @property
-    def ended(self) -> bool:
+    def is_finished(self) -> bool:
         """Whether the plan is at its end, and the arm with it."""
-        return self._plan.ended and self._gap is not None and self._eased_s >= EASE_S
+        return self._plan.is_finished and self._gap is not None and self._eased_s >= EASE_S
 
     def is_far(self, one: Sequence[float], other: Sequence[float]) -> bool:
         """Say whether joints (n,) rad are further apart than an arm moves in a tenth of a second."""
         return _farthest(one, other) > self._speed * FAR_S
 
-    def begin(self, q: Sequence[float] | None) -> tuple[float, ...] | None:
+    def start_from_joints(self, q: Sequence[float] | None) -> tuple[float, ...] | None:
         """Begin where the arm stands (n,) rad; None: nobody knows where that is."""
-        self._plan.begin()
+        self._plan.restart_plan()
         self.at = None if q is None else tuple(q)
         self._gap, self._eased_s = None, 0.0
         return self.at
@@ -227,7 +227,7 @@ class Setpoints:
         ``pace`` below 1 lets the time of the plan pass more slowly.
         """
         step_s = cycles * self._cycle_s
-        planned = self._plan.next(step_s * pace)
+        planned = self._plan.next_setpoint(step_s * pace)
         if planned is None or self.at is None:
             return self.at
         if self._gap is None:
@@ -261,7 +261,7 @@ def smooth(share: float) -> float:
     return share**3 * (10.0 + share * (6.0 * share - 15.0))
 
 
-def planned(path: Path | None, port: int | None, limits_deg: Sequence[Limits]) -> Plan:
+def open_plan(path: Path | None, port: int | None, limits_deg: Sequence[Limits]) -> Plan:
     """Make the plan of a bridge: of a file, or of a UDP port of this machine; ``limits_deg`` of each joint.
 
     Raises:

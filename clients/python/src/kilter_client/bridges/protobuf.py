@@ -55,7 +55,7 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
     raise ValueError("a number without an end")
 
 
-def message_of(data: bytes, *path: int) -> bytes | None:
+def read_message(data: bytes, *path: int) -> bytes | None:
     """Return the message within a message that a path of field numbers leads to; None where it is not there."""
     for wanted in path:
         found = [value for number, kind, value in fields(data) if number == wanted and kind == TEXT]
@@ -65,13 +65,13 @@ def message_of(data: bytes, *path: int) -> bytes | None:
     return data
 
 
-def number_of(data: bytes, wanted: int) -> int | None:
+def read_number(data: bytes, wanted: int) -> int | None:
     """Return a whole number of a message; None where it is not there."""
     found = [value for number, kind, value in fields(data) if number == wanted and kind == VARINT]
     return int(found[-1]) if found else None
 
 
-def doubles_of(data: bytes, wanted: int) -> list[float]:
+def read_doubles(data: bytes, wanted: int) -> list[float]:
     """Return repeated doubles, packed or not."""
     found: list[float] = []
     for number, kind, value in fields(data):

@@ -67,7 +67,7 @@ class RsiWire:
         cycles, rest = divmod(stamps, self._cycle_ms)
         return round(cycles) if cycles >= 1.0 and rest == 0.0 else None
 
-    def wanted(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
+    def wanted_joints(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
         """Return the joints of the message: the controller has its own plan."""
         return request.joints
 

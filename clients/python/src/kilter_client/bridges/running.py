@@ -23,7 +23,7 @@ from kilter_client.bridges.loop import Address, Loop, Wire
 from kilter_client.bridges.news import Kind, Line, pair
 from kilter_client.bridges.plan import Setpoints
 from kilter_client.errors import FileError, MissingPackageError, UsageError
-from kilter_client.verbs.inputs import signs_of
+from kilter_client.verbs.inputs import parse_signs
 from kilter_core.correct.file import from_bytes
 from kilter_core.errors import OptionError
 
@@ -66,7 +66,7 @@ class Start:
         return len(self.found.kinds)
 
 
-def prepared(robot: str, bridge: str, version: str | None, force: bool, quiet: bool, publish: str) -> Start:
+def prepare_bridge(robot: str, bridge: str, version: str | None, force: bool, quiet: bool, publish: str) -> Start:
     """Check robot, controller and version at the server, and fetch the program.
 
     Raises:
@@ -74,14 +74,14 @@ def prepared(robot: str, bridge: str, version: str | None, force: bool, quiet: b
         UsageError: a joint is prismatic.
 
     """
-    found = versions.first(robot, version, force)
+    found = versions.fetch_startup_version(robot, version, force)
     if set(found.kinds) != {"revolute"}:
         raise UsageError(f"Robot {robot} has prismatic joints: a bridge offsets revolute ones only.")
     pinned = None if version is None else found.version_id
     return Start(robot, bridge, found, Task(robot, bridge, pinned, found.number, force, quiet, publish))
 
 
-def correction_of(start: Start, bounds: Bounds, makes_up: bool = False) -> Correction:
+def build_correction(start: Start, bounds: Bounds, makes_up: bool = False) -> Correction:
     """Make what offsets the joints, with its kernels compiled.
 
     Raises:
@@ -98,7 +98,7 @@ def correction_of(start: Start, bounds: Bounds, makes_up: bool = False) -> Corre
     return Correction(stored, start.robot, guard, bounds.cycle_s, makes_up)
 
 
-def axes_of(text: str | None, joints: int, most: int) -> list[float]:
+def parse_axis_signs(text: str | None, joints: int, most: int) -> list[float]:
     """Read the signs of a controller's axes, one for each joint of the robot.
 
     Raises:
@@ -107,7 +107,7 @@ def axes_of(text: str | None, joints: int, most: int) -> list[float]:
     """
     if joints > most:
         raise UsageError(f"The robot has {joints} joints, and this controller offsets {most} axes at most.")
-    return signs_of(text, joints, "robot")
+    return parse_signs(text, joints, "robot")
 
 
 def _for_port(error: Exception) -> str:
@@ -149,15 +149,15 @@ def answer_over_udp(
 
     """
     expected = controller_address(controller)
-    correction = correction_of(start, bounds)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp, beside(start) as line:
+    correction = build_correction(start, bounds)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp, run_companion(start) as line:
         try:
             udp.bind((listen, port))
         except (OSError, OverflowError) as error:
             raise UsageError(f"UDP port {port} of {listen} cannot be had: {error}. {_for_port(error)}") from error
         loop = Loop(udp, wire, correction, line, bounds.cycle_s, bounds.gone_after_s, expected)
         with _ended_by_signals(loop):
-            _tell(start, udp, expected)
+            _print_listening_address(start, udp, expected)
             loop.run()
         return loop.document() | {"state": "ended", "robot": start.robot, "bridge": start.bridge}
 
@@ -176,15 +176,15 @@ def move_by_fci(start: Start, setpoints: Setpoints, bounds: Bounds, address: str
         import pylibfranka
     except ImportError as error:
         raise MissingPackageError("This bridge needs pylibfranka: `pip install pylibfranka==0.21.3`.") from error
-    correction = correction_of(start, bounds, makes_up=True)
-    with beside(start) as line:
+    correction = build_correction(start, bounds, makes_up=True)
+    with run_companion(start) as line:
         fci = Fci(pylibfranka, address, setpoints, correction, line, realtime)
         with _ended_by_signals(fci):
             fci.run()
         return fci.document() | {"state": "ended", "robot": start.robot, "bridge": start.bridge}
 
 
-def _tell(start: Start, udp: socket.socket, expected: Address | None) -> None:
+def _print_listening_address(start: Start, udp: socket.socket, expected: Address | None) -> None:
     address, port = udp.getsockname()
     if expected is None and not IPv4Address(address).is_loopback:
         print(OPEN_TO_ALL, file=sys.stderr, flush=True)
@@ -195,7 +195,7 @@ def _tell(start: Start, udp: socket.socket, expected: Address | None) -> None:
 
 
 @contextmanager
-def beside(start: Start) -> Iterator[Line]:
+def run_companion(start: Start) -> Iterator[Line]:
     """Run the companion as long as the bridge runs; what it is told with."""
     ours, theirs = pair()
     command = [sys.executable, "-m", COMPANION, str(theirs.fileno()), start.task.text()]

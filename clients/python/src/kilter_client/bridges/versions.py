@@ -34,7 +34,7 @@ class Found:
     limits_deg: tuple[Limits, ...]
 
 
-def first(robot: str, version: str | None, force: bool) -> Found:
+def fetch_startup_version(robot: str, version: str | None, force: bool) -> Found:
     """Return what a bridge starts with.
 
     Raises:
@@ -77,7 +77,7 @@ def objection(arm: dict[str, Any], force: bool) -> tuple[str, str] | None:
     return code, f"{arm.get('controller_sentence', '')} With --force the bridge corrects it nonetheless.".lstrip()
 
 
-def look(
+def poll_server(
     robot: str, version: str | None, force: bool, known: Followed
 ) -> tuple[Followed, list[tuple[Kind, bytes]], str]:
     """Ask the server once: what is known then, what is new to the bridge, and what is wrong with the server, in words."""

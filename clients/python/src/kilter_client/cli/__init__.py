@@ -29,7 +29,7 @@ app = typer.Typer(
 
 
 @app.callback(invoke_without_command=True)
-def first(
+def show_version_or_help(
     context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", help="Show the version of this command, and of the server if it answers.")
@@ -76,9 +76,9 @@ def run(arguments: Sequence[str]) -> int:
         report_error(error, as_json)
         return CODE
     except KilterError as error:
-        from kilter_client.cli.terminal.wording import reworded
+        from kilter_client.cli.terminal.wording import rephrase_error
 
-        report_error(reworded(error, arguments), as_json)
+        report_error(rephrase_error(error, arguments), as_json)
         return 1
     except typer.TyperException as error:
         report_usage(error, as_json)

@@ -9,8 +9,8 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.terminal.arguments import Json, Robot
-from kilter_client.cli.terminal.output import emit, say
-from kilter_client.cli.terminal.references import resolved
+from kilter_client.cli.terminal.output import emit, print_line
+from kilter_client.cli.terminal.references import resolve_reference
 from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.requests.calls import robots as calls
 
@@ -50,8 +50,8 @@ def accept(
     with Kilter() as kilter:
         wanted = {
             "tolerance_mm": tolerance,
-            "version": None if version is None else resolved(kilter, "version", version, robot, as_json),
-            "campaign": [resolved(kilter, "campaign", one, robot, as_json) for one in campaign or ()] or None,
+            "version": None if version is None else resolve_reference(kilter, "version", version, robot, as_json),
+            "campaign": [resolve_reference(kilter, "campaign", one, robot, as_json) for one in campaign or ()] or None,
             "refit": None if refit is None else refit.value,
             "instrument": instrument,
         }
@@ -61,7 +61,7 @@ def accept(
 
 
 def _show(found: dict[str, Any]) -> None:
-    say(found["sentence"])
+    print_line(found["sentence"])
     rows = [
         (
             one["name"],
@@ -79,7 +79,7 @@ def _show(found: dict[str, Any]) -> None:
     show_rows(head, rows, numbers=True)
     for source in found["campaigns"][0]["budget"]["contributions"]:
         if source["of_measured"]:
-            say(f"  {source['source']}: {number(source['standard_mm'], 3)} mm (type {source['type']})")
+            print_line(f"  {source['source']}: {number(source['standard_mm'], 3)} mm (type {source['type']})")
     for remark in (*found["lacking"][1:], *found["warnings"]):
-        say(f"warning: {remark['message']}")
-    say(f"version {found['version_id']} (sha256 {found['version_sha256'][:12]})")
+        print_line(f"warning: {remark['message']}")
+    print_line(f"version {found['version_id']} (sha256 {found['version_sha256'][:12]})")

@@ -10,7 +10,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
 from kilter_client.cli.terminal.arguments import Json, Robot, split_names
-from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.tables import show_rows
 
 token = typer.Typer(help="Make, list and revoke tokens.", rich_markup_mode=None, cls=Group)
@@ -72,7 +72,11 @@ def revoke(
 ) -> None:
     """End a token at once."""
     with Kilter() as kilter:
-        emit(kilter.revoke_token(name), as_json, lambda gone: say(f"Token {gone['name']} ({gone['id']}) is revoked."))
+        emit(
+            kilter.revoke_token(name),
+            as_json,
+            lambda gone: print_line(f"Token {gone['name']} ({gone['id']}) is revoked."),
+        )
 
 
 def stream_session(
@@ -92,7 +96,7 @@ def stream_session(
 def whoami(as_json: Json = False) -> None:
     """Show who sends requests, in which role, and for which robots."""
     with Kilter() as kilter:
-        emit(kilter.whoami(), as_json, lambda one: say(f"{one['actor']}: {one['role']} of {_robots(one)}"))
+        emit(kilter.whoami(), as_json, lambda one: print_line(f"{one['actor']}: {one['role']} of {_robots(one)}"))
 
 
 def login(
@@ -121,7 +125,7 @@ def audit(
 
 
 def _show_made(made: dict[str, Any]) -> None:
-    say(made["token"])
+    print_line(made["token"])
     until = f"until {made['expires_at'][:10]}" if made["expires_at"] else "without an end"
     note(
         f"Token {made['name']} ({made['id']}), {made['role']} of {_robots(made)}, {until}. It is shown this once only."
@@ -129,7 +133,7 @@ def _show_made(made: dict[str, Any]) -> None:
 
 
 def _show_link(made: dict[str, Any]) -> None:
-    say(made["url"])
+    print_line(made["url"])
     note(f"It logs in one browser, once, until {made['expires_at'][11:16]} UTC.")
 
 
@@ -139,7 +143,7 @@ def _robots(one: dict[str, Any]) -> str:
 
 def _show_session(document: dict[str, Any]) -> None:
     for name in ("site", "robot", "stream", "session", "key", "announcement_key"):
-        say(f"{name}: {document[name]}")
+        print_line(f"{name}: {document[name]}")
     for warning in document.get("warnings") or ():
         note(f"warning: {warning['message']}")
     note(f"It ends at {document['expires_at']}. The keys are shown this once only.")
@@ -155,8 +159,10 @@ def _show_list(document: dict[str, Any]) -> None:
 
 
 def _show_verified(found: dict[str, Any]) -> None:
-    say(f"The audit is whole: {found['entries']} entries. To see later that none was cut off, note the last one:")
-    say(found["head"])
+    print_line(
+        f"The audit is whole: {found['entries']} entries. To see later that none was cut off, note the last one:"
+    )
+    print_line(found["head"])
 
 
 def _show_audit(document: dict[str, Any]) -> None:

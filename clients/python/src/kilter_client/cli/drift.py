@@ -10,19 +10,19 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.analyse import run_job
-from kilter_client.cli.files.upload import ColumnMap, Device, InstrumentName, MeasuredAt, conditions_of, sent_file
+from kilter_client.cli.files.upload import ColumnMap, Device, InstrumentName, MeasuredAt, build_conditions, sent_file
 from kilter_client.cli.reports.drift_report import EXIT_CODES, show_history, show_robots
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
 from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
-from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.progress import job_bar
-from kilter_client.cli.terminal.references import resolved, resolved_options
+from kilter_client.cli.terminal.references import resolve_reference, resolved_options
 from kilter_client.cli.texts.option_texts import DRIFT, REZERO
 from kilter_client.errors import UsageError
 from kilter_client.requests.calls import robots as calls
-from kilter_client.verbs.inputs import moment_of
+from kilter_client.verbs.inputs import parse_time
 
 Rows = Annotated[
     Path | None,
@@ -73,13 +73,13 @@ def check(
     chosen = arguments.options(option, version=version, noise_mm=noise_mm, setup_mm=setup_mm)
     if new_setup is not None:
         chosen["new_setup"] = arguments.split_names([new_setup])
-    conditions = conditions_of(payload_kg, payload_com_mm, temperature_c)
+    conditions = build_conditions(payload_kg, payload_com_mm, temperature_c)
     if campaign is not None and (conditions or device or column_map or measured_at or instrument):
         raise UsageError("--campaign checks with rows that have their device, instrument, conditions and date already.")
     with Kilter() as kilter:
         chosen = resolved_options(kilter, chosen, robot, as_json)
         if file is None:
-            used = resolved(kilter, "campaign", str(campaign), robot, as_json, "--campaign")
+            used = resolve_reference(kilter, "campaign", str(campaign), robot, as_json, "--campaign")
         else:
             done = sent_file(
                 robot, file, device, column_map, "validation", conditions, name, measured_at, instrument, as_json
@@ -133,14 +133,16 @@ def repair(
     with Kilter() as kilter:
         if remove is not None:
             kilter.run(calls.remove_repair(robot, remove))
-            emit({"removed": remove}, as_json, lambda one: say(f"Repair {one['removed']} is removed."))
+            emit({"removed": remove}, as_json, lambda one: print_line(f"Repair {one['removed']} is removed."))
         else:
-            emit(kilter.run(calls.add_repair(robot, str(what), moment_of(at))), as_json, _show_repair)
+            emit(kilter.run(calls.add_repair(robot, str(what), parse_time(at))), as_json, _show_repair)
 
 
 def _show_repair(one: dict[str, Any]) -> None:
-    say(f"Repair {one['id']}, {str(one['at'])[:16].replace('T', ' ')} UTC: {one['what']}.")
-    say("Checks and charts begin anew with it. Check the arm (kilter check), and take a mistake back with --remove.")
+    print_line(f"Repair {one['id']}, {str(one['at'])[:16].replace('T', ' ')} UTC: {one['what']}.")
+    print_line(
+        "Checks and charts begin anew with it. Check the arm (kilter check), and take a mistake back with --remove."
+    )
 
 
 def rezero(

@@ -11,7 +11,7 @@ from kilter_client import Kilter
 from kilter_client.cli.groups import Group
 from kilter_client.cli.terminal.arguments import Json, MoreOptions, NoWait, effects, options, split_names
 from kilter_client.cli.terminal.interrupt import fleet_goes_on, on_interrupt
-from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.progress import job_bar
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
@@ -91,7 +91,7 @@ def identify(
             robots or None, campaigns=_by_robot(campaigns), validation=fraction, options=asked or None, name=name
         )
         if no_wait:
-            emit(queued, as_json, lambda one: say(f"Fleet job {one['id']} is queued: {one['robots']} robots."))
+            emit(queued, as_json, lambda one: print_line(f"Fleet job {one['id']} is queued: {one['robots']} robots."))
             return
         _follow(kilter, queued["id"], as_json)
 

@@ -67,11 +67,11 @@ class FirstLevel(TyperGroup):
 
 def command(name: str) -> Any:
     """Return a command of the first level."""
-    return _commands_of(ENTRIES[name].module)[name]
+    return _load_commands(ENTRIES[name].module)[name]
 
 
 @cache
-def _commands_of(module: str) -> Mapping[str, Any]:
+def _load_commands(module: str) -> Mapping[str, Any]:
     """Import a module and return the commands it registers."""
     app = typer.Typer(rich_markup_mode=None)
     app.callback()(_nothing)  # with one command alone typer would make no group

@@ -14,7 +14,7 @@ from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.terminal.output import emit, note
 from kilter_client.cli.terminal.progress import job_bar
-from kilter_client.cli.terminal.references import OfRobot, looked_up, resolved
+from kilter_client.cli.terminal.references import OfRobot, looked_up, resolve_reference
 from kilter_client.cli.terminal.tables import show_rows
 
 jobs = typer.Typer(help="List, show, watch and cancel jobs.", rich_markup_mode=None, cls=Group)
@@ -57,7 +57,7 @@ def list_(
 def show(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
     """Show a job and its result."""
     with Kilter() as kilter:
-        job = resolved(kilter, "job", job, robot, as_json)
+        job = resolve_reference(kilter, "job", job, robot, as_json)
         emit(kilter.jobs.get(job), as_json, show_job)
 
 
@@ -78,7 +78,7 @@ def watch(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
 def cancel(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
     """Ask a job to stop."""
     with Kilter() as kilter:
-        job = resolved(kilter, "job", job, robot, as_json)
+        job = resolve_reference(kilter, "job", job, robot, as_json)
         emit(kilter.jobs.cancel(job), as_json, show_job)
 
 

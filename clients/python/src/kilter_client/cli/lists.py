@@ -13,7 +13,7 @@ from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import Document, emit, note
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_files.formats.registry import list_formats
-from kilter_files.ground.units import unit_of
+from kilter_files.ground.units import column_unit
 from kilter_files.robots.read import KATANA, TABLES, UR, URDF
 
 LISTS: dict[str, list[dict[str, str]]] = json.loads(
@@ -62,7 +62,8 @@ def presets(as_json: Json = False) -> None:
     """
     head = ("preset", "joints", "convention", "masses", "source")
     rows = [
-        {**preset, "source": preset["source"] if as_json else _first(preset["source"])} for preset in LISTS["presets"]
+        {**preset, "source": preset["source"] if as_json else _first_clause(preset["source"])}
+        for preset in LISTS["presets"]
     ]
     _show("presets", rows, ("id", *head[1:]), head, as_json)
     note(f"Use: kilter robot add --preset ur10 --name my-arm. {OF_THIS_RELEASE}", as_json)
@@ -81,10 +82,10 @@ def columns(as_json: Json = False) -> None:
     """
     rows = []
     for column in LISTS["columns"]:
-        units = dict.fromkeys(unit_of(name) for name in re.findall(r"\w+", column["columns"]))
+        units = dict.fromkeys(column_unit(name) for name in re.findall(r"\w+", column["columns"]))
         rows.append({**column, "unit": ", ".join(unit for unit in units if unit)})
     if not as_json:
-        rows = [{**row, "meaning": _first(row["meaning"])} for row in rows]
+        rows = [{**row, "meaning": _first_clause(row["meaning"])} for row in rows]
     _show("columns", rows, ("columns", "unit", "meaning"), ("columns", "unit", "meaning"), as_json)
     note("For other names and units use a column map: `kilter inspect FILE --draft columns.toml`.", as_json)
 
@@ -109,6 +110,6 @@ def _show(name: str, rows: Sequence[dict[str, str]], keys: Sequence[str], head: 
     emit(document, as_json, lambda _: show_rows(head, [tuple(row[key] for key in keys) for row in rows]))
 
 
-def _first(text: str) -> str:
+def _first_clause(text: str) -> str:
     """Return what stands before the first full stop or semicolon that ends a thought."""
     return text.replace(". ", "; ").split("; ", 1)[0].split(" (", 1)[0] if len(text) > 90 else text

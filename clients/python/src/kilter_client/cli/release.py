@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.metadata import PackageNotFoundError, version
 
-from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.errors import KilterError
 from kilter_client.requests.connection import Connection
 from kilter_client.requests.server_address import locate
@@ -38,8 +38,8 @@ def own_release() -> str:
 
 
 def _show(document: Document) -> None:
-    say(f"kilter {document['kilter']}")
+    print_line(f"kilter {document['kilter']}")
     if document["server"]:
-        say(f"server {document['server']} at {document['url']}")
+        print_line(f"server {document['server']} at {document['url']}")
     else:
-        say(f"no server: {document['problem']}")
+        print_line(f"no server: {document['problem']}")

@@ -10,8 +10,8 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import CampaignIds, Json, VersionId, split_names
-from kilter_client.cli.terminal.output import emit, say
-from kilter_client.cli.terminal.references import OfRobot, resolved, resolved_all
+from kilter_client.cli.terminal.output import emit, print_line
+from kilter_client.cli.terminal.references import OfRobot, resolve_reference, resolved_all
 from kilter_client.errors import UsageError
 
 
@@ -37,7 +37,7 @@ def residuals(
         raise UsageError("--json reports what was written: name the file with -o.")
     suffix = "parquet" if output is not None and output.suffix == ".parquet" else "csv"
     with Kilter() as kilter:
-        version = resolved(kilter, "version", version, robot, as_json)
+        version = resolve_reference(kilter, "version", version, robot, as_json)
         used = resolved_all(kilter, "campaign", split_names(campaign), robot, as_json)
         content = kilter.versions.residuals(version, used, form or suffix)
     if output is None:
@@ -45,4 +45,4 @@ def residuals(
         return
     write(output, content)
     document = {"version_id": version, "format": form or suffix, "output": str(output), "bytes": len(content)}
-    emit(document, as_json, lambda _: say(f"{output}: {len(content)} bytes"))
+    emit(document, as_json, lambda _: print_line(f"{output}: {len(content)} bytes"))

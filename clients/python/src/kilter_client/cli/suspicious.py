@@ -9,8 +9,8 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import emit, say
-from kilter_client.cli.terminal.references import OfRobot, resolved
+from kilter_client.cli.terminal.output import emit, print_line
+from kilter_client.cli.terminal.references import OfRobot, resolve_reference
 from kilter_client.cli.terminal.tables import number, show_rows
 
 CampaignId = Annotated[str, typer.Argument(help="Campaign: id, name or `latest`.", show_default=False)]
@@ -24,13 +24,13 @@ def register(app: typer.Typer) -> None:
 def suspicious(campaign: CampaignId, robot: OfRobot = None, as_json: Json = False) -> None:
     """Name the rows of a campaign that look wrong, and who says so: the rows themselves, or a version's job."""
     with Kilter() as kilter:
-        campaign = resolved(kilter, "campaign", campaign, robot, as_json)
+        campaign = resolve_reference(kilter, "campaign", campaign, robot, as_json)
         emit(kilter.campaigns.suspicious(campaign), as_json, show_suspicious)
 
 
 def show_suspicious(document: Mapping[str, Any]) -> None:
     """Print how many rows look wrong, and a line for each and everybody who says so."""
-    say(f"{document['name']}: {document['sentence']}")
+    print_line(f"{document['name']}: {document['sentence']}")
     rows = [
         (
             _place(one),

@@ -53,23 +53,23 @@ class Connection:
                     found: T = end.value
                     return found
                 try:
-                    answer = self._done(step)
+                    answer = self._perform_step(step)
                 except KilterError as error:
                     answer = error
                 except BaseException:  # Ctrl-C, or what the caller's progress raised: the call lets go of what it holds
                     call.close()
                     raise
 
-    def _done(self, step: Step) -> Answer | None:
+    def _perform_step(self, step: Step) -> Answer | None:
         if isinstance(step, Pause):
             time.sleep(step.seconds)
             return None
         if isinstance(step, Relocate):
-            self.url, self._place = _moved(self._client, self._place)
+            self.url, self._place = _relocate_client(self._client, self._place)
             return None
         with reaching(self.url, self._answered):
             if isinstance(step, Follow):
-                self._followed(step)
+                self._follow_events(step)
                 self._answered = True
                 return None
             content = None if step.content is None else step.pieces()
@@ -77,13 +77,13 @@ class Connection:
             self._answered = True
             return Answer(response.status_code, response.headers, response.content, str(response.url))
 
-    def _followed(self, step: Follow) -> None:
-        step.events.begin()
+    def _follow_events(self, step: Follow) -> None:
+        step.events.discard_partial_event()
         with self._client.stream("GET", step.path, headers=step.headers(), timeout=EVENTS_TIMEOUT_S) as response:
             if response.status_code >= 400:
                 refuse(response.status_code, response.read())
             for line in response.iter_lines():
-                if any(step.on_event(data) for data in step.events.take(line) if isinstance(data, dict)):
+                if any(step.on_event(data) for data in step.events.parse_event_line(line) if isinstance(data, dict)):
                     return
 
 
@@ -112,50 +112,50 @@ class AsyncConnection:
                     found: T = end.value
                     return found
                 try:
-                    answer = await self._done(step)
+                    answer = await self._perform_step(step)
                 except KilterError as error:
                     answer = error
                 except BaseException:  # a task that is cancelled waits here: what the call holds is let go at once
                     call.close()
                     raise
 
-    async def _done(self, step: Step) -> Answer | None:
+    async def _perform_step(self, step: Step) -> Answer | None:
         if isinstance(step, Pause):
             import asyncio  # brings ssl along: not when the package is imported
 
             await asyncio.sleep(step.seconds)
             return None
         if isinstance(step, Relocate):
-            self.url, self._place = _moved(self._client, self._place)
+            self.url, self._place = _relocate_client(self._client, self._place)
             return None
         with reaching(self.url, self._answered):
             if isinstance(step, Follow):
-                await self._followed(step)
+                await self._follow_events(step)
                 self._answered = True
                 return None
-            content = None if step.content is None else _one_by_one(step)
+            content = None if step.content is None else _stream_pieces(step)
             response = await self._client.request(content=content, **_arguments(step))
             self._answered = True
             return Answer(response.status_code, response.headers, response.content, str(response.url))
 
-    async def _followed(self, step: Follow) -> None:
-        step.events.begin()
+    async def _follow_events(self, step: Follow) -> None:
+        step.events.discard_partial_event()
         async with self._client.stream("GET", step.path, headers=step.headers(), timeout=EVENTS_TIMEOUT_S) as response:
             if response.status_code >= 400:
                 refuse(response.status_code, await response.aread())
             async for line in response.aiter_lines():
-                if any(step.on_event(data) for data in step.events.take(line) if isinstance(data, dict)):
+                if any(step.on_event(data) for data in step.events.parse_event_line(line) if isinstance(data, dict)):
                     return
 
 
 def _settings(place: Place) -> dict[str, Any]:
     headers = {"Authorization": f"Bearer {place.token}"} if place.token else {}
     # Certificates are read, 0.03 s, where they are needed.
-    verify = _trusted() if place.url.lower().startswith("https:") else False
+    verify = _trusted_authorities() if place.url.lower().startswith("https:") else False
     return {"base_url": place.url, "headers": headers, "verify": verify}
 
 
-def _trusted() -> Any:
+def _trusted_authorities() -> Any:
     """Return whom to trust: the authority of KILTER_CA, else those that this machine trusts.
 
     Raises:
@@ -176,7 +176,7 @@ def _trusted() -> Any:
         ) from error
 
 
-def _moved(client: httpx.Client | httpx.AsyncClient, place: Place) -> tuple[str, Place]:
+def _relocate_client(client: httpx.Client | httpx.AsyncClient, place: Place) -> tuple[str, Place]:
     """Let a client go on with the server that runs on this machine now, if it was found by its file there."""
     if not place.by_file:
         return place.url, place
@@ -202,7 +202,7 @@ def _arguments(step: Request) -> dict[str, Any]:
     }
 
 
-async def _one_by_one(step: Request) -> AsyncIterator[bytes]:
+async def _stream_pieces(step: Request) -> AsyncIterator[bytes]:
     for piece in step.pieces():
         yield piece
 

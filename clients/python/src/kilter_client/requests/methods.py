@@ -20,30 +20,30 @@ def waiting(verb: Callable[P, Steps[T]]) -> Callable[Concatenate[Any, P], T]:
         found: T = self.run(verb(*args, **kwargs))
         return found
 
-    return _like(method, verb)
+    return _copy_verb_signature(method, verb)
 
 
-def documented(call: Callable[P, Steps[T]]) -> Callable[Concatenate[Any, P], T]:
+def make_document_method(call: Callable[P, Steps[T]]) -> Callable[Concatenate[Any, P], T]:
     """Return the method of a call that returns what the server answered, as it is."""
 
     def method(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> T:
         found: T = self._run(call(*args, **kwargs))
         return found
 
-    return _like(method, call)
+    return _copy_verb_signature(method, call)
 
 
-def awaited(verb: Callable[P, Steps[T]]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
+def make_async_method(verb: Callable[P, Steps[T]]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
     """Return the method of a verb that is awaited."""
 
     async def method(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> T:
         found: T = await self.run(verb(*args, **kwargs))
         return found
 
-    return _like(method, verb)
+    return _copy_verb_signature(method, verb)
 
 
-def _like(like: M, verb: Callable[..., Any]) -> M:
+def _copy_verb_signature(like: M, verb: Callable[..., Any]) -> M:
     """Give a method the name, the words and the signature of its verb; it returns what the steps end with."""
     method: Any = like
     method.__name__, method.__doc__, method.__module__ = verb.__name__, verb.__doc__, verb.__module__

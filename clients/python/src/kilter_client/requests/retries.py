@@ -30,23 +30,23 @@ class RetryPolicy:
 
     def after_loss(self, request: Request, error: ServerUnreachableError) -> float | None:
         """Return how long to wait after a connection failed; None: the request is not sent again."""
-        return self._waited() if error.lost and (error.unsent or repeatable(request)) else None
+        return self._consume_wait_s() if error.lost and (error.unsent or repeatable(request)) else None
 
-    def _waited(self) -> float | None:
+    def _consume_wait_s(self) -> float | None:
         if self._left_s <= 0:
             return None
         wait_s = min(self._grown(), self._left_s)
         self._left_s -= wait_s
         return wait_s
 
-    def after(self, request: Request, answer: Answer) -> float | None:
+    def wait_after_answer(self, request: Request, answer: Answer) -> float | None:
         """Return how long to wait after an answer; None: it is the last word."""
         if answer.status in AWAY:
-            return self._waited() if repeatable(request) else None
+            return self._consume_wait_s() if repeatable(request) else None
         told = answer.headers.get("retry-after", "")
         if answer.status not in BUSY or not told.isdecimal() or not self._busy:
             return None
-        if not repeatable(request) and not _untouched(answer):
+        if not repeatable(request) and not _has_changed_nothing(answer):
             return None
         self._busy -= 1
         return min(float(told), LONGEST_BUSY_S) + self._grown()
@@ -62,7 +62,7 @@ def repeatable(request: Request) -> bool:
     return request.method in READS or request.again or "Idempotency-Key" in request.headers
 
 
-def _untouched(answer: Answer) -> bool:
+def _has_changed_nothing(answer: Answer) -> bool:
     """Whether a refusal says that nothing was begun; one because the database is away can come after the change."""
     return answer.status != 503 or _code(answer.content) == "busy"
 

@@ -44,7 +44,7 @@ def locate(url: str | None = None, token: str | None = None) -> Place:
     secret = token or os.environ.get("KILTER_TOKEN")
     # The token file belongs to a server on this machine: it must not travel to another one.
     if secret is None and _is_this_machine(found):
-        secret = _token_of(data_folder())
+        secret = _read_token(data_folder())
     return Place(found, secret, by_file=not told)
 
 
@@ -65,7 +65,7 @@ def _running_server() -> str:
     return str(url)
 
 
-def _token_of(folder: Path) -> str | None:
+def _read_token(folder: Path) -> str | None:
     try:
         return (folder / TOKEN_FILE).read_text(encoding="ascii").strip() or None
     except (OSError, UnicodeDecodeError):

@@ -70,7 +70,7 @@ def new_request_id() -> str:
     return os.urandom(8).hex()
 
 
-def answer_of(request: Request) -> Steps[Answer]:
+def send_with_retries(request: Request) -> Steps[Answer]:
     """Send a request. It is sent again when the server is busy, or when its connection was lost and that does no harm.
 
     All that is sent of one request has one ``X-Request-ID``, which errors name.
@@ -92,7 +92,7 @@ def answer_of(request: Request) -> Steps[Answer]:
                 if wait_s is None:
                     raise
             else:
-                wait_s = waits.after(request, answer)
+                wait_s = waits.wait_after_answer(request, answer)
                 if wait_s is None:
                     refuse(answer.status, answer.content)
                     return answer
@@ -132,7 +132,7 @@ def read(request: Request) -> Steps[Document]:
         ApiError: it holds something else, so this is not a Kilter server.
 
     """
-    answer = yield from answer_of(request)
+    answer = yield from send_with_retries(request)
     try:
         found = json.loads(answer.content)
     except ValueError:
@@ -160,7 +160,7 @@ def event_data(lines: Iterator[str]) -> Iterator[Any]:
     """Yield the JSON of each server-sent event; comments are passed over, an event without JSON is None."""
     events = Events()
     for line in lines:
-        yield from events.take(line)
+        yield from events.parse_event_line(line)
 
 
 class Events:
@@ -171,11 +171,11 @@ class Events:
         self._id = ""
         self._data: list[str] = []
 
-    def begin(self) -> None:
+    def discard_partial_event(self) -> None:
         """Forget the beginning of an event that a break has cut."""
         self._id, self._data = self.last_id, []
 
-    def take(self, line: str) -> Iterator[Any]:
+    def parse_event_line(self, line: str) -> Iterator[Any]:
         """Yield the JSON of the event that ends with this line, if one does."""
         if line.startswith("data:"):
             self._data.append(line[5:].removeprefix(" "))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.requests.calls import campaigns, robots, versions
-from kilter_client.requests.methods import documented
+from kilter_client.requests.methods import make_document_method
 from kilter_client.requests.steps import Document, Sent
 from kilter_client.resources.references import Kept, Resource
 from kilter_files import prepare
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
 class Robots(Resource):
     """The robots."""
 
-    add = documented(robots.add)
-    check = documented(robots.check)
-    convert = documented(robots.convert)
-    from_circles = documented(robots.from_circles)
-    frame = documented(robots.frame)
-    list = documented(robots.list_robots)
-    get = documented(robots.one)
-    compensation = documented(robots.compensate)
-    today = documented(robots.today)
-    bridges = documented(robots.bridges)
-    announce_bridge = documented(robots.announce_bridge)
-    drift = documented(robots.drift)
-    drifts = documented(robots.drifts)
-    remove = documented(robots.remove)
-    note = documented(robots.note)
-    stream_session = documented(robots.stream_session)
+    add = make_document_method(robots.add)
+    check = make_document_method(robots.check)
+    convert = make_document_method(robots.convert)
+    from_circles = make_document_method(robots.from_circles)
+    frame = make_document_method(robots.frame)
+    list = make_document_method(robots.list_robots)
+    get = make_document_method(robots.fetch_document)
+    compensation = make_document_method(robots.compensate)
+    today = make_document_method(robots.today)
+    bridges = make_document_method(robots.bridges)
+    announce_bridge = make_document_method(robots.announce_bridge)
+    drift = make_document_method(robots.drift)
+    drifts = make_document_method(robots.drifts)
+    remove = make_document_method(robots.remove)
+    note = make_document_method(robots.note)
+    stream_session = make_document_method(robots.stream_session)
 
     def retire(self, name: str) -> Document:
         """Take a robot out of use; the active version keeps correcting."""
@@ -94,12 +94,12 @@ class Campaigns(Kept):
         """
         return self._run(campaigns.check(robot, rows))
 
-    list = documented(campaigns.list_campaigns)
-    commit = documented(campaigns.commit)
-    discard = documented(campaigns.discard)
-    get = documented(campaigns.one)
-    rows = documented(campaigns.rows)
-    suspicious = documented(campaigns.suspicious)
+    list = make_document_method(campaigns.list_campaigns)
+    commit = make_document_method(campaigns.commit)
+    discard = make_document_method(campaigns.discard)
+    get = make_document_method(campaigns.fetch_document)
+    rows = make_document_method(campaigns.rows)
+    suspicious = make_document_method(campaigns.suspicious)
 
     def upload(
         self, campaign: str, data: Prepared | Path | str, sent: Sent | None = None, robot: str | None = None
@@ -117,8 +117,8 @@ class Versions(Kept):
 
     kind = "version"
 
-    list = documented(versions.list_versions)
-    get = documented(versions.one)
+    list = make_document_method(versions.list_versions)
+    get = make_document_method(versions.fetch_document)
 
     def activate(self, version: str, *, force: bool = False, reason: str = "", robot: str | None = None) -> Document:
         """Make a version the one that corrects, unless it predicts worse than the active one.
@@ -127,8 +127,8 @@ class Versions(Kept):
         """
         return self._run(versions.activate(version, force, reason, robot))
 
-    activations = documented(versions.activations)
-    rollback = documented(versions.rollback)
-    diff = documented(versions.diff)
-    residuals = documented(versions.residuals)
-    export = documented(versions.export)
+    activations = make_document_method(versions.activations)
+    rollback = make_document_method(versions.rollback)
+    diff = make_document_method(versions.diff)
+    residuals = make_document_method(versions.residuals)
+    export = make_document_method(versions.export)

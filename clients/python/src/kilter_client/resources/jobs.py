@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from kilter_client.requests.calls import jobs
-from kilter_client.requests.calls.jobs import Progress, succeeded
-from kilter_client.requests.methods import documented
+from kilter_client.requests.calls.jobs import Progress, require_success
+from kilter_client.requests.methods import make_document_method
 from kilter_client.requests.steps import Document, event_data
 from kilter_client.resources.references import Resource
 
-__all__ = ["Jobs", "Progress", "Validation", "event_data", "succeeded"]
+__all__ = ["Jobs", "Progress", "Validation", "event_data", "require_success"]
 
 Validation = Sequence[str] | float | Mapping[str, int] | None
 
@@ -35,7 +35,7 @@ class Jobs(Resource):
         Campaigns and versions may be named by the beginning of an id, a name, or ``latest``. ``name`` is that of the job
         and of the version it makes.
         """
-        body = jobs.asked(kind, robot, campaigns, validation, options, confirmation, name)
+        body = jobs.request_body(kind, robot, campaigns, validation, options, confirmation, name)
         return self._run(jobs.submit(robot, body))
 
     def check(
@@ -53,12 +53,12 @@ class Jobs(Resource):
         The document has ``would_run`` and ``problems``, what is used and held out, ``missing``, ``duration_s``; of
         ``identify`` also ``identifiability``, of ``gap`` ``testability``.
         """
-        body = jobs.asked(kind, robot, campaigns, validation, options, confirmation, name)
+        body = jobs.request_body(kind, robot, campaigns, validation, options, confirmation, name)
         return self._run(jobs.check(robot, body))
 
-    list = documented(jobs.list_jobs)
-    get = documented(jobs.one)
-    cancel = documented(jobs.cancel)
+    list = make_document_method(jobs.list_jobs)
+    get = make_document_method(jobs.fetch_document)
+    cancel = make_document_method(jobs.cancel)
 
     def wait(
         self,

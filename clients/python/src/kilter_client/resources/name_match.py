@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import Any
 
 
-def same(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> bool:
+def is_same_campaign(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> bool:
     """Whether a campaign is the wanted one: its name, perhaps with a number behind it, and all that is stated of its rows.
 
     The same rows at another temperature, with another payload or by another instrument are another campaign: what is

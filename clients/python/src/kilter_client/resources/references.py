@@ -24,9 +24,9 @@ class Kept(Resource):
 
     kind: ClassVar[Kind]
 
-    def id_of(self, reference: str, robot: str | None = None) -> str:
+    def resolve_id(self, reference: str, robot: str | None = None) -> str:
         """Return the id that a reference stands for."""
-        return self._run(references.id_of(self.kind, reference, robot))
+        return self._run(references.resolve_id(self.kind, reference, robot))
 
     def change(
         self, reference: str, *, name: str | None = None, notes: str | None = None, robot: str | None = None

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import UsageError
-from kilter_client.results.rows import Rows, saved
+from kilter_client.results.rows import Rows, write_file
 from kilter_client.results.tables import html_table
 from kilter_files.ground.later import need
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE
@@ -75,7 +75,7 @@ class Corrected(bytes):
             FileError: the file cannot be written.
 
         """
-        return saved(bytes(self), path)
+        return write_file(bytes(self), path)
 
     def __repr__(self) -> str:
         left = f"; not corrected is what {', '.join(self.left_out)} does" if self.left_out else ""

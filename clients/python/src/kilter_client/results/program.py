@@ -8,7 +8,7 @@ from typing import Any
 
 from kilter_client.errors import UsageError
 from kilter_client.results.record import Record
-from kilter_client.results.rows import saved, saved_together
+from kilter_client.results.rows import saved_together, write_file
 
 
 class FilteredProgram(Record):
@@ -72,17 +72,17 @@ class FilteredProgram(Record):
         contents = [text.encode("latin-1") for text in self.texts.values()]
         places = self.paths(path)
         if len(places) == 1:
-            return saved(contents[0], path)
+            return write_file(contents[0], path)
         saved_together(dict(zip(places, contents, strict=True)))
         return Path(path)
 
-    def _at(self, line: object, file: object) -> str:
+    def _line_label(self, line: object, file: object) -> str:
         return f"{file}:{line}" if len(self.texts) > 1 else f"line {line}"
 
     def __repr__(self) -> str:
-        worst = self._at(self.largest_change_line, self.largest_change_file)
+        worst = self._line_label(self.largest_change_line, self.largest_change_file)
         change = f"largest change {self.largest_change_deg:.3g} deg ({worst})"
         held = f", {len(self.not_ok)} not OK" if self.not_ok else ""
-        places = ", ".join(self._at(one["line"], one["file"]) for one in self.left)
+        places = ", ".join(self._line_label(one["line"], one["file"]) for one in self.left)
         left = f"; left as they are: {places}" if self.left else ""
         return f"{self.dialect}: targets: {self.targets}, {change}{held}{left}"

@@ -87,7 +87,7 @@ class Record(_OfFields):
         more = ", ..." if len(shown) > MOST_SHOWN else ""
         return f"{type(self).__name__}({', '.join(shown[:MOST_SHOWN])}{more})"
 
-    def _asked(self, call: Steps[R], instead: str) -> R:
+    def _ask_server(self, call: Steps[R], instead: str) -> R:
         ask: Ask | None = getattr(self, "_ask", None)
         if ask is None:
             raise UsageError(f"This result is not connected to a server: use {instead}.")
@@ -110,7 +110,7 @@ class Records(Sequence[T], Tabular, Generic[T]):
             return Records(self._kind, self._records[place])
         if isinstance(place, int):
             return self._records[place]
-        called = {_called(record): record for record in self._records}
+        called = {_display_name(record): record for record in self._records}
         if place not in called:
             raise KeyError(f"there is no {place!r}{did_you_mean(place, called)} in {', '.join(called)}")
         return called[place]
@@ -119,7 +119,7 @@ class Records(Sequence[T], Tabular, Generic[T]):
         return len(self._records)
 
     def __contains__(self, one: object) -> bool:
-        return any(one is record or one == _called(record) for record in self._records)
+        return any(one is record or one == _display_name(record) for record in self._records)
 
     def to_dict(self) -> dict[str, list[Any]]:
         """Return the columns by name: fields that are numbers or words, units in their names or in ``unit``."""
@@ -130,7 +130,7 @@ class Records(Sequence[T], Tabular, Generic[T]):
         return "\n".join([*lines, "  ..."] if len(self) > MOST_SHOWN else lines)
 
 
-def _called(record: Record) -> str:
+def _display_name(record: Record) -> str:
     return str(record.get("name") or record.get("id"))
 
 

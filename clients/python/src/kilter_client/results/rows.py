@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import FileError
-from kilter_client.results.tables import Tabular, array_of, numpy_for
+from kilter_client.results.tables import Tabular, column_array, numpy_for
 from kilter_files.ground.names import did_you_mean
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class Rows(Tabular):
             raise KeyError(
                 f"there is no column {name!r}{did_you_mean(name, self._columns)} in {', '.join(self._columns)}"
             )
-        return array_of(numpy_for("A column"), self._columns[name])  # type: ignore[no-any-return]
+        return column_array(numpy_for("A column"), self._columns[name])  # type: ignore[no-any-return]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._columns)
@@ -54,13 +54,13 @@ class Rows(Tabular):
             FileError: the file cannot be written.
 
         """
-        return saved(self.content, path)
+        return write_file(self.content, path)
 
     def __repr__(self) -> str:
         return f"{len(self)} rows: {', '.join(self._columns)}"
 
 
-def saved(content: bytes, path: Path | str) -> Path:
+def write_file(content: bytes, path: Path | str) -> Path:
     """Write bytes to a file and return its path.
 
     Raises:

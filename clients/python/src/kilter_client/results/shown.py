@@ -112,7 +112,7 @@ class Asking:
         if not version:
             raise UsageError("This result made no version, so it leaves no residuals.")
         call = versions.residuals(str(version), campaigns, "csv", None)
-        return Rows(record._asked(call, "await k.residuals(result)"))
+        return Rows(record._ask_server(call, "await k.residuals(result)"))
 
 
 class ShownFigure:

@@ -33,7 +33,7 @@ class Tabular:
 
         """
         numpy = numpy_for("to_numpy()")
-        columns = {name: array_of(numpy, values) for name, values in self.to_dict().items()}
+        columns = {name: column_array(numpy, values) for name, values in self.to_dict().items()}
         rows = len(next(iter(columns.values()), ()))
         out = numpy.empty(rows, dtype=[(name, column.dtype) for name, column in columns.items()])
         for name, column in columns.items():
@@ -69,7 +69,7 @@ def numpy_for(what: str) -> Any:
     return need(f"{what} needs", "numpy", install=PACKAGES, instead=OTHERWISE)
 
 
-def array_of(numpy: Any, values: Sequence[Any]) -> Any:
+def column_array(numpy: Any, values: Sequence[Any]) -> Any:
     """Return a column as an array: numbers as floats if one of them is missing, words as words."""
     if all(v is None or (isinstance(v, int | float) and not isinstance(v, bool)) for v in values):
         whole = bool(values) and all(isinstance(v, int) for v in values)

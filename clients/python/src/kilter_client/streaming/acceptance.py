@@ -72,7 +72,7 @@ class Acceptance:
         self._wanted = wanted
         self._shape = (POINT if points is None else CHUNK, joints, points or 1, step_ns)
         self.echo = data[8:32]
-        return (data if self._signer is None else self._signer.sealed(data)), now
+        return (data if self._signer is None else self._signer.sign_frame(data)), now
 
     def echoes(self, data: bytes) -> bool:
         """Whether bytes repeat sequence and times of the last setpoint; else they are counted."""

@@ -45,7 +45,7 @@ def _positive(value: object) -> float | None:
     return float(value) if good else None  # type: ignore[arg-type]
 
 
-def pair_of(document: dict[str, Any]) -> Pair:
+def epoch_and_version(document: dict[str, Any]) -> Pair:
     """Epoch and version number of an announcement."""
     return document["epoch"], int(document["version"], 16)
 
@@ -72,8 +72,8 @@ class InUse:
     def announce(self, payload: bytes) -> None:
         """Hear an announcement: answers of its version are taken from here on, beside those known."""
         document = read(payload)
-        if document and pair_of(document) not in self._announced:
-            self._announced.append(pair_of(document))
+        if document and epoch_and_version(document) not in self._announced:
+            self._announced.append(epoch_and_version(document))
             self._renew()
 
     def confirm(self, replies: Iterable[bytes]) -> bool:
@@ -90,15 +90,15 @@ class InUse:
 
     def _follow(self, documents: list[dict[str, Any]]) -> None:
         # The version before stays known: its last answers are on their way.
-        before = (pair_of(self.active),) if self.active else ()
-        self._confirmed = (*before, *map(pair_of, documents))
-        same = [document for document in documents if (pair_of(document),) == before]
-        self.active = (same or sorted(documents, key=pair_of))[-1]
+        before = (epoch_and_version(self.active),) if self.active else ()
+        self._confirmed = (*before, *map(epoch_and_version, documents))
+        same = [document for document in documents if (epoch_and_version(document),) == before]
+        self.active = (same or sorted(documents, key=epoch_and_version))[-1]
         self.limits = self._limits(documents)
         self.rates = self._rates(documents)
         stated = [_positive(self.active.get(name)) is not None for name in ("rate_deg_s", "rate_mm_s")]
         self.motion_share = 0.0 if any(stated) else MOTION_SHARE
-        self._levers = self._levers_of(self.active)
+        self._levers = self._lever_lengths(self.active)
         self._renew()
 
     def _fits(self, document: dict[str, Any]) -> bool:
@@ -124,7 +124,7 @@ class InUse:
             found.append(min(max(stated), ceiling / self._quickest_s) if stated else limit / self._quickest_s)
         return tuple(found)
 
-    def _levers_of(self, document: dict[str, Any]) -> tuple[float, ...]:
+    def _lever_lengths(self, document: dict[str, Any]) -> tuple[float, ...]:
         levers = document.get("levers_mm")
         if not isinstance(levers, list) or len(levers) != len(self._kinds):
             return ()

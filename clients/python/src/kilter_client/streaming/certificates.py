@@ -40,7 +40,7 @@ def why_not(zenoh: Any, endpoints: Sequence[str], file: Path | None) -> str | No
         )
     with tempfile.TemporaryDirectory() as place:  # of its owner only
         files, by_name = _written(zenoh, file, Path(place))
-        found = [_of(endpoint, files, by_name) for endpoint in dict.fromkeys(secure)]
+        found = [_handshake_problem(endpoint, files, by_name) for endpoint in dict.fromkeys(secure)]
     return None if None in found else found[0]
 
 
@@ -58,7 +58,7 @@ def _written(zenoh: Any, file: Path, place: Path) -> tuple[dict[str, Path], bool
     return files, json.loads(config.get_json("transport/link/tls/verify_name_on_connect")) is not False
 
 
-def _of(endpoint: str, files: dict[str, Path], by_name: bool) -> str | None:
+def _handshake_problem(endpoint: str, files: dict[str, Path], by_name: bool) -> str | None:
     where = f"The corrector at {endpoint}"
     host, _, port = endpoint.partition("/")[2].partition("?")[0].partition("#")[0].rpartition(":")
     host = host.strip("[]")

@@ -17,7 +17,7 @@ class StreamError(Exception):
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 
 
-def root_of(site: str, robot: str, stream: str) -> str:
+def robot_key_prefix(site: str, robot: str, stream: str) -> str:
     """Keys of a robot begin so.
 
     Raises:

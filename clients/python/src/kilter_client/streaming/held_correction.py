@@ -45,7 +45,7 @@ class Carried:
             return Setpoint(_sum(wanted, self.delta), source="held", wanted=wanted, status=status)
         if not self.delta or self._misses == self._hold_cycles + 1:
             self._begin_fade(self.delta or (0.0,) * len(wanted))
-        self.delta = self._faded((0.0,) * len(wanted))
+        self.delta = self._add_fading_offset((0.0,) * len(wanted))
         self._statistics.bypassed += 1
         return Setpoint(_sum(wanted, self.delta), source="bypass", wanted=wanted, status=status)
 
@@ -55,7 +55,7 @@ class Carried:
         if self._misses > self._hold_cycles and self.delta:
             self._begin_fade(tuple(map(sub, self.delta, delta)))
         self._misses = 0
-        self.delta = self._bounded(self._faded(delta), pause_s, moved)
+        self.delta = self._limit_rate(self._add_fading_offset(delta), pause_s, moved)
         self._statistics.note(answer.flags, answer.left_nm)
         if self.delta == delta:  # as nearly always
             self._statistics.corrected += 1
@@ -82,13 +82,13 @@ class Carried:
         for k, (before, row, step_s) in enumerate(zip(rows[:-1], rows[1:], steps_s, strict=True)):
             n = len(row)
             delta = tuple(map(sub, q[k * n : (k + 1) * n], row))
-            self.delta = self._bounded(delta, step_s, farthest(row, before))
+            self.delta = self._limit_rate(delta, step_s, farthest(row, before))
             lag = max(lag, farthest(delta, self.delta))
             out += _sum(row, self.delta)
         self._offset = ()
         return tuple(out), lag
 
-    def _bounded(self, delta: tuple[float, ...], pause_s: float, moved: float) -> tuple[float, ...]:
+    def _limit_rate(self, delta: tuple[float, ...], pause_s: float, moved: float) -> tuple[float, ...]:
         """``delta``, or as much of the straight way to it as the correction may change by.
 
         All joints go the same share of their way: joint by joint, those that move little would arrive before those that
@@ -109,7 +109,7 @@ class Carried:
         """From here on ``offset`` is added to the correction and fades out."""
         self._offset, self._fade_ns = offset, time.monotonic_ns()
 
-    def _faded(self, delta: tuple[float, ...]) -> tuple[float, ...]:
+    def _add_fading_offset(self, delta: tuple[float, ...]) -> tuple[float, ...]:
         """``delta`` plus what is left of the offset."""
         if not self._offset:
             return delta

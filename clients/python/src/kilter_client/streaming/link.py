@@ -17,7 +17,7 @@ from kilter_client.signing import SESSION_EXPIRED, Session, Signer
 from kilter_client.streaming.acceptance import Acceptance
 from kilter_client.streaming.accepted_versions import MOST_REPLIES, InUse
 from kilter_client.streaming.certificates import why_not
-from kilter_client.streaming.corrector import StreamError, root_of, session_config
+from kilter_client.streaming.corrector import StreamError, robot_key_prefix, session_config
 from kilter_client.streaming.sessions import Sessions
 from kilter_client.streaming.setpoint import Statistics
 
@@ -39,7 +39,7 @@ class Place:
     @property
     def root(self) -> str:
         """Keys of the robot begin so."""
-        return root_of(self.site, self.robot, self.stream)
+        return robot_key_prefix(self.site, self.robot, self.stream)
 
 
 class Link:
@@ -127,21 +127,21 @@ class Link:
     def _on_answer(self, sample: Any) -> None:
         data = sample.payload.to_bytes()
         if self._signer is not None:
-            data = self._opened(self._signer, data)
+            data = self._unwrap_signed_answer(self._signer, data)
         # What is not an echo goes no further: it would wait in the queue before the answer.
         if data and self._acceptance.echoes(data) and self._answers.qsize() < MOST_WAITING:
             self._answers.put(data)
 
-    def _opened(self, signer: Signer, data: bytes) -> bytes:
+    def _unwrap_signed_answer(self, signer: Signer, data: bytes) -> bytes:
         """The plain answer in a signed one; nothing when it is forged, or was not meant for the cycle."""
         echo = self._acceptance.echo
-        status = signer.challenged(data, echo)
+        status = signer.accept_challenge(data, echo)
         if status is None:
-            plain = signer.opened(data)
+            plain = signer.verify_answer(data)
             self._statistics.forged += int(plain is None)
             return plain or b""
         if status == SESSION_EXPIRED:
-            self._sessions.expired()
+            self._sessions.mark_expired()
             self._ask_again.set()
         elif data[8:32] == echo:
             self._answers.put(AGAIN)
@@ -150,7 +150,7 @@ class Link:
     def _on_active(self, sample: Any) -> None:
         payload = sample.payload.to_bytes()
         if self._signer is not None:
-            payload = self._signer.said(f"{self._place.root}/active", payload)
+            payload = self._signer.verify_announcement(f"{self._place.root}/active", payload)
         if payload is None:
             self._statistics.forged += 1
             return
@@ -166,7 +166,7 @@ class Link:
             asked = session.get(f"{key}?stream={self._place.stream}", payload=question, **self._question)
         found = [reply.ok.payload.to_bytes() for reply in itertools.islice(asked, MOST_REPLIES) if reply.ok is not None]
         if signer is not None:
-            found = [body for reply in found if (body := signer.replied(question, key, reply)) is not None]
+            found = [body for reply in found if (body := signer.verify_reply(question, key, reply)) is not None]
         self._told = self._told or bool(found)
         self._in_use.confirm(found)
 
@@ -203,7 +203,7 @@ class Link:
     def _renew(self, signer: Signer) -> None:
         """Get another session; the stream changes to it when the corrector has answered its greeting."""
         with contextlib.suppress(StreamError):
-            session = self._sessions.next()
+            session = self._sessions.next_session()
             if session is not None:
                 signer.renew(session)
                 self._publisher.put(signer.greeting())
@@ -220,10 +220,10 @@ class Link:
     @property
     def _silent(self) -> str:
         """What is said of a corrector that cannot be reached for no reason that shows."""
-        return f"{self._where} does not answer: is `kilterd serve` up, and its site {self._place.site!r}?"
+        return f"{self._corrector_label} does not answer: is `kilterd serve` up, and its site {self._place.site!r}?"
 
     @property
-    def _where(self) -> str:
+    def _corrector_label(self) -> str:
         return f"The corrector at {', '.join(dict.fromkeys(self._place.endpoints))}"
 
     def _wait_for_version(self, zenoh: Any, timeout_s: float, config: Path | None) -> None:
@@ -245,19 +245,20 @@ class Link:
             raise StreamError(why)
         if config is not None and self._publisher.matching_status.matching and not self._told:
             raise StreamError(
-                f"{self._where} takes this controller's certificate, and its access list has no right to robot {robot!r} for "
+                f"{self._corrector_label} takes this controller's certificate, and its access list has no right to "
+                f"robot {robot!r} for "
                 "it: name the robot for this controller (`kilterd zenoh-config --controller NAME=ROBOT,...`) and start the "
                 "corrector with its new folder."
             )
         if self._publisher.matching_status.matching:
             raise StreamError(
-                f"{self._where} knows no active version of a robot {robot!r}: activate one with `kilter activate`, "
+                f"{self._corrector_label} knows no active version of a robot {robot!r}: activate one with `kilter activate`, "
                 "or correct the robot's name. Where the robot's controller corrects by itself (`kilter robot show`), no "
                 "setpoint is corrected a second time."
             )
         if config is not None and self.alive:
             raise StreamError(
-                f"{self._where} takes this certificate, and its access list lets it listen only: use the folder of a "
+                f"{self._corrector_label} takes this certificate, and its access list lets it listen only: use the folder of a "
                 f"controller that has robot {robot!r} (`kilterd zenoh-config --controller NAME=ROBOT,...`)."
             )
         raise StreamError(self._silent)

@@ -36,7 +36,7 @@ class Sessions:
         self._renew_at = 0.0  # monotonic clock: the other may be set at any moment
         self._asked_at = 0.0
 
-    def first(self, given: Session | None) -> Session | None:
+    def initial_session(self, given: Session | None) -> Session | None:
         """The session to begin with; None for an unsigned stream.
 
         Raises:
@@ -59,19 +59,19 @@ class Sessions:
         """Whether it is time for the next session."""
         return 0.0 < self._renew_at < time.monotonic()
 
-    def expired(self) -> None:
+    def mark_expired(self) -> None:
         """Say that the corrector takes the present session no longer."""
         self._renew_at = 1e-9
 
-    def unanswered(self) -> bool:
+    def mark_unanswered(self) -> bool:
         """Say that the corrector answers nothing; returns whether another session is worth a try again."""
         if not 0.0 < self._asked_at < time.monotonic() - UNANSWERED_S:
             return False
         self._asked_at = time.monotonic()
-        self.expired()
+        self.mark_expired()
         return True
 
-    def next(self) -> Session | None:
+    def next_session(self) -> Session | None:
         """Another session; None when there is none at present, and it is tried again in a minute."""
         session = self._local() or self._of_api()
         self._plan(session)

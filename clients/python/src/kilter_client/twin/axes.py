@@ -42,7 +42,7 @@ def base_in_model(
             rows += [np.hstack([-across @ _skew(here), across]), np.hstack([-_skew(along), np.zeros((3, 3))])]
             left += [across @ (anchor - here), axis - along]
         step = np.linalg.lstsq(np.vstack(rows), np.concatenate(left), rcond=1e-9)[0]
-        T = _moved(step) @ T
+        T = _pose_from_motion(step) @ T
     for name, frame, anchor, axis in zip(names, nominal, anchors, axes, strict=True):
         here = T @ frame
         gap = anchor - here[:3, 3]
@@ -62,7 +62,7 @@ def _skew(v: Floats) -> Floats:
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
-def _moved(step: Floats) -> Floats:
+def _pose_from_motion(step: Floats) -> Floats:
     """A small motion (w, v) as a pose."""
     T, angle = np.eye(4), float(np.linalg.norm(step[:3]))
     if angle > 0.0:

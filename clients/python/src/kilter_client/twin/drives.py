@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kilter_client.twin.settled import HINGE, JOINT, named
+from kilter_client.twin.settled import HINGE, JOINT, find_element_id
 
 LEAST = 1e-12
 PARALLEL = 1.0 - 1e-6
@@ -64,11 +64,15 @@ def read_drives(model: Any, joints: Sequence[str], path: Path) -> Read:
         FileError: the model has not these joints.
 
     """
-    places = [named(model, "joint", name, path) for name in joints]
+    places = [find_element_id(model, "joint", name, path) for name in joints]
     drives = {int(model.actuator_trnid[a, 0]): a for a in range(model.nu) if int(model.actuator_trntype[a]) == JOINT}
     gains = [_gain(model, drives.get(j)) for j in places]
-    stated = [one for name, j, gain in zip(joints, places, gains, strict=True) for one in _stated(model, name, j, gain)]
-    left = tuple(_left(model, list(joints), places, drives, gains))
+    stated = [
+        one
+        for name, j, gain in zip(joints, places, gains, strict=True)
+        for one in _stated_drive_effects(model, name, j, gain)
+    ]
+    left = tuple(_unmapped_statements(model, list(joints), places, drives, gains))
     return Read(tuple(joints), tuple(gains), tuple(stated), left)
 
 
@@ -79,7 +83,7 @@ def _gain(model: Any, drive: int | None) -> float | None:
     return -float(model.actuator_biasprm[drive, 1])
 
 
-def _stated(model: Any, name: str, j: int, gain: float | None) -> Iterator[Stated]:
+def _stated_drive_effects(model: Any, name: str, j: int, gain: float | None) -> Iterator[Stated]:
     hinge = int(model.jnt_type[j]) == HINGE
     if not hinge:
         return
@@ -108,12 +112,12 @@ def _backlash(model: Any, j: int) -> float | None:
     return None
 
 
-def _left(
+def _unmapped_statements(
     model: Any, names: list[str], places: list[int], drives: dict[int, int], gains: list[float | None]
 ) -> Iterator[str]:
     """What the model states and no pose at rest depends on, or no effect is."""
 
-    def where(values: Sequence[float]) -> str:
+    def list_nonzero(values: Sequence[float]) -> str:
         return ", ".join(f"{name} {value:g}" for name, value in zip(names, values, strict=True) if abs(value) > LEAST)
 
     dofs = [int(model.jnt_dofadr[j]) for j in places]
@@ -121,13 +125,13 @@ def _left(
     told = [
         ("damping", [float(model.dof_damping[d].ravel()[0]) for d in dofs], motion),
         ("armature", [float(model.dof_armature[d]) for d in dofs], motion),
-        ("kv of the drive", [_damping_of(model, drives.get(j)) for j in places], motion),
+        ("kv of the drive", [_drive_damping(model, drives.get(j)) for j in places], motion),
         ("spring of the joint", [float(model.jnt_stiffness[j].ravel()[0]) for j in places],
          "no effect is a spring beside the drive; gravity_spring is nearest"),
-        ("force limit", [_limit_of(model, drives.get(j)) for j in places], "a drive at its limit is not calibrated"),
+        ("force limit", [_drive_force_limit(model, drives.get(j)) for j in places], "a drive at its limit is not calibrated"),
     ]  # fmt: skip
     for what, values, why in told:
-        listed = where(values)
+        listed = list_nonzero(values)
         if listed:
             yield f"{what} ({listed}): {why}"
     idle = [name for name, gain in zip(names, gains, strict=True) if gain is None]
@@ -135,10 +139,10 @@ def _left(
         yield f"no position drive ({', '.join(idle)}): its stiffness is not stated, a fit finds it where it is large"
 
 
-def _damping_of(model: Any, drive: int | None) -> float:
+def _drive_damping(model: Any, drive: int | None) -> float:
     return 0.0 if drive is None else -float(model.actuator_biasprm[drive, 2])
 
 
-def _limit_of(model: Any, drive: int | None) -> float:
+def _drive_force_limit(model: Any, drive: int | None) -> float:
     limited = drive is not None and bool(model.actuator_forcelimited[drive])
     return float(model.actuator_forcerange[drive, 1]) if limited else 0.0

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import FileError
 from kilter_client.twin.axes import base_in_model
-from kilter_client.twin.settled import loaded, mujoco_package, named
+from kilter_client.twin.settled import find_element_id, load_model, mujoco_package
 from kilter_client.twin.step import TABLE
 from kilter_files.ground.later import np
 
@@ -56,7 +56,7 @@ def lay_onto(source: Path, twin: str, joints: Sequence[str] = (), site: str | No
 
     """
     mujoco = mujoco_package()
-    loaded(source)
+    load_model(source)
     spec = mujoco.MjSpec.from_file(str(source))
     found = _read(twin)
     names = list(joints) or list(found.joints)
@@ -96,7 +96,7 @@ class _Copy:
         self.path, self.spec, self.twin, self.names = path, spec, twin, names
         self.model = spec.compile()
         data = mujoco.MjData(self.model)
-        self.ids = [named(self.model, "joint", name, path) for name in names]
+        self.ids = [find_element_id(self.model, "joint", name, path) for name in names]
         for j in self.ids:
             data.qpos[self.model.jnt_qposadr[j]] = 0.0
         mujoco.mj_kinematics(self.model, data)
@@ -158,7 +158,7 @@ class _Copy:
         )  # fmt: skip
 
     def _move_site(self, name: str, move: Floats) -> None:
-        k = named(self.model, "site", name, self.path)
+        k = find_element_id(self.model, "site", name, self.path)
         body = int(self.model.site_bodyid[k])
         nominal, real = (self.base @ frames[-1] for frames in (self.twin.nominal, self.twin.calibrated))
         _place(self.spec.site(name), _inverse(move @ self.poses[body]) @ real @ _inverse(nominal) @ self.sites[k])

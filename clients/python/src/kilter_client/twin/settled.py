@@ -56,7 +56,7 @@ class Settings:
     timestep_s: float | None = None
 
 
-def rows_of(content: bytes, joints: int, conditions: Mapping[str, Any], most: int) -> MeasuredRows:
+def read_measured_rows(content: bytes, joints: int, conditions: Mapping[str, Any], most: int) -> MeasuredRows:
     """Read the rows of a campaign, at most so many, evenly chosen; rows without a point, or without corners, are left out.
 
     Raises:
@@ -74,11 +74,13 @@ def rows_of(content: bytes, joints: int, conditions: Mapping[str, Any], most: in
             "The campaign has neither q1_deg ... with x_mm, y_mm, z_mm nor q1_deg ... with u1_px, v1_px ... and the conditions "
             "cameras and boards: a model is compared with tool points or with views of a board."
         )
-    sides = [_plain(table, f"dir{j + 1}") for j in range(joints)]
+    sides = [_column_numbers(table, f"dir{j + 1}") for j in range(joints)]
     payload = (
-        _plain(table, "payload_kg") if "payload_kg" in names else [conditions.get("payload_kg") or 0.0] * len(table)
+        _column_numbers(table, "payload_kg")
+        if "payload_kg" in names
+        else [conditions.get("payload_kg") or 0.0] * len(table)
     )
-    seen = np.array([_plain(table, "u1_px")] if of_views else points, dtype=np.float64).T
+    seen = np.array([_column_numbers(table, "u1_px")] if of_views else points, dtype=np.float64).T
     corners = [name for name in names if name.endswith("_px") and name[0] == "u"]
     whole = np.flatnonzero(
         [sum(bool(row[name]) for name in corners) >= FEWEST_CORNERS for row in table] if of_views
@@ -97,10 +99,10 @@ def rows_of(content: bytes, joints: int, conditions: Mapping[str, Any], most: in
 
 def _column(table: list[dict[str, str]], names: set[str], name: str, units: Sequence[str]) -> list[float] | None:
     unit = next((unit for unit in units if f"{name}_{unit}" in names), None)
-    return None if unit is None else [UNITS[unit] * value for value in _plain(table, f"{name}_{unit}")]
+    return None if unit is None else [UNITS[unit] * value for value in _column_numbers(table, f"{name}_{unit}")]
 
 
-def _plain(table: list[dict[str, str]], name: str) -> list[float]:
+def _column_numbers(table: list[dict[str, str]], name: str) -> list[float]:
     return [float(row.get(name) or "nan") for row in table]
 
 
@@ -118,7 +120,7 @@ def mujoco_package() -> Any:
     return mujoco
 
 
-def loaded(path: Path) -> Any:
+def load_model(path: Path) -> Any:
     """Load a model.
 
     Raises:
@@ -141,7 +143,7 @@ def _remedy(said: str) -> str:
     return "Put the files that it names beside it, or mend the place that is named."
 
 
-def errors_of(model: Any, rows: MeasuredRows, settings: Settings, path: Path) -> ViewErrors | Floats:
+def model_errors(model: Any, rows: MeasuredRows, settings: Settings, path: Path) -> ViewErrors | Floats:
     """Distance (N,) m of each measured point from the settled tool, base and tool point fitted; of views their errors.
 
     Raises:
@@ -151,14 +153,14 @@ def errors_of(model: Any, rows: MeasuredRows, settings: Settings, path: Path) ->
     """
     _hold_the_log()
     places, turns = [], []
-    arm = _Arm.of(model, settings, path)
+    arm = _Arm.from_model(model, settings, path)
     for k in range(len(rows.readings)):
         place, turn = arm.settle(rows.readings[k], rows.sides[k], float(rows.payload_kg[k]))
         places.append(place)
         turns.append(turn)
     if rows.points is None:
         return errors_of_views(np.array(places), np.array(turns), rows.views, rows.rig)
-    return registered(np.array(places), np.array(turns), rows.points)
+    return distances_after_registration(np.array(places), np.array(turns), rows.points)
 
 
 def _hold_the_log() -> None:
@@ -178,9 +180,9 @@ class _Arm:
     path: Path
 
     @classmethod
-    def of(cls, model: Any, settings: Settings, path: Path) -> _Arm:
-        joints = [named(model, "joint", name, path) for name in settings.joints]
-        site = named(model, "site", settings.tool, path)
+    def from_model(cls, model: Any, settings: Settings, path: Path) -> _Arm:
+        joints = [find_element_id(model, "joint", name, path) for name in settings.joints]
+        site = find_element_id(model, "site", settings.tool, path)
         drives = {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)
                   if int(model.actuator_trntype[a]) == JOINT and model.actuator_biasprm[a, 1] < 0.0}  # fmt: skip
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
@@ -242,7 +244,7 @@ class _Arm:
         )
 
 
-def named(model: Any, what: str, name: str, path: Path) -> int:
+def find_element_id(model: Any, what: str, name: str, path: Path) -> int:
     """Return the number of a joint or site (``what``) of a model.
 
     Raises:
@@ -262,9 +264,9 @@ def named(model: Any, what: str, name: str, path: Path) -> int:
     return found
 
 
-def registered(places: Floats, turns: Floats, points: Floats) -> Floats:
+def distances_after_registration(places: Floats, turns: Floats, points: Floats) -> Floats:
     """Distances (N,) of ``points (N, 3)`` from a tool point that hangs on the frames, base frame and tool point fitted."""
-    R, b, t = _aligned(places, points)[0], np.zeros(3), np.zeros(3)
+    R, b, t = _kabsch_alignment(places, points)[0], np.zeros(3), np.zeros(3)
     for _ in range(ROUNDS):
         own = places + turns @ t
         seen = own @ R.T
@@ -275,11 +277,11 @@ def registered(places: Floats, turns: Floats, points: Floats) -> Floats:
         J[:, :, 3:6] = np.eye(3)
         J[:, :, 6:] = R @ turns
         step = np.linalg.lstsq(J.reshape(-1, 9), left.ravel(), rcond=1e-9)[0]
-        R, b, t = _rotated(step[:3].astype(np.float64)) @ R, b + step[3:6], t + step[6:]
+        R, b, t = _rotation_from_vector(step[:3].astype(np.float64)) @ R, b + step[3:6], t + step[6:]
     return np.asarray(np.linalg.norm(points - (places + turns @ t) @ R.T - b, axis=1))
 
 
-def _aligned(own: Floats, seen: Floats) -> tuple[Floats, Floats]:
+def _kabsch_alignment(own: Floats, seen: Floats) -> tuple[Floats, Floats]:
     """Rotation and shift that bring points onto others at best (Kabsch)."""
     a, b = own - own.mean(axis=0), seen - seen.mean(axis=0)
     U, _, Vt = np.linalg.svd(b.T @ a)
@@ -287,7 +289,7 @@ def _aligned(own: Floats, seen: Floats) -> tuple[Floats, Floats]:
     return R, seen.mean(axis=0) - R @ own.mean(axis=0)
 
 
-def _rotated(w: Floats) -> Floats:
+def _rotation_from_vector(w: Floats) -> Floats:
     angle = float(np.linalg.norm(w))
     if angle < 1e-15:
         return np.eye(3)

@@ -33,7 +33,7 @@ def apply(model: Any, data: Any) -> None:
         UsageError: the table is of a later release.
 
     """
-    table = _table_of(model)
+    table = _read_embedded_table(model)
     if table is None:
         return
     controls = {name: _control(model, data, table, name) for name in table["order"]}
@@ -66,7 +66,7 @@ def apply(model: Any, data: Any) -> None:
         _place(model, f"{name}_behind", moved)
 
 
-def _table_of(model: Any) -> dict[str, Any] | None:
+def _read_embedded_table(model: Any) -> dict[str, Any] | None:
     named = bytes(model.names)
     at = next(
         (k for k, start in enumerate(model.name_textadr) if named.startswith(TABLE.encode() + b"\0", start)), None

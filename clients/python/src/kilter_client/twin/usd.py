@@ -15,7 +15,7 @@ from kilter_client.errors import FileError
 from kilter_client.twin.axes import base_in_model
 from kilter_client.twin.onto import Laid
 from kilter_files.ground.later import np
-from kilter_files.robots.usd_poses import NOMINAL, TOOL, local_pose, matrix_of, split, usd_package
+from kilter_files.robots.usd_poses import NOMINAL, TOOL, local_pose, pose_matrix, split, usd_package
 
 if TYPE_CHECKING:
     from kilter_files.ground.arrays import Floats
@@ -77,7 +77,7 @@ def lay_over(source: Path, twin: str, output: Path, joints: Sequence[str] = ()) 
             f"--joints names {len(names)} joints, the version has {len(found.joints)}: name one for each of its joints."
         )
         raise FileError(message, file=str(source))
-    below = _opened(source)
+    below = _open_stage(source)
     layer = pxr.Sdf.Layer.CreateAnonymous(".usda")
     layer.subLayerPaths.append(str(source.resolve()))
     for name in COPIED:
@@ -105,13 +105,13 @@ def _read(text: str) -> _Twin:
     for prim in sorted(prims, key=lambda one: int(one.GetAttribute("kilter:number").Get())):
         joint = pxr.UsdPhysics.Joint(prim)
         body = stage.GetPrimAtPath(joint.GetBody1Rel().GetTargets()[0])
-        own = matrix_of(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get())
+        own = pose_matrix(joint.GetLocalPos1Attr().Get(), joint.GetLocalRot1Attr().Get())
         name = str(prim.GetAttribute("kilter:joint").Get())
         joints.append(_Joint(prim, name, _in_stage(cache, body) @ own))
     tool = next(prim for prim in stage.Traverse() if prim.GetName() == TOOL)
     rows = np.array(stage.GetDefaultPrim().GetAttribute(NOMINAL).Get(), dtype=np.float64).reshape(-1, 7)
     Gf = pxr.Gf
-    nominal = np.array([matrix_of(row[:3], Gf.Quatd(*(float(v) for v in row[3:]))) for row in rows])
+    nominal = np.array([pose_matrix(row[:3], Gf.Quatd(*(float(v) for v in row[3:]))) for row in rows])
     return _Twin(joints, nominal, _in_stage(cache, tool), tuple(layer.documentation.splitlines()), stage)
 
 
@@ -119,7 +119,7 @@ def _in_stage(cache: Any, prim: Any) -> Floats:
     return np.array(cache.GetLocalToWorldTransform(prim), dtype=np.float64).T.copy()
 
 
-def _opened(source: Path) -> Any:
+def _open_stage(source: Path) -> Any:
     """Open the source.
 
     Raises:
@@ -197,13 +197,13 @@ class _Overlay:
         there = ", ".join(prim.GetName() for prim in moving) or "none"
         if len(called) != 1:
             how = "has no joint" if not called else f"has {len(called)} joints called"
-            raise self._refused(
+            raise self._stage_error(
                 f"{how} {name!r}. It has: {there}. Name the robot's {len(self.names)} joints with --joints, in their order"
                 f"{', by their paths' if called else ''}."
             )
         prim, twin = called[0], self.twin.joints[j].prim
         if prim.GetTypeName() != twin.GetTypeName():
-            raise self._refused(
+            raise self._stage_error(
                 f"joint {name!r} is a {prim.GetTypeName()}, that of the robot a {twin.GetTypeName()}: name another with "
                 "--joints."
             )
@@ -211,7 +211,7 @@ class _Overlay:
             rel.GetTargets() for rel in (UsdPhysics.Joint(prim).GetBody0Rel(), UsdPhysics.Joint(prim).GetBody1Rel())
         ]
         if not bodies[1]:
-            raise self._refused(f"joint {name!r} moves no body: set its physics:body1.")
+            raise self._stage_error(f"joint {name!r} moves no body: set its physics:body1.")
         poses = self._local(prim)
         return _Found(prim, str(bodies[0][0]) if bodies[0] else None, str(bodies[1][0]), *poses)
 
@@ -220,7 +220,7 @@ class _Overlay:
         out = []
         for k in (0, 1):
             place, turn = (getattr(joint, f"GetLocal{part}{k}Attr")().Get() for part in ("Pos", "Rot"))
-            T = matrix_of(place, turn)
+            T = pose_matrix(place, turn)
             T[:3, 3] *= self.unit
             out.append(T)
         return out
@@ -237,9 +237,9 @@ class _Overlay:
         reached = {first: np.eye(4) if first is None else self._pose(cache, first)}
         for j, joint in enumerate(self.joints):
             if j:
-                reached = self._held(joint.before, {self.joints[j - 1].behind: behind[-1]})
+                reached = self._add_fixed_bodies(joint.before, {self.joints[j - 1].behind: behind[-1]})
             if joint.before not in reached:
-                raise self._refused(
+                raise self._stage_error(
                     f"joint {self.names[j]!r} hangs on {joint.before or 'the stage'}, which joint {self.names[j - 1]!r} "
                     "does not carry. Name the joints with --joints from base to tool; physics:body0 is the body nearer to "
                     "the base."
@@ -249,7 +249,7 @@ class _Overlay:
             behind.append(before[-1] @ joint.at_before @ np.linalg.inv(joint.at_behind))
         return before, behind
 
-    def _held(self, wanted: str | None, reached: dict[str | None, Floats]) -> dict[str | None, Floats]:
+    def _add_fixed_bodies(self, wanted: str | None, reached: dict[str | None, Floats]) -> dict[str | None, Floats]:
         """Bodies that hang on the reached ones by fixed joints, until ``wanted`` is among them."""
         fixed = [prim for prim in self.all if prim.IsA(self.pxr.UsdPhysics.FixedJoint)]
         while wanted not in reached:
@@ -271,11 +271,11 @@ class _Overlay:
     def _pose(self, cache: Any, path: str) -> Floats:
         prim = self.stage.GetPrimAtPath(path)
         if not prim:
-            raise self._refused(f"has no body {path}, which a joint names. Load the layer that defines it.")
+            raise self._stage_error(f"has no body {path}, which a joint names. Load the layer that defines it.")
         T = _in_stage(cache, prim)
         sizes = np.linalg.norm(T[:3, :3], axis=0)
         if np.abs(sizes - 1.0).max() > SCALED:
-            raise self._refused(
+            raise self._stage_error(
                 f"body {path} is scaled by {sizes.max():g}: local poses of joints are scaled with it. Put the scale on the "
                 "meshes below the body."
             )
@@ -285,7 +285,7 @@ class _Overlay:
     def _place(self, joint: _Found, *poses: Floats) -> None:
         own, Gf = self.pxr.UsdPhysics.Joint(joint.prim), self.pxr.Gf
         if joint.prim.IsInstanceProxy():
-            raise self._refused(
+            raise self._stage_error(
                 f"joint {joint.prim.GetPath()} is inside an instance, which nothing can override. Set instanceable to false "
                 "there."
             )
@@ -316,7 +316,7 @@ class _Overlay:
         xform.AddTranslateOp(double).Set(Gf.Vec3d(*(v / self.unit for v in place)))
         xform.AddOrientOp(double).Set(Gf.Quatd(turn[0], *turn[1:]))
 
-    def _refused(self, sentence: str) -> FileError:
+    def _stage_error(self, sentence: str) -> FileError:
         return FileError(f"{self.path}: {sentence}", file=str(self.path))
 
 

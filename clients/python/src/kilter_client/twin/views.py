@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from kilter_client.errors import UsageError
 from kilter_files.ground.later import np
 from kilter_files.match.arm import rotations
-from kilter_files.rig.kit.sight import FEWEST_CORNERS, FEWEST_VIEWS, Seen, seen
+from kilter_files.rig.kit.sight import FEWEST_CORNERS, FEWEST_VIEWS, Seen, find_seen_boards
 
 if TYPE_CHECKING:
     from kilter_files.ground.arrays import Floats
@@ -48,14 +48,14 @@ def errors_of_views(
     """
     tools = np.tile(np.eye(4), (len(places), 1, 1))
     tools[:, :3, :3], tools[:, :3, 3] = turns, 1e3 * places
-    found = [_placed(one.exactly(tools), tools) for one in seen(views, tools, rig)]
+    found = [_fit_camera_and_board(one.exactly(tools), tools) for one in find_seen_boards(views, tools, rig)]
     if not found:
         raise UsageError(
             f"The views do not say where camera and board stand by this model: {FEWEST_VIEWS} views of {FEWEST_CORNERS} "
             "corners of a flat board, from poses that rotate the tool about more than one axis, and a model that is "
             "roughly this arm do. Check --joints, --site and the conditions cameras and boards of the campaign."
         )
-    told = [_told(one, tools) for one in found]
+    told = [_fit_tool_motions(one, tools) for one in found]
     motions, covariances = (np.concatenate([one[k] for one in told]) for k in (0, 1))
     rest, corners, square = (sum(one[k] for one in told) for k in (2, 3, 4))
     beyond = corners - 6 * len(motions)
@@ -64,30 +64,33 @@ def errors_of_views(
     return ViewErrors(np.asarray(tool), float(np.sqrt(square / corners)), noise)
 
 
-def _placed(one: Seen, tools: Floats) -> Seen:
+def _fit_camera_and_board(one: Seen, tools: Floats) -> Seen:
     """Camera and board beside a model that need not be right: each view counts as far as views scatter.
 
     Corners alone hardly care how far away a board is, and would take a model for several times as far off as it is.
     """
     for _ in range(PLACINGS):
-        motion, covariance, rest, corners, _ = _told(one, tools)
+        motion, covariance, rest, corners, _ = _fit_tool_motions(one, tools)
         noise = rest / (corners - 6 * len(motion)) * covariance
         root = np.linalg.inv(np.linalg.cholesky(noise + np.diag(np.repeat(_scatter(motion, noise)[0], 3) ** 2)))
         moves = np.diag([STEP_RAD, STEP_RAD, STEP_RAD, STEP_MM, STEP_MM, STEP_MM] * 2)
-        slopes = [(_told(one.moved(move), tools)[0] - motion) / move.sum() for move in moves]
+        slopes = [(_fit_tool_motions(one.apply_pose_step(move), tools)[0] - motion) / move.sum() for move in moves]
         white = np.einsum("kij,ckj->kic", root, np.array(slopes)).reshape(-1, 12)
-        one = one.moved(np.linalg.lstsq(white, -np.einsum("kij,kj->ki", root, motion).ravel(), rcond=None)[0])
+        one = one.apply_pose_step(np.linalg.lstsq(white, -np.einsum("kij,kj->ki", root, motion).ravel(), rcond=None)[0])
     return one
 
 
-def _told(one: Seen, tools: Floats) -> tuple[Floats, Floats, float, int, float]:
+def _fit_tool_motions(one: Seen, tools: Floats) -> tuple[Floats, Floats, float, int, float]:
     """Motions (K, 6) mm, rad of the tool that explain what is left of the views, their covariance for corners of 1 px.
 
     Then px² that they leave, how many numbers the corners are, and px² that were left.
     """
     own = tools[one.views]
-    left = one.sight.left(own, one.pixels)
-    slopes = np.stack([(one.sight.left(_moved(own, k), one.pixels) - left) / _step(k) for k in range(6)], axis=-1)
+    left = one.sight.reprojection_residuals(own, one.pixels)
+    slopes = np.stack(
+        [(one.sight.reprojection_residuals(_perturb_tools(own, k), one.pixels) - left) / _step(k) for k in range(6)],
+        axis=-1,
+    )
     shown = np.isfinite(left)
     A = np.where(shown[..., None], slopes, 0.0).reshape(len(own), -1, 6)
     r = np.where(shown, left, 0.0).reshape(len(own), -1)
@@ -101,7 +104,7 @@ def _step(k: int) -> float:
     return STEP_MM if k < 3 else STEP_RAD
 
 
-def _moved(tools: Floats, k: int) -> Floats:
+def _perturb_tools(tools: Floats, k: int) -> Floats:
     """The tools moved along or rotated about an axis of the base, each about its own place."""
     moved, axis = tools.copy(), np.eye(3)[k % 3]
     if k < 3:

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Literal
 from kilter_client import typed
 from kilter_client.errors import ApiError, ObservationError, UsageError
 from kilter_client.requests.calls import campaigns as calls
-from kilter_client.requests.calls.references import id_of
+from kilter_client.requests.calls.references import resolve_id
 from kilter_client.requests.steps import Document, Sent, Steps
-from kilter_client.resources.name_match import same
+from kilter_client.resources.name_match import is_same_campaign
 from kilter_client.results.record import Records
-from kilter_client.verbs.inputs import Data, moment_of, name_of, rows_of
-from kilter_client.verbs.progress import Watching, watched
+from kilter_client.verbs.inputs import Data, default_name, parse_time, prepare_rows
+from kilter_client.verbs.progress import Watching, show_progress
 from kilter_client.verbs.references import ResourceReference, reference
-from kilter_client.verbs.servo_calibration import stated
+from kilter_client.verbs.servo_calibration import compare_calibration_file
 
 if TYPE_CHECKING:
     from datetime import date, datetime
@@ -68,33 +68,38 @@ def upload(
         ObservationError: the rows are not what their columns say; nothing is stored.
 
     """
-    conditions = conditions_of(
+    conditions = build_conditions(
         payload_kg=payload_kg, payload_com_mm=payload_com_mm, temperature_c=temperature_c,
         tool_force_n=tool_force_n, tool_moment_nm=tool_moment_nm,
     )  # fmt: skip
     if campaign is not None and (name or notes or conditions or measured_at or instrument or calibration):
         raise UsageError("campaign= adds to a campaign that has its name, notes and conditions already.")
-    wanted: Document = {"name": name or name_of(data), "device": device or preset or "", "role": role, "notes": notes}
-    prepared = rows_of(data, columns, device, column_map, preset, euler, joints)
+    wanted: Document = {
+        "name": name or default_name(data),
+        "device": device or preset or "",
+        "role": role,
+        "notes": notes,
+    }
+    prepared = prepare_rows(data, columns, device, column_map, preset, euler, joints)
     file, arm = fspath(data) if isinstance(data, str | PathLike) else wanted["name"], reference("robot", robot)
-    servos, prepared = yield from stated(arm, calibration, prepared, file)
-    wanted |= {"conditions": conditions | servos, "numbered": name is None, "measured_at": moment_of(measured_at)}
-    into = None if campaign is None else (yield from id_of("campaign", reference("campaign", campaign), arm))
-    done = yield from _watched(arm, into, wanted | {"instrument": instrument}, prepared, file, progress)
+    servos, prepared = yield from compare_calibration_file(arm, calibration, prepared, file)
+    wanted |= {"conditions": conditions | servos, "numbered": name is None, "measured_at": parse_time(measured_at)}
+    into = None if campaign is None else (yield from resolve_id("campaign", reference("campaign", campaign), arm))
+    done = yield from _send_with_progress(arm, into, wanted | {"instrument": instrument}, prepared, file, progress)
     return typed.campaigns.Uploaded.read(done)
 
 
-def conditions_of(**told: Any) -> dict[str, Any]:
+def build_conditions(**told: Any) -> dict[str, Any]:
     """What holds for the whole campaign; numbers and lists as JSON has them."""
     given = {key: value for key, value in told.items() if value is not None}
     return {key: [float(one) for one in v] if hasattr(v, "__len__") else float(v) for key, v in given.items()}
 
 
-def _watched(
+def _send_with_progress(
     robot: str, into: str | None, wanted: Mapping[str, Any], prepared: Prepared, file: str, progress: Watching
 ) -> Steps[Document]:
     """Send, and show how far it is."""
-    with watched(progress, f"sending {wanted['name']}") as bar:
+    with show_progress(progress, f"sending {wanted['name']}") as bar:
         sent: Sent | None = None if bar is None else lambda some, total: bar(some / max(total, 1), "sending")
         return (yield from send_rows(robot, into, wanted, prepared, file, sent))
 
@@ -118,7 +123,7 @@ def send_rows(
 
     """
     try:
-        into = into or (yield from stored_in(robot, wanted, prepared))
+        into = into or (yield from find_stored_campaign(robot, wanted, prepared))
         if into is not None:
             begun((into, False))
             return (yield from calls.send(into, prepared, sent))
@@ -132,20 +137,20 @@ def send_rows(
             raise
         yield from calls.commit(target, [str(done["sha256"])])
     except ObservationError as error:
-        raise _placed(error, prepared, file) from error
+        raise _add_line_numbers(error, prepared, file) from error
     return done
 
 
-def stored_in(robot: str, wanted: Mapping[str, Any], prepared: Prepared) -> Steps[str | None]:
+def find_stored_campaign(robot: str, wanted: Mapping[str, Any], prepared: Prepared) -> Steps[str | None]:
     """Return the id of the campaign that has these rows already, as they are wanted; the last of several."""
     found = None
     for known in (yield from calls.list_campaigns(robot)):
-        if same(known, wanted) and any(done["sha256"] == prepared.sha256 for done in known["uploads"]):
+        if is_same_campaign(known, wanted) and any(done["sha256"] == prepared.sha256 for done in known["uploads"]):
             found = str(known["id"])
     return found
 
 
-def _placed(error: ObservationError, prepared: Prepared, file: str) -> ObservationError:
+def _add_line_numbers(error: ObservationError, prepared: Prepared, file: str) -> ObservationError:
     """Add on which lines of the person's own file the refused rows stand."""
     named = error.context.get("rows")  # of a mix-up it is how many
     rows = [k for k in (named if isinstance(named, list) else [error.context.get("row")]) if isinstance(k, int)]
@@ -165,7 +170,7 @@ def campaign(campaign: ResourceReference, *, robot: str | None = None) -> Steps[
         NotFoundError: there is none; ConflictError: the name is ambiguous.
 
     """
-    return typed.campaigns.Campaign.read((yield from calls.one(reference("campaign", campaign), robot)))
+    return typed.campaigns.Campaign.read((yield from calls.fetch_document(reference("campaign", campaign), robot)))
 
 
 def suspicious(campaign: ResourceReference, *, robot: str | None = None) -> Steps[typed.others.SuspiciousRows]:

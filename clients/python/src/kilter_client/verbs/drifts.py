@@ -71,11 +71,11 @@ def drift(
             payload_kg=payload_kg, temperature_c=temperature_c, measured_at=measured_at,
             instrument=instrument, progress=progress,
         )  # fmt: skip
-        asked = jobs.asked("drift", robot, sent.campaign_id, options, None, name)
+        asked = jobs.request_body("drift", robot, sent.campaign_id, options, None, name)
         return cast("DriftResult", (yield from jobs.run(asked, progress, timeout_s)))
     _refuse_known({"device": device, "column_map": column_map, "payload_kg": payload_kg,
                    "temperature_c": temperature_c, "measured_at": measured_at, "instrument": instrument})  # fmt: skip
-    asked = jobs.asked("drift", robot, reference("campaign", campaign), options, None, name)
+    asked = jobs.request_body("drift", robot, reference("campaign", campaign), options, None, name)
     return cast("DriftResult", (yield from jobs.run(asked, progress, timeout_s)))
 
 
@@ -96,7 +96,7 @@ def rezero(
         JobFailedError: the rows do not say which parameter moved; JobTimeoutError: it continues.
 
     """
-    asked = jobs.asked("rezero", robot, reference("campaign", campaign), options, None, name)
+    asked = jobs.request_body("rezero", robot, reference("campaign", campaign), options, None, name)
     return cast("RezeroResult", (yield from jobs.run(asked, progress, timeout_s)))
 
 

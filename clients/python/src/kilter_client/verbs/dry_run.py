@@ -12,10 +12,10 @@ from kilter_client.files import files_refusals, files_summary
 from kilter_client.requests.calls import campaigns, robots
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.dry_run import DryRun
-from kilter_client.verbs.campaigns import conditions_of, stored_in
-from kilter_client.verbs.inputs import Data, name_of, rows_of
+from kilter_client.verbs.campaigns import build_conditions, find_stored_campaign
+from kilter_client.verbs.inputs import Data, default_name, prepare_rows
 from kilter_client.verbs.references import ResourceReference, reference
-from kilter_client.verbs.servo_calibration import stated
+from kilter_client.verbs.servo_calibration import compare_calibration_file
 
 if TYPE_CHECKING:
     from kilter_client.results.dry_run import DryRun
@@ -50,15 +50,15 @@ def dry_run(
         FileError: the file is not what it should be; UsageError: the data are not rows.
 
     """
-    conditions = conditions_of(
+    conditions = build_conditions(
         payload_kg=payload_kg, payload_com_mm=payload_com_mm, temperature_c=temperature_c,
         tool_force_n=tool_force_n, tool_moment_nm=tool_moment_nm,
     )  # fmt: skip
-    prepared = rows_of(data, columns, device, column_map, preset, euler, joints)
-    file, arm = fspath(data) if isinstance(data, str | PathLike) else name_of(data), reference("robot", robot)
-    servos, prepared = yield from stated(arm, calibration, prepared, file)
+    prepared = prepare_rows(data, columns, device, column_map, preset, euler, joints)
+    file, arm = fspath(data) if isinstance(data, str | PathLike) else default_name(data), reference("robot", robot)
+    servos, prepared = yield from compare_calibration_file(arm, calibration, prepared, file)
     wanted = {
-        "name": name_of(data),
+        "name": default_name(data),
         "numbered": True,
         "device": device or preset or "",
         "conditions": conditions | servos,
@@ -82,7 +82,7 @@ def checked_rows(
     """
     conditions = wanted.get("conditions") or {}
     try:
-        known = list((yield from robots.one(robot))["joints"])
+        known = list((yield from robots.fetch_document(robot))["joints"])
     except KilterError as error:
         return checked_here(prepared, conditions, error)
     found = checked_here(prepared, conditions, None, known)
@@ -101,7 +101,7 @@ def _by_server(
     robot: str, prepared: Prepared, wanted: Mapping[str, Any], into: str | None
 ) -> Steps[tuple[list[Document], str]]:
     """What the server finds odd in rows that it would store, and what it did not look at."""
-    into = into or (yield from stored_in(robot, wanted, prepared))
+    into = into or (yield from find_stored_campaign(robot, wanted, prepared))
     try:
         done = yield from campaigns.check(robot, prepared, wanted if into is None else None, into)
     except ApiError as error:
@@ -123,7 +123,7 @@ def _knows_rows_alone(error: ApiError) -> bool:
 def _left_to_upload(prepared: Prepared, into: str | None) -> str:
     """What such a server looks at in an upload only."""
     parts = ["name", "conditions", "instrument"] if into is None else ["columns of the campaign"]
-    if any(map(PIXEL.fullmatch, files_summary.columns_of(prepared))):
+    if any(map(PIXEL.fullmatch, files_summary.numeric_columns(prepared))):
         parts.append("what its cameras and boards can show")
     listed = ", ".join(parts[:-1]) + " and " if len(parts) > 1 else ""
     return f"{listed}{parts[-1]}, which this server looks at in an upload only, for it is older than this program"
@@ -139,7 +139,7 @@ def checked_here(
     return files_summary.summary(prepared, conditions) | {
         "left_out": [text for text in prepared.warnings if "left out" in text],
         "refused": files_refusals.otherwise_separated(prepared)
-        or files_refusals.refusals(files_summary.columns_of(prepared), joints, prepared.lines),
+        or files_refusals.refusals(files_summary.numeric_columns(prepared), joints, prepared.lines),
         "odd": [],
         "not_checked": unknown,
     }

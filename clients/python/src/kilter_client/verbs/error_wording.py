@@ -37,7 +37,7 @@ OPTION = re.compile(
 COMMANDS = re.compile(r"(`kilterd? (?:inspect|serve)[^`]*`)")  # they are for a terminal here too
 
 
-def reworded(error: KilterError) -> None:
+def rephrase_error(error: KilterError) -> None:
     """Put the sentence of an error in the words of a script."""
     error.detail = in_words(error.detail)
     error.args = (error.detail,)

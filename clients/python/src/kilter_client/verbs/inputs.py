@@ -19,7 +19,7 @@ from kilter_files.tables.table import CSV_TYPE, WHOLE_NUMBERS, Prepared
 Data: TypeAlias = "str | PathLike[str] | Prepared | Mapping[str, Any] | Any"
 
 
-def rows_of(
+def prepare_rows(
     data: Data,
     columns: Sequence[str] | None = None,
     device: str | None = None,
@@ -53,7 +53,7 @@ def rows_of(
     return Prepared(_csv(found), CSV_TYPE, tuple(found), len(rows))
 
 
-def moment_of(given: datetime | date | str | None) -> str | None:
+def parse_time(given: datetime | date | str | None) -> str | None:
     """Read a time as ISO 8601 with its zone; without a zone it is that of this machine, of a day the noon.
 
     Raises:
@@ -74,7 +74,7 @@ def moment_of(given: datetime | date | str | None) -> str | None:
     return (at if at.tzinfo is not None else at.astimezone()).isoformat()
 
 
-def day_of(given: date | str | None) -> str | None:
+def parse_day(given: date | str | None) -> str | None:
     """Read a day as ISO 8601.
 
     Raises:
@@ -89,7 +89,7 @@ def day_of(given: date | str | None) -> str | None:
         raise UsageError(f"{given!r} is not a day: give it as 2026-11-02.") from None
 
 
-def signs_of(given: Sequence[float] | str | None, count: int, whose: str) -> list[float]:
+def parse_signs(given: Sequence[float] | str | None, count: int, whose: str) -> list[float]:
     """Read a sign of each joint as ``+,-,+`` or as numbers 1 and -1; without any, all are 1. ``whose`` joints: for a refusal.
 
     Raises:
@@ -106,7 +106,7 @@ def signs_of(given: Sequence[float] | str | None, count: int, whose: str) -> lis
     return [known[part] for part in parts]
 
 
-def name_of(data: Data) -> str:
+def default_name(data: Data) -> str:
     """Return what a campaign is called when nobody names it: the file's name."""
     return Path(fspath(data)).name if isinstance(data, str | PathLike) else "arrays"
 

@@ -8,7 +8,7 @@ from kilter_client import typed
 from kilter_client.requests.calls import instruments as calls
 from kilter_client.requests.steps import Steps
 from kilter_client.results.record import Records
-from kilter_client.verbs.inputs import day_of
+from kilter_client.verbs.inputs import parse_day
 
 if TYPE_CHECKING:
     from datetime import date
@@ -59,8 +59,8 @@ def add_instrument(
         "mpe_um": mpe_um,
         "mpe_um_per_m": mpe_um_per_m,
         "certificate": certificate,
-        "certified_on": day_of(certified_on),
-        "valid_until": day_of(valid_until),
+        "certified_on": parse_day(certified_on),
+        "valid_until": parse_day(valid_until),
         "notes": notes,
     }
     return typed.campaigns.Instrument.read((yield from calls.add(wanted)))

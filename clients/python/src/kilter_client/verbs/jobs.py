@@ -14,7 +14,7 @@ from kilter_client.requests.calls import jobs as calls
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.record import Record, Records
 from kilter_client.typed.names import JOBS, MODULE_OF
-from kilter_client.verbs.progress import Watching, watched
+from kilter_client.verbs.progress import Watching, show_progress
 from kilter_client.verbs.references import ResourceReference, reference, references
 
 # A share of the poses, campaigns, or {"folds": 5}.
@@ -57,7 +57,7 @@ def identify(
         JobFailedError: the job ended without a result; JobTimeoutError: it continues.
 
     """
-    wanted = asked("identify", robot, campaigns, options, validation, name)
+    wanted = request_body("identify", robot, campaigns, options, validation, name)
     return cast("typed.identifications.IdentifyResult", (yield from run(wanted, progress, timeout_s)))
 
 
@@ -82,7 +82,7 @@ def gap(
         JobFailedError: the job ended without a result; JobTimeoutError: it continues.
 
     """
-    wanted = asked("gap", robot, campaigns, options, validation, name, confirmation)
+    wanted = request_body("gap", robot, campaigns, options, validation, name, confirmation)
     return cast("typed.searches.GapResult", (yield from run(wanted, progress, timeout_s)))
 
 
@@ -104,7 +104,7 @@ def evaluate(
         JobFailedError: the job ended without a result; JobTimeoutError: it continues.
 
     """
-    wanted = asked("evaluate", robot, campaigns, options, None, name)
+    wanted = request_body("evaluate", robot, campaigns, options, None, name)
     return cast("typed.evaluations.EvaluateResult", (yield from run(wanted, progress, timeout_s)))
 
 
@@ -124,7 +124,7 @@ def plan(
         JobFailedError: the job ended without a result; JobTimeoutError: it continues.
 
     """
-    wanted = asked("plan", robot, campaigns, options, None, name)
+    wanted = request_body("plan", robot, campaigns, options, None, name)
     return cast("typed.plans.PlanResult", (yield from run(wanted, progress, timeout_s)))
 
 
@@ -152,7 +152,7 @@ def joint_parameters(
     chosen: dict[str, Any] = dict(options)
     if readings_file is not None:
         chosen["readings"] = readings.read_readings(Path(fspath(readings_file)))
-    wanted = asked("joint_parameters", robot, campaigns, chosen, validation, name)
+    wanted = request_body("joint_parameters", robot, campaigns, chosen, validation, name)
     return cast("typed.identifications.JointParametersResult", (yield from run(wanted, progress, timeout_s)))
 
 
@@ -174,7 +174,7 @@ def submit(
         OptionError: an option that does not exist or does not fit.
 
     """
-    wanted = asked(kind, robot, campaigns, options, validation, name, confirmation)
+    wanted = request_body(kind, robot, campaigns, options, validation, name, confirmation)
     return _read((yield from calls.submit(str(wanted["robot"]), wanted)))
 
 
@@ -196,7 +196,7 @@ def check(
         OptionError: an option that does not exist or does not fit.
 
     """
-    wanted = asked(kind, robot, campaigns, options, validation, "", confirmation)
+    wanted = request_body(kind, robot, campaigns, options, validation, "", confirmation)
     told = yield from calls.check(str(wanted["robot"]), wanted)
     found: type[Record] = getattr(import_module("kilter_client.typed.checks"), f"{JOBS[kind].removesuffix('Job')}Check")
     return found.read(told)
@@ -211,7 +211,7 @@ def wait(
         JobFailedError: it ended without a result; JobCancelledError: it was cancelled; JobTimeoutError: it continues.
 
     """
-    return (yield from _waited(reference("job", job), robot, progress, timeout_s))
+    return (yield from _wait_for_job(reference("job", job), robot, progress, timeout_s))
 
 
 def job(job: ResourceReference, *, robot: str | None = None) -> Steps[Record]:
@@ -221,7 +221,7 @@ def job(job: ResourceReference, *, robot: str | None = None) -> Steps[Record]:
         NotFoundError: there is none.
 
     """
-    return _read((yield from calls.one(reference("job", job), robot)))
+    return _read((yield from calls.fetch_document(reference("job", job), robot)))
 
 
 def jobs(robot: ResourceReference | None = None, *, limit: int = 100) -> Steps[Records[typed.server.JobSummary]]:
@@ -240,7 +240,7 @@ def cancel(job: ResourceReference, *, robot: str | None = None) -> Steps[Record]
     return _read((yield from calls.cancel(reference("job", job), robot)))
 
 
-def asked(
+def request_body(
     kind: str,
     robot: ResourceReference,
     campaigns: ResourceReference | Sequence[ResourceReference],
@@ -253,7 +253,7 @@ def asked(
     held_out = references("campaign", validation) if _names_campaigns(validation) else validation  # type: ignore[arg-type]
     chosen = {key: _option(key, value) for key, value in options.items()}
     used, again = references("campaign", campaigns), references("campaign", confirmation)
-    return calls.asked(kind, reference("robot", robot), used, held_out, chosen, again, name)
+    return calls.request_body(kind, reference("robot", robot), used, held_out, chosen, again, name)
 
 
 def _names_campaigns(validation: HeldOut) -> bool:
@@ -276,13 +276,13 @@ def _option(name: str, value: Any) -> Any:
 def run(wanted: Document, progress: Watching, timeout_s: float | None) -> Steps[Record]:
     """Submit a job, follow it to its end, and return its result."""
     job = yield from calls.submit(str(wanted["robot"]), wanted)
-    return (yield from _waited(str(job["id"]), None, progress, timeout_s, f"{wanted['kind']} {wanted['robot']}"))
+    return (yield from _wait_for_job(str(job["id"]), None, progress, timeout_s, f"{wanted['kind']} {wanted['robot']}"))
 
 
-def _waited(
+def _wait_for_job(
     job_id: str, robot: str | None, progress: Watching, timeout_s: float | None, label: str = ""
 ) -> Steps[Record]:
-    with watched(progress, label or job_id) as told:
+    with show_progress(progress, label or job_id) as told:
         done = _read((yield from calls.wait(job_id, told, timeout_s, robot)))
     result: Record = getattr(done, "result", None) or done
     object.__setattr__(result, "_job", done)

@@ -11,7 +11,7 @@ from kilter_client.requests.calls import robots as robot_calls
 from kilter_client.requests.calls.references import Kind
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.record import Record
-from kilter_client.verbs.references import ResourceReference, What, kind_of, reference
+from kilter_client.verbs.references import ResourceReference, What, infer_kind, reference
 
 
 def change(
@@ -29,10 +29,10 @@ def change(
         ConflictError: the name is taken.
 
     """
-    what = kind_of(thing, kind)
+    what = infer_kind(thing, kind)
     called = reference(what, thing)
     if what != "robot":
-        return _read(what, (yield from kept.change(_kept(what), called, name, notes, robot)))
+        return _read(what, (yield from kept.change(_require_keepable(what), called, name, notes, robot)))
     if name is not None:
         raise UsageError("A robot keeps the name it was added with: give notes= only.")
     return _read(what, (yield from robot_calls.note(called, notes or "")))
@@ -66,21 +66,23 @@ def purge(thing: ResourceReference, *, kind: What | None = None) -> Steps[typed.
         ConflictError: something cites it, or it is in use.
 
     """
-    what = kind_of(thing, kind)
+    what = infer_kind(thing, kind)
     called = reference(what, thing)
-    found = yield from robot_calls.do(called, "purge") if what == "robot" else kept.purge(_kept(what), called)
+    found = (
+        yield from robot_calls.do(called, "purge") if what == "robot" else kept.purge(_require_keepable(what), called)
+    )
     return typed.comparisons.Tombstone.read(found)
 
 
 def _do(doing: str, thing: ResourceReference, kind: What | None, robot: str | None) -> Steps[Record]:
-    what = kind_of(thing, kind)
+    what = infer_kind(thing, kind)
     called = reference(what, thing)
     if what == "robot":
         return _read(what, (yield from robot_calls.do(called, doing)))
-    return _read(what, (yield from kept.do(_kept(what), called, doing, robot)))
+    return _read(what, (yield from kept.do(_require_keepable(what), called, doing, robot)))
 
 
-def _kept(what: What) -> Kind:
+def _require_keepable(what: What) -> Kind:
     if what == "job":
         raise UsageError("Jobs are kept as they are: name, note, retire or purge the version that the job made.")
     return cast(Kind, what)

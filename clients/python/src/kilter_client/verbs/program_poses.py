@@ -79,7 +79,7 @@ def _in_order(programs: Sequence[Program]) -> list[PoseTarget]:
     """The poses whose frames are known, in the order of the moves to them where it is known."""
     visits = [one for program in programs for one in program.visits if isinstance(one, one_target.PoseTarget)]
     rest = [pose for program in programs for pose in program.cartesian]
-    return [pose for pose in dict.fromkeys([*visits, *rest]) if not pose.why_left()]
+    return [pose for pose in dict.fromkeys([*visits, *rest]) if not pose.reason_left_unresolved()]
 
 
 def _is_joints(near: JointTarget | PoseTarget | None) -> bool:
@@ -97,8 +97,8 @@ def _flange(pose: PoseTarget) -> Rigid:
     bases, tool = pose.frames()
     placed = rigid.Rigid()
     for base in bases:
-        placed = placed.then(base.pose())
-    return placed.then(pose.notation.pose(pose.numbers)).then(tool.pose().inverse())
+        placed = placed.compose_frames(base.pose())
+    return placed.compose_frames(pose.notation.pose(pose.numbers)).compose_frames(tool.pose().inverse())
 
 
 def _chosen(
@@ -110,13 +110,16 @@ def _chosen(
 ) -> Understood:
     known: dict[int, Found | str] = {}
     for (near, joints), reaching in zip(before.items(), found, strict=False):
-        known[near] = files_postures.posture_at(joints, reaching.postures) or "the target before it is at a singularity"
+        known[near] = (
+            files_postures.find_posture_with_joints(joints, reaching.postures)
+            or "the target before it is at a singularity"
+        )
     following: dict[PoseTarget, Sequence[Document]] = {}
     for pose, (postures, certain) in zip(poses, found[len(before) :], strict=True):
         if not certain:
             known[id(pose)] = files_postures.NOT_CERTAIN
-        elif pose.stated is not None and not any(use.follows for use in pose.uses):
-            known[id(pose)] = files_postures.by_configuration(pose.stated, postures, limits, signs)
+        elif pose.active_configuration is not None and not any(use.follows for use in pose.uses):
+            known[id(pose)] = files_postures.by_configuration(pose.active_configuration, postures, limits, signs)
         else:
             following[pose] = postures
     _follow(following, known, limits, signs)
@@ -141,11 +144,15 @@ def _suspicion(
     signs: Sequence[float],
 ) -> str:
     """Say that most stated configurations fit no posture of the arm, and by which signs they would; empty: they do."""
-    stated = [pose for pose in poses if pose.stated is not None]
+    stated = [pose for pose in poses if pose.active_configuration is not None]
     misfits = [pose for pose in stated if left.get(pose) == files_postures.NO_SUCH]
     if len(misfits) < 2 or 2 * len(misfits) < len(stated):
         return ""
-    sample = [(pose.stated, found[pose].postures) for pose in misfits[:MOST_TRIED] if pose.stated is not None]
+    sample = [
+        (pose.active_configuration, found[pose].postures)
+        for pose in misfits[:MOST_TRIED]
+        if pose.active_configuration is not None
+    ]
     other = files_postures.fitting_signs(sample, limits, signs)
     said = f"{len(misfits)} of {len(stated)} stated configurations fit no posture of the robot. "
     if other is not None:
@@ -171,7 +178,7 @@ def _follow(
     while again:
         again = False
         for pose, postures in following.items():
-            use = next((use for use in pose.uses if _is_told(pose, use, known)), None)
+            use = next((use for use in pose.uses if _has_known_posture(pose, use, known)), None)
             if use is not None and id(pose) not in known:
                 known[id(pose)] = _by_use(pose, use, postures, known, limits, signs)
                 again = True
@@ -185,7 +192,7 @@ def _follow(
                 known[id(pose)] = checked
 
 
-def _is_told(pose: PoseTarget, use: Use, known: Mapping[int, Found | str]) -> bool:
+def _has_known_posture(pose: PoseTarget, use: Use, known: Mapping[int, Found | str]) -> bool:
     """Say whether a move tells the posture: by what the pose states, or by a start that is known."""
     stated = pose.configuration is not None and not use.follows
     return stated or not isinstance(known.get(id(use.near), ""), str)
@@ -205,7 +212,11 @@ def _by_use(
     near = known.get(id(use.near), BEFORE)
     if use.near is None:
         return files_postures.not_followed(use.follows)
-    return BEFORE if isinstance(near, str) else files_postures.after(near, postures, limits, straight=use.straight)
+    return (
+        BEFORE
+        if isinstance(near, str)
+        else files_postures.select_following_posture(near, postures, limits, straight=use.straight)
+    )
 
 
 def _by_all_uses(
@@ -234,7 +245,7 @@ def not_kept(
     found = (yield from robots.inverse(robot, flanges)) if flanges else []
     out: dict[PoseTarget, str] = {}
     for (pose, q), reaching in zip(corrected, found, strict=True):
-        one, stated = files_postures.posture_at(q, reaching.postures), pose.stated
+        one, stated = files_postures.find_posture_with_joints(q, reaching.postures), pose.active_configuration
         if one is None:
             out[pose] = "the correction takes it to a singularity"
         elif not (
@@ -257,17 +268,21 @@ def rewritten(
     out: list[dict[Span, str]] = []
     for (program, pose), flange, q in zip(places, flanges, joints_deg, strict=True):
         bases, tool = pose.frames()
-        placed = rigid.of_document(flange).then(tool.pose())
+        placed = rigid.of_document(flange).compose_frames(tool.pose())
         for base in bases:
-            placed = base.pose().inverse().then(placed)
-        numbers = pose.notation.near(placed, pose.numbers)
-        moved = [pose.notation.moved(k, old, numbers[k]) for k, old in enumerate(pose.numbers)]
+            placed = base.pose().inverse().compose_frames(placed)
+        numbers = pose.notation.nearest_numbers(placed, pose.numbers)
+        moved = [pose.notation.is_number_changed(k, old, numbers[k]) for k, old in enumerate(pose.numbers)]
         decimals = pose.notation.decimals
         new = {
             span: files_found.written(program.text[slice(*span)], numbers[k], decimals[k])
             for k, span in enumerate(pose.spans)
             if moved[k] or (pose.computed is not None and any(moved))
         }
-        new |= dict(pose.stated.restated(joints.of_program(q))) if pose.stated is not None else {}
+        new |= (
+            dict(pose.active_configuration.edits_for_joints(joints.of_program(q)))
+            if pose.active_configuration is not None
+            else {}
+        )
         out.append(new if pose.computed is None or not new else pose.computed.edits(new))
     return out

@@ -23,7 +23,7 @@ from kilter_client.files import (
 from kilter_client.requests.calls import robots, versions
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.program import FilteredProgram
-from kilter_client.verbs.inputs import signs_of
+from kilter_client.verbs.inputs import parse_signs
 from kilter_client.verbs.program_limits import at_limits
 from kilter_client.verbs.program_poses import ProgramJoints, Understood, not_kept, rewritten, understand
 from kilter_client.verbs.references import ResourceReference, reference
@@ -80,30 +80,30 @@ def filter(  # noqa: A001 - a verb, as the command is called
         ConflictError: the robot has no active version.
 
     """
-    programs = _programs(program, _stated(bases, tools, tracks), again)
-    coupled = _coupled(programs[0], fanuc_j3)
+    programs = _programs(program, _stated_frames(bases, tools, tracks), again)
+    coupled = _is_j3_coupled(programs[0], fanuc_j3)
     name = reference("robot", robot)
-    document = yield from robots.one(name)
+    document = yield from robots.fetch_document(name)
     version_id = yield from _version_id(document, version)
     first = next(((one, target) for one in programs for target in one.targets), None)
     count = len(first[1].joints_deg) if first is not None else len(document["joints"])
-    joints = ProgramJoints(signs_of(signs, count, "program"), coupled)
+    joints = ProgramJoints(parse_signs(signs, count, "program"), coupled)
     if first is not None:
         _refuse_other_robot(*first, document)
     understood = yield from understand(programs, document, joints)
     _name_left(programs, understood)
     if strict:
-        _refuse(_left(programs), programs, "is not rewritten", strict=True, suspicion=understood.suspicion)
-    done = yield from _done(programs, understood, joints, document, version_id)
+        _refuse(_skipped_targets(programs), programs, "is not rewritten", strict=True, suspicion=understood.suspicion)
+    done = yield from _correct_targets(programs, understood, joints, document, version_id)
     wanted = {"OK"} if strict else ANSWERED
-    wrong = [(d.program, d.target.line, f"{d.target.name}: {d.said}") for d in done if d.status not in wanted]
+    wrong = [(d.program, d.target.line, f"{d.target.name}: {d.status_text}") for d in done if d.status not in wanted]
     _refuse(wrong, programs, "is not corrected", strict=strict)
-    done = yield from _kept(programs, done, understood, joints, name, strict=strict)
+    done = yield from _drop_unreachable_poses(programs, done, understood, joints, name, strict=strict)
     texts = yield from _texts(programs, done, joints, name, version_id)
     return FilteredProgram.read(_report(programs, done, texts))
 
 
-def _stated(bases: Frames | None, tools: Frames | None, tracks: Mapping[str, str] | None) -> Stated:
+def _stated_frames(bases: Frames | None, tools: Frames | None, tracks: Mapping[str, str] | None) -> Stated:
     return files_found.Stated(_frames(bases, "base"), _frames(tools, "tool"), _tracks(tracks or {}))
 
 
@@ -144,11 +144,11 @@ def _version_id(robot: Document, version: ResourceReference | None) -> Steps[str
     """Id of the version to correct with: the mark says it. None where the robot has no active one."""
     if not version:
         return str(robot["active_version"]) if robot["active_version"] else None
-    found = yield from versions.one(reference("version", version), str(robot["name"]))
+    found = yield from versions.fetch_document(reference("version", version), str(robot["name"]))
     return str(found["id"])
 
 
-def _coupled(found: Program, fanuc_j3: str | None) -> bool:
+def _is_j3_coupled(found: Program, fanuc_j3: str | None) -> bool:
     if fanuc_j3 not in (None, *FANUC_J3):
         raise UsageError(f"--fanuc-j3 {fanuc_j3}: give one of {', '.join(FANUC_J3)}.")
     if found.dialect == "FANUC LS" and fanuc_j3 is None:
@@ -210,7 +210,7 @@ class Done:
     at_limits: str
 
     @property
-    def said(self) -> str:
+    def status_text(self) -> str:
         """The status, and what it is about."""
         return f"{self.status}, {self.at_limits}" if self.at_limits else self.status
 
@@ -221,14 +221,14 @@ class AllDone(list[Done]):
     notes: tuple[str, ...] = ()
 
 
-def _done(
+def _correct_targets(
     programs: Sequence[Program], understood: Understood, joints: ProgramJoints, robot: Document, version: str | None
 ) -> Steps[AllDone]:
     """Correct all targets in one call."""
     places = [
         place
-        for place in files_reading.visited(programs)
-        if place[1] not in understood.left and _known(place[1], understood)
+        for place in files_reading.targets_in_visit_order(programs)
+        if place[1] not in understood.left and _has_known_joints(place[1], understood)
     ]
     rows = [
         [*understood.joints_deg[target]]
@@ -237,7 +237,13 @@ def _done(
         for _, target in places
     ]
     if not rows:
-        _refuse(_left(programs), programs, "has no target that can be", strict=False, suspicion=understood.suspicion)
+        _refuse(
+            _skipped_targets(programs),
+            programs,
+            "has no target that can be",
+            strict=False,
+            suspicion=understood.suspicion,
+        )
     names = [f"q{k}_deg" for k in range(1, len(joints.signs) + 1)]
     columns = {name: [q[k] for q in rows] for k, name in enumerate(names)}
     content = yield from correct(str(robot["name"]), columns, version=version)
@@ -252,7 +258,7 @@ def _done(
     return done
 
 
-def _kept(
+def _drop_unreachable_poses(
     programs: Sequence[Program],
     done: AllDone,
     understood: Understood,
@@ -278,7 +284,7 @@ def _is_pose(target: JointTarget | PoseTarget) -> TypeGuard[PoseTarget]:
     return isinstance(target, one_target.PoseTarget)
 
 
-def _known(target: JointTarget | PoseTarget, understood: Understood) -> bool:
+def _has_known_joints(target: JointTarget | PoseTarget, understood: Understood) -> bool:
     return not _is_pose(target) or target in understood.joints_deg
 
 
@@ -302,10 +308,10 @@ def _texts(
         )
         for one in programs
     }
-    return {one.path.name: files_marks.marked(one, texts[one.path.name], str(version)) for one in programs}
+    return {one.path.name: files_marks.add_correction_mark(one, texts[one.path.name], str(version)) for one in programs}
 
 
-def _left(programs: Sequence[Program]) -> list[tuple[Program, int, str]]:
+def _skipped_targets(programs: Sequence[Program]) -> list[tuple[Program, int, str]]:
     return [(one, line, what) for one in programs for line, what in one.left]
 
 

@@ -16,7 +16,7 @@ Watching = bool | Told
 
 
 @contextmanager
-def watched(progress: Watching, name: str) -> Iterator[Told | None]:
+def show_progress(progress: Watching, name: str) -> Iterator[Told | None]:
     """Give what is to be told of the progress; None: nobody watches."""
     if callable(progress):
         yield progress

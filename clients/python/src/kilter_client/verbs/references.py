@@ -44,7 +44,7 @@ def references(what: What, things: ResourceReference | Sequence[ResourceReferenc
     return [reference(what, thing) for thing in several]
 
 
-def kind_of(thing: ResourceReference, kind: What | None) -> What:
+def infer_kind(thing: ResourceReference, kind: What | None) -> What:
     """Return what a thing is, by its id or by the answer that it is.
 
     Raises:

@@ -13,7 +13,7 @@ from kilter_client.files import read
 from kilter_client.requests.calls import robots as calls
 from kilter_client.requests.steps import Steps
 from kilter_client.results.record import Records
-from kilter_client.verbs.inputs import Data, moment_of, rows_of
+from kilter_client.verbs.inputs import Data, parse_time, prepare_rows
 from kilter_client.verbs.references import ResourceReference, reference
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def add_repair(
         UsageError: it is not a time; NotFoundError: no such robot; ApiError: a time to come.
 
     """
-    return typed.drifts.Repair.read((yield from calls.add_repair(reference("robot", robot), what, moment_of(at))))
+    return typed.drifts.Repair.read((yield from calls.add_repair(reference("robot", robot), what, parse_time(at))))
 
 
 def remove_repair(robot: ResourceReference, repair: str) -> Steps[None]:
@@ -242,7 +242,7 @@ def find_robot(
         ObservationError: the rows are not circles; FileError: the file is not what it should be.
 
     """
-    found = yield from calls.from_circles(rows_of(data, columns), name, convention, base, follows)
+    found = yield from calls.from_circles(prepare_rows(data, columns), name, convention, base, follows)
     return typed.robots.FoundRobot.read(found)
 
 
@@ -295,7 +295,7 @@ def robot(name: ResourceReference) -> Steps[typed.robots.RobotReport]:
         NotFoundError: there is no such robot.
 
     """
-    return typed.robots.RobotReport.read((yield from calls.one(reference("robot", name))))
+    return typed.robots.RobotReport.read((yield from calls.fetch_document(reference("robot", name))))
 
 
 def robots(*, retired: bool = False) -> Steps[Records[typed.robots.RobotSummary]]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 CONDITION = "calibration_sha256"
 
 
-def stated(
+def compare_calibration_file(
     robot: str, calibration: str | PathLike[str] | None, prepared: Prepared, file: str
 ) -> Steps[tuple[Document, Prepared]]:
     """Return the condition that a calibration is, and the rows with what was not compared; nothing without one.
@@ -29,21 +29,25 @@ def stated(
     """
     if calibration is None:
         return {}, prepared
-    return (yield from compared(robot, files_beside_rows.of_follower(Path(fspath(calibration))), prepared, file))
+    return (
+        yield from compare_calibration(robot, files_beside_rows.of_follower(Path(fspath(calibration))), prepared, file)
+    )
 
 
-def compared(robot: str, found: Calibration, prepared: Prepared, file: str) -> Steps[tuple[Document, Prepared]]:
+def compare_calibration(
+    robot: str, found: Calibration, prepared: Prepared, file: str
+) -> Steps[tuple[Document, Prepared]]:
     """Return the condition that a follower's calibration is, and the rows with what was not compared or looks wrong.
 
     Raises:
         FileError: it is of another arm, or its servos do not reach a reading.
 
     """
-    joints = [str(joint["name"]) for joint in (yield from robots.one(robot))["joints"]]
-    servos = files_beside_rows.servos_of(found, joints)
+    joints = [str(joint["name"]) for joint in (yield from robots.fetch_document(robot))["joints"]]
+    servos = files_beside_rows.servo_by_joint(found, joints)
     shown = {
         f"{name.partition('_')[0]}_{unit}": values
-        for name, given in files_summary.columns_of(prepared).items()
+        for name, given in files_summary.numeric_columns(prepared).items()
         for unit, values in [files_summary.in_shown_unit(name, given)]
     }
     files_beside_rows.refuse_unreached(found, Path(file), shown, servos, prepared.lines)

@@ -11,8 +11,8 @@ from kilter_client.requests.calls import versions as calls
 from kilter_client.requests.steps import Steps
 from kilter_client.results.corrected import Corrected
 from kilter_client.results.record import Records
-from kilter_client.results.rows import Rows, saved
-from kilter_client.verbs.inputs import Data, rows_of
+from kilter_client.results.rows import Rows, write_file
+from kilter_client.verbs.inputs import Data, prepare_rows
 from kilter_client.verbs.references import ResourceReference, reference, references
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def version(version: ResourceReference, *, robot: str | None = None) -> Steps[ty
         NotFoundError: there is none; ConflictError: the name is ambiguous.
 
     """
-    return typed.versions.Version.read((yield from calls.one(reference("version", version), robot)))
+    return typed.versions.Version.read((yield from calls.fetch_document(reference("version", version), robot)))
 
 
 def versions(robot: ResourceReference, *, retired: bool = False) -> Steps[Records[typed.versions.VersionSummary]]:
@@ -117,7 +117,7 @@ def export(
     """
     content = yield from calls.export(reference("version", version), form, robot)
     if path is not None:
-        saved(content, path)
+        write_file(content, path)
     return content
 
 
@@ -161,12 +161,12 @@ def correct(
     """
     chosen = None if not version else reference("version", version)
     answer = yield from calls.correct(
-        reference("robot", robot), rows_of(trajectory, columns), chosen, form, payload_kg, payload_com_mm,
+        reference("robot", robot), prepare_rows(trajectory, columns), chosen, form, payload_kg, payload_com_mm,
         task=task, strict=strict, at_limit=at_limit, hold=hold,
     )  # fmt: skip
     corrected = Corrected(answer.content)
     corrected.media_type = answer.headers.get("content-type", "").partition(";")[0]
     corrected.left_out = tuple(filter(None, answer.headers.get("kilter-not-corrected", "").split(", ")))
-    corrected.notes = calls.notes_of(answer)
+    corrected.notes = calls.server_notes(answer)
     corrected.u95 = answer.headers.get("kilter-u95", "")
     return corrected

@@ -32,13 +32,13 @@ class Amounts:
     covariance: Floats
 
 
-def amounts_of(found: SearchResult) -> Amounts:
+def final_effect_amounts(found: SearchResult) -> Amounts:
     """Amounts of all that was named, geometry and the rest as uncertain as the version says."""
     problem, columns = found.problem, found.columns
     source = problem.settings.source
     values = source.library(problem.values)[columns]
-    J, prior, covariance = of_all(found)
-    away = prior.away(np.concatenate([source.geometry(problem.values), values]))
+    J, prior, covariance = jacobian_prior_covariance(found)
+    away = prior.standardized_deviation(np.concatenate([source.geometry(problem.values), values]))
     grown = widening(found)
     B = J * (grown * prior.sigma)
     H = B.T @ B
@@ -57,7 +57,10 @@ def by_rows(found: SearchResult) -> tuple[Floats, Floats]:
     source, library = problem.settings.source, problem.settings.source.library_sigma[columns]
     J = np.hstack([source.prior.columns(problem.G), problem.W_raw[:, columns] * (problem.size[columns] * library)])
     away = np.concatenate(
-        [source.prior.apart(source.prior.away(source.geometry(problem.values))), np.zeros(len(columns))]
+        [
+            source.prior.whiten_deviation(source.prior.standardized_deviation(source.geometry(problem.values))),
+            np.zeros(len(columns)),
+        ]
     )
     weight = np.concatenate([np.ones(len(source.prior_mean)), np.full(len(columns), UNHELD)])
     H = J.T @ J + np.diag(weight)
@@ -68,12 +71,12 @@ def by_rows(found: SearchResult) -> tuple[Floats, Floats]:
     return np.abs(source.library(problem.values)[columns] + step), deviation
 
 
-def of_all(found: SearchResult) -> tuple[Floats, Prior, Floats]:
+def jacobian_prior_covariance(found: SearchResult) -> tuple[Floats, Prior, Floats]:
     """Whitened Jacobian (R, F), prior (F,) and covariance (F, F) of the geometry and the named effects."""
     problem, columns = found.problem, found.columns
     source = problem.settings.source
     J = problem.of_unit(columns) / widening(found)
-    prior = source.prior_with(columns)
+    prior = source.prior_with_columns(columns)
     H = (J * prior.sigma).T @ (J * prior.sigma)
     prior.add_to(H)
     return J, prior, np.linalg.inv(H) * np.outer(prior.sigma, prior.sigma)
@@ -81,7 +84,7 @@ def of_all(found: SearchResult) -> tuple[Floats, Prior, Floats]:
 
 def inflation(search: SearchResult) -> float:
     """Factor on standard deviations for what noise leaves unexplained; without a scale of its own, the scale of the fit."""
-    left = search.problem.gram.given(search.columns)
+    left = search.problem.gram.condition_on_columns(search.columns)
     ratio = left.yy / max(left.nu, 1.0)
     return float(np.sqrt(max(1.0, ratio) if search.problem.settings.trusted else ratio))
 

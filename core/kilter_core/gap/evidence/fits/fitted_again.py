@@ -13,10 +13,12 @@ from kilter_core.gap.search.sources.source import Source
 def fitted_again(found: SearchResult, source: Source) -> SearchResult:
     """The search with the same names, fitted with what another ``source`` says of them."""
     problem = under(replace(found.problem.settings, source=source), found.problem, found.columns)
-    return replace(found, problem=problem, steps=found.stepped(problem, found.chosen))
+    return replace(found, problem=problem, steps=found.extended_steps(problem, found.chosen))
 
 
-def repeated(once: Callable[[SearchResult], SearchResult], found: SearchResult, passes: int) -> SearchResult:
+def repeat_until_unchanged(
+    once: Callable[[SearchResult], SearchResult], found: SearchResult, passes: int
+) -> SearchResult:
     """The search after so many passes of ``once``, fewer where one returns what it was given."""
     for _ in range(passes):
         before, found = found, once(found)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t
 
-from kilter_core.gap.evidence.fits.final_fit import amounts_of, inflation
+from kilter_core.gap.evidence.fits.final_fit import final_effect_amounts, inflation
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.linearized import fitted, loss, solved
+from kilter_core.gap.search.linear.linearized import estimate_linear_parameters, fit_nonlinear_values, loss
 from kilter_core.gap.search.linear.tails import tail
 from kilter_core.identify.uncertainty.intervals import profile_end
 
@@ -35,7 +35,7 @@ class Amplitude:
     wanted: float
 
     @property
-    def seen(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether the data show it: its own interval does not hold zero."""
         return not self.low <= 0.0 <= self.high
 
@@ -50,7 +50,7 @@ def amplitudes(
     problem, columns = search.problem, search.columns
     if not columns:
         return {}
-    fit, width = amounts_of(search), interval_width(search)
+    fit, width = final_effect_amounts(search), interval_width(search)
     grown, least = inflation(search), loss(problem.settings, problem.values, columns)
     out = {}
     for n, k in enumerate(columns):
@@ -59,7 +59,7 @@ def amplitudes(
         ends = [wanted + side * width * sigma for side in (-1.0, 1.0)]
         held = abs(wanted - value) > HELD * sigma
         if problem.rows <= MOST_ROWS and n < MOST_PROFILES and sigma > 0.0 and not held and not over():
-            ends = [_end(search, k, value, end, least, width * grown) for end in ends]
+            ends = [_profile_interval_end(search, k, value, end, least, width * grown) for end in ends]
         out[k] = Amplitude(k, value, sigma, min(ends[0], value), max(ends[1], value), wanted)
     return out
 
@@ -73,17 +73,17 @@ def scale_freedom(search: SearchResult) -> float:
     """Numbers that the scale of the noise rests on: those of the repeats, or what is left where there are none."""
     noise = search.problem.settings.noise
     if not search.problem.settings.trusted:
-        return search.problem.gram.given(search.columns).nu
+        return search.problem.gram.condition_on_columns(search.columns).nu
     return noise.freedom if noise.absolute else np.inf
 
 
-def _end(search: SearchResult, k: int, best: float, end: float, least: float, target: float) -> float:
+def _profile_interval_end(search: SearchResult, k: int, best: float, end: float, least: float, target: float) -> float:
     """End of the profile interval: where twice the loss has risen by ``target``², one secant step from the linear end."""
     columns, settings = search.columns, search.problem.settings
     others = [c for c in columns if c != k]
 
     def root(move: float) -> float:
-        values = solved(settings, search.problem.values, others, (k, best + move))
+        values = fit_nonlinear_values(settings, search.problem.values, others, (k, best + move))
         return float(np.sqrt(max(2.0 * (loss(settings, values, columns) - least), 0.0)))
 
     move = profile_end(root, end - best, target, 1, close=0.0)
@@ -98,18 +98,18 @@ def seen_joints(search: SearchResult, place: int) -> tuple[tuple[int, ...] | Non
     candidate, columns = search.selector.scorer.candidates[place], search.columns
     source = search.problem.settings.source
     if candidate.joints is None:
-        return None, shown(search, columns, candidate.columns)[1]
+        return None, amplitude_significance(search, columns, candidate.columns)[1]
     joints, start = set[int](), 0
     for effect in candidate.effects:
         own = candidate.columns[start : start + len(effect.parameters(source.model.robot))]
         start += len(own)
-        joints |= set(effect.joints or ()) if shown(search, columns, own)[1] else set()
+        joints |= set(effect.joints or ()) if amplitude_significance(search, columns, own)[1] else set()
     return tuple(j for j in candidate.joints if j in joints), bool(joints)
 
 
-def shown(search: SearchResult, columns: Sequence[int], own: Sequence[int]) -> tuple[float, bool]:
+def amplitude_significance(search: SearchResult, columns: Sequence[int], own: Sequence[int]) -> tuple[float, bool]:
     """Chance of the amplitudes of ``own`` among the library ``columns`` of a fit, and whether the data show them."""
-    values, covariance = fitted(search.problem, columns)
+    values, covariance = estimate_linear_parameters(search.problem, columns)
     index = [list(columns).index(k) for k in own]
     wide = covariance[np.ix_(index, index)] * inflation(search) ** 2
     size = values[index] @ np.linalg.pinv(wide, hermitian=True) @ values[index]
@@ -117,7 +117,7 @@ def shown(search: SearchResult, columns: Sequence[int], own: Sequence[int]) -> t
     return p, p < 1.0 - LEVEL
 
 
-def all_shown(chances: Sequence[float], tested: int) -> bool:
+def are_all_significant(chances: Sequence[float], tested: int) -> bool:
     """Whether all of some members of a family are shown, by Holm's steps: 5 % over all that were ``tested``.
 
     Members that were let go count among these, or the last of many would be the best of many tried at 5 %.

@@ -24,7 +24,7 @@ def left_over(found: SearchResult, known: Posterior) -> Predictive | None:
     points = rows.position is not None and rows.markers is None and rows.pose_weight is None
     if not (points and source.observes_tool and source.observes_places) or settings.inflation > 1.0:
         return None
-    left = found.problem.gram.given(found.columns)
+    left = found.problem.gram.condition_on_columns(found.columns)
     nu, ratio = max(left.nu, 1.0), left.yy / max(left.nu, 1.0)
     size = float(np.sqrt(np.mean(np.diag(settings.of_row)[:3])))
     scale = scale_freedom(found)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.gap.evidence.fits.final_fit import of_all
+from kilter_core.gap.evidence.fits.final_fit import jacobian_prior_covariance
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.model import Calibration
@@ -39,13 +39,13 @@ def posterior(found: SearchResult, begin: Calibration, stored: Calibration) -> P
     The noise is inflated by what it leaves unexplained, as for the amplitudes.
     """
     source = found.problem.settings.source
-    J, prior, covariance = of_all(found)
-    names, L = _combined(source, begin, stored, found.columns)
+    J, prior, covariance = jacobian_prior_covariance(found)
+    names, L = _map_to_stored_parameters(source, begin, stored, found.columns)
     seen = J @ L.T if source.observes_tool else None
     return Posterior(names, L @ covariance @ L.T, np.sqrt(np.sum(prior.columns(L) ** 2, axis=1)), seen)
 
 
-def _combined(
+def _map_to_stored_parameters(
     source: Source, begin: Calibration, stored: Calibration, columns: list[int]
 ) -> tuple[tuple[str, ...], Floats]:
     """Names (F,) of the stored free parameters, in the stored order, and how they follow (F, P + d) from what was fitted."""

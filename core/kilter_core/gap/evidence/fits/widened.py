@@ -15,9 +15,9 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.gap.evidence.fits.final_fit import by_rows
-from kilter_core.gap.evidence.fits.fitted_again import fitted_again, repeated
+from kilter_core.gap.evidence.fits.fitted_again import fitted_again, repeat_until_unchanged
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.ranges import library_of
+from kilter_core.gap.search.linear.ranges import library_parameters
 from kilter_core.types import Bools
 
 LARGER = 1.5  # times the prior deviation, from which an amplitude has a prior of its own size
@@ -26,28 +26,28 @@ WIDTH = 2.0  # of what the rows ask for: a prior that takes less than a tenth of
 PASSES = 2  # the first still finds it pulled
 
 
-def widened(found: SearchResult) -> SearchResult:
+def refit_with_wider_priors(found: SearchResult) -> SearchResult:
     """The search with named amplitudes as likely as they came out, fitted again; itself where none is unusually large.
 
     A fit that leaves more than the one before is none.
     """
-    return repeated(_once, found, PASSES)
+    return repeat_until_unchanged(_once, found, PASSES)
 
 
-def _caused(found: SearchResult) -> Bools:
+def _physical_column_mask(found: SearchResult) -> Bools:
     """Which columns (d,) are of effects with a cause: how large a shape without one is, nobody asks."""
     candidates = found.selector.scorer.candidates
     shapes = {column for k in found.chosen if candidates[k].empirical for column in candidates[k].columns}
     return np.array([column not in shapes for column in found.columns], dtype=bool)
 
 
-def _alike(found: SearchResult) -> Iterator[list[int]]:
+def _group_comparable_columns(found: SearchResult) -> Iterator[list[int]]:
     """Library columns of what was named, those together that are as large as one another: of one effect, in one unit.
 
     Where rows tell one component of a tilt, the prior of the other would tell it to be a fifteenth of what it was.
     """
     source, candidates = found.problem.settings.source, found.selector.scorer.candidates
-    library = library_of(source)
+    library = library_parameters(source)
     for k in found.chosen:
         for effect in candidates[k].effects:
             own = {p.name: p.unit for p in effect.parameters(source.model.robot)}
@@ -64,12 +64,12 @@ def _once(found: SearchResult) -> SearchResult:
         return found
     source, prior = problem.settings.source, problem.settings.source.library_sigma
     asked, unsure = by_rows(found)
-    far = (asked > TOLD * unsure) & (asked > LARGER * prior[columns]) & _caused(found)
+    far = (asked > TOLD * unsure) & (asked > LARGER * prior[columns]) & _physical_column_mask(found)
     if not np.any(far):
         return found
     times = dict(zip(np.array(columns)[far].tolist(), (asked / prior[columns])[far].tolist(), strict=True))
     sigma = prior.copy()
-    for alike in _alike(found):
+    for alike in _group_comparable_columns(found):
         largest = max((times[k] for k in alike if k in times), default=0.0)
         sigma[alike] = prior[alike] * max(1.0, WIDTH * largest)
     again = fitted_again(found, replace(source, library_sigma=sigma))  # type: ignore[type-var]

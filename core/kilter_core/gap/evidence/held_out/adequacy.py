@@ -13,7 +13,7 @@ from kilter_core.gap.noise.from_repeats import WITHIN
 from kilter_core.gap.search.linear.contrasts import fitted_away
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.scan import residual_given
-from kilter_core.observations.groups import centred
+from kilter_core.observations.groups import subtract_group_means
 from kilter_core.types import Bools, Floats, Ints
 
 ADEQUATE = 0.01
@@ -57,16 +57,16 @@ class Adequacy:
     @property
     def relative(self) -> bool:
         """Whether no noise is known apart from the fit: no repeats, no revisits, and nothing that the instrument states."""
-        return self.adequate is None and not self.doubted
+        return self.adequate is None and not self.has_doubtful_noise
 
     @property
-    def doubted(self) -> bool:
+    def has_doubtful_noise(self) -> bool:
         """Whether the noise is that of repeats, and how large it is is in doubt: it may hold drift, or the rows refute it."""
         return self.adequate is None and self.p_value is not None and not self.least
 
     def sentence(self, left: str) -> str:
         """The model as a whole in words; ``left`` says how much remains, and where."""
-        if self.doubted:
+        if self.has_doubtful_noise:
             return "Whether something else remains is not known: the repeats do not tell how large the noise is."
         if self.adequate is None:
             return "Whether something else remains is not known: the noise is not known apart from the fit."
@@ -96,7 +96,7 @@ class Adequacy:
 
 def adequacy(problem: LinearizedProblem, condition: Ints, chosen: Sequence[int]) -> Adequacy:
     """Judge what is left after geometry and the chosen columns; ``condition (V,)`` numbers visits that should agree."""
-    left = problem.gram.given(chosen)
+    left = problem.gram.condition_on_columns(chosen)
     pure, freedom = _pure_error(problem, condition, chosen)
     lof_freedom = max(left.nu - freedom, 1.0)
     lof = max(left.yy - pure, 0.0) / lof_freedom
@@ -157,12 +157,14 @@ def _pure_error(problem: LinearizedProblem, condition: Ints, chosen: Sequence[in
     used = problem.settings.used
     r = residual_given(problem, chosen).reshape(-1, size)[used]
     group = np.unique(condition[used], return_inverse=True)[1]
-    beside = problem.settings.source.beside_seen[used]
-    told = float((size - beside.shape[1]) * (len(group) - len(np.unique(group)))) + _again(beside, group)
-    return float(np.sum(centred(r, group) ** 2)), told - fitted_away(problem, chosen, condition)
+    beside = problem.settings.source.sensor_reading_mask[used]
+    told = float((size - beside.shape[1]) * (len(group) - len(np.unique(group)))) + _repeated_reading_count(
+        beside, group
+    )
+    return float(np.sum(subtract_group_means(r, group) ** 2)), told - fitted_away(problem, chosen, condition)
 
 
-def _again(seen: Bools, group: Ints) -> float:
+def _repeated_reading_count(seen: Bools, group: Ints) -> float:
     """How many numbers of sensors, ``seen (V, k)``, repeat another of their group: a cell without a reading repeats none."""
     count = np.zeros((int(group.max(initial=-1)) + 1, seen.shape[1]))
     np.add.at(count, group, seen)

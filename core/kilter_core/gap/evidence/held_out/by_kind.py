@@ -9,11 +9,11 @@ import numpy as np
 
 from kilter_core.gap.evidence.held_out.held_out_errors import HeldOut, HoldoutEvaluator
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.linearized import LinearizedProblem, go_on
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, ignore_step
 from kilter_core.gap.search.prepare import Prepared
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.identify.rows.noise import pooled_columns
-from kilter_core.parameters import reported
+from kilter_core.parameters import display_unit_and_scale
 from kilter_core.types import Bools, Floats
 
 
@@ -34,7 +34,7 @@ def by_kind(prepared: Prepared, search: SearchResult, held: HoldoutEvaluator, ju
     fitted = [_errors(p)[used] for p in (prepared.problem, problem)]
     seen = np.isfinite(source.residual(problem.values))[used]
     others = [e @ judging.lower.T for e in (judging.before, judging.after)]
-    there = seen if held.rows is None else held.seen
+    there = seen if held.rows is None else held.valid_reading_mask
     return [_row(kind, prepared, problem, (fitted, seen), (others, there)) for kind in _kinds(source)]
 
 
@@ -57,7 +57,7 @@ def _row(
     fitted: tuple[list[Floats], Bools],
     held: tuple[list[Floats], Bools],
 ) -> dict[str, Any]:
-    unit, scale = reported(kind.unit)
+    unit, scale = display_unit_and_scale(kind.unit)
     source, noise = problem.settings.source, problem.settings.noise
     lengths = slice(kind.part.start, noise.lengths) if kind.of_tool and noise.lengths else kind.part
     repeats = _repeats(kind, prepared, problem)
@@ -90,7 +90,7 @@ def _repeats(kind: _Columns, prepared: Prepared, problem: LinearizedProblem) -> 
     condition = prepared.visits.condition[prepared.visits.visit]
     if prepared.moving or len(condition) == len(np.unique(condition)):
         return None
-    residual = problem.settings.source.residual_of_rows(problem.values, prepared.rows, go_on)
+    residual = problem.settings.source.residual_of_rows(problem.values, prepared.rows, ignore_step)
     return pooled_columns(residual[:, kind.part], condition)
 
 

@@ -17,16 +17,16 @@ from kilter_core.gap.evidence.held_out.adequacy import gain, left_out_errors, le
 from kilter_core.gap.evidence.held_out.predicted import surely_predicted
 from kilter_core.gap.noise.motion import blocks, motion_blocks
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.in_space import fit_rms, noise_rms, rms_at, root_of
-from kilter_core.gap.search.linear.linearized import solved
+from kilter_core.gap.search.linear.in_space import cholesky_root, fit_rms, noise_rms, rms_error_at_values
+from kilter_core.gap.search.linear.linearized import fit_nonlinear_values
 from kilter_core.gap.search.linear.settings import ProblemSettings
-from kilter_core.gap.search.prepare import Prepared, windowed
+from kilter_core.gap.search.prepare import Prepared, average_motion_rows
 from kilter_core.gap.search.rows.wrong_rows import along_one_motion
 from kilter_core.gap.search.sources.rounding import rounding_document
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
 from kilter_core.observations.motions import is_trajectory
-from kilter_core.parameters import DEG, reported
+from kilter_core.parameters import DEG, display_unit_and_scale
 from kilter_core.types import Bools, Floats, Ints
 
 SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is not a measurement
@@ -77,7 +77,7 @@ class HoldoutEvaluator:
         self.moving = prepared.moving and validation is not None and is_trajectory(validation)
         if self.moving and validation is not None:
             source, values = on_rows(search.problem.settings.source, validation, search, search.problem.values)
-            self.rows = windowed(validation, source, values, prepared.width)
+            self.rows = average_motion_rows(validation, source, values, prepared.width)
         self._known: dict[tuple[int, ...], Floats] = {}
         self._values: dict[tuple[int, ...], Floats] = {}
 
@@ -93,18 +93,18 @@ class HoldoutEvaluator:
             problem = self.search.problem if len(columns) else self.prepared.problem
             return left_out_errors(problem, columns)[problem.settings.used]
         problem = self.search.problem
-        source = on_rows(problem.settings.source, self.rows, self.search, self._fitted(tuple(columns)))
+        source = on_rows(problem.settings.source, self.rows, self.search, self._fitted_values(tuple(columns)))
         r = np.nan_to_num(source[0].residual(source[1]))
         if self.moving:
-            r = source[0].referenced(r)
+            r = source[0].without_instrument_offsets(r)
         return np.asarray(r @ np.linalg.inv(self._lower()).T)
 
-    def _fitted(self, columns: tuple[int, ...]) -> Floats:
+    def _fitted_values(self, columns: tuple[int, ...]) -> Floats:
         """Values of the rows searched, fitted with a set of columns once."""
         if columns not in self._values:
             problem = self.search.problem
             begin = problem if columns else self.prepared.problem
-            self._values[columns] = solved(problem.settings, begin.values, columns)
+            self._values[columns] = fit_nonlinear_values(problem.settings, begin.values, columns)
         return self._values[columns]
 
     def taken_off(self, place: int) -> float:
@@ -114,17 +114,17 @@ class HoldoutEvaluator:
         """
         rest = self.search.selector.columns([k for k in self.search.chosen if k != place])
         problem = self.search.problem
-        return rms_at(problem.settings, self._fitted(tuple(rest))) - fit_rms(problem)
+        return rms_error_at_values(problem.settings, self._fitted_values(tuple(rest))) - fit_rms(problem)
 
     def rms(self, columns: Sequence[int]) -> float:
         """Rms error (m; rad of a joint) of the held-out rows that are measurements, by a set of columns."""
         source = self.search.problem.settings.source
-        return source.rms(self.errors(columns)[self.kept] @ self._lower().T)
+        return source.rms(self.errors(columns)[self.valid_row_mask] @ self._lower().T)
 
     def rms_interval(self, columns: Sequence[int]) -> tuple[float, float] | None:
         """95 % interval (m; rad of a joint) of that error, by drawing whole poses again; None with too few poses."""
-        group = np.unique(self._groups()[self.kept], return_inverse=True)[1]
-        errors, count = self.errors(columns)[self.kept] @ self._lower().T, np.bincount(group)
+        group = np.unique(self._groups()[self.valid_row_mask], return_inverse=True)[1]
+        errors, count = self.errors(columns)[self.valid_row_mask] @ self._lower().T, np.bincount(group)
         if len(count) < FEWEST_DRAWN:
             return None
         source = self.search.problem.settings.source
@@ -146,8 +146,8 @@ class HoldoutEvaluator:
         """Root (m, m) of the noise covariance by which errors are whitened: of a held-out row, or of a visit left out."""
         settings = self.search.problem.settings
         if self.rows is None:
-            return root_of(np.mean(settings.of_visit[settings.used], axis=0) * settings.inflation)
-        return root_of(settings.of_row * (settings.inflation if self.moving else 1.0))
+            return cholesky_root(np.mean(settings.of_visit[settings.used], axis=0) * settings.inflation)
+        return cholesky_root(settings.of_row * (settings.inflation if self.moving else 1.0))
 
     def report(self) -> HeldOut:
         """Geometry only, and everything named."""
@@ -156,7 +156,7 @@ class HoldoutEvaluator:
         if self.rows is None:
             floor = left_out_floor(problem, columns)
             return HeldOut(before, after, self._lower(), floor, "leave one pose out", 0, problem.settings.inflation)
-        spike = ~self.kept
+        spike = ~self.valid_row_mask
         spread = self._spread()
         floor = 1.0 + (problem.U.shape[1] + len(columns)) / max(problem.rows, 1)
         if spread is not None:
@@ -173,7 +173,7 @@ class HoldoutEvaluator:
         return HeldOut(before[~spike], after[~spike], self._lower(), floor, how, int(np.sum(spike)), grown, told, every)
 
     @cached_property
-    def kept(self) -> Bools:
+    def valid_row_mask(self) -> Bools:
         """Held-out rows that are measurements: all but spikes, unless those are more than interrupted laser beams explain.
 
         A share alone would call one interrupted laser beam among thirty rows structure, and let it decide what the
@@ -198,7 +198,7 @@ class HoldoutEvaluator:
         if rows is None or self.moving or not spike.any() or not settings.source.observes_tool:
             return none
         aside, first = ~settings.used, np.flatnonzero(spike)[np.unique(visit[spike], return_index=True)[1]]
-        other, values = on_rows(settings.source, rows, self.search, self._fitted(tuple(self.search.columns)))
+        other, values = on_rows(settings.source, rows, self.search, self._fitted_values(tuple(self.search.columns)))
         here, there = settings.source.joint_columns(problem.values), other.joint_columns(values)
         back, size = np.linalg.inv(self._lower()).T, after.shape[1]
 
@@ -213,7 +213,7 @@ class HoldoutEvaluator:
     @property
     def set_aside(self) -> Ints:
         """Rows of the validation that was given that were left out as spikes; none of a motion, which counts by windows."""
-        return np.zeros(0, dtype=np.int64) if self.moving or self.rows is None else self._given[~self.kept]
+        return np.zeros(0, dtype=np.int64) if self.moving or self.rows is None else self._given[~self.valid_row_mask]
 
     def _spread(self) -> Floats | None:
         """Covariance (N, m, m) of the predictions of the held-out rows: of the fit, and of signs that nobody knows.
@@ -241,7 +241,7 @@ class HoldoutEvaluator:
         lower, grown = self._lower(), max(1.0, inflation(self.search))
         noise = lower @ lower.T * grown**2
         sigma = np.sqrt(np.diagonal(spread + noise, axis1=1, axis2=2))
-        seen, kept = np.isfinite(self._measured()), kept[:, None]
+        seen, kept = np.isfinite(self._held_out_residuals()), kept[:, None]
         inside = (np.abs(after @ lower.T) <= interval_width(self.search) * sigma) & seen
         group = np.unique(self._groups(), return_inverse=True)[1]
         by_pose = [np.bincount(group, np.sum(m, axis=1)).astype(int).tolist() for m in (inside & kept, seen & kept)]
@@ -250,11 +250,11 @@ class HoldoutEvaluator:
         return told if kept.all() else {**told, "inside_all": int(inside.sum()), "of_all": int(seen.sum())}
 
     @property
-    def seen(self) -> Bools:
+    def valid_reading_mask(self) -> Bools:
         """Which numbers (N, m) of the held-out rows that are measurements were read."""
-        return np.isfinite(self._measured())[self.kept]
+        return np.isfinite(self._held_out_residuals())[self.valid_row_mask]
 
-    def _measured(self) -> Floats:
+    def _held_out_residuals(self) -> Floats:
         """Residuals (N, m) of the held-out rows, NaN where nothing was seen."""
         assert self.rows is not None
         source, values = on_rows(
@@ -264,20 +264,20 @@ class HoldoutEvaluator:
 
     def by_pose(self) -> tuple[Floats, Floats]:
         """Rms errors (G,) m or rad of the held-out poses by geometry alone and by everything named, as they are printed."""
-        group = np.unique(self._groups()[self.kept], return_inverse=True)[1]
+        group = np.unique(self._groups()[self.valid_row_mask], return_inverse=True)[1]
         own = np.split(np.argsort(group, kind="stable"), np.cumsum(np.bincount(group))[:-1])
         source, lower = self.search.problem.settings.source, self._lower()
         before, after = (
             np.array([source.rms(e[pose] @ lower.T) for pose in own])
-            for e in (self.errors([])[self.kept], self.errors(self.search.columns)[self.kept])
+            for e in (self.errors([])[self.valid_row_mask], self.errors(self.search.columns)[self.valid_row_mask])
         )
         return before, after
 
-    def gain_of(self, place: int) -> tuple[float, float, float]:
+    def effect_gain(self, place: int) -> tuple[float, float, float]:
         """Gain by one chosen candidate beyond the others, its standard error, and how surely it was predicted."""
         rest = self.search.selector.columns([k for k in self.search.chosen if k != place])
-        without, with_ = self.errors(rest)[self.kept], self.errors(self.search.columns)[self.kept]
-        group = self._groups()[self.kept]
+        without, with_ = self.errors(rest)[self.valid_row_mask], self.errors(self.search.columns)[self.valid_row_mask]
+        group = self._groups()[self.valid_row_mask]
         return (*gain(without, with_, group), surely_predicted(without, with_, group))
 
     def _groups(self) -> Ints:
@@ -316,7 +316,7 @@ def on_rows(source: Source, rows: Observations, search: SearchResult, fitted: Fl
 def noise_document(settings: ProblemSettings) -> dict[str, Any]:
     """The noise: standard deviations of a coordinate, and the covariance of a single row (of poses mm, then deg)."""
     noise, joint = settings.noise, settings.source.unit == "rad"
-    unit, scale = reported("rad" if joint else "m")
+    unit, scale = display_unit_and_scale("rad" if joint else "m")
     scales = np.full(len(noise.row), scale)
     scales[noise.lengths or len(scales) :] = DEG
     return {
@@ -349,7 +349,7 @@ def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dic
     sigma = source.rms(np.eye(size) * np.sqrt(size * held.floor) @ (held.lower / np.sqrt(held.inflation)).T)
     if not problem.settings.trusted:
         # The scatter of the first fit holds the gap itself: the floor is that of the last fit.
-        last = problem.gram.given(search.columns)
+        last = problem.gram.condition_on_columns(search.columns)
         share = np.sqrt(last.yy / max(last.nu, 1.0))
         coordinate, noise, sigma = coordinate * share, noise * share, sigma * share
     # Against a noise that was read from the fit itself, a closed gap means nothing; nor does it as a share of nothing.
@@ -362,7 +362,7 @@ def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dic
     }  # fmt: skip
     if held.every is not None:
         numbers["validation_after_all"] = source.rms(held.every @ held.lower.T)
-    unit, scale = reported("rad" if joint else "m")
+    unit, scale = display_unit_and_scale("rad" if joint else "m")
     out: dict[str, Any] = {f"{k}_{unit}": v * scale for k, v in numbers.items()}
     out["lengths"] = None if joint else "at_tool" if source.observations.pose_weight is None else "by_views"
     if joint:

@@ -12,7 +12,7 @@ from kilter_core.effects.other_campaigns import placed_later
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify.holdout import split
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.contacts import contacts_of, placements
+from kilter_core.measurement.contacts import group_contacts, placements
 from kilter_core.observations import Observations
 from kilter_core.observations.shared_rows import refuse_shared_rows
 from kilter_core.types import Ints
@@ -22,7 +22,7 @@ POSES_TO_SPARE_SOME = 60  # poses from which so many can be spared
 FEWEST_PLACEMENTS = 4  # of contacts, from which one can be spared unasked
 
 
-def share_of(rows: Observations, validation: float | None) -> float:
+def held_out_share(rows: Observations, validation: float | None) -> float:
     """Share of the poses that is held out; None asks for a quarter where there are 60 poses or more, 0 for none.
 
     Of contacts whole placements are held out, unasked where there are four or more.
@@ -47,13 +47,13 @@ def held_out(rows: Observations, validation: float | None, seed: int) -> tuple[I
         OptionError: a fraction outside [0, 1). TooFewPosesError: a side without poses.
 
     """
-    share = share_of(rows, validation)
+    share = held_out_share(rows, validation)
     if share == 0.0:
         return np.arange(len(rows)), np.zeros(0, dtype=np.int64)
     return split(rows, share, seed)
 
 
-def parted(
+def split_held_out_rows(
     rows: Observations, validation: Observations | float | None, seed: int
 ) -> tuple[Observations, Observations | None]:
     """Rows to search and rows that take no part in it, None without any.
@@ -78,7 +78,7 @@ def _refuse_other_contacts(rows: Observations, validation: Observations) -> None
         ObservationError: what cannot judge what, and the remedy.
 
     """
-    widths = [{3 if c.kind == "socket" else 1 for c in contacts_of(part)} for part in (rows, validation)]
+    widths = [{3 if c.kind == "socket" else 1 for c in group_contacts(part)} for part in (rows, validation)]
     if widths[0] != widths[1]:
         raise ObservationError(
             "The rows to search and those to validate measure the tool in different ways: sockets, planes and bars, or an "
@@ -86,4 +86,4 @@ def _refuse_other_contacts(rows: Observations, validation: Observations) -> None
             code="contacts_mixed",
         )
     if widths[1]:
-        Measurement.of(validation, held=True)
+        Measurement.from_observations(validation, held=True)

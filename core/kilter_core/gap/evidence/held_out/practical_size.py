@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, f
 
-from kilter_core.gap.evidence.fits.final_fit import amounts_of
+from kilter_core.gap.evidence.fits.final_fit import final_effect_amounts
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.in_space import derivatives_of, moved_by, noise_rms
+from kilter_core.gap.search.linear.in_space import displacement_by_columns, displacement_derivatives, noise_rms
 from kilter_core.observations import Observations
 from kilter_core.parameters import mm
 from kilter_core.types import QUANTILE
@@ -45,7 +45,7 @@ class Misfit:
         # A misfit of nothing at all comes from a noise that was said too large, which is another fault.
         return self.rms_mm > 0.0 and self.upper_mm < self.floor_mm
 
-    def small_beside(self, moves_mm: float) -> bool:
+    def is_negligible_for_effect(self, moves_mm: float) -> bool:
         """Whether it is too small to matter and small beside what an effect does."""
         return self.too_small and self.upper_mm is not None and self.upper_mm < BESIDE * moves_mm
 
@@ -54,7 +54,7 @@ class Misfit:
         return self.floor_mm is None or moves_mm >= self.floor_mm
 
     @property
-    def said(self) -> str:
+    def size_text(self) -> str:
         """Its size in words."""
         if self.rms_mm is None:
             return "unknown"
@@ -98,7 +98,7 @@ def moves_mm(found: SearchResult) -> dict[int, float]:
         return dict.fromkeys(found.chosen, float("inf"))
     used = found.problem.settings.used
     own = {k: found.selector.scorer.candidates[k].columns for k in found.chosen}
-    moved = {k: moved_by(found.problem, columns)[used] for k, columns in own.items()}
+    moved = {k: displacement_by_columns(found.problem, columns)[used] for k, columns in own.items()}
     return {k: mm(source.rms(m)) for k, m in moved.items()}
 
 
@@ -114,7 +114,7 @@ def outweighing(found: SearchResult, k: int, joints: tuple[int, ...] | None, lef
     for effect in candidate.effects:
         own = candidate.columns[start : start + len(effect.parameters(source.model.robot))]
         start += len(own)
-        moved |= dict.fromkeys(effect.joints or (), mm(source.rms(moved_by(found.problem, own)[used])))
+        moved |= dict.fromkeys(effect.joints or (), mm(source.rms(displacement_by_columns(found.problem, own)[used])))
     return tuple(j for j in joints if moved.get(j, 0.0) > left.rms_mm) or joints
 
 
@@ -124,9 +124,9 @@ def moves_u95_mm(found: SearchResult, k: int) -> float:
     source = problem.settings.source
     if not source.observes_tool:
         return float("inf")
-    each = derivatives_of(problem, own)[problem.settings.used]
+    each = displacement_derivatives(problem, own)[problem.settings.used]
     amount, places = source.library(problem.values)[own], [found.columns.index(column) for column in own]
-    covariance = amounts_of(found).covariance[np.ix_(places, places)]
+    covariance = final_effect_amounts(found).covariance[np.ix_(places, places)]
     # What a length follows: that of the sum of its squares, for lengths add up as the root of one quadratic form.
     size = source.rms(each @ amount)
     slope = [(source.rms(each @ (amount + step)) ** 2 - source.rms(each @ (amount - step)) ** 2) / (4.0 * step.max() * size)

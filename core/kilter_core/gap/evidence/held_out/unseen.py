@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from kilter_core.effects import Effect
-from kilter_core.gap.evidence.fits.intervals import all_shown, shown
+from kilter_core.gap.evidence.fits.intervals import amplitude_significance, are_all_significant
 from kilter_core.gap.search.candidates import FAMILY, JOINT, Candidate, Untestable
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.linearized import fitted, refit
+from kilter_core.gap.search.linear.linearized import estimate_linear_parameters, refit
 
 TAKEN_OVER = 0.2  # share of the variance of an amplitude that would vanish with a joint that it imitates
 
@@ -88,11 +88,16 @@ def _shown_members(found: SearchResult, candidate: Candidate) -> list[Member]:
         ]
         if not apart:
             break
-        chances = {n: 1.0 if _nominal(found, left[n][1]) else shown(found, columns, left[n][1])[0] for n in apart}
+        chances = {
+            n: 1.0 if _nominal(found, left[n][1]) else amplitude_significance(found, columns, left[n][1])[0]
+            for n in apart
+        }
         worst = max(apart, key=chances.__getitem__)
         # Each at 95 % by itself, one family of seven in three kept a joint that has nothing.
-        together = [shown(found, found.columns, [*gone, *left[worst][1]])[0]]
-        sure = all_shown(list(chances.values()), members) or all_shown(together, members - len(left) + 1)
+        together = [amplitude_significance(found, found.columns, [*gone, *left[worst][1]])[0]]
+        sure = are_all_significant(list(chances.values()), members) or are_all_significant(
+            together, members - len(left) + 1
+        )
         if chances[worst] < 1.0 and sure:
             break
         gone += left.pop(worst)[1]
@@ -104,7 +109,7 @@ def _taken_over(found: SearchResult, columns: Sequence[int], own: Sequence[int],
 
     Its amount would then be presumed to be zero, which no data say, and theirs would be wrong by what it is.
     """
-    covariance = fitted(found.problem, columns)[1]
+    covariance = estimate_linear_parameters(found.problem, columns)[1]
     at = {k: n for n, k in enumerate(columns)}
     mine, theirs = [at[k] for k in own], [at[k] for k in _columns(members) if k not in own]
     shared = covariance[np.ix_(theirs, mine)]
@@ -135,10 +140,10 @@ def _with_members(found: SearchResult, n: int, left: list[Member]) -> SearchResu
         joints = tuple(j for e, _ in left for j in e.joints or ())
         candidates[place] = replace(own, columns=columns, joints=joints, effects=tuple(e for e, _ in left), part=True)
     chosen = (*found.chosen[:n], place, *found.chosen[n + 1 :])
-    selector = replace(found.selector, scorer=scorer.of(candidates, scorer.absolute, scorer.freedom))
+    selector = replace(found.selector, scorer=scorer.from_candidates(candidates, scorer.absolute, scorer.freedom))
     problem = refit(found.problem.settings, found.problem.values, selector.columns(chosen))
     cut = replace(found, selector=selector, chosen=chosen, problem=problem)
-    return replace(cut, steps=cut.stepped(problem, chosen))
+    return replace(cut, steps=cut.extended_steps(problem, chosen))
 
 
 def _first_lower(sentence: str) -> str:

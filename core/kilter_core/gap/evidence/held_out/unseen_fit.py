@@ -15,9 +15,9 @@ from scipy.stats import chi2, f
 
 from kilter_core.gap.evidence.fits.posterior import Posterior
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator, on_rows
-from kilter_core.gap.noise.visits import visits_of
-from kilter_core.gap.search.linear.in_space import root_of
-from kilter_core.gap.search.sources.rounding import readings_of
+from kilter_core.gap.noise.visits import average_visits
+from kilter_core.gap.search.linear.in_space import cholesky_root
+from kilter_core.gap.search.sources.rounding import number_readings
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
 from kilter_core.parameters import metres, mm
@@ -44,7 +44,7 @@ class UnseenFit:
     all_rows: tuple[float, int] | None = None
 
     @property
-    def refuted(self) -> bool:
+    def refutes_model(self) -> bool:
         """Whether more is left than noise explains, and more of it than is too small to matter."""
         return self.p_value <= REFUTED and self.beyond > self.matters
 
@@ -55,11 +55,11 @@ class UnseenFit:
 
     def verdict(self, of_run: str) -> str:
         """The verdict of a run, where rows that no choice saw agree with it: nothing is closed that is open there."""
-        return "unexplained" if self.refuted else of_run
+        return "unexplained" if self.refutes_model else of_run
 
     def sentence(self) -> str:
         """What is left, in which quantity; nothing where it is no more than noise."""
-        if not self.refuted:
+        if not self.refutes_model:
             return ""
         return (
             f" On {self.poses} held-out poses, which no choice saw, {mm(self.left):.3g} mm are left (rms error in space) "
@@ -71,7 +71,7 @@ class UnseenFit:
         return {
             "chi2": self.chi2, "freedom": self.freedom, "chi2_per_freedom": self.chi2 / self.freedom,
             "p_value": self.p_value, "poses": self.poses, "left_mm": mm(self.left), "noise_mm": mm(self.noise),
-            "refuted": self.refuted,
+            "refuted": self.refutes_model,
             **({} if self.all_rows is None else dict(zip(("chi2_all", "freedom_all"), self.all_rows, strict=True))),
         }  # fmt: skip
 
@@ -83,7 +83,7 @@ def unseen_fit(held: HoldoutEvaluator, matters_mm: float) -> UnseenFit | None:
     plain = source.observes_tool and source.observes_places and not held.moving and problem.settings.inflation <= 1.0
     if rows is None or known is None or not plain or not noise.absolute:
         return None
-    total, free = _chi2(held, known, rows, held.kept)
+    total, free = _chi2(held, known, rows, held.valid_row_mask)
     if not free:
         return None
     law = chi2(free, scale=1.0 / free) if np.isinf(noise.freedom) else f(free, max(noise.freedom, 1.0))
@@ -91,7 +91,7 @@ def unseen_fit(held: HoldoutEvaluator, matters_mm: float) -> UnseenFit | None:
     size = len(problem.settings.of_row)
     left = source.rms(told.after @ told.lower.T)
     floor = source.rms(np.eye(size) * np.sqrt(size * told.floor) @ told.lower.T)
-    whole = None if held.kept.all() else _chi2(held, known, rows, np.ones_like(held.kept))
+    whole = None if held.valid_row_mask.all() else _chi2(held, known, rows, np.ones_like(held.valid_row_mask))
     return UnseenFit(total, free, float(law.sf(total / free)), held.poses, left, floor, metres(matters_mm), whole)
 
 
@@ -99,7 +99,7 @@ def _chi2(held: HoldoutEvaluator, known: Posterior, rows: Observations, kept: Bo
     """Chi-square of the held-out rows that are ``kept (N,)``, by the noise and by what was fitted, and its freedom."""
     problem = held.search.problem
     other, values = on_rows(problem.settings.source, rows, held.search, problem.values)
-    back = np.linalg.inv(root_of(problem.settings.of_row + np.nan_to_num(other.doubt(values))))
+    back = np.linalg.inv(cholesky_root(problem.settings.of_row + np.nan_to_num(other.doubt(values))))
     seen = np.isfinite(other.residual(values))
     r = np.einsum("nij,nj->ni", back, np.nan_to_num(other.residual(values)))
     B = back @ _spread(other, values, known)
@@ -123,10 +123,10 @@ def _spread(source: Source, values: Floats, known: Posterior) -> Floats:
 
 def _independent(held: HoldoutEvaluator, rows: Observations) -> tuple[Ints, Ints]:
     """Visit (N,) of each row and rows (V,) of each; rows of one rounded reading are one, for they share its error."""
-    visits = visits_of(rows)
+    visits = average_visits(rows)
     if held.search.problem.settings.rounding is None:
         return visits.visit, visits.count
-    visit = readings_of(rows)
+    visit = number_readings(rows)
     return visit, np.bincount(visit)
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from kilter_core.effects import Effect
-from kilter_core.gap.evidence.fits.final_fit import amounts_of
+from kilter_core.gap.evidence.fits.final_fit import final_effect_amounts
 from kilter_core.gap.evidence.held_out.held_out_errors import on_rows
 from kilter_core.gap.evidence.held_out.practical_size import moves_u95_mm
-from kilter_core.gap.search.events import Course, key_of, likely, moved, profiles
+from kilter_core.gap.search.events import Course, event_key, likely, profiles, replace_events
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.observations import Observations
 from kilter_core.parameters import degrees
@@ -58,14 +58,14 @@ class Rotated:
     u95_deg: float | None = None
 
     @staticmethod
-    def of(found: SearchResult, k: int) -> Rotated | None:
+    def from_search(found: SearchResult, k: int) -> Rotated | None:
         """What the amounts of a chosen candidate say; None of one that moves no frame."""
         candidate, source = found.selector.scorer.candidates[k], found.problem.settings.source
         if candidate.joints is not None:
             return None
         library = source.model.parameters[len(source.model.parameters) - source.n_library :]
         places = [found.columns.index(column) for column in candidate.columns if library[column].unit == "rad"]
-        amounts = amounts_of(found)
+        amounts = final_effect_amounts(found)
         size = float(np.linalg.norm(amounts.values[places]))
         if size == 0.0:
             return Rotated()
@@ -85,7 +85,7 @@ def events(found: SearchResult, every: Observations, moves_mm: dict[int, float])
     """When each chosen event happened, in rows of ``every``: those searched and those held out, in the file's order."""
     candidates = found.selector.scorer.candidates
     chosen = [k for k in found.chosen if candidates[k].effects[0].event]
-    course = Course.of(every)
+    course = Course.from_observations(every)
     if course is None or not chosen:
         return ()
     variance = found.selector.variance(found.problem.gram, found.chosen)
@@ -99,12 +99,12 @@ def events(found: SearchResult, every: Observations, moves_mm: dict[int, float])
         row, share = course.order + 1, float(profile.course.place(candidates[k].effects[0])) / len(own)
         less = 1.0 / np.sqrt(max(share, 1.0 / len(own)))  # only rows before it are moved by it
         far, half = moves_mm[k] * less, moves_u95_mm(found, k) * less
-        rotated = Rotated.of(found, k)
+        rotated = Rotated.from_search(found, k)
         out.append(When(k, int(row[place - 1]), int(row[place]), int(row[first]), int(row[last]), far, half, rotated))
     return tuple(out)
 
 
-def settled(found: SearchResult, held_out: Observations | None) -> SearchResult:
+def refine_event_positions(found: SearchResult, held_out: Observations | None) -> SearchResult:
     """The search with its events between the right rows among those held out, which the rows searched leave open.
 
     Nothing else follows from it: an event stays between the same two visits that were searched.
@@ -114,7 +114,7 @@ def settled(found: SearchResult, held_out: Observations | None) -> SearchResult:
     if held_out is None or not len(held_out) or not chosen:
         return found
     source = found.problem.settings.source
-    searched, unseen = Course.of(source.observations), Course.of(held_out)
+    searched, unseen = Course.from_observations(source.observations), Course.from_observations(held_out)
     if searched is None or unseen is None or searched.timed != unseen.timed:
         return found
     for k in chosen:
@@ -132,17 +132,17 @@ def _settled_one(found: SearchResult, k: int, rows: Observations, searched: Cour
         return found
     keys = np.concatenate([[low], unseen.key[inside], [high]])
     few = rows.select(unseen.order[inside])
-    sizes = [_size(_marked(found, k, searched, keys, n), few) for n in range(1, len(keys))]
-    return _marked(found, k, searched, keys, 1 + int(np.argmin(sizes)))
+    sizes = [_size(_place_event(found, k, searched, keys, n), few) for n in range(1, len(keys))]
+    return _place_event(found, k, searched, keys, 1 + int(np.argmin(sizes)))
 
 
-def _marked(found: SearchResult, k: int, course: Course, keys: Floats, place: int) -> SearchResult:
+def _place_event(found: SearchResult, k: int, course: Course, keys: Floats, place: int) -> SearchResult:
     """The search with an event just before one of the ``keys``."""
     candidate = found.selector.scorer.candidates[k]
     mark = replace(course, order=np.arange(len(keys)), key=keys).mark(place)
     effect: Effect = replace(candidate.effects[0], **mark)
     settings = found.problem.settings
-    source = moved(settings.source, {key_of(effect): effect})
+    source = replace_events(settings.source, {event_key(effect): effect})
     candidates = list(found.selector.scorer.candidates)
     candidates[k] = replace(candidate, effects=(effect,))
     scorer = replace(found.selector.scorer, candidates=tuple(candidates))

@@ -14,17 +14,17 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.select import MARGIN
 from kilter_core.types import Floats
 
-__all__ = ["SAME", "Alias", "aliases_of", "correlation"]
+__all__ = ["SAME", "Alias", "correlation", "find_aliases"]
 
 
-def aliases_of(search: SearchResult, place: int) -> tuple[Alias, ...]:
+def find_aliases(search: SearchResult, place: int) -> tuple[Alias, ...]:
     """Rivals of a chosen candidate within the margin when swapped in, best first; empirical ones included.
 
     The others of a class that the name cannot be distinguished from come last, with the class's name.
     """
     selector, gram = search.selector, search.problem.gram
     rest = tuple(k for k in search.chosen if k != place)
-    given = gram.given(selector.columns(rest))
+    given = gram.condition_on_columns(selector.columns(rest))
     variance = selector.variance(gram, search.chosen)
     scores = selector.scorer.scores(given)
     lenient = scores.S / variance - 2.0 * scores.d
@@ -40,21 +40,32 @@ def aliases_of(search: SearchResult, place: int) -> tuple[Alias, ...]:
             behind = min(behind, max(float(lenient[place] - lenient[k]), 0.0))
         if behind > MARGIN and not (scores.S[k] > HELD**2 * scores.S[place] and _holds(given.A, rival, chosen)):
             continue
-        own = int(k) in search.chosen or _nested(chosen, rival) or _another_pace(chosen, rival) or scores.d[k] == 0
+        own = (
+            int(k) in search.chosen
+            or _is_nested_effect(chosen, rival)
+            or _another_pace(chosen, rival)
+            or scores.d[k] == 0
+        )
         if own or not selector.plausible(gram, (*rest, int(k)), int(k)):
             continue
         rho = correlation(given.A, chosen.columns, rival.columns)
         wrong = float(norm.cdf(-np.sqrt(strength * max(1.0 - rho, 0.0) / 2.0)))
         found.append(Alias(int(k), rival, behind, rho, wrong))
     singles = {(a.candidate.id, k) for a in found if a.candidate.level != FAMILY for k in a.candidate.columns}
-    found = [a for a in found if a.candidate.level != FAMILY or chosen.level == FAMILY or not _listed(a, singles)]
+    found = [
+        a
+        for a in found
+        if a.candidate.level != FAMILY or chosen.level == FAMILY or not _repeats_listed_joint(a, singles)
+    ]
     if is_curve(chosen):  # whether a smooth curve takes the name away is decided there, joint by joint
-        found = [a for a in found if a.candidate.id != UnknownSmoothCurve.id or not _within(a.candidate, chosen)]
+        found = [
+            a for a in found if a.candidate.id != UnknownSmoothCurve.id or not _is_joint_subset(a.candidate, chosen)
+        ]
     members = smooth_members(search, place) or cancelling_members(search, place)
     return tuple(found) if not members else _with_members(found, members)
 
 
-def _within(one: Candidate, other: Candidate) -> bool:
+def _is_joint_subset(one: Candidate, other: Candidate) -> bool:
     """Whether the joints of one are among those of the other."""
     return set(one.joints or ()) <= set(other.joints or ())
 
@@ -77,7 +88,7 @@ def _holds(A: Floats, rival: Candidate, chosen: Candidate) -> bool:
     return cause and correlation(A, chosen.columns, rival.columns) > HELD
 
 
-def _listed(alias: Alias, singles: set[tuple[str, int]]) -> bool:
+def _repeats_listed_joint(alias: Alias, singles: set[tuple[str, int]]) -> bool:
     """Whether a family only repeats one of its joints that is in the list already."""
     return any((alias.candidate.id, k) in singles for k in alias.candidate.columns)
 
@@ -86,10 +97,10 @@ def _another_pace(one: Candidate, other: Candidate) -> bool:
     """Whether both are the same law, tried at another pace or in other pieces at the same place: the same name."""
     if one.id != other.id or not one.effects[0].clock:
         return False
-    return _within(one, other) or _within(other, one)
+    return _is_joint_subset(one, other) or _is_joint_subset(other, one)
 
 
-def _nested(one: Candidate, other: Candidate) -> bool:
+def _is_nested_effect(one: Candidate, other: Candidate) -> bool:
     """Whether both are the same effect with joints of one among those of the other."""
     a, b = set(one.columns), set(other.columns)
     return one.id == other.id and (a <= b or b <= a)

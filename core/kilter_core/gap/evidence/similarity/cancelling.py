@@ -21,18 +21,20 @@ def cancelling_members(search: SearchResult, place: int) -> tuple[Alias, ...]:
     fitted = dict(zip(columns, problem.gram.solve(columns), strict=True))
     candidates = selector.scorer.candidates
 
-    def moved(*places: int) -> float:
+    def contribution_norm(*places: int) -> float:
         own = selector.columns(places)
         beta = np.array([fitted[k] for k in own])
         return float(np.sqrt(max(beta @ problem.A[np.ix_(own, own)] @ beta, 0.0)))
 
-    gap = moved(*search.chosen)
-    if moved(place) < SEVERAL * gap:
+    gap = contribution_norm(*search.chosen)
+    if contribution_norm(place) < SEVERAL * gap:
         return ()
     against = [
         k
         for k in search.chosen
-        if k != place and moved(k) > SEVERAL * gap and moved(place, k) < max(moved(place), moved(k)) / SEVERAL
+        if k != place
+        and contribution_norm(k) > SEVERAL * gap
+        and contribution_norm(place, k) < max(contribution_norm(place), contribution_norm(k)) / SEVERAL
     ]
     if not against:
         return ()

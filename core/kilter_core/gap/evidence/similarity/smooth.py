@@ -52,30 +52,30 @@ def smooth_members(search: SearchResult, place: int) -> tuple[Alias, ...]:
     candidate = search.selector.scorer.candidates[place]
     if not is_curve(candidate):
         return ()
-    view = _View.of(search, place)
+    view = _View.from_search(search, place)
     smooth = [j for j in candidate.joints or () if view.smooth(j)]
     unsure = [j for j in smooth if view.partial(j)]
-    shared = [j for j in unsure if _others(search, place, j)]
+    shared = [j for j in unsure if _other_smooth_curves(search, place, j)]
     # A straight line is spanned by itself and by any curve of little bend: over less than a turn it names nothing.
-    plain = bool(unsure) and not candidate.effects[0].class_on(_model(search).robot).shaped
-    unnamed = plain or 2 * len(shared) > len(candidate.joints or ()) or view.replaced(unsure)
-    if not smooth or not (unnamed or view.improved(smooth)):
+    plain = bool(unsure) and not candidate.effects[0].physical_class(_model(search).robot).shaped
+    unnamed = plain or 2 * len(shared) > len(candidate.joints or ()) or view.is_replaceable_by_curves(unsure)
+    if not smooth or not (unnamed or view.is_improved_by_curve(smooth)):
         return ()
     joints = unsure or smooth
-    return tuple(_members(search, place, joints, _named(joints)))
+    return tuple(_members(search, place, joints, _smooth_error_label(joints)))
 
 
-def _named(joints: Sequence[int]) -> str:
+def _smooth_error_label(joints: Sequence[int]) -> str:
     return f"smooth error of {joint_numbers(joints)}"
 
 
-def _others(search: SearchResult, place: int, joint: int) -> list[int]:
+def _other_smooth_curves(search: SearchResult, place: int, joint: int) -> list[int]:
     """Other chosen curves that are smooth at the joint."""
     candidates = search.selector.scorer.candidates
     near = [
         k for k in search.chosen if k != place and is_curve(candidates[k]) and joint in (candidates[k].joints or ())
     ]
-    return [k for k in near if _View.of(search, k).smooth(joint)]
+    return [k for k in near if _View.from_search(search, k).smooth(joint)]
 
 
 def _members(search: SearchResult, place: int, joints: Sequence[int], name: str) -> list[Alias]:
@@ -108,7 +108,7 @@ class _View:
     along: Callable[[int], Floats]
 
     @staticmethod
-    def of(search: SearchResult, place: int) -> _View:
+    def from_search(search: SearchResult, place: int) -> _View:
         rest = search.selector.columns([k for k in search.chosen if k != place])
         problem, candidate = search.problem, search.selector.scorer.candidates[place]
         q = problem.settings.source.batch.q
@@ -120,16 +120,16 @@ class _View:
         return kind != "revolute" or float(np.ptp(self.q[:, joint])) < TURN
 
     @property
-    def own(self) -> Floats:
+    def candidate_columns_given_selected(self) -> Floats:
         """Columns (R, d) of the candidate, given the rest."""
-        return self._given(self.search.problem.W_raw[:, list(self.candidate.columns)])
+        return self._project_and_normalise(self.search.problem.W_raw[:, list(self.candidate.columns)])
 
     def of_joint(self, joint: int) -> list[int]:
         """Library columns of the candidate at one of its joints."""
-        return self._columns_at[joint]
+        return self._columns_by_joint[joint]
 
     @property
-    def _columns_at(self) -> dict[int, list[int]]:
+    def _columns_by_joint(self) -> dict[int, list[int]]:
         count = len(self.candidate.columns) // len(self.candidate.effects)
         at: dict[int, list[int]] = {}
         for n, effect in enumerate(self.candidate.effects):
@@ -137,7 +137,7 @@ class _View:
                 at.setdefault(j, []).extend(self.candidate.columns[count * n : count * (n + 1)])
         return at
 
-    def _given(self, columns: Floats) -> Floats:
+    def _project_and_normalise(self, columns: Floats) -> Floats:
         left = columns - self.basis @ (self.basis.T @ columns)
         norm = np.linalg.norm(left, axis=0)
         return np.asarray(left / np.where(norm > 0.0, norm, 1.0))
@@ -146,15 +146,15 @@ class _View:
         """Whitened effect (R, K) of rotating the joint by ``shapes (V, K)``, given the rest."""
         along = self.along(joint)
         columns = along[:, :, None] * shapes[:, None, :]
-        return self._given(columns.reshape(-1, shapes.shape[1]))
+        return self._project_and_normalise(columns.reshape(-1, shapes.shape[1]))
 
     def smooth(self, joint: int) -> bool:
         """Whether the name is a smooth shape on the range that the joint moved."""
-        own = self._given(self.search.problem.W_raw[:, self.of_joint(joint)])
+        own = self._project_and_normalise(self.search.problem.W_raw[:, self.of_joint(joint)])
         tier = _orthonormal(self.curves(joint, polynomials(self.q[:, joint])))
         return _share(_orthonormal(own), tier) > SPANNED
 
-    def replaced(self, joints: Sequence[int]) -> bool:
+    def is_replaceable_by_curves(self, joints: Sequence[int]) -> bool:
         """Whether curves with as many parameters, or fewer, do as well at these joints as the name does (E6)."""
         if not joints:
             return False
@@ -162,14 +162,16 @@ class _View:
         variance = selector.variance(problem.gram, self.search.chosen)
         price = float(np.log(selector.rows))
         kept = [k for j in self.candidate.joints or () if j not in joints for k in self.of_joint(j)]
-        basis = _orthonormal(self._given(problem.W_raw[:, kept])) if kept else np.zeros((len(self.r), 0))
+        basis = (
+            _orthonormal(self._project_and_normalise(problem.W_raw[:, kept])) if kept else np.zeros((len(self.r), 0))
+        )
         r = self.r - basis @ (basis.T @ self.r)
-        named = _orthonormal(_less(self._given(problem.W_raw[:, self._columns(joints)]), basis))
+        named = _orthonormal(_less(self._project_and_normalise(problem.W_raw[:, self._columns(joints)]), basis))
         value = float(np.sum((named.T @ r) ** 2)) / variance - price * named.shape[1]
         curve = 0.0
         for j in joints:
-            mine = _orthonormal(_less(self._given(problem.W_raw[:, self.of_joint(j)]), basis))
-            pool = _less(self.curves(j, shapes_of(self.q[:, j])), basis)
+            mine = _orthonormal(_less(self._project_and_normalise(problem.W_raw[:, self.of_joint(j)]), basis))
+            pool = _less(self.curves(j, smooth_shapes(self.q[:, j])), basis)
             found = _best(pool, r, mine, variance, price)
             if found is None:
                 return False
@@ -178,11 +180,11 @@ class _View:
             r = r - found[1] @ (found[1].T @ r)
         return bool(curve > value - MARGIN)
 
-    def improved(self, joints: Sequence[int]) -> bool:
+    def is_improved_by_curve(self, joints: Sequence[int]) -> bool:
         """Whether a smooth curve added to the name still improves the fit, at one of the joints."""
         problem, selector = self.search.problem, self.search.selector
         variance = selector.variance(problem.gram, self.search.chosen)
-        own = _orthonormal(self.own)
+        own = _orthonormal(self.candidate_columns_given_selected)
         r = self.r - own @ (own.T @ self.r)
         for j in joints:
             more = _orthonormal(_less(self.curves(j, polynomials(self.q[:, j])), own))
@@ -197,17 +199,17 @@ class _View:
 
 def polynomials(q: Floats) -> Floats:
     """Legendre polynomials (V, 5) on the range of ``q (V,)``."""
-    u = _scaled(q)
+    u = _scale_to_unit_range(q)
     return np.stack([legendre.legval(u, np.eye(m + 1)[m]) for m in ORDERS], axis=1)
 
 
-def shapes_of(q: Floats) -> Floats:
+def smooth_shapes(q: Floats) -> Floats:
     """Shapes (V, K) that a smooth error may have in few parameters: polynomials, and powers about the middle and zero."""
-    u = _scaled(q)
+    u = _scale_to_unit_range(q)
     return np.column_stack([polynomials(q), u**3, q**2, q**3, u * np.abs(u)])
 
 
-def _scaled(q: Floats) -> Floats:
+def _scale_to_unit_range(q: Floats) -> Floats:
     half = float(np.ptp(q)) / 2.0
     return np.asarray((q - (q.max() + q.min()) / 2.0) / (half or 1.0))
 

@@ -14,7 +14,7 @@ from kilter_core.gap.search.candidates import FAMILY, Candidate, Library, Untest
 from kilter_core.gap.search.linear.gram import VISIBLE
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.observations import CONDITIONS, Observations
-from kilter_core.parameters import reported
+from kilter_core.parameters import display_unit_and_scale
 from kilter_core.types import Bools, Floats
 
 DETECTED = 30.0  # post-geometry non-centrality that a 1 % family-wise test finds in 95 % of cases
@@ -47,17 +47,17 @@ def testability(problem: LinearizedProblem, library: Library) -> Testability:
 
 def through_loads(judged: Testability, found: Testability, library: Library) -> Testability:
     """What changes loads judged at the fit ``found``: it shows through effects of the load that were named by then."""
-    late = _late(library)
+    late = _load_change_mask(library)
     visible, smallest = np.where(late, found.visible, judged.visible), np.where(late, found.smallest, judged.smallest)
     return Testability(visible, smallest, np.where(late, found.able, judged.able))
 
 
 def to_search(judged: Testability, library: Library) -> Bools:
     """Columns (Q,) to search: the able ones, and those that may become so when an effect of the load is named."""
-    return np.asarray(judged.able | _late(library))
+    return np.asarray(judged.able | _load_change_mask(library))
 
 
-def _late(library: Library) -> Bools:
+def _load_change_mask(library: Library) -> Bools:
     late = np.zeros(len(library.parameters), dtype=bool)
     late[[k for c in library.candidates if c.effects[0].changes_loads for k in c.columns]] = True
     return late
@@ -110,7 +110,7 @@ def smallest_rows(library: Library, judged: Testability) -> list[dict[str, Any]]
     """Smallest detectable amplitude of every testable parameter, in wire units."""
     out = []
     for seen in visible(library, judged):
-        unit, scale = reported(seen.unit)
+        unit, scale = display_unit_and_scale(seen.unit)
         out.append({
             "id": seen.id, "parameter": seen.parameter, "unit": unit, "smallest_detectable": seen.smallest * scale,
             "visibility": seen.visibility,
@@ -125,11 +125,15 @@ def alias_matrix(problem: LinearizedProblem, candidates: Sequence[Candidate], fi
     C = correlations(problem.A, [c.columns for c in single])
     np.fill_diagonal(C, 1.0)
     pairs = [
-        {"first": single[i].named(), "second": single[j].named(), "correlation": round(float(C[i, j]), 4)}
+        {
+            "first": single[i].id_and_joints(),
+            "second": single[j].id_and_joints(),
+            "correlation": round(float(C[i, j]), 4),
+        }
         for i, j in zip(*np.where(np.triu(C, 1) > ALIASED), strict=True)
     ]
     pairs.sort(key=lambda p: -float(p["correlation"]))
-    shown = _shown(single, C, [candidates[k] for k in first])
+    shown = _select_matrix_candidates(single, C, [candidates[k] for k in first])
     return {
         "labels": [single[i].label for i in shown],
         "values": [[round(float(C[i, j]), 4) for j in shown] for i in shown],
@@ -137,7 +141,7 @@ def alias_matrix(problem: LinearizedProblem, candidates: Sequence[Candidate], fi
     }
 
 
-def _shown(single: Sequence[Candidate], C: Floats, chosen: Sequence[Candidate]) -> list[int]:
+def _select_matrix_candidates(single: Sequence[Candidate], C: Floats, chosen: Sequence[Candidate]) -> list[int]:
     columns = {k for c in chosen for k in c.columns}
     own = [i for i, c in enumerate(single) if columns & set(c.columns)]
     if not own:
@@ -170,7 +174,7 @@ def _reason(
     if not judged.smallest[worst] < NEVER * plausible:
         why = f"{p.name} would show at no size: the geometric parameters absorb it, or nothing measured moves with it."
         return why, varied or ABSORBED
-    unit, scale = reported(p.unit)
+    unit, scale = display_unit_and_scale(p.unit)
     size = f"{judged.smallest[worst] * scale:.3g} {unit}".removesuffix(" 1")
     why = f"Only {p.name} above {size} would show, more than the plausible {plausible * scale:.3g}."
     return why, varied or TOO_SMALL

@@ -11,7 +11,7 @@ FIRM = 30.0  # data sigmas that one prior sigma of a geometric direction moves, 
 UNFELT = 1e-3  # the same, below which nothing shows it
 
 
-def apart(scaled: Floats) -> tuple[Floats, Floats]:
+def split_geometry_directions(scaled: Floats) -> tuple[Floats, Floats]:
     """Directions (P, f) of geometry, columns ``scaled (R, P)`` by prior sigmas, that the data know by themselves, and those
     (P, w) that their priors know as well, whatever else is fitted: freed of them, they would follow an effect that nearly
     imitates them to many prior sigmas.

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kilter_core.gap.noise.visits import apart
+from kilter_core.gap.noise.visits import isolate_unused_visits
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
-from kilter_core.observations.groups import centred
+from kilter_core.observations.groups import subtract_group_means
 from kilter_core.types import Ints
 
 
@@ -22,4 +22,4 @@ def fitted_away(problem: LinearizedProblem, columns: Sequence[int], condition: I
     if not basis.shape[1]:
         return 0.0
     rows = basis.reshape(len(used), -1)
-    return float(np.sum(centred(rows, apart(condition, used)) ** 2))
+    return float(np.sum(subtract_group_means(rows, isolate_unused_visits(condition, used)) ** 2))

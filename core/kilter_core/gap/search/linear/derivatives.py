@@ -19,7 +19,7 @@ MOST_BYTES = 16 << 20  # of derivatives that are kept in any case
 class Derivatives:
     """Geometric columns ``G (R, P)`` and unit library columns ``W (R, Q)``, with the lengths (Q,) that these had.
 
-    Made at ``values`` and again, to the last bit, where they are asked for after :meth:`let_go`.
+    Made at ``values`` and again, to the last bit, where they are asked for after :meth:`release_memory`.
     """
 
     settings: ProblemSettings
@@ -29,7 +29,7 @@ class Derivatives:
     kept: tuple[Floats, Floats] | None = None
 
     @staticmethod
-    def at(
+    def evaluate_at_values(
         settings: ProblemSettings, values: Floats, batch: Batch | None, only: Sequence[int] | None
     ) -> tuple[Derivatives, Floats, Floats]:
         """With the whitened residual (R,) and the lengths of the library's columns (Q,)."""
@@ -40,26 +40,26 @@ class Derivatives:
     @property
     def G(self) -> Floats:
         """Whitened geometric columns."""
-        return self._both()[0]
+        return self._geometry_and_library_columns()[0]
 
     @property
     def W(self) -> Floats:
         """Whitened library columns, each of length 1; those that move nothing are zero."""
-        return self._both()[1]
+        return self._geometry_and_library_columns()[1]
 
-    def let_go(self) -> None:
+    def release_memory(self) -> None:
         """Keep nothing until it is asked for again; a few hundred poses are not worth the time."""
         if self.kept is not None and sum(part.nbytes for part in self.kept) > MOST_BYTES:
             self.kept = None
 
-    def _both(self) -> tuple[Floats, Floats]:
+    def _geometry_and_library_columns(self) -> tuple[Floats, Floats]:
         if self.kept is None:
             self._make()
         assert self.kept is not None
         return self.kept
 
     def _make(self) -> tuple[Floats, Floats]:
-        r, G, W = self.settings.linearised(self.values, self.batch, self.only)
+        r, G, W = self.settings.linearise(self.values, self.batch, self.only)
         norm = lengths(W)
         W /= np.where(norm > 0.0, norm, 1.0)
         self.kept = (G, W)

@@ -24,19 +24,19 @@ class Fewer:
     columns: Sequence[int]
 
     @cached_property
-    def given(self) -> Gram:
+    def conditioned_gram(self) -> Gram:
         """Conditioned on all of them."""
-        return self.gram.given(self.columns)
+        return self.gram.condition_on_columns(self.columns)
 
     @cached_property
-    def left(self) -> tuple[Floats, Floats]:
+    def schur_complement_and_copies(self) -> tuple[Floats, Floats]:
         """What is left of all columns (Q, Q) beside the set, and how it imitates each (Q, t).
 
         Its own columns imitate themselves, and leave nothing but the ridge, which whoever takes them out adds again.
         """
-        A, own = self.given.A.copy(), list(self.columns)
+        A, own = self.conditioned_gram.A.copy(), list(self.columns)
         A[own, own] = -RIDGE
-        K = np.zeros((len(self.gram.c), 0)) if self.given.K is None else self.given.K.copy()
+        K = np.zeros((len(self.gram.c), 0)) if self.conditioned_gram.K is None else self.conditioned_gram.K.copy()
         K[own] = np.eye(len(own))
         return A, K
 
@@ -48,7 +48,7 @@ class Fewer:
     def _amounts(self) -> Floats:
         return self._inverse @ self.gram.c[list(self.columns)]
 
-    def without(self, out: Collection[int]) -> Rest:
+    def without_columns(self, out: Collection[int]) -> Rest:
         """The set without the columns ``out``."""
         gone = set(out)
         at = np.array([n for n, k in enumerate(self.columns) if k in gone], dtype=np.int64)
@@ -61,7 +61,7 @@ class Fewer:
         amounts = self._amounts[at]
         b = own @ amounts
         rank = round(len(stay) - RIDGE * short)
-        return Rest(self, at, stay, own, copied, b, self.given.yy + float(b @ amounts), rank)
+        return Rest(self, at, stay, own, copied, b, self.conditioned_gram.yy + float(b @ amounts), rank)
 
 
 @dataclass(frozen=True)
@@ -81,12 +81,12 @@ class Rest:
     rank: int
 
     @cached_property
-    def given(self) -> Gram:
+    def conditioned_gram(self) -> Gram:
         """Everything conditioned on them: made where it is asked for, since few exchanges can win."""
         if not len(self.at):
-            return self.of.given
-        whole, copies = self.of.left
-        along, before = np.ascontiguousarray(copies[:, self.at]), self.of.given
+            return self.of.conditioned_gram
+        whole, copies = self.of.schur_complement_and_copies
+        along, before = np.ascontiguousarray(copies[:, self.at]), self.of.conditioned_gram
         return replace(
             before, whole=whole, c=before.c + along @ self.b, yy=self.yy, nu=self.of.gram.nu - self.rank,
             taken=tuple(self.of.columns[n] for n in self.stay), K=-(along @ self.own), along=along,

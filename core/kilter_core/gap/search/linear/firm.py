@@ -31,13 +31,13 @@ class Firm:
 
     def gram(self) -> Gram:
         """Return the inner products."""
-        return self._made
+        return self._gram_with_held_loads
 
     @cached_property
-    def _made(self) -> Gram:
+    def _gram_with_held_loads(self) -> Gram:
         source = self.settings.source
         y = self.raw + self.derivatives.W @ (source.library(self.values) * self.size)
         told = source.soft & ~source.of_loads
         soft, U, y = less_geometry(self.settings, self.values, self.derivatives.G, y, told)
-        products = Projection.of(soft, U, self.derivatives.W).products(y)
+        products = Projection.from_columns(soft, U, self.derivatives.W).products(y)
         return Gram(*products, float(y @ y), self.nu + self.directions - U.shape[1])

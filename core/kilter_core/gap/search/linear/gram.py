@@ -69,7 +69,7 @@ class Gram:
         return np.asarray(0.5 * (A + A.T))
 
     @property
-    def projected(self) -> tuple[Floats, Floats, Floats]:
+    def projection_factors(self) -> tuple[Floats, Floats, Floats]:
         """The two factors (Q, k) of what is taken, whose products are taken off ``whole``, and the copies (Q, t)."""
         if self.K is None or self.along is None or self.copies is None:
             nothing = np.empty((len(self.c), 0))
@@ -101,11 +101,11 @@ class Gram:
             out = (out - self.K[columns] @ self.along[columns].T) * np.outer(free, free)
         return np.asarray(out)
 
-    def kept(self, kind: Hashable, columns: Sequence[int], make: Callable[[], T]) -> T:
+    def cached_for_columns(self, kind: Hashable, columns: Sequence[int], make: Callable[[], T]) -> T:
         """Return what ``make`` gives, which must depend on A and the columns alone."""
         return self.cache.get((self.taken, kind, tuple(columns)), make)
 
-    def found(self, key: Hashable, make: Callable[[], T]) -> T:
+    def cached_for_data(self, key: Hashable, make: Callable[[], T]) -> T:
         """Return what ``make`` gives, once on these very data: it may depend on them, and is small."""
         if key not in self.exchanges:
             self.exchanges[key] = make()
@@ -119,7 +119,7 @@ class Gram:
     def _inverse(self, columns: Ints) -> tuple[Floats, int]:
         if not len(columns):
             return np.zeros((0, 0)), 0
-        root = rooted(self.block(columns))
+        root = inverse_square_root(self.block(columns))
         rank = self.directions(root, columns)
         if self.taken:
             root[:, ~self.free[columns]] = 0.0
@@ -148,13 +148,13 @@ class Gram:
         """How many independent directions the columns have."""
         return self.inverse(columns)[1] if len(columns) else 0
 
-    def given(self, columns: Sequence[int]) -> Gram:
+    def condition_on_columns(self, columns: Sequence[int]) -> Gram:
         """Conditioned on a set of columns: their space projected off everything."""
         if not len(columns):
             return self
         index = list(columns)
         if self.taken:
-            return Gram(self.A, self.c * self.free, self.yy, self.nu).given(index)
+            return Gram(self.A, self.c * self.free, self.yy, self.nu).condition_on_columns(index)
         along = np.ascontiguousarray(self.whole[index].T)
         K = along @ self.inverse(index)[0]  # not kept: it is large, and soon made
         c = self.c - K @ self.c[index]
@@ -169,7 +169,7 @@ class Gram:
         return replace(self, c=c, yy=yy, held=None, exchanges={})
 
 
-def rooted(A: Floats) -> Floats:
+def inverse_square_root(A: Floats) -> Floats:
     """T (d, d) with T'T the inverse of a block (d, d) with its ridge: a triangle, unless rounding is larger than the ridge."""
     ridged = A + RIDGE * np.eye(len(A))
     factor, fault = dpotrf(ridged, lower=1, clean=1)

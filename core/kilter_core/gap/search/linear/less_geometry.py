@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kilter_core.gap.search.linear.bases import apart
+from kilter_core.gap.search.linear.bases import split_geometry_directions
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.linear.soft import Soft
 from kilter_core.types import Bools, Floats
@@ -20,12 +20,12 @@ def less_geometry(
     ``G (R, P)`` are the whitened derivatives by the geometry at ``values``; of those held by priors ``carried (P,)`` move.
     """
     source, hard = settings.source, settings.hard
-    prior, away = source.prior.part(carried), source.prior.away(source.geometry(values))
+    prior, away = source.prior.select_parameters(carried), source.prior.standardized_deviation(source.geometry(values))
     held, free = prior.columns(G[:, carried]), (G * source.prior_sigma)[:, hard]
-    firm, weak = apart(Soft.of(held)(free))
+    firm, weak = split_geometry_directions(Soft.from_columns(held)(free))
     B = np.hstack([held, free @ weak])
-    soft = Soft.of(B)
+    soft = Soft.from_columns(B)
     U = np.linalg.qr(soft(free @ firm))[0]
     # Taken back into the data: a prior is about what was stated, not about the last fit.
-    y = soft(y + B @ np.concatenate([prior.apart(away[carried]), weak.T @ away[hard]]))
+    y = soft(y + B @ np.concatenate([prior.whiten_deviation(away[carried]), weak.T @ away[hard]]))
     return soft, U, y - U @ (U.T @ y)

@@ -76,21 +76,21 @@ class LinearizedProblem:
     def of_unit(self, columns: Sequence[int]) -> Floats:
         """Whitened derivatives (R, P + d) by geometry and library ``columns``, of a unit each; at rest it makes no others."""
         if self.derivatives.kept is None:
-            return np.hstack(self.settings.linearised(self.values, self.derivatives.batch, columns)[1:])
+            return np.hstack(self.settings.linearise(self.values, self.derivatives.batch, columns)[1:])
         return np.hstack([self.G, self.W_raw[:, list(columns)] * self.size[list(columns)]])
 
     def resting(self) -> None:
         """Let go of what fills the memory: nothing is asked of this fit for a while, or never again."""
-        self.derivatives.let_go()
+        self.derivatives.release_memory()
 
     @property
     def W(self) -> Floats:
         """Unit columns (R, Q) with geometry projected off."""
-        return self.projected(slice(None))
+        return self.projected_columns(slice(None))
 
-    def projected(self, columns: Sequence[int] | slice) -> Floats:
+    def projected_columns(self, columns: Sequence[int] | slice) -> Floats:
         """Some of them."""
-        return Projection.of(self.soft, self.U, self.W_raw[:, columns]).rows(slice(None))
+        return Projection.from_columns(self.soft, self.U, self.W_raw[:, columns]).rows(slice(None))
 
     @property
     def size(self) -> Floats:
@@ -100,7 +100,7 @@ class LinearizedProblem:
     @property
     def projection(self) -> Projection:
         """All unit columns with geometry projected off, not made."""
-        return Projection.of(self.soft, self.U, self.W_raw)
+        return Projection.from_columns(self.soft, self.U, self.W_raw)
 
     def within_priors(self) -> tuple[Floats, Stacked]:
         """Whitened data (R,) without any library effect, and the columns (R, P + Q) of one prior sigma each."""
@@ -117,9 +117,9 @@ class LinearizedProblem:
         by looking away.
         """
         source = self.settings.source
-        prior = source.prior.part(source.soft)
-        away = prior.away(source.geometry(self.values)[source.soft])
-        return float(self.raw @ self.raw + away @ prior.stiff(away)) + self.settings.widened
+        prior = source.prior.select_parameters(source.soft)
+        away = prior.standardized_deviation(source.geometry(self.values)[source.soft])
+        return float(self.raw @ self.raw + away @ prior.stiff(away)) + self.settings.log_noise_widening
 
     @cached_property
     def gram(self) -> Gram:
@@ -148,24 +148,26 @@ class LinearizedProblem:
         """Orthonormal basis (R, p + d) of geometry and the library ``columns``."""
         if not len(columns):
             return self.U
-        return np.hstack([self.U, orthonormal(self.projected(list(columns)))])
+        return np.hstack([self.U, orthonormal(self.projected_columns(list(columns)))])
 
 
-def linearize_at(
+def linearise_problem(
     settings: ProblemSettings, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None
 ) -> LinearizedProblem:
     """Linearise at ``values``: whiten, project off geometry, take the library's own part back into the data.
 
     ``only`` keeps these library columns, in this order, and holds the rest of the library at its values.
     """
-    made, r, norm = Derivatives.at(settings, values, batch, only)
+    made, r, norm = Derivatives.evaluate_at_values(settings, values, batch, only)
     G, W, (unit, scale) = made.G, made.W, _units(norm)
     library = settings.source.library(values)
     y = r + W @ ((library if only is None else library[list(only)]) * unit)
     soft, U, y = less_geometry(settings, values, G, y, settings.source.soft)
     # Correlated samples carry less freedom than their number: whitening took the same factor off chi-square.
     nu = float(settings.numbers / settings.inflation - U.shape[1])
-    return LinearizedProblem(settings, values, y, U, scale, nu, *Projection.of(soft, U, W).products(y), r, made, soft)
+    return LinearizedProblem(
+        settings, values, y, U, scale, nu, *Projection.from_columns(soft, U, W).products(y), r, made, soft
+    )
 
 
 def with_columns_of(problem: LinearizedProblem, settings: ProblemSettings, columns: Sequence[int]) -> LinearizedProblem:
@@ -179,16 +181,16 @@ def with_columns_of(problem: LinearizedProblem, settings: ProblemSettings, colum
     problem.resting()
     if problem.derivatives.kept is not None:  # else nobody else has them
         W = W.copy()
-    W[:, index], scale[index] = columns_at(settings, problem.values, problem.derivatives.batch, index)
+    W[:, index], scale[index] = whitened_unit_columns(settings, problem.values, problem.derivatives.batch, index)
     made = replace(problem.derivatives, settings=settings, kept=(G, W))
-    A, c = Projection.of(problem.soft, problem.U, W).products(problem.y)
+    A, c = Projection.from_columns(problem.soft, problem.U, W).products(problem.y)
     return replace(problem, settings=settings, scale=scale, A=A, c=c, derivatives=made)
 
 
-def columns_at(
+def whitened_unit_columns(
     settings: ProblemSettings, values: Floats, batch: Batch | None, only: Sequence[int]
 ) -> tuple[Floats, Floats]:
-    """Whitened unit columns (R, K) of the library and their scales (K,), as :func:`linearize_at` has them, no geometry."""
+    """Whitened unit columns (R, K) of the library and their scales (K,), as :func:`linearise_problem` has them, no geometry."""
     W = settings.whitening.columns(settings.source.without_geometry().linear(values, batch, only).W)
     unit, scale = _units(lengths(W))
     W /= unit
@@ -201,31 +203,33 @@ def _units(norm: Floats) -> tuple[Floats, Floats]:
     return unit, np.where(norm > 0.0, 1.0 / unit, 0.0)
 
 
-def go_on() -> None:
+def ignore_step() -> None:
     """Ignore a step."""
 
 
-def refit(settings: ProblemSettings, values: Floats, columns: Sequence[int], tick: Tick = go_on) -> LinearizedProblem:
+def refit(
+    settings: ProblemSettings, values: Floats, columns: Sequence[int], tick: Tick = ignore_step
+) -> LinearizedProblem:
     """Nonlinear re-fit of geometry and the library ``columns``, each with its prior, from ``values``."""
-    values = solved(settings, values, columns, tick=tick)
-    other = reloaded(settings, values)  # once: the next name, or the next noise, brings the next fit
+    values = fit_nonlinear_values(settings, values, columns, tick=tick)
+    other = with_updated_loads(settings, values)  # once: the next name, or the next noise, brings the next fit
     for _ in range(PASSES):
-        other = doubted(other, values)
+        other = with_sign_uncertainty(other, values)
         if other is settings:
             break
-        settings, values = other, solved(other, values, columns, tick=tick)
+        settings, values = other, fit_nonlinear_values(other, values, columns, tick=tick)
     tick()
-    return linearize_at(settings, values)
+    return linearise_problem(settings, values)
 
 
-def reloaded(settings: ProblemSettings, values: Floats) -> ProblemSettings:
+def with_updated_loads(settings: ProblemSettings, values: Floats) -> ProblemSettings:
     """The setting with loads on the chain of these values; itself where that moves far less than is left anyway."""
     source = settings.source
     if not source.bears(values):
         return settings
     rows = np.arange(len(settings.used))[:: max(1, len(settings.used) // SAMPLED)]
     few = source.only(rows)
-    before, after = few.residual(values), few.reloaded(values).residual(values)
+    before, after = few.residual(values), few.with_loads_at_values(values).residual(values)
     by = ByCovariance(settings.whitener[rows], settings.used[rows])
 
     def size(residual: Floats) -> float:
@@ -233,10 +237,10 @@ def reloaded(settings: ProblemSettings, values: Floats) -> ProblemSettings:
 
     if size(after - before) < UNMOVED * max(1.0, size(before)):
         return settings
-    return replace(settings, source=source.reloaded(values))
+    return replace(settings, source=source.with_loads_at_values(values))
 
 
-def doubted(settings: ProblemSettings, values: Floats) -> ProblemSettings:
+def with_sign_uncertainty(settings: ProblemSettings, values: Floats) -> ProblemSettings:
     """The setting with the scatter of doubtful signs of loads and of unknown sides at these values; itself if unchanged."""
     source, direction = settings.source, settings.source.batch.direction
     if not source.observes_tool or (source.batch.blur is None and (direction is None or direction.all())):
@@ -250,12 +254,12 @@ def doubted(settings: ProblemSettings, values: Floats) -> ProblemSettings:
     return replace(settings, doubt=doubt if np.any(doubt) else None)
 
 
-def solved(
+def fit_nonlinear_values(
     settings: ProblemSettings,
     values: Floats,
     columns: Sequence[int],
     held: tuple[int, float] | None = None,
-    tick: Tick = go_on,
+    tick: Tick = ignore_step,
 ) -> Floats:
     """Values of the nonlinear fit; the rest of the library is zero.
 
@@ -275,7 +279,7 @@ def _with_only(
     library[free] = source.library(values)[free]
     if held is not None:
         library[held[0]] = held[1]
-    return source.moved(values, np.zeros(len(source.prior_mean)), library)
+    return source.apply_step(values, np.zeros(len(source.prior_mean)), library)
 
 
 def nearest(settings: ProblemSettings, starts: Sequence[Floats], columns: Sequence[int]) -> Floats:
@@ -289,7 +293,7 @@ def nearest(settings: ProblemSettings, starts: Sequence[Floats], columns: Sequen
 def loss(settings: ProblemSettings, values: Floats, columns: Sequence[int]) -> float:
     """What a fit of geometry and the library ``columns`` makes least: half its chi-square, with what the priors cost."""
     problem = SearchProblem(settings, list(columns))
-    return problem.loss_at(values, problem.weighed(values))
+    return problem.total_loss(values, problem.weighted_residuals(values))
 
 
 def within_range(problem: SearchProblem, values: Floats, tick: Tick) -> Floats:
@@ -299,7 +303,7 @@ def within_range(problem: SearchProblem, values: Floats, tick: Tick) -> Floats:
     """
     first: float | None = None  # a fit held at its ranges that is worse than its start is not mended by holding more
     for _ in range(HOLDING_PASSES):
-        here = problem.at(values)
+        here = problem.evaluate(values)
         first = here.loss if first is None else first
         found = minimise(problem, values, here, lambda *_: tick(), patience=PATIENCE, idle=IDLE)
         values, after = problem.brought_back(found.values)
@@ -325,7 +329,7 @@ class SearchProblem(LeastSquares[Whitened]):
     _sigma: Floats = field(init=False)
 
     def __post_init__(self) -> None:
-        whole = self.settings.source.prior_with(self.free)
+        whole = self.settings.source.prior_with_columns(self.free)
         count = len(whole.sigma)
         object.__setattr__(self, "_sigma", whole.sigma)
         object.__setattr__(self, "prior", Prior(np.zeros(count), np.ones(count), whole.correlation))
@@ -335,33 +339,33 @@ class SearchProblem(LeastSquares[Whitened]):
         """Whitened residuals."""
         return float(max(1, self.settings.used.sum() * self.settings.whitener.shape[-1]))
 
-    def worth(self, loss: float) -> float:
+    def required_decrease(self, loss: float) -> float:
         """What a step must promise: less moves nothing that a statistic would show.
 
         Where the model lacks something, statistics are in units of what it leaves, not of the noise.
         """
         return 0.5 * STILL**2 * max(1.0, 2.0 * loss / self.rows)
 
-    def at(self, values: Floats) -> Whitened:
+    def evaluate(self, values: Floats) -> Whitened:
         """Linearise there."""
-        r, G, W = self.settings.linearised(values, None, self.free)
+        r, G, W = self.settings.linearise(values, None, self.free)
         J, split = np.empty((len(r), G.shape[1] + W.shape[1])), G.shape[1]
         np.multiply(G, self._sigma[:split], out=J[:, :split])
         np.multiply(W, self._sigma[split:], out=J[:, split:])
-        return Whitened(r, J, self.loss_at(values, r))
+        return Whitened(r, J, self.total_loss(values, r))
 
-    def weighed(self, values: Floats) -> Floats:
+    def weighted_residuals(self, values: Floats) -> Floats:
         """Whitened residuals (R,)."""
-        return self.settings.whitened(values).reshape(-1)
+        return self.settings.whitened_residuals(values).reshape(-1)
 
     def surely_higher(self, values: Floats, loss: float) -> bool:
         """Whether the loss is higher by more than rounding: residuals alone take a third of the time."""
-        return not self.loss_at(values, self.weighed(values)) < loss * (1.0 + ROUNDING)
+        return not self.total_loss(values, self.weighted_residuals(values)) < loss * (1.0 + ROUNDING)
 
     def beyond(self, here: Whitened, values: Floats, step: Floats) -> Whitened:
         """What a tiny step leads to."""
         r = here.r - here.J @ step
-        return Whitened(r, here.J, self.loss_at(values, r))
+        return Whitened(r, here.J, self.total_loss(values, r))
 
     def current(self, values: Floats) -> Floats:
         """How far geometry and the library columns that are free are from their priors."""
@@ -369,12 +373,12 @@ class SearchProblem(LeastSquares[Whitened]):
         away = np.concatenate([source.geometry(values) - source.prior_mean, source.library(values)[self.free]])
         return np.asarray(away / self._sigma)
 
-    def changed(self, values: Floats, change: Floats) -> Floats:
+    def apply_change(self, values: Floats, change: Floats) -> Floats:
         """Change them."""
         source, change = self.settings.source, change * self._sigma
         library, split = source.library(values).copy(), len(source.prior_mean)
         library[self.free] += change[split:]
-        return source.moved(values, change[:split], library)
+        return source.apply_step(values, change[:split], library)
 
     def brought_back(self, values: Floats) -> tuple[Floats, SearchProblem]:
         """Values with every amplitude inside its physical range, and the problem that holds those at its ends.
@@ -385,7 +389,7 @@ class SearchProblem(LeastSquares[Whitened]):
         low, high = (end / self._sigma for end in ends(source, self.free))
         inside = np.clip(now, low, high)
         if not np.array_equal(inside, now):
-            values = exactly_within(source, self.changed(values, inside - now), self.free)
+            values = exactly_within(source, self.apply_change(values, inside - now), self.free)
         before = np.zeros(len(now), dtype=bool) if self.held is None else self.held.any(axis=0)
         beyond = before | (np.abs(now - inside) > BEYOND)
         if np.array_equal(beyond, before):
@@ -393,7 +397,7 @@ class SearchProblem(LeastSquares[Whitened]):
         return values, replace(self, held=np.eye(len(now))[beyond], anchor=inside)
 
 
-def fitted(problem: LinearizedProblem, columns: Sequence[int]) -> tuple[Floats, Floats]:
+def estimate_linear_parameters(problem: LinearizedProblem, columns: Sequence[int]) -> tuple[Floats, Floats]:
     """Parameters (d,) of the columns and their covariance (d, d), geometry re-optimised, no prior on them."""
     index = list(columns)
     scale = problem.scale[index]

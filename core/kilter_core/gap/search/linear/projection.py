@@ -26,7 +26,7 @@ class Projection:
     by: Floats
 
     @staticmethod
-    def of(soft: Soft, U: Floats, W: Floats) -> Projection:
+    def from_columns(soft: Soft, U: Floats, W: Floats) -> Projection:
         """Columns whitened by what is soft, then with the basis ``U (R, p)`` projected off."""
         along = soft.shrink[:, None] * (soft.Q.T @ W)
         return Projection(W, np.hstack([soft.Q, U]), np.vstack([-along, U.T @ W + (U.T @ soft.Q) @ along]))
@@ -47,7 +47,7 @@ class Projection:
     def products(self, y: Floats) -> tuple[Floats, Floats]:
         """Inner products (Q, Q) of the columns, and (Q,) with ``y (R,)``."""
         A, c = np.zeros((self.W.shape[1],) * 2), np.zeros(self.W.shape[1])
-        for part in parts(*self.W.shape):
+        for part in row_slices(*self.W.shape):
             P = self.rows(part)
             A += P.T @ P
             c += P.T @ y[part]
@@ -83,7 +83,7 @@ class Stacked:
             out += columns.T @ columns
         return out
 
-    def condensed(self) -> Stacked:
+    def condense_columns(self) -> Stacked:
         """Columns fewer than these that span all of them that data whitened and within priors can see.
 
         A fit within its priors, and what it leaves, are the same with them: a direction that a whole prior sigma does not move
@@ -98,7 +98,7 @@ class Stacked:
 
     def each(self) -> Iterator[tuple[slice, Floats]]:
         """Slices of the rows, whole visits each, and the columns there."""
-        for part in parts(len(self.G), len(self.scale), self.size):
+        for part in row_slices(len(self.G), len(self.scale), self.size):
             X = np.hstack([self.G[part], self.W[part]]) if self.W.shape[1] else self.G[part]
             X = X if self.kept is None else X[:, list(self.kept)]
             yield part, X if self._even else X * self._scale
@@ -113,7 +113,7 @@ class Stacked:
         return self.scale if self.kept is None else self.scale[list(self.kept)]
 
 
-def parts(rows: int, columns: int, size: int = 1) -> Iterator[slice]:
+def row_slices(rows: int, columns: int, size: int = 1) -> Iterator[slice]:
     """Slices of the rows, multiples of ``size`` each."""
     count = max(1, AT_ONCE // max(1, columns) // size) * size
     yield from (slice(k, k + count) for k in range(0, rows, count))

@@ -16,7 +16,7 @@ def ends(source: Source, free: Sequence[int]) -> tuple[Floats, Floats]:
 
     Only amplitudes of effects have ends: what is known of a geometry is in its priors, as what is known of the loads is.
     """
-    model, library = source.model, library_of(source)
+    model, library = source.model, library_parameters(source)
     effects = {p.name: p for p in model.parameters[model.n_geometric :]}
     size = len(source.prior_mean)
     out = np.full((size + len(free), 2), (-np.inf, np.inf))
@@ -32,13 +32,13 @@ def ends(source: Source, free: Sequence[int]) -> tuple[Floats, Floats]:
 
 def exactly_within(source: Source, values: Floats, free: Sequence[int]) -> Floats:
     """Values whose library columns ``free`` end exactly where their ranges do: rounding left a compliance of -1e-22."""
-    library, known = source.library(values).copy(), library_of(source)
+    library, known = source.library(values).copy(), library_parameters(source)
     for k in free:
         library[k] = min(max(library[k], known[k].lower), known[k].upper)
-    return source.moved(values, np.zeros(len(source.prior_mean)), library)
+    return source.apply_step(values, np.zeros(len(source.prior_mean)), library)
 
 
-def library_of(source: Source) -> tuple[Parameter, ...]:
+def library_parameters(source: Source) -> tuple[Parameter, ...]:
     """The parameters of the library's columns, in their order: the last of the model's."""
     parameters = source.model.parameters
     return tuple(parameters[len(parameters) - source.n_library :])

@@ -32,13 +32,19 @@ class ProblemSettings:
     shared: SharedErrors | None = field(init=False)
 
     def __post_init__(self) -> None:
-        noise = self._plain if self.doubt is None else replace(self._plain, visit=self._plain.visit + self.doubt)
+        noise = (
+            self._unshared_noise
+            if self.doubt is None
+            else replace(self._unshared_noise, visit=self._unshared_noise.visit + self.doubt)
+        )
         whitener = noise.whiteners() / np.sqrt(self.inflation)
         object.__setattr__(self, "whitener", whitener)
-        object.__setattr__(self, "shared", None if self.rounding is None else self.rounding.shared(whitener, self.used))
+        object.__setattr__(
+            self, "shared", None if self.rounding is None else self.rounding.shared_errors(whitener, self.used)
+        )
 
     @property
-    def _plain(self) -> Noise:
+    def _unshared_noise(self) -> Noise:
         """The noise of the visits without what they share."""
         if self.rounding is None:
             return self.noise
@@ -60,11 +66,11 @@ class ProblemSettings:
         return ByCovariance(self.whitener, self.used, self.shared)
 
     @property
-    def widened(self) -> float:
+    def log_noise_widening(self) -> float:
         """Logarithm of how much the doubt widens the noise, over the visits that count."""
         if self.doubt is None:
             return 0.0
-        alone = self._plain.whiteners() / np.sqrt(self.inflation)
+        alone = self._unshared_noise.whiteners() / np.sqrt(self.inflation)
         each = np.linalg.slogdet(alone)[1] - np.linalg.slogdet(self.whitener)[1]
         return float(2.0 * np.sum(each[self.used]))
 
@@ -78,11 +84,11 @@ class ProblemSettings:
         """Geometry (P,) that is projected off; the rest are load errors, which the priors hold."""
         return ~self.source.soft
 
-    def whitened(self, values: Floats) -> Floats:
+    def whitened_residuals(self, values: Floats) -> Floats:
         """Whitened residuals (V, m), zero where nothing was seen or the visit does not count."""
         return self.whitening.residual(self.source.residual(values))
 
-    def linearised(
+    def linearise(
         self, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None
     ) -> tuple[Floats, Floats, Floats]:
         """Whitened residuals (R,), and derivatives by geometry (R, P) and library (R, Q): the columns ``only``, or all."""

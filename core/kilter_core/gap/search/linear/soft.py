@@ -21,7 +21,7 @@ class Soft:
     shrink: Floats
 
     @staticmethod
-    def of(B: Floats) -> Soft:
+    def from_columns(B: Floats) -> Soft:
         """Whitening by these columns; those that are all zero cost nothing."""
         B = B[:, np.any(B != 0.0, axis=0)]
         if not B.size:

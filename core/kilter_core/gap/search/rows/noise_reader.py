@@ -19,7 +19,7 @@ from kilter_core.gap.noise.pair_model import PairModel
 from kilter_core.gap.noise.visits import Visits
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Library
-from kilter_core.gap.search.linear.linearized import go_on
+from kilter_core.gap.search.linear.linearized import ignore_step
 from kilter_core.gap.search.rows.row_warnings import instrument_warnings, no_repeats_warning
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
@@ -51,21 +51,21 @@ class NoiseReader:
         size = source.tool_numbers
         kinds, visit_residual = tuple(source.beside_numbers), source.residual(self.values)
         again = len(self.rows) > len(np.unique(visits.pose))
-        residual = source.residual_of_rows(self.values, self.rows, go_on) if again else visit_residual
+        residual = source.residual_of_rows(self.values, self.rows, ignore_step) if again else visit_residual
         noise = self._of_tool(residual[:, :size], visit_residual[:, :size])
         if not kinds:
             return noise
         condition = visits.condition[visits.visit] if again else None
         beside = sensors(residual[:, size:], condition, kinds, visits.count)
-        return noise.joined(*beside, kinds)
+        return noise.with_independent_sensors(*beside, kinds)
 
     def _of_tool(self, residual: Floats, visit_residual: Floats) -> Noise:
         source, visits, options = self.source, self.visits, self.options
         size = visit_residual.shape[1]
         linear = source.unit == "rad" or visits.observations.rotation is not None
-        found = self._repeated(residual, visit_residual)
+        found = self._noise_from_repeats(residual, visit_residual)
         if found is not None and source.unit != "rad":
-            self.warnings += instrument_warnings(found, self._stated())
+            self.warnings += instrument_warnings(found, self._stated_sigma())
         if options.noise_mm is not None and not linear:
             return stated_noise(metres(options.noise_mm), visits, size)
         if found is not None:
@@ -78,9 +78,9 @@ class NoiseReader:
             return stated_noise(visits.observations.sigma, visits, size)
         self.warnings.append(no_repeats_warning(visits))
         every = np.ones(len(visits), dtype=bool)
-        return source.even(fit_noise(visit_residual, visits, every, source.lost(visit_residual.size)))
+        return source.even(fit_noise(visit_residual, visits, every, source.geometry_freedom_share(visit_residual.size)))
 
-    def _repeated(self, residual: Floats, visit_residual: Floats) -> Noise | None:
+    def _noise_from_repeats(self, residual: Floats, visit_residual: Floats) -> Noise | None:
         """Noise of repeats, else of revisits in other ways, else of shots within visits."""
         visits = self.visits
         points = visits.observations.position if visit_residual.shape[1] == 3 else None
@@ -113,7 +113,7 @@ class NoiseReader:
         lengths = 3 if size == POSE else None
         return PairModel(pose, W, columns, own, self.visits, points, lengths, not self.options.effects)
 
-    def _stated(self) -> float | None:
+    def _stated_sigma(self) -> float | None:
         """Standard deviation m of a coordinate of a row, as the instrument states it: the columns of rows, else the option."""
         sigma = self.visits.observations.sigma
         if sigma is None:

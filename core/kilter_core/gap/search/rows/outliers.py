@@ -15,11 +15,11 @@ from scipy.linalg.blas import dtrmm
 from scipy.linalg.lapack import dtrtri
 from scipy.stats import chi2, f
 
-from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, go_on
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, ignore_step
 from kilter_core.gap.search.linear.projection import Stacked
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.rows.wrong_rows import find_wrong
-from kilter_core.identify.fit.robust import bulk_scale, redescended, scale_of
+from kilter_core.identify.fit.robust import bulk_scale, descend_to_tukey_weights, median_scale
 from kilter_core.types import Bools, Floats
 
 CHANCE = 0.001  # of setting any good visit aside
@@ -32,7 +32,7 @@ ALIKE = 3  # fits in a row that let go of the same visits, after which the desce
 LARGE = 3000  # visits from which the descent is made only where the plain fit leaves any visit far
 
 
-def outliers(problem: LinearizedProblem, chosen: Sequence[int] = (), tick: Tick = go_on) -> Bools:
+def outliers(problem: LinearizedProblem, chosen: Sequence[int] = (), tick: Tick = ignore_step) -> Bools:
     """Visits (V,) to set aside. Leave-one-out residual against geometry and library, studentised, robust scale.
 
     Where the library has more parameters than the data could fix it explains anything, a wild reading too. Then geometry
@@ -45,17 +45,17 @@ def outliers(problem: LinearizedProblem, chosen: Sequence[int] = (), tick: Tick 
     geometry = problem.G.shape[1]
     limit, alike = _limit(settings)
     supple = whole.width > SUPPLE * settings.used.sum() * size
-    found = _far(problem, whole, y, (limit, alike), supple, tick)
+    found = _find_outlying_visits(problem, whole, y, (limit, alike), supple, tick)
     if supple:
         known = [*range(geometry), *(geometry + k for k in chosen)]
-        found |= _far(problem, whole.only(known), y, (np.sqrt(WILD) * limit, alike), False, tick)
+        found |= _find_outlying_visits(problem, whole.only(known), y, (np.sqrt(WILD) * limit, alike), False, tick)
     return found
 
 
 def stands_out(settings: ProblemSettings, values: Floats) -> bool:
     """Whether any visit is so far from the model at these values that it is worth asking what else could explain it."""
     limit, alike = _limit(settings)
-    size = np.sqrt(np.sum(settings.whitened(values) ** 2, axis=1) / alike)
+    size = np.sqrt(np.sum(settings.whitened_residuals(values) ** 2, axis=1) / alike)
     return bool(size.max(initial=0.0) > limit)
 
 
@@ -68,12 +68,12 @@ def _limit(settings: ProblemSettings) -> tuple[float, int]:
     return float(np.sqrt(chi2.isf(CHANCE / len(settings.used), size / alike))), alike
 
 
-def _far(
+def _find_outlying_visits(
     problem: LinearizedProblem, X: Stacked, y: Floats, limit_alike: tuple[float, int], supple: bool, tick: Tick
 ) -> Bools:
     """Visits beyond the limit, if they are wrong readings and no structure. What ``supple`` columns leave refutes no noise."""
     used, (limit, alike) = problem.settings.used, limit_alike
-    dimension, X = max(1, round(X.size / alike)), X.condensed()
+    dimension, X = max(1, round(X.size / alike)), X.condense_columns()
 
     def sizes(weight: Floats) -> Floats:
         tick()
@@ -88,17 +88,17 @@ def _far(
 
     def beyond(size: Floats, scale: float) -> Bools:
         # A noise that comes from the fit, or is refuted, holds the wrong readings themselves: the bulk says better what it is.
-        refuted = not supple and _refuted(problem.settings, scale)
+        refuted = not supple and _is_noise_too_large(problem.settings, scale)
         least = 1.0 if problem.settings.trusted and not refuted else 0.0
         return np.asarray(size > limit * max(least, scale))
 
     known: list[bytes] = []
 
-    def decided(size: Floats) -> bool:
-        known.append(beyond(size, bulk_scale(size, dimension, scale_of(size, dimension))).tobytes())
+    def is_selection_stable(size: Floats) -> bool:
+        known.append(beyond(size, bulk_scale(size, dimension, median_scale(size, dimension))).tobytes())
         return len(set(known[-ALIKE:])) == 1 and len(known) >= ALIKE
 
-    robust = redescended(sizes, start, dimension, decided)
+    robust = descend_to_tukey_weights(sizes, start, dimension, is_selection_stable)
     far[used] = beyond(robust.size, robust.scale)
     whole = np.zeros(len(used))
     whole[used] = robust.size
@@ -106,10 +106,10 @@ def _far(
         return far
     every = np.zeros(len(used))
     every[used] = robust.weight
-    return find_wrong(problem, far, whole, _left(X, y, every))
+    return find_wrong(problem, far, whole, _weighted_fit_residuals(X, y, every))
 
 
-def _refuted(settings: ProblemSettings, scale: float) -> bool:
+def _is_noise_too_large(settings: ProblemSettings, scale: float) -> bool:
     """Whether the bulk of the visits, of this scale in units of the noise, is too small for it: wrong readings among the
     repeats made it. A median knows its scale half as well as a mean square does, and the fit took some: each visit counts
     as one number.
@@ -138,7 +138,7 @@ def _left_out(X: Stacked, y: Floats, weight: Floats) -> Floats:
     return out
 
 
-def _left(X: Stacked, y: Floats, weight: Floats) -> Floats:
+def _weighted_fit_residuals(X: Stacked, y: Floats, weight: Floats) -> Floats:
     """Error (V, m) of every visit against the weighted fit."""
     beta, _ = _fit(X, y, weight)
     return np.concatenate([y[part] - columns @ beta for part, columns in X.each()]).reshape(-1, X.size)

@@ -72,7 +72,7 @@ def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
     """Say how far repeats drifted, or that the rows cannot show it."""
     drift = noise.drift
     unit, scale = ("deg", DEG) if joint else ("µm", 1e6)
-    if drift is not None and drift.seen:
+    if drift is not None and drift.is_significant:
         sizes = {"over the campaign": drift.over_campaign * scale, "per K": drift.per_kelvin * scale}
         said = " and ".join(f"{v:.3g} {unit} {k}" for k, v in sizes.items() if v > 0.0) or f"0 {unit}"
         clock = "" if drift.timed else " (by the order of the rows, because there is no clock)"
@@ -81,7 +81,7 @@ def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
             "message": f"The repeats drifted by {said}{clock}, rms of a coordinate. The noise is what is left of them at no "
             "distance in time and temperature. Let arm and instrument warm up, and repeat poses soon after one another.",
         }
-    if noise.bounded:
+    if noise.has_too_few_revisits:
         yield {
             "code": "revisits_bound_noise",
             "message": "The noise is that of poses visited again from other sides or under other loads, and what these do "

@@ -78,7 +78,12 @@ def _along_joint_or_load(problem: LinearizedProblem, far: Bools, left: Floats) -
     if not source.observes_tool:
         return out
     columns, n = source.joint_columns(problem.values), source.batch.q.shape[1]
-    loads = [k for effect, at in source.model.placed if "moments" in effect.needs for k in range(at.start, at.stop)]
+    loads = [
+        k
+        for effect, at in source.model.effects_with_slices
+        if "moments" in effect.needs
+        for k in range(at.start, at.stop)
+    ]
     first = len(source.model.names) - source.n_library  # of the library among the model's parameters
     loads = [k - first for k in loads if k >= first]
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from kilter_core.effects import Batch, Effect
 from kilter_core.errors import ObservationError
-from kilter_core.gap.search.sources.places import OWN, WIDE, Place, places_of
+from kilter_core.gap.search.sources.places import OWN, WIDE, Place, initial_places
 from kilter_core.gap.search.sources.source import Linear
 from kilter_core.gap.search.sources.tool_source import ToolSource, with_columns
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.contacts import Contact, contacts_of
+from kilter_core.measurement.contacts import Contact, group_contacts
 from kilter_core.model import Calibration, Prediction, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.parameters import Prior
@@ -34,14 +34,14 @@ class ContactSource(ToolSource):
     places: tuple[Place, ...]
 
     @staticmethod
-    def among(source: ToolSource, values: Floats) -> tuple[ContactSource, Floats]:
+    def from_tool_source(source: ToolSource, values: Floats) -> tuple[ContactSource, Floats]:
         """The source with its contacts where the model of these values puts them, and the values with their places."""
         refuse_mixed(source.measurement)
         points = source.model.predict(source.batch, values).position
-        places = places_of(contacts_of(source.observations), points)
+        places = initial_places(group_contacts(source.observations), points)
         own = np.zeros(OWN * len(places))
         kept = {f.name: getattr(source, f.name) for f in fields(ToolSource)}
-        kept["prior"] = Prior(own, own + WIDE).beside(source.prior)
+        kept["prior"] = Prior(own, own + WIDE).append_prior(source.prior)
         return ContactSource(**kept, places=places), np.concatenate([own, values])
 
     @staticmethod
@@ -50,12 +50,14 @@ class ContactSource(ToolSource):
 
         A smaller arm has smaller errors, those of the noise too: without a scale the best fit is an arm of no size.
         """
-        made, placed = ContactSource.among(source, values)
+        made, placed = ContactSource.from_tool_source(source, values)
         held = made.sets_scale(placed)
         if held is None:
             return made, placed
         free = source.free[source.free != held]
-        return ContactSource.among(ToolSource.of(source.model, source.measurement, free, source.n_library), values)
+        return ContactSource.from_tool_source(
+            ToolSource.from_model(source.model, source.measurement, free, source.n_library), values
+        )
 
     def sets_scale(self, values: Floats) -> int | None:
         """The parameter to hold so that the arm keeps its scale; None where the rows, or what is held already, show it."""
@@ -66,7 +68,7 @@ class ContactSource(ToolSource):
         if not long or not set(long) <= set(self.free.tolist()):
             return None
         grown = self.of_columns(lengths, values) @ inner[lengths]
-        left = self.cleared(grown[:, :, None], values)
+        left = self.project_off_contacts(grown[:, :, None], values)
         if np.linalg.norm(left) > SEEN * np.linalg.norm(grown):
             return None
         return max(long, key=lambda k: abs(float(inner[k])))
@@ -75,15 +77,15 @@ class ContactSource(ToolSource):
         """Derivatives (V, w, K) of what was measured of the tool by some parameters of the model."""
         alone = replace(self, free=np.sort(np.array(columns, dtype=np.int64)))
         order = np.argsort(np.argsort(np.array(columns)))
-        return ContactSource.linear(alone, values, None, []).G[:, : self.tool_numbers, self.own + order]
+        return ContactSource.linear(alone, values, None, []).G[:, : self.tool_numbers, self.place_value_count + order]
 
-    def cleared(self, columns: Floats, values: Floats) -> Floats:
+    def project_off_contacts(self, columns: Floats, values: Floats) -> Floats:
         """Columns (V, w, K) off what places and ball would take up of them."""
-        basis = self.taken(values)
+        basis = self.contact_basis(values)
         flat = columns.reshape(-1, columns.shape[2])
         return np.asarray((flat - basis @ (basis.T @ flat)).reshape(columns.shape))
 
-    def taken(self, values: Floats) -> Floats:
+    def contact_basis(self, values: Floats) -> Floats:
         """Orthonormal basis (V w, K) of what places and ball explain."""
         ball = [k for k, name in enumerate(self.model.names) if name in BALL and k in self.free]
         alone = replace(self, free=np.array(ball, dtype=np.int64))
@@ -92,41 +94,43 @@ class ContactSource(ToolSource):
         return np.asarray(u[:, s > SAME * s.max(initial=1e-300)])
 
     @property
-    def own(self) -> int:
+    def place_value_count(self) -> int:
         """How many values say where the places stand."""
         return OWN * len(self.places)
 
     @property
     def soft(self) -> Bools:
         """Which of the free parameters their priors hold: no place is."""
-        return np.concatenate([np.zeros(self.own, dtype=bool), super().soft])
+        return np.concatenate([np.zeros(self.place_value_count, dtype=bool), super().soft])
 
     @property
     def of_loads(self) -> Bools:
         """Which of the free parameters are load errors."""
-        return np.concatenate([np.zeros(self.own, dtype=bool), super().of_loads])
+        return np.concatenate([np.zeros(self.place_value_count, dtype=bool), super().of_loads])
 
     @cached_property
     def contacts(self) -> tuple[tuple[Contact, slice], ...]:
         """The contacts of the rows, with the values that say where each stands."""
         index = {place.name: k for k, place in enumerate(self.places)}
-        return tuple((c, slice(OWN * index[c.name], OWN * (index[c.name] + 1))) for c in contacts_of(self.observations))
+        return tuple(
+            (c, slice(OWN * index[c.name], OWN * (index[c.name] + 1))) for c in group_contacts(self.observations)
+        )
 
     def model_values(self, values: Floats) -> Floats:
         """Values of the model."""
-        return values[self.own :]
+        return values[self.place_value_count :]
 
     def on_rows(self, rows: Observations) -> ToolSource:
         """The same model and places on other rows."""
-        return self.on(replace(self.measurement, observations=with_columns(rows, self.observations)))
+        return self.with_measurement(replace(self.measurement, observations=with_columns(rows, self.observations)))
 
     def bears(self, values: Floats) -> bool:
         """Whether an effect that follows loads has any of these values."""
         return super().bears(self.model_values(values))
 
-    def reloaded(self, values: Floats) -> ToolSource:
+    def with_loads_at_values(self, values: Floats) -> ToolSource:
         """The same rows with loads on the chain of these values."""
-        return super().reloaded(self.model_values(values))
+        return super().with_loads_at_values(self.model_values(values))
 
     def doubt(self, values: Floats) -> Floats:
         """Covariance (V, m, m) of the residuals that the blurred signs leave open."""
@@ -134,18 +138,18 @@ class ContactSource(ToolSource):
         prediction, J = self.model.doubts(self.batch, inner, self.measurement.reads_joints)
         if not J.shape[2]:
             return np.zeros((len(J), size, size))
-        D = self._compared(prediction, values, J)[1]
+        D = self._compare_with_contacts(prediction, values, J)[1]
         return np.asarray(np.einsum("vik,vjk->vij", D, D))
 
     def residual(self, values: Floats) -> Floats:
         """Residuals (V, m)."""
-        return self._compared(self.model.predict(self.batch, self.model_values(values)), values)[0]
+        return self._compare_with_contacts(self.model.predict(self.batch, self.model_values(values)), values)[0]
 
     def linear(self, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None) -> Linear:
         """Residuals and derivatives; those by the places come first."""
         found = super().linear(values, batch, only)
         points = self.model.predict(self.batch, self.model_values(values)).position
-        G = np.zeros((*found.r.shape, self.own))
+        G = np.zeros((*found.r.shape, self.place_value_count))
         for c, own in self.contacts:
             slope = self._place(own).by_place(points[c.rows], values[own])
             G[c.rows, : slope.shape[1], own] = slope
@@ -153,70 +157,74 @@ class ContactSource(ToolSource):
 
     def geometry(self, values: Floats) -> Floats:
         """Places, then the free geometric parameters."""
-        return np.concatenate([values[: self.own], super().geometry(self.model_values(values))])
+        return np.concatenate([values[: self.place_value_count], super().geometry(self.model_values(values))])
 
-    def moved(self, values: Floats, geometry: Floats, library: Floats) -> Floats:
+    def apply_step(self, values: Floats, geometry: Floats, library: Floats) -> Floats:
         """Take a step."""
-        inner = super().moved(self.model_values(values), geometry[self.own :], library)
-        return np.concatenate([values[: self.own] + geometry[: self.own], inner])
+        inner = super().apply_step(self.model_values(values), geometry[self.place_value_count :], library)
+        return np.concatenate([values[: self.place_value_count] + geometry[: self.place_value_count], inner])
 
     def joint_columns(self, values: Floats) -> Callable[[int], Floats]:
         """Derivative (V, m) of what was measured by each joint's motion."""
         inner = self.model_values(values)
         prediction, JQ = self.model.joint_jacobian(self.batch, inner, self.measurement.reads_joints)
-        return lambda joint: self._compared(prediction, values, JQ[:, :, [joint]])[1][:, :, 0]
+        return lambda joint: self._compare_with_contacts(prediction, values, JQ[:, :, [joint]])[1][:, :, 0]
 
     def with_effects(self, rows: Observations, effects: Sequence[Effect], fitted: Floats) -> tuple[ToolSource, Floats]:
         """The fitted model on other rows, whose contacts stand, and whose ball sits, where those rows fit best."""
-        measurement = Measurement.of(with_columns(rows, self.observations), held=True)
+        measurement = Measurement.from_observations(with_columns(rows, self.observations), held=True)
         started = len(self.model.effects) - self._library_effects()
         model = replace(self.model, effects=(*self.model.effects[:started], *effects))
         known = dict(zip(self.model.names, self.model_values(fitted), strict=True))
         values = np.array([known[p.name] for p in model.parameters])
-        alone = ToolSource.of(model, measurement, self.free, 0).blurred(self.batch.blur)
-        source, values = ContactSource.among(alone, values)
+        alone = ToolSource.from_model(model, measurement, self.free, 0).with_load_blur(self.batch.blur)
+        source, values = ContactSource.from_tool_source(alone, values)
         return HeldContacts(**{f.name: getattr(source, f.name) for f in fields(ContactSource)}, at=values), values
 
-    def calibrated(self, values: Floats, model: RobotModel, begin: Calibration) -> Calibration:
+    def to_calibration(self, values: Floats, model: RobotModel, begin: Calibration) -> Calibration:
         """The fitted state as a calibration of ``model``; no version holds where contacts stood."""
-        return super().calibrated(self.model_values(values), model, begin)
+        return super().to_calibration(self.model_values(values), model, begin)
 
     def fitted_names(self) -> list[str | None]:
         """Places have none; then the names of the free parameters."""
-        return [*[None] * self.own, *super().fitted_names()]
+        return [*[None] * self.place_value_count, *super().fitted_names()]
 
     def by_version(
         self, values: Floats, version: Calibration, names: Sequence[str]
     ) -> tuple[Floats, list[str], Floats]:
         """Columns of all named parameters but base and tool."""
         G, found, moved = super().by_version(values, version, names)
-        return G[:, :, self.own :], found, moved
+        return G[:, :, self.place_value_count :], found, moved
 
     def all_columns(self, values: Floats, names: Sequence[str]) -> tuple[Floats, list[str]]:
         """Derivatives (V, m, K) by all parameters of the model among the names."""
         G, found = super().all_columns(values, names)
-        return G[:, :, self.own :], found
+        return G[:, :, self.place_value_count :], found
 
-    def _parts(self, columns: int) -> list[slice]:
+    def _row_slices(self, columns: int) -> list[slice]:
         """All rows at once: contacts hold rows all over."""
         return [slice(0, max(1, len(self.batch)))]
 
-    def _derived(self, batch: Batch, rows: slice, values: Floats, columns: Ints) -> tuple[Floats, Floats]:
+    def _residuals_and_derivatives(
+        self, batch: Batch, rows: slice, values: Floats, columns: Ints
+    ) -> tuple[Floats, Floats]:
         """Residuals and their derivatives by the model's parameters ``columns``."""
         reads = self.measurement.reads_joints
         prediction, J = self.model.jacobian(batch, self.model_values(values), columns, False, reads)
-        r, D = self._compared(prediction, values, J)
+        r, D = self._compare_with_contacts(prediction, values, J)
         D[np.isnan(r)] = 0.0
         return r, D
 
-    def _compared(self, prediction: Prediction, values: Floats, J: Floats | None = None) -> tuple[Floats, Floats]:
+    def _compare_with_contacts(
+        self, prediction: Prediction, values: Floats, J: Floats | None = None
+    ) -> tuple[Floats, Floats]:
         """Residuals (V, m) of a prediction and the derivatives (V, m, K) of what is predicted; of the tool first."""
         points, width = prediction.position, self.tool_numbers
         r = np.full((len(points), width), np.nan)
         D = np.zeros((len(points), width, 0 if J is None else J.shape[2]))
         for c, own in self.contacts:
             place, p = self._place(own), points[c.rows]
-            r[c.rows] = place.left(c, p, values[own])
+            r[c.rows] = place.residuals(c, p, values[own])
             if J is not None:
                 D[c.rows] = place.by_point(p, values[own]) @ J[c.rows, :3]
         blocks = [b for kind in self.measurement.kinds[1:] for b in kind.blocks(prediction, J)]
@@ -239,27 +247,27 @@ class HeldContacts(ContactSource):
     @property
     def left_share(self) -> float:
         """Share of the numbers that is left when places and ball have taken theirs."""
-        numbers, lost = self._taken.shape
+        numbers, lost = self._contact_basis.shape
         return float(1.0 - lost / max(1, numbers))
 
     def residual(self, values: Floats) -> Floats:
         """Residuals (V, m) with places and ball fitted to them."""
-        return self._cleared(super().residual(values)[:, :, None])[:, :, 0]
+        return self._project_off_contacts(super().residual(values)[:, :, None])[:, :, 0]
 
     def all_columns(self, values: Floats, names: Sequence[str]) -> tuple[Floats, list[str]]:
         """Derivatives (V, m, K) by parameters of the model, less what places and ball would take up."""
         J, found = super().all_columns(values, names)
-        return self._cleared(J), found
+        return self._project_off_contacts(J), found
 
     @cached_property
-    def _taken(self) -> Floats:
-        return self.taken(self.at)
+    def _contact_basis(self) -> Floats:
+        return self.contact_basis(self.at)
 
-    def _cleared(self, columns: Floats) -> Floats:
+    def _project_off_contacts(self, columns: Floats) -> Floats:
         """Columns (V, m, K) off what places and ball take up; what was measured beside the tool stays."""
         w = self.tool_numbers
         flat = columns[:, :w].reshape(-1, columns.shape[2])
-        left = flat - self._taken @ (self._taken.T @ flat)
+        left = flat - self._contact_basis @ (self._contact_basis.T @ flat)
         return np.concatenate([left.reshape(len(columns), w, -1), columns[:, w:]], axis=1)
 
 
@@ -270,7 +278,7 @@ def refuse_mixed(measurement: Measurement) -> None:
         ObservationError: both are there; the remedy.
 
     """
-    sockets = [c.kind == "socket" for c in contacts_of(measurement.observations)]
+    sockets = [c.kind == "socket" for c in group_contacts(measurement.observations)]
     if any(sockets) and not all(sockets):
         raise ObservationError(
             "A search takes sockets apart from planes and ball bars, for a row of one measures three numbers and of the other "

@@ -41,7 +41,7 @@ class LinkSource(Source):
     library_sigma: Floats
 
     @staticmethod
-    def of(model: RobotModel, observations: Observations, n_library: int) -> LinkSource:
+    def from_model(model: RobotModel, observations: Observations, n_library: int) -> LinkSource:
         """Wrap a model and its rows."""
         assert observations.link_q is not None
         started = model.parameters[model.n_geometric : len(model.names) - n_library]
@@ -51,7 +51,7 @@ class LinkSource(Source):
         return LinkSource(
             model, observations, np.ptp(np.nan_to_num(observations.link_q), axis=0) > 0.0, segment, n_library,
             with_torque(model.batch(observations), observations),
-            Prior(np.zeros(n), np.full(n, 0.1)).beside(Prior.of(started)),
+            Prior(np.zeros(n), np.full(n, 0.1)).append_prior(Prior.from_parameters(started)),
             np.array([p.prior_sigma for p in library]),
         )  # fmt: skip
 
@@ -117,7 +117,7 @@ class LinkSource(Source):
         """Offsets and the starting effects."""
         return values[: len(values) - self.n_library]
 
-    def moved(self, values: Floats, geometry: Floats, library: Floats) -> Floats:
+    def apply_step(self, values: Floats, geometry: Floats, library: Floats) -> Floats:
         """Take a step."""
         return np.concatenate([self.geometry(values) + geometry, library])
 
@@ -126,7 +126,7 @@ class LinkSource(Source):
         live = np.flatnonzero(self.moving)
         return lambda joint: np.tile((live == joint) * 1.0, (len(self.rows), 1))
 
-    def parts(self, residual: Floats) -> list[Floats]:
+    def residuals_by_joint(self, residual: Floats) -> list[Floats]:
         """Its own encoder's of each joint, nothing of one without."""
         place = np.cumsum(self.moving) - 1
         return [residual[:, k : k + 1] if seen else residual[:, :0] for k, seen in zip(place, self.moving, strict=True)]
@@ -143,7 +143,7 @@ class LinkSource(Source):
         """The fitted model on other rows."""
         return self.on_rows(rows), fitted
 
-    def calibrated(self, values: Floats, model: RobotModel, begin: Calibration) -> Calibration:
+    def to_calibration(self, values: Floats, model: RobotModel, begin: Calibration) -> Calibration:
         """The fitted state as a calibration of ``model``, which holds the effects to keep; values go by name.
 
         Joint data say nothing of the chain, the base or the tool: those stay as ``begin`` has them, with its wanted frames.
@@ -188,7 +188,7 @@ class LinkSource(Source):
         moved = self.geometry(values)[self.n_offsets :] - np.array([at[name] for name in own])
         return self.linear(values).G[:, :, self.n_offsets :], own, moved
 
-    def referenced(self, residual: Floats) -> Floats:
+    def without_instrument_offsets(self, residual: Floats) -> Floats:
         """Residuals of joints less their mean in each motion: encoders are referenced anew, as a tool registered."""
         motion = segments(self.rows)
         count = np.bincount(motion)

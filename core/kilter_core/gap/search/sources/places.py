@@ -24,14 +24,14 @@ class Place:
     normal: Floats
 
     @staticmethod
-    def of(contact: Contact, points: Floats) -> Place:
+    def from_contact(contact: Contact, points: Floats) -> Place:
         """Where the contact fits the tool points ``(K, 3)`` of its rows best."""
         found = fitted_place(contact, points)
         if contact.kind == "plane":
             return Place(contact.name, contact.kind, points.mean(axis=0), found[:3])
         return Place(contact.name, contact.kind, found[:3], np.zeros(3))
 
-    def left(self, contact: Contact, points: Floats, own: Floats) -> Floats:
+    def residuals(self, contact: Contact, points: Floats, own: Floats) -> Floats:
         """Residuals (K, w) of the rows: three numbers of a socket, one of a plane or a bar."""
         if self.kind == "socket":
             return np.asarray(self.point + own - points)
@@ -66,6 +66,6 @@ class Place:
         return np.asarray(tilted / np.linalg.norm(tilted))
 
 
-def places_of(contacts: Sequence[Contact], points: Floats) -> tuple[Place, ...]:
+def initial_places(contacts: Sequence[Contact], points: Floats) -> tuple[Place, ...]:
     """First guesses of all contacts, from the tool points (N, 3) of all rows."""
-    return tuple(Place.of(contact, points[contact.rows]) for contact in contacts)
+    return tuple(Place.from_contact(contact, points[contact.rows]) for contact in contacts)

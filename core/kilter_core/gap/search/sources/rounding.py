@@ -39,14 +39,14 @@ class Rounding:
     reading: Ints
 
     @staticmethod
-    def of(source: Source, values: Floats, steps: Floats) -> Rounding:
+    def from_source(source: Source, values: Floats, steps: Floats) -> Rounding:
         """At a fit, by how each joint moves what was measured."""
         rows = source.observations
         seen = ~np.isnan(source.residual(values))
         column = source.joint_columns(values)
         joints = [np.nan_to_num(column(j)) * step / np.sqrt(12.0) for j, step in enumerate(steps)]
         by = np.stack(joints, axis=2) * seen[:, :, None]
-        return Rounding(steps, by, readings_of(rows))
+        return Rounding(steps, by, number_readings(rows))
 
     @property
     def covariance(self) -> Floats:
@@ -63,7 +63,7 @@ class Rounding:
         count = np.bincount(self.reading[used], minlength=int(self.reading.max()) + 1)
         return np.where((count[self.reading] < 2)[:, None, None], self.covariance, 0.0)
 
-    def shared(self, whitener: Floats, used: Bools) -> SharedErrors:
+    def shared_errors(self, whitener: Floats, used: Bools) -> SharedErrors:
         """What visits of one reading share, whitened by each one's own noise."""
         size = whitener.shape[-1]
         blocks = []
@@ -72,7 +72,7 @@ class Rounding:
             if len(own) > 1:
                 rows = (own[:, None] * size + np.arange(size)).reshape(-1)
                 blocks.append((rows, (whitener[own] @ self.by[own]).reshape(len(rows), -1)))
-        return SharedErrors.of(blocks)
+        return SharedErrors.from_blocks(blocks)
 
 
 def rounding(source: Source, values: Floats, q: Floats, visits: Visits, noise: Noise) -> tuple[Rounding | None, bool]:
@@ -83,7 +83,7 @@ def rounding(source: Source, values: Floats, q: Floats, visits: Visits, noise: N
     steps = reading_steps(q, [joint.kind == "prismatic" for joint in source.model.robot.joints])
     if not np.any(steps) or not source.observes_tool or not source.observes_places:
         return None, False
-    one = Rounding.of(source, values, steps)
+    one = Rounding.from_source(source, values, steps)
     size = coordinate(one, source)
     left = source.residual(values)[:, : source.tool_numbers][:, : noise.lengths]
     if size < COUNTS * noise.coordinate or np.sqrt(np.nanmean(left**2)) < AS_LARGE * size:
@@ -91,14 +91,14 @@ def rounding(source: Source, values: Floats, q: Floats, visits: Visits, noise: N
     return one, not noise.absolute or (noise.repeats is not None and in_repeats(visits))
 
 
-def readings_of(rows: Observations) -> Ints:
+def number_readings(rows: Observations) -> Ints:
     """Number the readings (N,): rows of equal joint vectors share one."""
     return numbered_rows(np.round(rows.q / ALIKE).astype(np.int64))
 
 
 def in_repeats(visits: Visits) -> bool:
     """Whether repeats were mostly rounded anew, so that their scatter holds the rounding already."""
-    cells, readings = visits.condition, readings_of(visits.observations)
+    cells, readings = visits.condition, number_readings(visits.observations)
     pairs = len(cells) - len(np.unique(cells))
     return pairs > 0 and len(np.unique(np.stack([cells, readings]), axis=1).T) - len(np.unique(cells)) > HELD * pairs
 

@@ -57,9 +57,9 @@ class Source(ABC):
         """Standard deviations (P,) of the geometry's prior."""
         return self.prior.sigma
 
-    def prior_with(self, columns: Sequence[int]) -> Prior:
+    def prior_with_columns(self, columns: Sequence[int]) -> Prior:
         """The prior (P + d,) of the geometry and of library ``columns``, which it knows nothing of."""
-        return self.prior.beside(Prior(np.zeros(len(columns)), self.library_sigma[list(columns)]))
+        return self.prior.append_prior(Prior(np.zeros(len(columns)), self.library_sigma[list(columns)]))
 
     @property
     @abstractmethod
@@ -89,7 +89,7 @@ class Source(ABC):
         return []
 
     @property
-    def beside_seen(self) -> Bools:
+    def sensor_reading_mask(self) -> Bools:
         """Which of those numbers (V, k) were read."""
         return np.zeros((len(self.observations), 0), dtype=bool)
 
@@ -98,7 +98,7 @@ class Source(ABC):
         """Numbers of a visit that were not measured, or only set a sensor's zero, on average."""
         return 0.0
 
-    def lost(self, numbers: int) -> float:
+    def geometry_freedom_share(self, numbers: int) -> float:
         """Share of the freedom of so many measured numbers that the geometry takes."""
         return min(0.9, int(np.sum(~self.soft)) / max(numbers, 1))
 
@@ -136,7 +136,7 @@ class Source(ABC):
         """Values (P,) of the geometric parameters."""
 
     @abstractmethod
-    def moved(self, values: Floats, geometry: Floats, library: Floats) -> Floats:
+    def apply_step(self, values: Floats, geometry: Floats, library: Floats) -> Floats:
         """Values with the geometry moved by ``geometry (P,)`` and the library set to ``library (Q,)``."""
 
     def library(self, values: Floats) -> Floats:
@@ -156,7 +156,7 @@ class Source(ABC):
         """Derivative (V, m) of what was measured by each joint's motion, joint by joint."""
 
     @abstractmethod
-    def parts(self, residual: Floats) -> list[Floats]:
+    def residuals_by_joint(self, residual: Floats) -> list[Floats]:
         """What each joint can move of residuals (V, m)."""
 
     @abstractmethod
@@ -179,11 +179,11 @@ class Source(ABC):
         """The same model on some of the rows."""
         return self.on_rows(self.observations.select(rows))
 
-    def reloaded(self, values: Floats) -> Source:
+    def with_loads_at_values(self, values: Floats) -> Source:
         """The same rows with loads on the chain of these values."""
         return self
 
-    def blurred(self, blur: Floats | None) -> Source:
+    def with_load_blur(self, blur: Floats | None) -> Source:
         """The same rows with loads as uncertain as ``blur (n, 2)`` where they change their sign."""
         return self
 
@@ -192,7 +192,7 @@ class Source(ABC):
         size = self.residual(values).shape[1]
         return np.zeros((len(self.batch), size, size))
 
-    def imagined(self, rows: Observations, values: Floats) -> Source:
+    def simulate_measurements(self, rows: Observations, values: Floats) -> Source:
         """Rows measured exactly as the model predicts, in the same way as the real ones."""
         raise ObservationError("Encoders on the links alone plan no poses: measure the tool.")
 
@@ -201,7 +201,7 @@ class Source(ABC):
         """The fitted model on other rows, of the library with these effects only where that saves work; and its values."""
 
     @abstractmethod
-    def calibrated(self, values: Floats, model: RobotModel, begin: Calibration) -> Calibration:
+    def to_calibration(self, values: Floats, model: RobotModel, begin: Calibration) -> Calibration:
         """The fitted state as a calibration of ``model``, which holds the effects to keep; values go by name."""
 
     def tool_measured(self, used: Bools) -> Measurement | None:
@@ -240,6 +240,6 @@ class Source(ABC):
         """Derivatives (V, m, K) by all parameters of the model among the ``names``, base and tool too."""
         raise ObservationError("Encoders on the links alone predict no place of the tool: measure it.")
 
-    def referenced(self, residual: Floats) -> Floats:
+    def without_instrument_offsets(self, residual: Floats) -> Floats:
         """Residuals (V, m) as held-out motions are judged: less what belongs to the instrument alone."""
         return residual

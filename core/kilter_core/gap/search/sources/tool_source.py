@@ -36,13 +36,13 @@ class ToolSource(Source):
     library_sigma: Floats
 
     @staticmethod
-    def of(model: RobotModel, measurement: Measurement, free: Ints, n_library: int) -> ToolSource:
+    def from_model(model: RobotModel, measurement: Measurement, free: Ints, n_library: int) -> ToolSource:
         """Wrap a model and its rows."""
         chosen = [model.parameters[k] for k in free]
         library = model.parameters[len(model.names) - n_library :]
         return ToolSource(
             model, measurement, free, n_library, model.batch(measurement.observations),
-            Prior.of(chosen, model.of_type), np.array([p.prior_sigma for p in library]),
+            Prior.from_parameters(chosen, model.of_type), np.array([p.prior_sigma for p in library]),
         )  # fmt: skip
 
     @property
@@ -51,7 +51,7 @@ class ToolSource(Source):
         prior = self.model.of_type
         if prior is None:
             return self._loads
-        return self._loads | np.isin(np.array(self.model.names)[self.free], prior.told().names)
+        return self._loads | np.isin(np.array(self.model.names)[self.free], prior.restrict_to_identifiable().names)
 
     @property
     def of_loads(self) -> Bools:
@@ -72,9 +72,11 @@ class ToolSource(Source):
 
     def on_rows(self, rows: Observations) -> ToolSource:
         """The same model on other rows."""
-        return self.on(Measurement.of(with_columns(rows, self.observations), self.measurement.marker_points))
+        return self.with_measurement(
+            Measurement.from_observations(with_columns(rows, self.observations), self.measurement.marker_points)
+        )
 
-    def on(self, measurement: Measurement) -> ToolSource:
+    def with_measurement(self, measurement: Measurement) -> ToolSource:
         """The same model on other rows."""
         batch = replace(self.model.batch(measurement.observations), blur=self.batch.blur)
         return replace(self, measurement=measurement, batch=batch)
@@ -101,7 +103,7 @@ class ToolSource(Source):
         return [count for column, count in given if column is not None]
 
     @cached_property
-    def beside_seen(self) -> Bools:
+    def sensor_reading_mask(self) -> Bools:
         """Which of those numbers (V, k) were read."""
         numbers = self.residual(self.model.values0())
         return ~np.isnan(numbers[:, numbers.shape[1] - sum(self.beside_numbers) :])
@@ -109,17 +111,25 @@ class ToolSource(Source):
     def only(self, rows: Ints) -> ToolSource:
         """The same model on some of the rows."""
         m = self.measurement
-        return self if len(rows) == len(self.batch) else self.on(replace(m, observations=m.observations.select(rows)))
+        return (
+            self
+            if len(rows) == len(self.batch)
+            else self.with_measurement(replace(m, observations=m.observations.select(rows)))
+        )
 
     def bears(self, values: Floats) -> bool:
         """Whether an effect that follows loads has any of these values."""
-        return any(np.any(values[where]) for e, where in self.model.placed if "moments" in e.needs and not e.nuisance)
+        return any(
+            np.any(values[where])
+            for e, where in self.model.effects_with_slices
+            if "moments" in e.needs and not e.nuisance
+        )
 
-    def reloaded(self, values: Floats) -> ToolSource:
+    def with_loads_at_values(self, values: Floats) -> ToolSource:
         """The same rows with loads on the chain of these values."""
-        return replace(self, model=self.model.loads_at(values)).on(self.measurement)
+        return replace(self, model=self.model.with_loads_at_values(values)).with_measurement(self.measurement)
 
-    def blurred(self, blur: Floats | None) -> ToolSource:
+    def with_load_blur(self, blur: Floats | None) -> ToolSource:
         """The same rows with loads as uncertain as ``blur (n, 2)`` where they change their sign."""
         return replace(self, batch=replace(self.batch, blur=blur))
 
@@ -135,7 +145,7 @@ class ToolSource(Source):
 
     def residual(self, values: Floats) -> Floats:
         """Residuals (V, m)."""
-        return self.measurement.residual(self.model.predict(self.batch, values)).stacked
+        return self.measurement.residual(self.model.predict(self.batch, values)).residuals_by_row
 
     def linear(self, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None) -> Linear:
         """Residuals and derivatives."""
@@ -146,8 +156,8 @@ class ToolSource(Source):
         columns = np.concatenate([self.free, start + wanted[order]])
         count = len(self.free)
         parts = []
-        for rows in self._parts(len(columns)):
-            r, D = self._derived(batch or self.batch, rows, values, columns)
+        for rows in self._row_slices(len(columns)):
+            r, D = self._residuals_and_derivatives(batch or self.batch, rows, values, columns)
             parts.append(r)
             if rows.start == 0:
                 G = np.empty((len(self.batch), r.shape[1], count))
@@ -155,22 +165,24 @@ class ToolSource(Source):
             G[rows], W[rows][:, :, place] = D[:, :, :count], D[:, :, count:]
         return Linear(np.concatenate(parts), G, W)
 
-    def _parts(self, columns: int) -> list[slice]:
+    def _row_slices(self, columns: int) -> list[slice]:
         """Slices of the rows, so large that what is in the making of their derivatives stays small."""
         if len(self.measurement.kinds) > 1:  # the zeros of sensors are those of all rows together
             return [slice(0, max(1, len(self.batch)))]
         size = max(1, MOST_NUMBERS // max(1, columns))
         return [slice(k, k + size) for k in range(0, max(1, len(self.batch)), size)]
 
-    def _derived(self, batch: Batch, rows: slice, values: Floats, columns: Ints) -> tuple[Floats, Floats]:
+    def _residuals_and_derivatives(
+        self, batch: Batch, rows: slice, values: Floats, columns: Ints
+    ) -> tuple[Floats, Floats]:
         """Residuals of these rows and their derivatives by the parameters ``columns``."""
         whole = rows.start == 0 and rows.stop >= len(batch)
         seen = self.measurement.observations if whole else self.measurement.observations.select(rows)
         measurement = replace(self.measurement, observations=seen)
-        part = batch if whole else batch.part(rows)
+        part = batch if whole else batch.select_rows(rows)
         residual = linearised_residual(self.model, measurement, part, values, columns)
         D = residual.derivatives(len(columns))
-        r = residual.stacked
+        r = residual.residuals_by_row
         D[np.isnan(r)] = 0.0
         return r, D
 
@@ -178,7 +190,7 @@ class ToolSource(Source):
         """Values of the free geometric parameters."""
         return values[self.free]
 
-    def moved(self, values: Floats, geometry: Floats, library: Floats) -> Floats:
+    def apply_step(self, values: Floats, geometry: Floats, library: Floats) -> Floats:
         """Take a step."""
         out = values.copy()
         out[self.free] += geometry
@@ -207,7 +219,7 @@ class ToolSource(Source):
 
         return column
 
-    def parts(self, residual: Floats) -> list[Floats]:
+    def residuals_by_joint(self, residual: Floats) -> list[Floats]:
         """All of them: any joint moves the tool."""
         return [residual] * self.model.robot.n_joints
 
@@ -232,19 +244,19 @@ class ToolSource(Source):
         """Equal weights of all coordinates."""
         return noise.even()
 
-    def imagined(self, rows: Observations, values: Floats) -> ToolSource:
+    def simulate_measurements(self, rows: Observations, values: Floats) -> ToolSource:
         """Rows measured exactly as the model predicts, of the same kind as the real ones."""
         prediction = self.model.predict(rows, values)
         rows = _read(rows, self.observations, prediction)
         shape = self.measurement.marker_points
         if shape is not None:
             markers = prediction.position[:, None, :] + np.einsum("nij,mj->nmi", prediction.rotation, shape)
-            return self.on(Measurement(replace(rows, markers=markers), shape))
+            return self.with_measurement(Measurement(replace(rows, markers=markers), shape))
         rotation = None if self.observations.rotation is None else prediction.rotation
         weight = self.observations.pose_weight
         if weight is not None and rows.pose_weight is None:  # what has no view yet is known as views are on average
             rows = replace(rows, pose_weight=np.broadcast_to(weight.mean(axis=0), (len(rows), 6, 6)))
-        return self.on(Measurement(replace(rows, position=prediction.position, rotation=rotation)))
+        return self.with_measurement(Measurement(replace(rows, position=prediction.position, rotation=rotation)))
 
     def with_effects(self, rows: Observations, effects: Sequence[Effect], fitted: Floats) -> tuple[ToolSource, Floats]:
         """The fitted model on other rows: only the effects in use, so that only their columns are needed."""
@@ -252,10 +264,12 @@ class ToolSource(Source):
         model = replace(self.model, effects=(*self.model.effects[:started], *effects))
         known = dict(zip(self.model.names, fitted, strict=True))
         values = np.array([known[p.name] for p in model.parameters])
-        measurement = Measurement.of(with_columns(rows, self.observations), self.measurement.marker_points)
-        return ToolSource.of(model, measurement, self.free, 0).blurred(self.batch.blur), values
+        measurement = Measurement.from_observations(
+            with_columns(rows, self.observations), self.measurement.marker_points
+        )
+        return ToolSource.from_model(model, measurement, self.free, 0).with_load_blur(self.batch.blur), values
 
-    def calibrated(self, values: Floats, model: RobotModel, begin: Calibration) -> Calibration:
+    def to_calibration(self, values: Floats, model: RobotModel, begin: Calibration) -> Calibration:
         """The fitted state as a calibration of ``model``, which holds the effects to keep; values go by name."""
         known = dict(zip(self.model.names, values, strict=True))
         made = np.array([known.get(p.name, p.value) for p in model.parameters])

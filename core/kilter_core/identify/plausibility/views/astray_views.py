@@ -23,10 +23,10 @@ def astray(seen: ViewResiduals) -> Bools:
     far = np.zeros(len(seen.rows), dtype=bool)
     weight = np.ones(len(far))
     for _ in range(PASSES):  # a few wrong ones have moved the fit: those that stand out are first weighed down
-        square = np.sum(_left_by(seen, weight) ** 2, axis=1) / NUMBERS
+        square = np.sum(_refitted_residuals(seen, weight) ** 2, axis=1) / NUMBERS
         weight = 1.0 / (1.0 + square / max(float(np.median(square)), 1e-300)) ** 2
     for _ in range(PASSES):
-        square = np.sum(_left_by(seen, weight) ** 2, axis=1) / NUMBERS
+        square = np.sum(_refitted_residuals(seen, weight) ** 2, axis=1) / NUMBERS
         usual = float(np.median(square[~far])) * NUMBERS / float(chi2.median(NUMBERS))
         now = square > FAR * usual
         if now.mean() > MOST:
@@ -37,7 +37,7 @@ def astray(seen: ViewResiduals) -> Bools:
     return far
 
 
-def _left_by(seen: ViewResiduals, weight: Floats | Bools) -> Floats:
+def _refitted_residuals(seen: ViewResiduals, weight: Floats | Bools) -> Floats:
     """What is left (K, 6) of all views where the parameters follow those of some ``weight (K,)``."""
     A = seen.A.reshape(-1, seen.A.shape[2])
     weighed = A * np.repeat(np.asarray(weight, dtype=np.float64), NUMBERS)[:, None]
@@ -47,7 +47,7 @@ def _left_by(seen: ViewResiduals, weight: Floats | Bools) -> Floats:
 
 def sizes(seen: ViewResiduals, used: Bools) -> Floats:
     """How far (K,) m each view is from where those ``used`` put the tool."""
-    left = (seen.place @ _left_by(seen, used)[:, :, None])[:, :, 0]
+    left = (seen.place @ _refitted_residuals(seen, used)[:, :, None])[:, :, 0]
     return np.asarray(np.linalg.norm(left, axis=1))
 
 

@@ -20,7 +20,7 @@ def bent_boards(fit: Fit) -> Iterator[dict[str, Any]]:
     if views is None:
         return
     prediction = fit.calibration().predict(views.observations)
-    found = list(board_shapes(views, prediction, views.placed(prediction)))
+    found = list(board_shapes(views, prediction, views.resolve_rig(prediction)))
     for one in found:
         if one.chance * len(found) > CHANCE or one.size - QUANTILE * one.sigma < LITTLE_M:
             continue

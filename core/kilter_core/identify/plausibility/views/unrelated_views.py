@@ -57,18 +57,18 @@ class _Sample:
     camera: int
     board: int
 
-    def shuffled(self) -> float:
+    def residual_with_shuffled_joints(self) -> float:
         """What hand-eye leaves (m, median of some shuffles) with joints of other rows; inf where it tells nothing."""
         rng, q = np.random.default_rng(0), self.rows.q
-        left = np.array([self.left(q[rng.permutation(len(q))]) for _ in range(SHUFFLES)])
+        left = np.array([self.hand_eye_residual(q[rng.permutation(len(q))]) for _ in range(SHUFFLES)])
         return float(np.median(left[np.isfinite(left)])) if np.isfinite(left).any() else np.inf
 
-    def left(self, q: Floats) -> float:
+    def hand_eye_residual(self, q: Floats) -> float:
         """What hand-eye leaves (m, median) with these joint readings; inf where it tells nothing."""
-        solved = self.solved(q)
+        solved = self.solve_hand_eye(q)
         return np.inf if solved is None else float(np.median(solved.left_m) + ARM_M * np.median(solved.left_rad))
 
-    def solved(self, q: Floats) -> HandEye | None:
+    def solve_hand_eye(self, q: Floats) -> HandEye | None:
         """Hand-eye with these joint readings; None where it tells nothing."""
         found = self.begin.predict(replace(self.rows, q=q))
         try:
@@ -86,18 +86,18 @@ def refuse_unrelated_views(begin: Calibration, rows: Observations) -> tuple[dict
             ``board_scale_differs``.
 
     """
-    views = Measurement.of(rows, begin.marker_points, held=True).pixels
+    views = Measurement.from_observations(rows, begin.marker_points, held=True).pixels
     if views is not None:
         refuse_misplaced_corners(views)
     sample = _sample(begin, rows)
     if sample is None:
         return ()
     q = sample.rows.q
-    given = sample.left(q)
-    shuffled = sample.shuffled()
+    given = sample.hand_eye_residual(q)
+    shuffled = sample.residual_with_shuffled_joints()
     if not np.isfinite([given, shuffled]).all():
         return ()
-    reversed_ = {j: sample.left(np.where(np.arange(q.shape[1]) == j, -q, q)) for j in range(q.shape[1])}
+    reversed_ = {j: sample.hand_eye_residual(np.where(np.arange(q.shape[1]) == j, -q, q)) for j in range(q.shape[1])}
     best = min(reversed_, key=lambda j: (reversed_[j], j))
     name = begin.robot.joints[best].name
     if reversed_[best] < BETTER * given and reversed_[best] < UNRELATED * shuffled:
@@ -117,11 +117,11 @@ def refuse_unrelated_views(begin: Calibration, rows: Observations) -> tuple[dict
     assert rows.camera is not None
     for c in np.unique(rows.camera[rows.camera >= 0]):
         of = sample if c == sample.camera else _sample(begin, rows.select(np.flatnonzero(rows.camera == c)))
-        if of is not None and of.left(of.rows.q) > ODD * shuffled:
+        if of is not None and of.hand_eye_residual(of.rows.q) > ODD * shuffled:
             refuse_other_camera(begin, of.rows, of.views.rig, int(c))
     _refuse_far(far_views(begin, rows), given)
     _refuse_scale(sample)
-    return tuple(_alike(sample, reversed_, given))
+    return tuple(_mirrored_sense_warnings(sample, reversed_, given))
 
 
 def far_views(begin: Calibration, rows: Observations) -> list[tuple[int, float]]:
@@ -130,7 +130,7 @@ def far_views(begin: Calibration, rows: Observations) -> list[tuple[int, float]]
     None where more than :data:`MOST_FAR` of the views are: then it is not known which are right.
     """
     sample = _sample(begin, rows)
-    solved = None if sample is None else sample.solved(sample.rows.q)
+    solved = None if sample is None else sample.solve_hand_eye(sample.rows.q)
     if sample is None or solved is None:
         return []
     views, c, b = sample.views, sample.camera, sample.board
@@ -143,7 +143,7 @@ def far_views(begin: Calibration, rows: Observations) -> list[tuple[int, float]]
     told = ~np.isnan(views.pixels[mine])
     off = np.where(told, np.nan_to_num(views.pixels[mine] - seen, nan=np.inf), 0.0)
     size = views.metres_per_px * np.sqrt(np.sum(off**2, axis=(1, 2)) / told.sum(axis=(1, 2)))
-    beyond, shuffled = size > FAR * float(np.median(size)), sample.shuffled()
+    beyond, shuffled = size > FAR * float(np.median(size)), sample.residual_with_shuffled_joints()
     far = beyond & (size > BESIDE * shuffled)
     if not np.any(beyond & (size > AS_SHUFFLED * shuffled)) or far.mean() > MOST_FAR:
         return []
@@ -169,7 +169,7 @@ def _refuse_far(far: list[tuple[int, float]], given: float) -> None:
 def _refuse_scale(sample: _Sample) -> None:
     """Refuse a board of which another size explains most of what hand-eye leaves."""
     found = sample.begin.predict(sample.rows)
-    solved = sample.solved(sample.rows.q)
+    solved = sample.solve_hand_eye(sample.rows.q)
     if solved is None:
         return
     by, sigma, left = grown(found.position, found.rotation, sample.position, solved)
@@ -201,12 +201,16 @@ def shuffled_control(begin: Calibration, rows: Observations) -> dict[str, float 
     Both are None where too few views tell a pose, or hand-eye finds nothing.
     """
     sample = _sample(begin, rows)
-    left = (np.inf, np.inf) if sample is None else (sample.left(sample.rows.q), sample.shuffled())
+    left = (
+        (np.inf, np.inf)
+        if sample is None
+        else (sample.hand_eye_residual(sample.rows.q), sample.residual_with_shuffled_joints())
+    )
     given, shuffled = (mm(one) if np.isfinite(one) else None for one in left)
     return {"given_mm": given, "shuffled_mm": shuffled}
 
 
-def _alike(sample: _Sample, reversed_: dict[int, float], given: float) -> Iterator[dict[str, Any]]:
+def _mirrored_sense_warnings(sample: _Sample, reversed_: dict[int, float], given: float) -> Iterator[dict[str, Any]]:
     """Say which joints fit as well reversed: no view tells in which sense they move."""
     for j, left in reversed_.items():
         if left < AS_GOOD * given and np.ptp(sample.rows.q[:, j]) > 0.1:
@@ -219,11 +223,11 @@ def _alike(sample: _Sample, reversed_: dict[int, float], given: float) -> Iterat
 
 
 def _sample(begin: Calibration, rows: Observations) -> _Sample | None:
-    views = Measurement.of(rows, begin.marker_points, held=True).pixels
+    views = Measurement.from_observations(rows, begin.marker_points, held=True).pixels
     if views is None or rows.camera is None or rows.board is None:
         return None
     pairs = np.stack([rows.camera, rows.board], axis=1)
-    seen = pairs[(rows.camera >= 0) & views.measured()]
+    seen = pairs[(rows.camera >= 0) & views.measured_row_mask()]
     if not len(seen):
         return None
     kinds, count = np.unique(seen, axis=0, return_counts=True)
@@ -237,7 +241,7 @@ def _sample(begin: Calibration, rows: Observations) -> _Sample | None:
 
 
 def _of_pair(rows: Observations, views: Pixels, c: int, b: int) -> Ints:
-    return np.flatnonzero((rows.camera == c) & (rows.board == b) & views.measured())
+    return np.flatnonzero((rows.camera == c) & (rows.board == b) & views.measured_row_mask())
 
 
 def _poses(views: Pixels, c: int, b: int, which: Ints) -> tuple[Floats, Floats, Bools]:

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.views.cameras import rig_of
-from kilter_core.measurement.camera.views import carried_by
+from kilter_core.identify.views.cameras import rig_from_calibration
+from kilter_core.measurement.camera.views import equivalent_tool_motions
 from kilter_core.observations.rig import Board, Camera
 from kilter_core.types import Floats, Ints
 
@@ -43,10 +43,10 @@ class ViewResiduals:
     parts: tuple[Part, ...]
 
     @staticmethod
-    def of(fit: Fit) -> ViewResiduals | None:
+    def from_fit(fit: Fit) -> ViewResiduals | None:
         """Of a fit to views alone; None where something else tells of the tool, or no view tells a pose."""
         problem, views = fit.problem, fit.problem.measurement.pixels
-        rig = rig_of(fit.calibration())
+        rig = rig_from_calibration(fit.calibration())
         if views is None or rig is None or not problem.measurement.tool.places_itself:
             return None
         told = views.tool_errors(fit.calibration())
@@ -55,14 +55,17 @@ class ViewResiduals:
         prediction, J = problem.model.jacobian(
             problem.batch, fit.values, problem.free, problem.measurement.needs_turns, problem.measurement.reads_joints
         )
-        carried, inner = carried_by(views.placed(prediction), views.views(prediction)), J[:, :6].copy()
+        carried, inner = (
+            equivalent_tool_motions(views.resolve_rig(prediction), views.views(prediction)),
+            J[:, :6].copy(),
+        )
         assert prediction.instrument is not None
         columns = prediction.instrument.columns
         fitted = np.flatnonzero(columns >= 0)
         inner[:, :, columns[fitted]] += carried[:, :, fitted]
         root = np.linalg.cholesky(np.linalg.inv(told.covariance)).transpose(0, 2, 1) / told.sigma_px
         white = (root @ told.motion[:, :, None])[:, :, 0]
-        unknowns = views.placed(prediction).unknowns
+        unknowns = views.resolve_rig(prediction).unknowns
         parts = []
         described: tuple[tuple[bool, Sequence[Camera | Board]], ...] = (
             (True, views.rig.cameras), (False, views.rig.boards)
@@ -88,13 +91,13 @@ class ViewResiduals:
         return float(max(self.r.size - np.sum(s**2 / (s**2 + 1.0)), 1.0))
 
     @cached_property
-    def taken(self) -> Floats:
+    def parameter_covariance(self) -> Floats:
         """Inverse (F, F) of the information of the parameters, with their priors."""
         flat = self.A.reshape(-1, self.A.shape[2])
         return np.asarray(np.linalg.inv(flat.T @ flat + np.eye(flat.shape[1])))
 
     @cached_property
-    def left(self) -> Floats:
+    def refitted_residuals(self) -> Floats:
         """What is left (K, 6) where the parameters may follow anew."""
-        step = self.taken @ np.einsum("kif,ki->f", self.A, self.r)
+        step = self.parameter_covariance @ np.einsum("kif,ki->f", self.A, self.r)
         return np.asarray(self.r - self.A @ step)

@@ -47,7 +47,7 @@ def exported_effects(calibration: Calibration) -> ExportedEffects:
     form = RunTimeForm.empty(model.load_robot, Conditions(load.mass))
     sorted_out: dict[str, list[Effect]] = {"elements": [], "both": [], "step": [], "nowhere": []}
     beyond, loads = [], largest_loads(model.load_robot)
-    for effect, at in model.placed:
+    for effect, at in model.effects_with_slices:
         if effect.stage != "measurement":
             alone = RunTimeForm.empty(model.load_robot, Conditions(load.mass))
             place = _place(effect, values[at], load, alone, loads)
@@ -59,13 +59,13 @@ def exported_effects(calibration: Calibration) -> ExportedEffects:
     if form.link_errors is not None:
         weighed = with_masses(weighed, form.link_errors.tolist())
     mass, com = with_payload(load.mass, load.com, form.payload_errors.tolist())
-    sharpened = _sharpened(form, loads)
+    sharpened = _sharpen_backlash(form, loads)
     elements, both, step, nowhere, past = (tuple(found) for found in (*sorted_out.values(), beyond))
     carried = Payload(mass, (com[0], com[1], com[2]))
     return ExportedEffects(form, weighed, carried, elements, both, step, nowhere, past, sharpened)
 
 
-def _sharpened(form: RunTimeForm, loads: Floats) -> tuple[tuple[str, float], ...]:
+def _sharpen_backlash(form: RunTimeForm, loads: Floats) -> tuple[tuple[str, float], ...]:
     """Let sides that change over little of the largest load (n,) change at once, as those of a hinge with limits do."""
     found = []
     for joint, own, load in zip(form.robot.joints, form.joints, loads, strict=True):
@@ -81,10 +81,10 @@ def _place(effect: Effect, values: Floats, load: Payload, form: RunTimeForm, loa
         return "nowhere"
     if not effect.at_run_time(form, values) or any(curve.shape is Shape.LAG for curve in form.curves):
         return "nowhere"
-    _sharpened(form, loads)
+    _sharpen_backlash(form, loads)
     if not (form.curves or form.bending or any(_needs_the_step(joint) for joint in form.joints)):
         return "elements"
-    held = any(part.compliance or part.reversal or part.backlash for part in map(elements_of, form.joints))
+    held = any(part.compliance or part.reversal or part.backlash for part in map(passive_joint_part, form.joints))
     return "both" if held else "step"
 
 
@@ -94,10 +94,10 @@ def _beyond_a_drive(form: RunTimeForm) -> bool:
 
 
 def _needs_the_step(joint: JointForm) -> bool:
-    return any(getattr(joint, name) != 0.0 for name in BY_THE_STEP) or joint != elements_of(joint)
+    return any(getattr(joint, name) != 0.0 for name in BY_THE_STEP) or joint != passive_joint_part(joint)
 
 
-def elements_of(joint: JointForm) -> JointForm:
+def passive_joint_part(joint: JointForm) -> JointForm:
     """The part of what a joint does that a spring, friction and a hinge with limits are: none of them pushes."""
     part = replace(joint, tilt_by_vector=False, tilt_softening_nm=0.0)
     for name in BY_THE_STEP:

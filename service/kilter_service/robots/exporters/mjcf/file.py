@@ -6,7 +6,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 from kilter_service.robots.exporters.exportable import Exportable, Written
 from kilter_service.robots.exporters.mjcf.drives import drives
-from kilter_service.robots.exporters.mjcf.effects import elements_of, exported_effects
+from kilter_service.robots.exporters.mjcf.effects import exported_effects, passive_joint_part
 from kilter_service.robots.exporters.mjcf.notes import KNOWN_OF_MUJOCO, in_mujoco, notes, of_sharpened
 from kilter_service.robots.exporters.mjcf.table import table, twisting
 from kilter_service.robots.exporters.mjcf.tree import bodies, nominal_frames
@@ -27,7 +27,7 @@ def mjcf(version: Exportable) -> Written:
     """
     calibration = version.calibration
     exported = exported_effects(calibration)
-    driven = drives(exported.robot, [elements_of(joint) for joint in exported.form.joints])
+    driven = drives(exported.robot, [passive_joint_part(joint) for joint in exported.form.joints])
     written = notes(version.version, calibration, in_mujoco(exported), (*of_sharpened(exported), *KNOWN_OF_MUJOCO))
     root = Element("mujoco", model=f"{version.version.robot} {version.version.id}")
     head = [f" Calibrated by Kilter: version {version.version.id} of robot {version.version.robot}.", *written]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kilter_core.model.closest_table import at_rest, workspace
+from kilter_core.model.closest_table import acts_at_rest, workspace
 from kilter_service.contract.fits import Errors, StageErrors
 from kilter_service.contract.versions import Version
 from kilter_service.robots.exporters.mjcf.effects import ExportedEffects
@@ -95,7 +95,7 @@ def _effect_notes(where: str, effects: Sequence[Effect], sizes: dict[str, tuple[
 
 def _of_loads(calibration: Calibration) -> Iterator[str]:
     """How far the arm that hangs is from a prediction: one of a version without its own loads takes them at the readings."""
-    kept = calibration.with_effects([effect for effect in calibration.model.effects if at_rest(effect)])
+    kept = calibration.with_effects([effect for effect in calibration.model.effects if acts_at_rest(effect)])
     if not any("moments" in effect.needs for effect in kept.model.effects):
         return
     rows = workspace(calibration.robot)
@@ -120,7 +120,7 @@ def _of_soft_base(calibration: Calibration) -> Iterator[str]:
     kept = calibration.with_effects([effect for effect in calibration.model.effects if effect.id == "base_compliance"])
     if not kept.model.effects:
         return
-    batch, (soft, where) = kept.model.batch(workspace(calibration.robot)), kept.model.placed[0]
+    batch, (soft, where) = kept.model.batch(workspace(calibration.robot)), kept.model.effects_with_slices[0]
     moved = soft.local(batch, kept.values[where]).base
     tilt = 0.0 if moved is None else float(np.max(np.linalg.norm(moved[:, 3:], axis=1)))
     if tilt > 0.0:

@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 from kilter_core.arm.run_time import BendingRow, Curve, JointForm, RunTimeForm, Shape
-from kilter_service.robots.exporters.mjcf.effects import BY_THE_STEP, elements_of
+from kilter_service.robots.exporters.mjcf.effects import BY_THE_STEP, passive_joint_part
 
 FORMAT = 1
 
@@ -35,7 +35,7 @@ def twisting(form: RunTimeForm) -> set[int]:
 
 def _joint(joint: JointForm) -> dict[str, Any]:
     """The numbers of a joint beyond what elements have of it."""
-    own = elements_of(joint)
+    own = passive_joint_part(joint)
     more: dict[str, Any] = {name: getattr(joint, name) for name in BY_THE_STEP if getattr(joint, name) != 0.0}
     if joint.tilt != 0.0:
         more |= {"tilt_by_vector": joint.tilt_by_vector, "tilt_softening_nm": joint.tilt_softening_nm}

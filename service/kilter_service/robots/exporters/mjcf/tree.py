@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from kilter_core.arm.robot import Link, moved_link
 from kilter_core.model.geometry import flange_frames, flange_screws, wanted_tool
-from kilter_core.transforms import inverse, rotation_along, twisted
+from kilter_core.transforms import inverse, pose_from_twist, rotation_along
 from kilter_service.robots.exporters.mjcf.drives import BACKLASH_RATE, FRICTION, LIMITS, Drive
 from kilter_service.robots.exporters.mjcf.effects import ExportedEffects
 from kilter_service.robots.exporters.urdf_words import numbers
@@ -35,7 +35,7 @@ class Axes:
     bodies: list[tuple[int, Link]]  # the joint that carries it (-1: the base), and the link in that joint's frame
 
 
-def axes_of(calibration: Calibration, exported: ExportedEffects) -> Axes:
+def identified_axes(calibration: Calibration, exported: ExportedEffects) -> Axes:
     """Frames of the identified arm, what is constant of the effects folded in.
 
     Raises:
@@ -47,12 +47,12 @@ def axes_of(calibration: Calibration, exported: ExportedEffects) -> Axes:
     flange = flange_frames(calibration)
     elements, at = flange.elements, _joint_frames(calibration, flange.elements)
     still = elements[0]  # each frame moves by what the constant errors before it do
-    moved = still @ twisted(form.base_shift, form.base_tilt) @ inverse(still)
+    moved = still @ pose_from_twist(form.base_shift, form.base_tilt) @ inverse(still)
     base, frames, bodies = moved @ still, [], []
     for j, here in enumerate(at):
         frames.append(moved @ here @ _along(robot.joints[j].kind, form.joints[j].offset))
         twist = form.joints[j].twist
-        moved = frames[-1] @ twisted(twist[:3], twist[3:]) @ inverse(here)
+        moved = frames[-1] @ pose_from_twist(twist[:3], twist[3:]) @ inverse(here)
     for link in exported.robot.links:
         if link.mass > 0.0:
             j = sum(k <= link.element for k in robot.chain.primary) - 1
@@ -84,7 +84,7 @@ def bodies(
     world: Element, calibration: Calibration, exported: ExportedEffects, driven: list[Drive], stepped: set[int]
 ) -> None:
     """Write base, joints, flange, tool and payload below ``world``; ``stepped`` joints get a body that the step moves."""
-    robot, axes = calibration.robot, axes_of(calibration, exported)
+    robot, axes = calibration.robot, identified_axes(calibration, exported)
     thick = thickness(axes)
     body = _body(world, "base", axes.base)
     _mount(body, exported.form.base_compliance)
@@ -98,7 +98,7 @@ def bodies(
         before = axes.joints[j]
         twist = exported.form.joints[j].twist
         if j in stepped or np.any(twist):
-            behind = twisted(twist[:3], twist[3:])
+            behind = pose_from_twist(twist[:3], twist[3:])
             body, before = _body(body, f"{joint.name}_behind", behind), before @ behind
         _masses(body, axes, j)
     T = inverse(before) @ axes.flange
@@ -122,7 +122,7 @@ def nominal_frames(calibration: Calibration) -> str:
 
 def nominal_poses(calibration: Calibration) -> list[Floats]:
     """Nominal poses (4, 4) of the joint frames and the tool at zero joints, in the base frame."""
-    nominal = flange_frames(calibration.wanted())
+    nominal = flange_frames(calibration.nominal_in_wanted_frames())
     tool = nominal.elements[-1] @ nominal.end @ wanted_tool(calibration)
     return [*_joint_frames(calibration, nominal.elements), tool]
 

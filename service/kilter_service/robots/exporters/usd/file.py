@@ -7,7 +7,7 @@ from kilter_files.robots.usd_poses import usd_package
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots.exporters.exportable import Exportable, Written
 from kilter_service.robots.exporters.mjcf.drives import drives
-from kilter_service.robots.exporters.mjcf.effects import elements_of, exported_effects
+from kilter_service.robots.exporters.mjcf.effects import exported_effects, passive_joint_part
 from kilter_service.robots.exporters.mjcf.notes import notes, of_sharpened
 from kilter_service.robots.exporters.usd.stage import LEAST_MASS, Stage
 
@@ -38,7 +38,7 @@ def usd(version: Exportable) -> Written:
         ) from error
     calibration = version.calibration
     exported = exported_effects(calibration)
-    driven = drives(exported.robot, [elements_of(joint) for joint in exported.form.joints])
+    driven = drives(exported.robot, [passive_joint_part(joint) for joint in exported.form.joints])
     stage = Stage(f"{version.version.robot} {version.version.id}", calibration, exported, driven)
     held = [effect for effect in exported.in_elements if effect not in exported.beyond_drives]
     partly = [effect for effect in exported.in_both if effect not in exported.beyond_drives]

@@ -9,12 +9,12 @@ import numpy as np
 
 from kilter_core.arm.robot import Link, moved_link
 from kilter_core.model.geometry import wanted_tool
-from kilter_core.transforms import inverse, twisted
+from kilter_core.transforms import inverse, pose_from_twist
 from kilter_files.robots.usd_poses import NOMINAL, STEP_TABLE, TOOL, local_pose, single, split, usd_package
 from kilter_service.robots.exporters.mjcf.drives import Drive
 from kilter_service.robots.exporters.mjcf.effects import ExportedEffects
 from kilter_service.robots.exporters.mjcf.table import table
-from kilter_service.robots.exporters.mjcf.tree import LEAST_INERTIA, axes_of, nominal_poses, possible, thickness
+from kilter_service.robots.exporters.mjcf.tree import LEAST_INERTIA, identified_axes, nominal_poses, possible, thickness
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
@@ -35,7 +35,7 @@ class Stage:
         pxr.UsdPhysics.SetStageKilogramsPerUnit(self.stage, 1.0)
         pxr.UsdGeom.SetStageUpAxis(self.stage, pxr.UsdGeom.Tokens.z)
         self.root = f"/{pxr.Tf.MakeValidIdentifier(title)}"
-        self.axes = axes_of(calibration, exported)
+        self.axes = identified_axes(calibration, exported)
         self.thick = thickness(self.axes)
         self.light = False
         self._names = self._unique([joint.name for joint in calibration.robot.joints])
@@ -127,15 +127,15 @@ class Stage:
     def _body(self, name: str, pose: Floats, ahead: Floats, j: int, own: Floats) -> str:
         """A body at ``pose`` in the base; its joint is at ``own`` in it."""
         path = f"{self.root}/{name}"
-        body = self._placed(path, pose)
+        body = self._define_placed_xform(path, pose)
         self.pxr.UsdPhysics.RigidBodyAPI.Apply(body)
         twist = self.exported.form.joints[j].twist if j >= 0 else np.zeros(6)
-        behind = own @ twisted(twist[:3], twist[3:])
+        behind = own @ pose_from_twist(twist[:3], twist[3:])
         self._weigh(body, [moved_link(link, behind) for k, link in self.axes.bodies if k == j])
         self._drawn(path, inverse(pose) @ ahead)
         return path
 
-    def _placed(self, path: str, T: Floats) -> Any:
+    def _define_placed_xform(self, path: str, T: Floats) -> Any:
         xform, (place, turn) = self.pxr.UsdGeom.Xform.Define(self.stage, path), local_pose(T)
         double = self.pxr.UsdGeom.XformOp.PrecisionDouble
         xform.AddTranslateOp(double).Set(self.pxr.Gf.Vec3d(*place))
@@ -163,13 +163,13 @@ class Stage:
 
     def _tool(self, path: str, tool: Floats, pose: Floats) -> None:
         """The tool's frame, and the payload as a body that hangs on it."""
-        self._placed(f"{path}/{TOOL}", tool)
+        self._define_placed_xform(f"{path}/{TOOL}", tool)
         payload = self.exported.payload
         if payload.mass <= 0.0:
             return
         at = tool.copy()
         at[:3, 3] += tool[:3, :3] @ np.asarray(payload.com)
-        body = self._placed(f"{self.root}/payload", pose @ at)
+        body = self._define_placed_xform(f"{self.root}/payload", pose @ at)
         self.pxr.UsdPhysics.RigidBodyAPI.Apply(body)
         self._weigh(body, [Link(element=0, mass=payload.mass, com=np.zeros(3), inertia=np.zeros((3, 3)))])
         fixed = self.pxr.UsdPhysics.FixedJoint.Define(self.stage, f"{self.root}/joints/payload")

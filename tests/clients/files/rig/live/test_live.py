@@ -19,9 +19,9 @@ import pytest
 
 from kilter_client.cli import run
 from kilter_files.ground.errors import FileError, UsageError
-from kilter_files.rig.live.feeds import Device, Shot, Stream, boundary_of, feed_of, parts
+from kilter_files.rig.live.feeds import Device, Shot, Stream, multipart_boundary, multipart_pictures, open_feed
 from kilter_files.rig.live.newest import newest
-from kilter_files.rig.live.server import page_of
+from kilter_files.rig.live.server import serve_live_page
 from kilter_files.rig.live.session import Session, follow
 from kilter_files.rig.live.taken import Taken, read_row
 from kilter_files.rig.see.run import Looker
@@ -40,7 +40,7 @@ def test_a_view_is_taken_once_the_board_rests_at_another_place(tmp_path: Path) -
     live = session(tmp_path / "out")
 
     def show(grey: np.ndarray | None, t: float) -> int:
-        live.look(Shot(f"f{t}", t, grey))
+        live.process_shot(Shot(f"f{t}", t, grey))
         return len(live.taken)
 
     first = picture(0)
@@ -58,7 +58,7 @@ def test_a_view_is_taken_once_the_board_rests_at_another_place(tmp_path: Path) -
     show(np.full_like(first, 128), 9.0)
     assert live.state["refusal"]["code"] in ("board_not_found", "picture_blurred")
     assert live.state["corners"] == 0
-    live.take_next()
+    live.request_next_view()
     assert [show(picture(1), 10.0), show(picture(1), 10.1)] == [3, 3]  # taken at once when asked for
 
 
@@ -73,7 +73,7 @@ def test_a_stream_is_followed_and_its_newest_picture_looked_at(tmp_path: Path) -
 
     with mjpeg(frames) as address:
         stop = Event()
-        follow(live, newest(feed_of(address), stop))
+        follow(live, newest(open_feed(address), stop))
         stop.set()
     assert live.full
     assert len(list((tmp_path / "out").glob("view*.png"))) == 3
@@ -83,14 +83,14 @@ def test_a_folder_that_fills_takes_every_picture_and_says_what_lacks(tmp_path: P
     folder = tmp_path / "filling"
     folder.mkdir()
     live = session(None, wanted=8)
-    shots, stop = feed_of(str(folder)).shots(Event()), Event()
+    shots, stop = open_feed(str(folder)).shots(Event()), Event()
     assert next(shots) is None
     for k in range(8):
         cv2.imwrite(str(folder / f"pose{k}.png"), picture(k))
         shot = next(shots)
         while shot is None:
             shot = next(shots)
-        live.look(shot)
+        live.process_shot(shot)
         assert len(live.taken) == k + 1
     stop.set()
     gates = {gate["name"]: gate for gate in live.state["gates"]}
@@ -133,10 +133,10 @@ def test_joints_that_cannot_be_read_take_no_view(tmp_path: Path) -> None:
     now = tmp_path / "now.csv"
     live = session(tmp_path / "out", now)
     for k in range(4):
-        live.look(Shot("a", 0.4 * k, picture(0)))
+        live.process_shot(Shot("a", 0.4 * k, picture(0)))
     assert "cannot be read: the view was not taken" in live.state["message"]
     now.write_text("q1_deg\n12\n")
-    live.look(Shot("a", 2.0, picture(0)))
+    live.process_shot(Shot("a", 2.0, picture(0)))
     assert (live.state["taken"], live.state["message"]) == (1, "took view0001.png with its joints")
     for text, said in (
         ("q1_deg\n", "no whole row"),
@@ -154,20 +154,20 @@ def test_joints_that_stay_while_the_board_moves_take_no_view(tmp_path: Path) -> 
     now.write_text("q1_deg\n12\n")
     live = session(tmp_path / "out", now)
     for k in range(6):
-        live.look(Shot("a", 0.4 * k, picture(0, 25.0 * (k > 2))))
+        live.process_shot(Shot("a", 0.4 * k, picture(0, 25.0 * (k > 2))))
     assert "has the joints of view0001.png, and the board has moved since" in live.state["message"]
     assert live.state["taken"] == 1
     now.write_text("q1_deg\n13\n")
-    live.look(Shot("a", 2.4, picture(0, 25.0)))
+    live.process_shot(Shot("a", 2.4, picture(0, 25.0)))
     assert live.state["message"] == "took view0002.png with its joints"
-    live.take_next()
-    live.look(Shot("a", 2.5, picture(0, 25.0)))  # the same pose once more, as asked for
+    live.request_next_view()
+    live.process_shot(Shot("a", 2.5, picture(0, 25.0)))  # the same pose once more, as asked for
     assert live.state["taken"] == 3
 
 
 def test_what_is_no_source_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(UsageError, match="give a folder, the address"):
-        feed_of(str(tmp_path / "nowhere"))
+        open_feed(str(tmp_path / "nowhere"))
     with pytest.raises(FileError, match="is not there"):
         next(Device(Path("/dev/video987")).shots(Event()))
     with pytest.raises(FileError, match="sends no pictures"):
@@ -177,7 +177,7 @@ def test_what_is_no_source_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
         pytest.raises(FileError, match="is text/html, not an MJPEG"),
     ):
         next(Stream(address).shots(Event()))
-    assert boundary_of("a", 'multipart/x-mixed-replace; boundary="--x"') == b"--x"
+    assert multipart_boundary("a", 'multipart/x-mixed-replace; boundary="--x"') == b"--x"
     assert run(["live", "http://127.0.0.1:9/", "--board", BOARD]) == 2
     assert "-o DIR" in capsys.readouterr().err
     assert run(["live", "http://127.0.0.1:9/", "--board", BOARD, "-o", str(tmp_path)]) == 1
@@ -189,16 +189,16 @@ def test_what_is_no_source_is_refused(tmp_path: Path, capsys: pytest.CaptureFixt
 )
 def test_lying_parts_end_the_stream_with_bounded_memory(head: bytes) -> None:
     with pytest.raises(OSError, match=r"length|ended within"):
-        next(parts(BytesIO(b"--frame\r\n" + head + b"\r\nshort"), b"--frame"))
+        next(multipart_pictures(BytesIO(b"--frame\r\n" + head + b"\r\nshort"), b"--frame"))
 
 
 def test_the_page_answers_itself_only(tmp_path: Path) -> None:
     live = session(tmp_path)
-    with page_of(live) as address, httpx.Client() as client:
+    with serve_live_page(live) as address, httpx.Client() as client:
         assert "default-src 'none'" in client.get(address).headers["content-security-policy"]
         assert client.get(address + "state").json() == {}
         assert client.get(address + "picture.jpg").status_code == 404
-        live.look(Shot("a", 0.0, picture(0)))
+        live.process_shot(Shot("a", 0.0, picture(0)))
         assert client.get(address + "state").json()["corners"] == 24
         assert client.get(address + "picture.jpg").headers["content-type"] == "image/jpeg"
         assert client.get(address, headers={"Host": "evil.example"}).status_code == 403
@@ -237,14 +237,14 @@ def statuses(host: str, request: str) -> list[str]:
 )
 def test_no_request_in_the_body_of_another_is_run(tmp_path: Path, head: str, status: str) -> None:
     live = session(tmp_path)
-    with page_of(live) as address:
+    with serve_live_page(live) as address:
         assert statuses(urlsplit(address).netloc, head + HIDDEN) == [status]
     assert live.asked is False
 
 
 def test_a_view_that_the_page_asks_for_is_taken_once(tmp_path: Path) -> None:
     live = session(tmp_path)
-    with page_of(live) as address:
+    with serve_live_page(live) as address:
         assert statuses(urlsplit(address).netloc, HIDDEN + HIDDEN) == ["202"]
 
 
@@ -270,7 +270,7 @@ def test_a_view_that_the_page_asks_for_is_taken_once(tmp_path: Path) -> None:
 )
 def test_only_a_browser_at_the_pages_own_address_is_answered(tmp_path: Path, header: str, status: int) -> None:
     live = session(tmp_path)
-    with page_of(live) as address:
+    with serve_live_page(live) as address:
         host = urlsplit(address).netloc
         said = header.format(port=host.partition(":")[2])
         assert statuses(host, f"GET /state HTTP/1.1\r\n{said}\r\n\r\n") == [str(status)]

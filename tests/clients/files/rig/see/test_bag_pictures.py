@@ -15,7 +15,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from kilter_client.cli import run
-from kilter_files.rig.see.bag_pictures import BagPictures, _plain
+from kilter_files.rig.see.bag_pictures import BagPictures, _decode_raw
 from kilter_files.rig.see.pictures import RefusedError
 from kilter_files.tables.joint_log import JointLog
 from tests.clients.files.rig.see.boards import CHARUCO, board, small, taken
@@ -152,7 +152,7 @@ class Lying:
 )
 def test_lying_headers_are_refused_before_anything_is_unpacked(message: Lying, code: str) -> None:
     with pytest.raises(RefusedError) as refused:
-        _plain("bag:/camera:1", message, None)
+        _decode_raw("bag:/camera:1", message, None)
     assert refused.value.refusal.code == code
 
 
@@ -166,9 +166,9 @@ def test_every_encoding_gives_the_same_grey() -> None:
     for encoding, array in made.items():
         data = np.ascontiguousarray(array)
         message = Lying(96, 64, encoding, data.nbytes // 64, data.tobytes())
-        assert np.abs(_plain("x", message, None).astype(int) - grey).max() <= 1, encoding
+        assert np.abs(_decode_raw("x", message, None).astype(int) - grey).max() <= 1, encoding
     flat = np.full((64, 96), 77, dtype=np.uint8)
-    assert (_plain("x", Lying(96, 64, "bayer_rggb8", 96, flat.tobytes()), None) == 77).all()
+    assert (_decode_raw("x", Lying(96, 64, "bayer_rggb8", 96, flat.tobytes()), None) == 77).all()
 
 
 def test_the_row_nearest_in_time_and_the_first_of_rows_equally_near() -> None:

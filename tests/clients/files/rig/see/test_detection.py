@@ -10,7 +10,7 @@ import pytest
 
 from kilter_files.rig.see.finder import Finder
 from kilter_files.rig.see.target import read_target
-from kilter_files.rig.see.views import View, view_of
+from kilter_files.rig.see.views import View, detect_view
 from tests.clients.files.rig.see.boards import CHARUCO, TAGS, board, page_of
 from tests.clients.files.rig.see.raycaster import Lens, Shot, clean, finished, true_corners
 
@@ -32,7 +32,7 @@ KINDS_OF_BOARD = [
 def seen(options: tuple[str, ...], grey: Any) -> View:
     target = read_target(board(options)[0])
     finder = Finder()
-    view = view_of(finder, grey, finder.markers(grey, target.board.dictionary), target, "picture")
+    view = detect_view(finder, grey, finder.markers(grey, target.board.dictionary), target, "picture")
     assert isinstance(view, View), view
     return view
 

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from kilter_client.cli import run
 from kilter_files.ground.errors import FileError
-from kilter_files.rig.see.optics.coverage import gates_of
+from kilter_files.rig.see.optics.coverage import evaluate_gates
 from kilter_files.rig.see.optics.intrinsics_file import read_camera
-from kilter_files.rig.see.optics.intrinsics_fit import Seen, fit_intrinsics, left_by
+from kilter_files.rig.see.optics.intrinsics_fit import Seen, fit_intrinsics, median_view_rms
 from tests.clients.files.rig.see.boards import board
 from tests.clients.files.rig.see.raycaster import Lens
 
@@ -61,13 +61,13 @@ def test_a_known_camera_is_found_within_its_intervals(model: str) -> None:
     assert np.abs(off / sigmas).max() < 4
     assert sigmas.max() < 2
     assert fit.rms_px == pytest.approx(0.05, rel=0.08)
-    assert all(gate.met for gate in gates_of(seen, fit))
+    assert all(gate.met for gate in evaluate_gates(seen, fit))
     # what matters of a lens: where it puts things, all over the picture
     corners = np.array([[x, y, 1.0] for x in (-0.45, 0, 0.45) for y in (-0.35, 0, 0.35)])
-    from kilter_files.rig.see.optics.lens import projected
+    from kilter_files.rig.see.optics.lens import project_points
 
     values = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion])
-    assert np.abs(projected(corners, values, model) - lens.pixels(corners)).max() < 0.5
+    assert np.abs(project_points(corners, values, model) - lens.pixels(corners)).max() < 0.5
 
 
 def test_standard_deviations_are_those_of_repeats() -> None:
@@ -82,11 +82,11 @@ def test_the_gates_are_apart_from_what_is_left() -> None:
     facing = views(lens, tilt_deg=3.0)
     fit = fit_intrinsics(facing, (1600, 1200), "none")
     assert fit.rms_px < 0.06
-    assert {gate.name for gate in gates_of(facing, fit) if not gate.met} == {"tilts"}
+    assert {gate.name for gate in evaluate_gates(facing, fit) if not gate.met} == {"tilts"}
     middle = [Seen(v.picture, v.mm[near], v.pixels[near]) for v in views(lens, 60)
               if (near := np.linalg.norm(v.pixels - [800, 600], axis=1) < 350).sum() >= 12]  # fmt: skip
     fit = fit_intrinsics(middle, (1600, 1200), "none")
-    assert {gate.name for gate in gates_of(middle, fit) if not gate.met} >= {"cells", "edge"}
+    assert {gate.name for gate in evaluate_gates(middle, fit) if not gate.met} >= {"cells", "edge"}
 
 
 def test_wrong_corners_are_left_out() -> None:
@@ -161,10 +161,10 @@ def test_files_of_other_programs(tmp_path: Path) -> None:
     assert read_camera(path).distortion == (0.1, 0.0, 0.0, 0.0, 0.0)
     for camera in (ros, wide):  # known cameras leave nothing in views of their own, and much in those of another
         lens = LENSES[camera.distortion_model]
-        left = left_by(views(lens, 5), camera)
+        left = median_view_rms(views(lens, 5), camera)
         assert left is not None
         assert left < 0.1
-    other = left_by(views(LENSES["rational"], 5), ros)
+    other = median_view_rms(views(LENSES["rational"], 5), ros)
     assert other is not None
     assert other > 0.5
 

@@ -13,9 +13,9 @@ from kilter_client.cli import run
 from kilter_files.ground.errors import UsageError
 from kilter_files.rig.see.finder import Finder
 from kilter_files.rig.see.refusals import Refusal
-from kilter_files.rig.see.second import Second, second_of
+from kilter_files.rig.see.second import Second, create_second_detector
 from kilter_files.rig.see.target import read_target
-from kilter_files.rig.see.views import View, view_of
+from kilter_files.rig.see.views import View, detect_view
 from tests.clients.files.rig.see.boards import CHARUCO, TAGS, board, page_of, saved
 from tests.clients.files.rig.see.raycaster import Shot, picture, true_corners
 
@@ -34,7 +34,7 @@ def test_both_detectors_have_no_bias_on_known_pixels(pictures: list[Any]) -> Non
     for grey, shot in zip(pictures, SHOTS, strict=True):
         truth = true_corners(board(TAGS)[1], shot)
         second = Second("tag36h11")
-        quads = second._found(grey)
+        quads = second._detect_tags(grey)
         assert len(quads) == 20
         apart = []
         for number, quad in quads.items():
@@ -46,9 +46,9 @@ def test_both_detectors_have_no_bias_on_known_pixels(pictures: list[Any]) -> Non
 
 def test_views_are_compared_and_one_wrong_corner_is_named(pictures: list[Any]) -> None:
     target, finder = read_target(board(TAGS)[0]), Finder()
-    second = second_of([target])
+    second = create_second_detector([target])
     for grey in pictures:
-        view = view_of(finder, grey, finder.markers(grey, "apriltag_36h11"), target, "p.png")
+        view = detect_view(finder, grey, finder.markers(grey, "apriltag_36h11"), target, "p.png")
         assert isinstance(view, View)
         assert second.compare(grey, view, target) is None
     document = second.to_document()
@@ -76,4 +76,4 @@ def test_the_command_shows_it(pictures: list[Any], tmp_path: Path, capsys: pytes
 def test_it_is_for_apriltags_of_one_dictionary() -> None:
     for options in (CHARUCO, (*TAGS, "--dictionary", "apriltag_36h10")):
         with pytest.raises(UsageError, match="AprilTag boards of one dictionary"):
-            second_of([read_target(board(options)[0])])
+            create_second_detector([read_target(board(options)[0])])

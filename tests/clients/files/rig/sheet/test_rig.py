@@ -175,7 +175,7 @@ def log(points: Floats, name: str = "mm") -> JointLog:
 
 
 def test_sigmas_follow_the_frame() -> None:
-    joined = join(circle(), log(ring(30, 24)), None, Frame.own(), JoinOptions(taken_mm=1.0))
+    joined = join(circle(), log(ring(30, 24)), None, Frame.sheet_frame(), JoinOptions(taken_mm=1.0))
     sx, sy, sz = (np.array(joined.table.columns[f"s{axis}_mm"]) for axis in "xyz")
     assert (sx[0], sy[0], sz[0]) == pytest.approx((0.02, 0.03, 1.0), abs=1e-6)
     assert (sx[6], sy[6]) == pytest.approx((0.03, 0.02), abs=1e-6)
@@ -194,11 +194,11 @@ def test_a_turned_sheet_is_found_through_its_points() -> None:
 
 def test_what_was_not_measured_is_not_made_up() -> None:
     with pytest.raises(FileError, match="no strokes across the line"):
-        join(circle(along=False), log(ring(30, 24)), None, Frame.own(), JoinOptions())
-    joined = join(circle(along=False), log(ring(30, 24)), None, Frame.own(), JoinOptions(taken_mm=1.0))
+        join(circle(along=False), log(ring(30, 24)), None, Frame.sheet_frame(), JoinOptions())
+    joined = join(circle(along=False), log(ring(30, 24)), None, Frame.sheet_frame(), JoinOptions(taken_mm=1.0))
     assert any("with an uncertainty of 1 mm. Identify joint offsets at most" in text for text in joined.table.warnings)
     with pytest.raises(FileError, match="shows no height"):
-        join(circle(), log(ring(30, 24)), None, Frame.own(), JoinOptions())
+        join(circle(), log(ring(30, 24)), None, Frame.sheet_frame(), JoinOptions())
 
 
 @pytest.mark.parametrize(
@@ -211,7 +211,7 @@ def test_what_was_not_measured_is_not_made_up() -> None:
 )
 def test_logs_of_another_path_are_refused(points: Floats, message: str) -> None:
     with pytest.raises(FileError, match=message):
-        join(circle(), log(points), None, Frame.own(), JoinOptions(taken_mm=1.0))
+        join(circle(), log(points), None, Frame.sheet_frame(), JoinOptions(taken_mm=1.0))
 
 
 def test_points_that_are_no_quarters_are_refused(tmp_path: Path) -> None:

@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from kilter_files.formats.joints.lerobot.calibration import Calibration, read_calibration, refuse_outside, servo_of
+from kilter_files.formats.joints.lerobot.calibration import (
+    Calibration,
+    read_calibration,
+    refuse_outside,
+    servo_name_for_joint,
+)
 from kilter_files.ground.faults import fault
 from kilter_files.ground.later import need, np
 
@@ -29,7 +34,7 @@ def of_follower(path: Path) -> Calibration:
     return found
 
 
-def servos_of(calibration: Calibration, joints: Sequence[str]) -> dict[int, str]:
+def servo_by_joint(calibration: Calibration, joints: Sequence[str]) -> dict[int, str]:
     """Return the servo of each joint of a robot, from 1; none where a description calls its joints in another way.
 
     Raises:
@@ -39,9 +44,9 @@ def servos_of(calibration: Calibration, joints: Sequence[str]) -> dict[int, str]
     if len(calibration.servos) < len(joints):
         what = f"has {len(calibration.servos)} servos, the robot {len(joints)} joints: it is of another arm"
         raise fault(calibration.path, what, "Give the calibration of the arm that was measured.")
-    if not any(_alike(joint, servo) for joint in joints for servo in calibration.servos):
+    if not any(_is_matching_servo(joint, servo) for joint in joints for servo in calibration.servos):
         return {}
-    return {number: servo_of(calibration, joint) for number, joint in enumerate(joints, 1)}
+    return {number: servo_name_for_joint(calibration, joint) for number, joint in enumerate(joints, 1)}
 
 
 def refuse_unreached(
@@ -67,6 +72,6 @@ def refuse_unreached(
             refuse_outside(calibration, file, name, servo, angles, 0, lines)
 
 
-def _alike(joint: str, servo: str) -> bool:
+def _is_matching_servo(joint: str, servo: str) -> bool:
     """Whether a name is the other one, or that with something before it: ``arm_elbow_flex`` and ``elbow_flex``."""
     return joint.endswith(servo) or servo.endswith(joint)

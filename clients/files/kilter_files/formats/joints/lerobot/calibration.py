@@ -82,7 +82,7 @@ class Calibration:
         servo = self.servos[name]
         return recorded / 100.0 * (-servo.half_range_deg if servo.drive_mode else servo.half_range_deg)
 
-    def recorded(self, name: str, angle_deg: float, mode: str, ticks: float = 0.0) -> float:
+    def recorded_value(self, name: str, angle_deg: float, mode: str, ticks: float = 0.0) -> float:
         """What is recorded of a servo at an angle, or so many of its ``ticks`` beyond it."""
         if mode == DEGREES:
             return angle_deg + ticks * 360.0 / TURN_TICKS
@@ -122,7 +122,7 @@ def looks_like_one(start: bytes) -> bool:
     return start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{") and b'"homing_offset"' in start
 
 
-def servo_of(calibration: Calibration, joint: str) -> str:
+def servo_name_for_joint(calibration: Calibration, joint: str) -> str:
     """Name in the calibration of a joint of a data set: of one arm of two, the file has it without ``left_``.
 
     Raises:

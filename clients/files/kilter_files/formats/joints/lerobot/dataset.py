@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from kilter_files.formats.joints.lerobot.mp4_frames import Film, film_of
+from kilter_files.formats.joints.lerobot.mp4_frames import Film, read_video_track
 from kilter_files.formats.zipped import ZIP, of_zip
-from kilter_files.ground.faults import fault, head_of
+from kilter_files.ground.faults import fault, read_head
 from kilter_files.ground.later import need, pa, parquet
 
 INFO, EPISODES_JSONL, EPISODES = "meta/info.json", "meta/episodes.jsonl", "meta/episodes"
@@ -51,13 +51,13 @@ class Dataset:
     frames: int
 
     @property
-    def told(self) -> str:
+    def summary_text(self) -> str:
         """Its version, episodes and robot, for people."""
         return f"LeRobot {self.version}, {len(self.episodes)} episodes of {self.robot_type or 'an unknown robot'}"
 
     def rows_of_files(self) -> dict[str, int]:
         """How many rows each file of rows has by its episodes, in the order of the files."""
-        return _rows_of((episode.data, episode.length) for episode in self.episodes)
+        return _row_count_by_file((episode.data, episode.length) for episode in self.episodes)
 
 
 def open_dataset(path: Path) -> Dataset:
@@ -68,7 +68,7 @@ def open_dataset(path: Path) -> Dataset:
 
     """
     if path.is_file() and path.name != Path(INFO).name:
-        raise of_zip(path) if head_of(path, len(ZIP)) == ZIP else fault(path, "is not a LeRobot data set", FOLDER)
+        raise of_zip(path) if read_head(path, len(ZIP)) == ZIP else fault(path, "is not a LeRobot data set", FOLDER)
     folder = path if path.is_dir() else path.resolve().parent.parent
     info = _info(folder)
     version = str(info.get("codebase_version"))
@@ -122,12 +122,14 @@ def refuse_short_videos(dataset: Dataset) -> None:
         FileError: a video is missing, has more or fewer pictures than its episodes have rows, or runs for another time.
 
     """
-    rows = _rows_of((video, episode.length) for episode in dataset.episodes for video in episode.videos.values())
+    rows = _row_count_by_file(
+        (video, episode.length) for episode in dataset.episodes for video in episode.videos.values()
+    )
     for video, expected in rows.items():
         path = dataset.folder / video
         if not path.is_file():
             raise fault(path, "is missing", FINISH)
-        film = film_of(path)
+        film = read_video_track(path)
         if film.pictures != expected:
             raise fault(path, f"has {film.pictures} pictures, its rows in the data set are {expected}", NOT_OF_ONE_TIME)
         _refuse_other_rate(path, film, dataset.fps)
@@ -150,7 +152,7 @@ def _refuse_other_rate(path: Path, film: Film, fps: float) -> None:
         raise fault(path, what, NOT_OF_ONE_TIME)
 
 
-def _rows_of(parts: Iterable[tuple[str, int]]) -> dict[str, int]:
+def _row_count_by_file(parts: Iterable[tuple[str, int]]) -> dict[str, int]:
     rows: dict[str, int] = {}
     for file, length in parts:
         rows[file] = rows.get(file, 0) + length
@@ -194,7 +196,10 @@ def _episodes_v21(folder: Path, info: Mapping[str, Any]) -> Iterator[Episode]:
                 raise fault(path, "is not an episode", FINISH, line=number) from error
             place = {"episode_chunk": index // size, "episode_index": index}
             yield Episode(
-                index, length, _at(folder, info, "data_path", place), _videos(folder, info, lambda _, p=place: p)
+                index,
+                length,
+                _fill_path_template(folder, info, "data_path", place),
+                _videos(folder, info, lambda _, p=place: p),
             )
 
 
@@ -211,7 +216,7 @@ def _episodes_v30(folder: Path, info: Mapping[str, Any]) -> Iterator[Episode]:
             def of_video(key: str, row: dict[str, Any] = row) -> dict[str, int]:
                 return {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
 
-            data = _at(folder, info, "data_path", place)
+            data = _fill_path_template(folder, info, "data_path", place)
             videos = _videos(folder, info, of_video)
             spans = {camera: _span(row, camera) for camera in videos if f"videos/{camera}/to_timestamp" in row}
             yield Episode(int(row["episode_index"]), int(row["length"]), data, videos, spans)
@@ -235,10 +240,10 @@ def _rows(file: Path, table: pa.Table) -> list[dict[str, Any]]:
 def _videos(folder: Path, info: Mapping[str, Any], place_of: Any) -> dict[str, str]:
     features = info["features"]
     cameras = [key for key, of in features.items() if isinstance(of, dict) and of.get("dtype") == "video"]
-    return {key: _at(folder, info, "video_path", place_of(key) | {"video_key": key}) for key in cameras}
+    return {key: _fill_path_template(folder, info, "video_path", place_of(key) | {"video_key": key}) for key in cameras}
 
 
-def _at(folder: Path, info: Mapping[str, Any], template: str, place: Mapping[str, Any]) -> str:
+def _fill_path_template(folder: Path, info: Mapping[str, Any], template: str, place: Mapping[str, Any]) -> str:
     text = info.get(template)
     try:
         return str(text).format(**place)

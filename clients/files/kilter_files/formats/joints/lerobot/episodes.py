@@ -18,8 +18,8 @@ from kilter_files.formats.joints.lerobot.log import (
     BLOCK,
     Block,
     Recorded,
-    joints_of,
-    opened,
+    arm_joint_names,
+    open_recorded_joints,
     refuse_leader,
     refuse_whole_rotations,
 )
@@ -48,7 +48,7 @@ class Episodes:
     signals: dict[str, Floats]
 
 
-def episodes_of(path: Path, hints: LogHints) -> Episodes:
+def read_episodes(path: Path, hints: LogHints) -> Episodes:
     """Read a data set; one episode is in memory at a time. Numbers in DEGREES need no calibration.
 
     Raises:
@@ -56,7 +56,7 @@ def episodes_of(path: Path, hints: LogHints) -> Episodes:
             its rows, a servo wraps within an episode, or does not reach an angle with the calibration that is given.
 
     """
-    recorded = _opened(path, hints)
+    recorded = _open_with_optional_calibration(path, hints)
     refuse_unfinished(recorded.dataset)
     numbers, found = [], []
     for number, state, action in _episodes(recorded):
@@ -67,12 +67,12 @@ def episodes_of(path: Path, hints: LogHints) -> Episodes:
     return Episodes(recorded.joints, tuple(numbers), signals)
 
 
-def _opened(path: Path, hints: LogHints) -> Recorded:
+def _open_with_optional_calibration(path: Path, hints: LogHints) -> Recorded:
     if hints.calibration is not None or hints.norm_mode != DEGREES:
-        return opened(path, hints)
+        return open_recorded_joints(path, hints)
     dataset = open_dataset(path)
     refuse_leader(dataset)
-    joints = joints_of(dataset, hints.order)
+    joints = arm_joint_names(dataset, hints.order)
     return Recorded(dataset, joints, tuple(dataset.names.index(name) for name in joints), None, DEGREES)
 
 
@@ -84,12 +84,12 @@ def _episodes(recorded: Recorded) -> Iterator[tuple[int, Floats, Floats | None]]
         for episode, state, action in _blocks(recorded.dataset.folder / name, recorded):
             for first, last in _runs(episode):
                 if waiting and int(episode[first]) != number:
-                    yield (number, *_joined(waiting))
+                    yield (number, *_stack_states_and_actions(waiting))
                     waiting = []
                 number = int(episode[first])
                 waiting.append((state[first:last], None if action is None else action[first:last]))
     if waiting:
-        yield (number, *_joined(waiting))
+        yield (number, *_stack_states_and_actions(waiting))
 
 
 def _runs(episode: Floats) -> Iterator[tuple[int, int]]:
@@ -98,7 +98,7 @@ def _runs(episode: Floats) -> Iterator[tuple[int, int]]:
     yield from pairwise(starts)
 
 
-def _joined(parts: list[tuple[Floats, Floats | None]]) -> tuple[Floats, Floats | None]:
+def _stack_states_and_actions(parts: list[tuple[Floats, Floats | None]]) -> tuple[Floats, Floats | None]:
     actions = [action for _, action in parts if action is not None]
     return np.vstack([state for state, _ in parts]), np.vstack(actions) if len(actions) == len(parts) else None
 

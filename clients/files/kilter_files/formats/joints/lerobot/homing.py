@@ -6,7 +6,13 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from kilter_files.formats.joints.lerobot.calibration import BY_RANGE, MOST_OFFSET, TURN_TICKS, Calibration, servo_of
+from kilter_files.formats.joints.lerobot.calibration import (
+    BY_RANGE,
+    MOST_OFFSET,
+    TURN_TICKS,
+    Calibration,
+    servo_name_for_joint,
+)
 from kilter_files.ground.faults import fault
 
 # What a servo adds to its own position: Feetech's take their homing offset off, Dynamixel's add it.
@@ -38,7 +44,7 @@ def with_zero_offsets(
     document = json.loads(calibration.path.read_bytes())
     changes = []
     for joint, offset in offsets_deg.items():
-        name = servo_of(calibration, joint)
+        name = servo_name_for_joint(calibration, joint)
         servo = calibration.servos[name]
         reversed_ = -1 if servo.drive_mode and mode == BY_RANGE else 1
         ticks = round(offset / TICK_DEG)

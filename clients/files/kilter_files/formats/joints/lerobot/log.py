@@ -12,7 +12,7 @@ from kilter_files.formats.joints.lerobot.calibration import (
     Calibration,
     read_calibration,
     refuse_outside,
-    servo_of,
+    servo_name_for_joint,
 )
 from kilter_files.formats.joints.lerobot.dataset import (
     FINISH,
@@ -60,7 +60,7 @@ class Block:
     time_s: Floats
 
 
-def opened(path: Path, hints: LogHints) -> Recorded:
+def open_recorded_joints(path: Path, hints: LogHints) -> Recorded:
     """Open a data set for its joints.
 
     Raises:
@@ -73,7 +73,7 @@ def opened(path: Path, hints: LogHints) -> Recorded:
     if hints.topic not in (None, STATE):
         what = f"{hints.topic!r} is not what the arm's servos read: an action is what the leader commanded"
         raise fault(path, what, f"Leave --topic out: {STATE} is read.")
-    joints = joints_of(dataset, hints.order)
+    joints = arm_joint_names(dataset, hints.order)
     places = tuple(dataset.names.index(name) for name in joints)
     if hints.zero == "old":
         return Recorded(dataset, joints, places, None, DEGREES)
@@ -92,7 +92,7 @@ def opened(path: Path, hints: LogHints) -> Recorded:
         raise fault(calibration.path, what, "Give the calibration of the follower, in .../calibration/robots/.")
     if not calibration.of_a_leader:
         refuse_leader(dataset, f", and nothing says that {calibration.path} is")
-    servos = tuple(servo_of(calibration, joint) for joint in joints)
+    servos = tuple(servo_name_for_joint(calibration, joint) for joint in joints)
     return Recorded(dataset, joints, places, calibration, hints.norm_mode, servos)
 
 
@@ -133,10 +133,10 @@ def log_of_dataset(path: Path, hints: LogHints) -> JointLog:
     """Read all of a data set as a joint log; its episodes follow one another, a second apart.
 
     Raises:
-        FileError: as :func:`opened` and :func:`blocks`, or videos with other lengths than their rows.
+        FileError: as :func:`open_recorded_joints` and :func:`blocks`, or videos with other lengths than their rows.
 
     """
-    recorded = opened(path, hints)
+    recorded = open_recorded_joints(path, hints)
     refuse_short_videos(recorded.dataset)
     angles, episodes, times = [], [], []
     for block in blocks(recorded):
@@ -156,7 +156,7 @@ def log_of_dataset(path: Path, hints: LogHints) -> JointLog:
 def log_notes(recorded: Recorded) -> Iterator[str]:
     """What is to be known of a log: its joints, its zero, and the hash of its calibration."""
     dataset = recorded.dataset
-    yield dataset.told
+    yield dataset.summary_text
     yield f"q1 to q{len(recorded.joints)} are {', '.join(recorded.joints)}"
     if recorded.calibration is None:
         yield "zero: old, the arm stretched out"
@@ -170,7 +170,7 @@ def _starts(dataset: Dataset) -> Floats:
     return np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
 
 
-def joints_of(dataset: Dataset, order: Sequence[str]) -> tuple[str, ...]:
+def arm_joint_names(dataset: Dataset, order: Sequence[str]) -> tuple[str, ...]:
     """The joints of the arm: all but the gripper and the speeds of a base, of one arm."""
     for name in order:
         if name not in dataset.names:

@@ -46,7 +46,7 @@ class Move:
     signals: tuple[str, ...]
 
 
-def moves_of(found: Episodes, least_deg: float) -> list[Move]:
+def detect_joint_moves(found: Episodes, least_deg: float) -> list[Move]:
     """Return what moved by ``least_deg`` or more, in the order of the episodes."""
     moves: list[Move] = []
     for k, joint in enumerate(found.joints):
@@ -119,7 +119,11 @@ def _jumps(series: Mapping[str, Floats], least_deg: float) -> list[int]:
     for values in series.values():
         scatter = _scatter(values)
         places = ((at, abs(_jump(values, at))) for at in range(SIDE, len(values) - SIDE + 1))
-        found += [(_left(values, at) / by, -by, at) for at, by in places if _is_one(by, scatter, least_deg)]
+        found += [
+            (_mean_deviation_around_step(values, at) / by, -by, at)
+            for at, by in places
+            if _is_one(by, scatter, least_deg)
+        ]
     kept: list[int] = []
     for *_, at in sorted(found):
         if all(abs(at - other) > NEAR for other in kept):
@@ -138,7 +142,7 @@ def _jump(values: Floats, at: int) -> float:
     return 0.0 if min(len(before), len(after)) < SIDE else float(np.median(after) - np.median(before))
 
 
-def _left(values: Floats, at: int) -> float:
+def _mean_deviation_around_step(values: Floats, at: int) -> float:
     """Mean distance of the values on both sides from what is usual there."""
     before, after = _sides(values, at)
     return float(np.mean(np.abs(np.concatenate([before - np.median(before), after - np.median(after)]))))

@@ -22,7 +22,7 @@ class Film:
     seconds: float
 
 
-def film_of(path: Path) -> Film:
+def read_video_track(path: Path) -> Film:
     """Return what the first track of video holds.
 
     Raises:

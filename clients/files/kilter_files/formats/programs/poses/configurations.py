@@ -33,7 +33,7 @@ class StatusTurn:
         """Say whether wrist and elbow are still where S says; T is written anew."""
         return self.fits(branch)
 
-    def restated(self, joints_deg: Sequence[float]) -> Mapping[Span, str]:
+    def edits_for_joints(self, joints_deg: Sequence[float]) -> Mapping[Span, str]:
         """Return T for these joints, where it is another."""
         turn = sum(1 << k for k, q in enumerate(joints_deg) if q < -0.0) | self.turn >> len(joints_deg) << len(
             joints_deg
@@ -67,7 +67,7 @@ class ConfData:
         """Say whether the branch is still the stated one, and axis 5 on its side; the other numbers are written anew."""
         return self.fits(branch) and _either(bool(self.branch & 1), lambda q: q < 0.0, joints_deg[4])
 
-    def restated(self, joints_deg: Sequence[float]) -> Mapping[Span, str]:
+    def edits_for_joints(self, joints_deg: Sequence[float]) -> Mapping[Span, str]:
         """Return the quadrants for these joints that are others."""
         return {
             span: str(math.floor(joints_deg[k] / 90.0))
@@ -101,7 +101,7 @@ class Config:
         """Say whether the branch is still the stated one, and axis 5 on its side; the other numbers are written anew."""
         return self.fits(branch) and _either(self.flip, lambda q: q >= 0.0, joints_deg[4])
 
-    def restated(self, joints_deg: Sequence[float]) -> Mapping[Span, str]:
+    def edits_for_joints(self, joints_deg: Sequence[float]) -> Mapping[Span, str]:
         """Return the full turns for these joints that are others."""
         return {
             span: str(_turns(joints_deg[k]))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 
-from kilter_files.formats.programs.found import NUMBER, Program, line_at
+from kilter_files.formats.programs.found import NUMBER, Program, line_number
 from kilter_files.formats.programs.notations import FANUC, Frame
 from kilter_files.formats.programs.one_target import PoseTarget, Span, Use
 from kilter_files.formats.programs.poses.configurations import Config
-from kilter_files.formats.programs.poses.fanuc_frames import settings_of
+from kilter_files.formats.programs.poses.fanuc_frames import parse_frame_settings
 from kilter_files.formats.programs.poses.track import frame_on_track
 
 NULL = Frame(FANUC, (0.0,) * 6)
@@ -22,7 +22,7 @@ NOT_TAUGHT = re.compile(r"=\s{0,9}\*{3,}")  # what a controller writes of a posi
 OTHER_FRAME = re.compile(r"\b(?:RTCP|COORD)\b", re.I)
 
 
-def pose_of(program: Program, number: str, at: int, span: Span) -> PoseTarget:
+def parse_pose_target(program: Program, number: str, at: int, span: Span) -> PoseTarget:
     """Read position ``number``, which begins at ``at``; ``span`` holds what its first motion group says."""
     text = program.text
     parts = {match[1]: match for match in PART.finditer(text, *span)}
@@ -38,7 +38,7 @@ def pose_of(program: Program, number: str, at: int, span: Span) -> PoseTarget:
     whole = [parts[name] for name in FANUC.names if name in parts]
     numbers = tuple(float(match[2]) for match in whole)
     pose = PoseTarget(
-        f"P[{number}]", line_at(text, at), FANUC, numbers, tuple(match.span(2) for match in whole), problem=problem
+        f"P[{number}]", line_number(text, at), FANUC, numbers, tuple(match.span(2) for match in whole), problem=problem
     )
     pose.whole, pose.root = span, root
     if config is not None:
@@ -56,7 +56,7 @@ def _frame(program: Program, which: str, number: str | None) -> Frame | str:
     stated = program.stated.bases if which == "base" else program.stated.tools
     found = stated.get(number or "") or stated.get("")
     name = "UFRAME" if which == "base" else "UTOOL"
-    settings = [one for one in settings_of(program.text) if one.name == name and one.number in (number, "")]
+    settings = [one for one in parse_frame_settings(program.text) if one.name == name and one.number in (number, "")]
     if settings:
         one = settings[0]
         if len(settings) > 1 or not one.first or not one.number:

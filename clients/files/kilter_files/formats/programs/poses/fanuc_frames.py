@@ -37,7 +37,7 @@ class Setting:
 
 
 @lru_cache(maxsize=4)
-def settings_of(text: str) -> tuple[Setting, ...]:
+def parse_frame_settings(text: str) -> tuple[Setting, ...]:
     """Return what a program sets, in its order."""
     registers: dict[str, dict[int, float]] = {}
     found: list[Setting] = []

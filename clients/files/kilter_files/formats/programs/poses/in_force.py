@@ -38,16 +38,16 @@ class InForce:
         """Note a setting; they are noted in the order of the text, before anything is asked."""
         self.settings.append((at, value))
 
-    def at(self, place: int) -> tuple[bool, object]:
+    def value_in_effect(self, place: int) -> tuple[bool, object]:
         """Return whether what is in force at a place is known, and what it is; None: nothing was set before it."""
         number = self.owner(place)
-        part = self._parts.get(number) or self._parts.setdefault(number, self._part(number))
+        part = self._parts.get(number) or self._parts.setdefault(number, self._build_part(number))
         k = bisect_left(part.places, place) - 1
         if k < 0:
             return not part.places or not part.jumps, None
-        return self.joined(part.places[k], place) or part.same or part.plain, part.values[k]
+        return self.has_unbranched_path(part.places[k], place) or part.same or part.plain, part.values[k]
 
-    def joined(self, first: int, second: int) -> bool:
+    def has_unbranched_path(self, first: int, second: int) -> bool:
         """Say whether the program always comes from one place to the other."""
         between = bisect_right(self.control, first, key=_place) < bisect_left(self.control, second, key=_place)
         return not between and self.owner(first) == self.owner(second)
@@ -59,7 +59,7 @@ class InForce:
         force = InForce(self.control, self.starts, self.owners)
         for at, value in values:
             force.set(at, value)
-        known, found = force.at(place)
+        known, found = force.value_in_effect(place)
         alone = len({self.owner(at) for at in (place, *(at for at, _ in values))}) == 1
         return found if known and alone else None
 
@@ -68,7 +68,7 @@ class InForce:
         k = bisect_right(self.starts, place)
         return self.owners[k - 1] if k and self.owners else k
 
-    def _part(self, number: int) -> _Part:
+    def _build_part(self, number: int) -> _Part:
         control = [(at, way) for at, way in self.control if self.owner(at) == number]
         inside = [(at, value) for at, value in self.settings if self.owner(at) == number]
         jumps = any(way is None for _, way in control)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 
-from kilter_files.formats.programs.found import NUMBER, Program, blanked, line_at
+from kilter_files.formats.programs.found import NUMBER, Program, blank_strings_and_comments, line_number
 from kilter_files.formats.programs.krl_lines import EXTERNAL_PART, GIVEN, parts_handed
 from kilter_files.formats.programs.notations import KRL
 from kilter_files.formats.programs.one_target import PoseTarget
@@ -36,7 +36,7 @@ def key(name: str) -> str:
     return "".join(name.split()).upper()
 
 
-def pose_of(program: Program, match: re.Match[str]) -> PoseTarget:
+def parse_pose_target(program: Program, match: re.Match[str]) -> PoseTarget:
     """Read a pose as ``POSE`` finds it; what it lacks is its problem."""
     parts: dict[str, tuple[str, tuple[int, int]]] = {}
     problem, at = "", match.start(4)
@@ -62,7 +62,7 @@ def pose_of(program: Program, match: re.Match[str]) -> PoseTarget:
         status, (turn, span) = parts["S"][0], parts["T"]
         stated = StatusTurn(int(_value(status)), int(_value(turn)), turn, span)
     name = "".join(match[2].split()) if match[2] else "a move"
-    line = line_at(program.text, match.start())
+    line = line_number(program.text, match.start())
     return PoseTarget(name, line, KRL, numbers, spans, stated, problem=problem, whole=match.span(4), root=root)
 
 
@@ -104,7 +104,7 @@ def note_external(program: Program) -> None:
     """Note poses that do not say where an external axis is which the program moves: it stays where it was."""
     files = [program, *([program.beside] if program.beside is not None else [])]
     stays = {name for name, track in program.stated.tracks.items() if not any(track.along)}
-    moved = {axis for one in files for axis in _moved(one.text) if f"e{axis}" not in stays}
+    moved = {axis for one in files for axis in _moving_external_axes(one.text) if f"e{axis}" not in stays}
     for one in files if moved else ():
         for pose in one.cartesian:
             start, end = pose.whole
@@ -113,9 +113,9 @@ def note_external(program: Program) -> None:
                 pose.problem = pose.problem or f"it does not state E{missing[0]}, which the program moves"
 
 
-def _moved(text: str) -> Iterator[str]:
+def _moving_external_axes(text: str) -> Iterator[str]:
     """The external axes that a program moves from zero."""
-    for line in blanked(text, ";").splitlines():
+    for line in blank_strings_and_comments(text, ";").splitlines():
         for match in () if OTHER_LINE.match(line) else EXTERNAL_AXIS.finditer(line):
             value = match[2]
             if value is None or re.fullmatch(NUMBER, value) is None or abs(float(value)) > AT_ZERO:

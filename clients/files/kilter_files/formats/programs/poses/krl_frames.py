@@ -6,8 +6,12 @@ import re
 from bisect import bisect_right
 from collections.abc import Iterator
 
-from kilter_files.formats.programs.found import NUMBER, Program, blanked
-from kilter_files.formats.programs.krl_lines import given, handed, subprograms
+from kilter_files.formats.programs.found import NUMBER, Program, blank_strings_and_comments
+from kilter_files.formats.programs.krl_lines import (
+    reassigned_or_passed_variables,
+    subprograms,
+    variables_passed_to_calls,
+)
 from kilter_files.formats.programs.notations import KRL, Frame
 from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own, calls_that_set
 from kilter_files.formats.programs.poses.krl import NAME, key
@@ -62,13 +66,13 @@ class KrlFrames:
     def __init__(self, program: Program, text: str) -> None:
         """Read the frames of a program and of the file beside it; ``text`` has its comments blanked."""
         self._stated = program.stated
-        texts = [text, *([blanked(program.beside.text, ";")] if program.beside is not None else [])]
-        self._named = {name for one in texts for name in _declared(one)}
+        texts = [text, *([blank_strings_and_comments(program.beside.text, ";")] if program.beside is not None else [])]
+        self._named = {name for one in texts for name in _declared_frame_names(one)}
         self.literals = {match.start(2) - 1 for match in FRAME.finditer(text) if self._is_frame(match[1])}
         self._frames: dict[str, Frame | str] = {}
         self._data: dict[str, str] = {}
-        self._handed = {name for one in texts for name in handed(one)}
-        self._given = {name for one in texts for name in given(one)} | self._handed
+        self._handed = {name for one in texts for name in variables_passed_to_calls(one)}
+        self._given = {name for one in texts for name in reassigned_or_passed_variables(one)} | self._handed
         for one in texts:
             self._read(one)
         self._set_at = {
@@ -105,7 +109,7 @@ class KrlFrames:
             name = key(match[1])
             if not self._is_frame(name):
                 continue
-            found = six_of(match[2])
+            found = parse_xyzabc_list(match[2])
             new = Frame(KRL, found) if found else f"{match[1]} is not X, Y, Z, A, B, C with numbers"
             if not name.startswith("$"):
                 several = name in self._frames and self._frames[name] != new
@@ -125,7 +129,7 @@ class KrlFrames:
                 force.set(at, self._by_data(which, match[3].strip(), at))
         elif match[4].upper() in ("BASE", "TOOL"):
             (self.base if match[4].upper() == "BASE" else self.tool).set(
-                at, self._numbered(match[4].upper(), match[5], at)
+                at, self._numbered_frame(match[4].upper(), match[5], at)
             )
         elif match[4].upper() == "INITMOV":  # what was set before it may be so no more
             for which, force in (("base", self.base), ("tool", self.tool)):
@@ -140,18 +144,18 @@ class KrlFrames:
             return f"the program changes ${which}"
         literal = re.fullmatch(BRACES, said)
         if literal:
-            found = six_of(literal[1])
+            found = parse_xyzabc_list(literal[1])
             return Frame(KRL, found) if found else f"${which} is not X, Y, Z, A, B, C with numbers"
         number = re.fullmatch(rf"{which}_DATA\[(\d+)\]", said, re.I)
         if number:
-            return self._numbered(which, number[1], at)
+            return self._numbered_frame(which, number[1], at)
         data = BY_DATA.fullmatch(said)
         if data:
             return self._by_data(which, data[1], at)
         if said.upper() in ("$NULLFRAME", "$WORLD"):
             return NULL
         if said.upper() == "$ROBROOT":
-            return self._numbered(which, "$ROBROOT", at)
+            return self._numbered_frame(which, "$ROBROOT", at)
         if key(said).partition("[")[0] in self._given:
             return f"the program changes {said[:40]}"
         return self._frames.get(key(said), f"${which}={said[:40]} is not known")
@@ -167,7 +171,7 @@ class KrlFrames:
             return TOOL_STANDS
         number = fields.get(f"{which}_NO")
         return (
-            self._numbered(which, number, at)
+            self._numbered_frame(which, number, at)
             if number
             else f"{name[:40]} is not in this program, which says base and tool"
         )
@@ -177,7 +181,7 @@ class KrlFrames:
         found = re.findall(r"(\w+)\s+([^,\s]+)", literal[1] if literal else self._data.get(key(name), ""))
         return {field.upper(): value for field, value in found}
 
-    def _numbered(self, which: str, number: str | None, at: int) -> Frame | str:
+    def _numbered_frame(self, which: str, number: str | None, at: int) -> Frame | str:
         if f"{which}_DATA" in self._handed or any(
             one == which and (said == number or not said.isdigit()) for one, said in self._changed
         ):
@@ -196,40 +200,40 @@ class KrlFrames:
         said = said if str(number).isalnum() else f"'{said}'"  # a shell reads $
         return found or f"{option} {number} is not in this program: state it, --{option} {said}"
 
-    def at(self, place: int) -> tuple[tuple[Frame, ...] | str, Frame | str]:
+    def base_and_tool(self, place: int) -> tuple[tuple[Frame, ...] | str, Frame | str]:
         """Return base and tool of the motion at a place, or why they are not known."""
-        own = self._with(place)
-        base = own.get("BASE") or self._one("base", self.base, place)
-        tool = TOOL_STANDS if self._stands else own.get("TOOL") or self._one("tool", self.tool, place)
+        own = self._frames_from_with_clause(place)
+        base = own.get("BASE") or self._frame_in_effect("base", self.base, place)
+        tool = TOOL_STANDS if self._stands else own.get("TOOL") or self._frame_in_effect("tool", self.tool, place)
         return base if isinstance(base, str) else (base,), tool
 
     def keeps_orientation(self, place: int) -> bool:
         """Say whether a motion along a line or arc surely takes the orientation of its target."""
-        known, not_taken = self._orientation.at(place)
-        for said in self._said(place):
+        known, not_taken = self._orientation.value_in_effect(place)
+        for said in self._block_and_motion_text(place):
             own = OWN_ORIENTATION.search(said)
             known, not_taken = (True, NOT_TAKEN.search(own[1]) is not None) if own else (known, not_taken)
         return known and not not_taken
 
-    def _said(self, place: int) -> tuple[str, str]:
+    def _block_and_motion_text(self, place: int) -> tuple[str, str]:
         """What begins the spline in which a motion stands, and what the motion itself says."""
         k = bisect_right(self._blocks, place, key=re.Match.start) - 1
         end = self._text.find("\n", place)
         block = self._blocks[k][2] if k >= 0 and self._blocks[k][1] else ""
         return block, self._text[place : end if end >= 0 else None]
 
-    def _with(self, place: int) -> dict[str, Frame | str]:
+    def _frames_from_with_clause(self, place: int) -> dict[str, Frame | str]:
         """Frames that a spline motion sets for itself by WITH, or the block that it stands in."""
         frames: dict[str, Frame | str] = {}
-        for said in self._said(place):
+        for said in self._block_and_motion_text(place):
             _, _, with_ = f" {said.strip()}".upper().partition(" WITH ")
             frames |= {
                 match[1].upper(): self._value(match[1].upper(), match[2], place) for match in WITH.finditer(f" {with_}")
             }
         return frames
 
-    def _one(self, which: str, force: InForce, place: int) -> Frame | str:
-        known, value = force.at(place)
+    def _frame_in_effect(self, which: str, force: InForce, place: int) -> Frame | str:
+        known, value = force.value_in_effect(place)
         if not known:
             return f"its {which} depends on the way that the program took"
         if isinstance(value, Frame | str):
@@ -238,20 +242,20 @@ class KrlFrames:
         return Frame(KRL, stated) if stated else f"its {which} is not set before it: state it, --{which} X,Y,Z,A,B,C"
 
 
-def _declared(text: str) -> Iterator[str]:
+def _declared_frame_names(text: str) -> Iterator[str]:
     """Yield the names, in capitals, that are declared as frames."""
     for match in FRAMES.finditer(text):
         for one in re.sub(r"\[[^\]]*\]", "", match[1]).split(","):
             yield one.strip().upper()
 
 
-def six_of(inside: str) -> tuple[float, ...] | None:
+def parse_xyzabc_list(inside: str) -> tuple[float, ...] | None:
     """Return X, Y, Z, A, B, C of a list in braces; None where one is missing."""
-    found = {match[1].upper(): float(match[2]) for match in _parts(inside)}
+    found = {match[1].upper(): float(match[2]) for match in _labelled_number_matches(inside)}
     return tuple(found[name] for name in KRL.names) if found.keys() == set(KRL.names) else None
 
 
-def _parts(inside: str) -> Iterator[re.Match[str]]:
+def _labelled_number_matches(inside: str) -> Iterator[re.Match[str]]:
     for part in inside.split(","):
         match = PART.fullmatch(part)
         if match:

@@ -68,7 +68,9 @@ def fitting_signs(
     return None
 
 
-def after(near: Found, postures: Sequence[Mapping[str, Any]], limits: Limits, *, straight: bool) -> Found | str:
+def select_following_posture(
+    near: Found, postures: Sequence[Mapping[str, Any]], limits: Limits, *, straight: bool
+) -> Found | str:
     """Return the posture that follows another, or why there is none.
 
     Along a line it is the one in its branch, else, and where branches have no names, the nearest.
@@ -105,7 +107,7 @@ def not_followed(follows: str) -> str:
     )
 
 
-def posture_at(joints_deg: Sequence[float], postures: Sequence[Mapping[str, Any]]) -> Found | None:
+def find_posture_with_joints(joints_deg: Sequence[float], postures: Sequence[Mapping[str, Any]]) -> Found | None:
     """Return the posture that has these joints, whole turns apart."""
     for one in postures:
         apart = [math.remainder(a - b, 360.0) for a, b in zip(joints_deg, one["joints_deg"], strict=True)]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator
 
-from kilter_files.formats.programs.found import NUMBER, Program, Stated, line_at
+from kilter_files.formats.programs.found import NUMBER, Program, Stated, line_number
 from kilter_files.formats.programs.notations import NOT_UNIT, RAPID, Frame
 from kilter_files.formats.programs.one_target import PoseTarget
 from kilter_files.formats.programs.poses.configurations import ConfData
 from kilter_files.formats.programs.poses.track import frame_on_track
-from kilter_files.formats.programs.rapid_uses import ROUTINE, changed, declared_again, other_uses
+from kilter_files.formats.programs.rapid_uses import ROUTINE, declared_again, other_uses, variable_changes
 
 NULL = Frame(RAPID, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
 UNUSED_AXIS = 8e9
@@ -35,7 +35,7 @@ DISPLACED = re.compile(r"\b(?:PDispOn|PDispSet|EOffsOn|EOffsSet)\b", re.I)
 AXIS_LOCKED = re.compile(r"\bSingArea\s*+\\\s*+LockAxis4\b", re.I)
 
 
-def pose_of(program: Program, name: str, match: re.Match[str]) -> PoseTarget:
+def parse_pose_target(program: Program, name: str, match: re.Match[str]) -> PoseTarget:
     """Read a robtarget as ``TARGET`` finds it; what it lacks is its problem."""
     values = [float(match[k]) for k in range(1, 18)]
     problem = ""
@@ -48,7 +48,7 @@ def pose_of(program: Program, name: str, match: re.Match[str]) -> PoseTarget:
     root, why = frame_on_track(program.stated, RAPID, axes)
     problem = problem or why
     spans = tuple(match.span(k) for k in range(1, 8))
-    pose = PoseTarget(name, line_at(program.text, match.start()), RAPID, tuple(values[:7]), spans, problem=problem)
+    pose = PoseTarget(name, line_number(program.text, match.start()), RAPID, tuple(values[:7]), spans, problem=problem)
     pose.whole, pose.root = match.span(), root
     if len(quadrants) == 4:
         one, four, six, branch = quadrants
@@ -62,7 +62,7 @@ class RapidFrames:
     def __init__(self, text: str, stated: Stated) -> None:
         """Read those that a program declares; ``text`` has its comments blanked."""
         self._stated = stated
-        set_anew = {match[1].lower() for match in changed(text)}
+        set_anew = {match[1].lower() for match in variable_changes(text)}
         self._tools: dict[str, Frame | str] = {}
         for match in TOOL.finditer(text):
             held = match[2].upper() == "TRUE"
@@ -76,7 +76,7 @@ class RapidFrames:
             self._tools[name] = f"the program changes tool {name}"
         for name in set_anew & self._objects.keys():
             self._objects[name] = f"the program changes work object {name}"
-        for name, by in _handed_on(text, self._tools.keys() | self._objects.keys(), set_anew):
+        for name, by in _frames_passed_to_calls(text, self._tools.keys() | self._objects.keys(), set_anew):
             self._tools |= {name: f"{by} may change tool {name}"} if name in self._tools else {}
             self._objects |= {name: f"{by} may change work object {name}"} if name in self._objects else {}
         for match in declared_again(text, self._tools.keys() | self._objects.keys()):
@@ -105,7 +105,7 @@ class RapidFrames:
         return found or f"work object {name} is not in this program: state it, --base {name}=x,y,z,q1,q2,q3,q4"
 
 
-def _handed_on(text: str, names: Collection[str], changed_names: set[str]) -> Iterator[tuple[str, str]]:
+def _frames_passed_to_calls(text: str, names: Collection[str], changed_names: set[str]) -> Iterator[tuple[str, str]]:
     """Yield each tool or work object that something is given which may change it: no move, and no routine that does not."""
     keep = {
         match[1].lower()

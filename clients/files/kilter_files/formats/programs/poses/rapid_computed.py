@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable
 
-from kilter_files.formats.programs.found import NUMBER, Program, line_at
+from kilter_files.formats.programs.found import NUMBER, Program, line_number
 from kilter_files.formats.programs.notations import RAPID
 from kilter_files.formats.programs.one_target import PoseTarget, WrittenOut
 from kilter_files.formats.programs.poses.rapid import arguments
@@ -35,25 +35,25 @@ class Computed:
         self._constants = {name: value for name, value in constants.items() if several.count(name) == 1}
         self.named: set[int] = set()
 
-    def take(self, at: int, said: str) -> PoseTarget | None:
+    def add_computed_target(self, at: int, said: str) -> PoseTarget | None:
         """Take what a move says as its goal at a place: a target, if it is computed from a declared one by numbers alone."""
         end = at + len(said)
         if self._program.text[at:end] != self._text[at:end]:  # a comment stands within
             return None
-        found = self._found(at, said)
+        found = self._resolve_computed_pose(at, said)
         if found is None:
             return None
         of, pose, name_at = found
         self.named.add(name_at)
-        numbers = tuple(RAPID.near(pose, of.numbers))
+        numbers = tuple(RAPID.nearest_numbers(pose, of.numbers))
         start, stop = of.whole
         ends = "".join(re.findall(r"\r\n|\r|\n", said))
-        target = PoseTarget(said[:40], line_at(self._text, at), RAPID, numbers, of.spans, of.configuration)
+        target = PoseTarget(said[:40], line_number(self._text, at), RAPID, numbers, of.spans, of.configuration)
         target.root = of.root
         target.computed = WrittenOut(of, (at, end), ends, self._text[start:stop], start)
         return self._program.add_pose(target, counted=False)
 
-    def _found(self, at: int, said: str) -> tuple[PoseTarget, Rigid, int] | None:
+    def _resolve_computed_pose(self, at: int, said: str) -> tuple[PoseTarget, Rigid, int] | None:
         """The declared target, the pose that is computed from it, and where it is named."""
         call = CALL.fullmatch(said)
         if call is None:
@@ -61,7 +61,7 @@ class Computed:
             return None if of is None else (of, RAPID.pose(of.numbers), at)
         place, first = next(arguments(call[2]))
         start = call.start(2)
-        inner = self._found(at + start + place, first)
+        inner = self._resolve_computed_pose(at + start + place, first)
         comma = call[2].find(",", place + len(first))
         shift = SHIFT.fullmatch(call[2], comma + 1) if comma > 0 else None
         if inner is None or shift is None:
@@ -69,7 +69,7 @@ class Computed:
         by = [self._value(shift[k]) for k in (1, 2, 3)]
         turns = {axis.lower(): self._value(value) for axis, value in TURN.findall(shift[4])}
         of, pose, name_at = inner
-        moved = _moved(pose, by, turns, call[1].lower() == "reltool")
+        moved = _displace_pose(pose, by, turns, call[1].lower() == "reltool")
         return None if moved is None else (of, moved, name_at)
 
     def _value(self, said: str) -> float | None:
@@ -79,7 +79,7 @@ class Computed:
         return -value if value is not None and said[0] == "-" else value
 
 
-def _moved(pose: Rigid, by: list[float | None], turns: dict[str, float | None], in_tool: bool) -> Rigid | None:
+def _displace_pose(pose: Rigid, by: list[float | None], turns: dict[str, float | None], in_tool: bool) -> Rigid | None:
     """A pose displaced by mm, and in its own axes then also rotated, deg, about x, the new y and the new z."""
     if None in by or None in turns.values() or (turns and not in_tool):
         return None
@@ -87,4 +87,4 @@ def _moved(pose: Rigid, by: list[float | None], turns: dict[str, float | None], 
     if not in_tool:
         return Rigid((pose.place[0] + x, pose.place[1] + y, pose.place[2] + z), pose.turn)
     a, b, c = (math.radians(turns.get(axis) or 0.0) for axis in "xyz")
-    return pose.then(Rigid((x, y, z), from_euler((a, b, c), "XYZ")))
+    return pose.compose_frames(Rigid((x, y, z), from_euler((a, b, c), "XYZ")))

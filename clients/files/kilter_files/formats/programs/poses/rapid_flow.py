@@ -56,15 +56,15 @@ class RapidFlow:
             settings += _set_by_calls(text, _in_force(control, starts, settings), calls)
             self._switched[kind] = _in_force(control, starts, settings)
 
-    def joined(self, first: int, second: int) -> bool:
+    def has_unbranched_path(self, first: int, second: int) -> bool:
         """Say whether the program always comes from one place to the other."""
-        return self._way.joined(first, second)
+        return self._way.has_unbranched_path(first, second)
 
     def off(self, kind: str, at: int) -> tuple[bool, ...]:
         """Return whether ConfL or ConfJ (``kind``) is off at a place: one answer, or both where the text does not say."""
         if kind not in self._ever_off:
             return (False,)
-        known, value = self._switched[kind].at(at)
+        known, value = self._switched[kind].value_in_effect(at)
         return (value == "OFF",) if known and value in ("ON", "OFF") else (False, True)
 
 
@@ -87,7 +87,7 @@ def _set_by_calls(text: str, own: InForce, calls: Sequence[tuple[int, str]]) -> 
     found: list[tuple[int, object]] = []
     for at, name in calls:
         if name in setting:
-            known, value = own.at(ends[name]) if name in plain and name in ends else (False, UNKNOWN)
+            known, value = own.value_in_effect(ends[name]) if name in plain and name in ends else (False, UNKNOWN)
             found.append((at, value if known else UNKNOWN))
     return found
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
-from kilter_files.formats.programs.found import NUMBER, Program, line_at
+from kilter_files.formats.programs.found import NUMBER, Program, line_number
 from kilter_files.formats.programs.notations import URSCRIPT, Frame
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
 from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own, calls_that_set
@@ -57,7 +57,7 @@ class Poses:
         self._framed: list[tuple[PoseTarget, str]] = []
         self._changed = {match[1] for match in CHANGED.finditer(text)}
         self.displaced = DISPLACED.search(text) is not None
-        starts, owners = _parts(text)
+        starts, owners = _subprogram_boundaries(text)
         ways = (1, -1, 0)
         control = [(one.start(), next(w for k, w in enumerate(ways, 1) if one[k])) for one in CONTROL.finditer(text)]
         begun = set(starts)
@@ -108,7 +108,7 @@ class Poses:
         before = [(place, value) for place, value in places if place < at]
         return name not in self._changed and self._way.chosen(places, at) == (before or places)[-1][1]
 
-    def take(self, match: re.Match[str], hint: JointTarget | None, doubt: str = "") -> bool:
+    def add_move_poses(self, match: re.Match[str], hint: JointTarget | None, doubt: str = "") -> bool:
         """Take the poses of a move; whether all that it goes to are such.
 
         ``hint`` are joints that the move states, ``doubt`` is what is not known of how it finds joints.
@@ -117,33 +117,33 @@ class Poses:
         if call is None:
             return False
         said = [(call.end() + at, one) for at, one in arguments(inside(self._text, call.end()))]
-        goals = [self._goal(*_unnamed(at, one)) for at, one in said[: 2 if call[1] == "movec" else 1]]
+        goals = [self._goal(*_strip_argument_name(at, one)) for at, one in said[: 2 if call[1] == "movec" else 1]]
         if None in goals or not goals:
             return False
         for goal in goals:
             assert goal is not None
             pose, base = goal
-            near, self.last = hint or self.before(match.start()), (match.start(), pose)
+            near, self.last = hint or self.preceding_target(match.start()), (match.start(), pose)
             if match.start() in self.forced:
                 self._program.leave(match.start(), f"{call[1]}({said[0][1][:40]}: {BY_FORCE}")
                 pose.unused = f"{BY_FORCE} in all moves to it"
                 continue
-            pose.uses.append(Use(base, self._held(match.start()), near, call[1] != "movej"))
+            pose.uses.append(Use(base, self._tool_in_effect(match.start()), near, call[1] != "movej"))
             turned = call[1] == "movec" and any(FIXED_ORIENTATION.match(one) for _, one in said)
             pose.problem = pose.problem or doubt or ("its orientation is not kept (mode)" if turned else "")
             pose.problem = pose.problem or (
                 "the program displaces it (path offset, conveyor)" if self.displaced else ""
             )
             what = f"{call[1]}({said[0][1][:40]}"
-            self._program.moves_to_poses.append((line_at(self._text, match.start()), what, pose))
+            self._program.moves_to_poses.append((line_number(self._text, match.start()), what, pose))
         return True
 
-    def before(self, at: int) -> JointTarget | PoseTarget | None:
+    def preceding_target(self, at: int) -> JointTarget | PoseTarget | None:
         """Return the target from which the program always comes to a place, if there is one."""
-        return self.last[1] if self.last is not None and self._way.joined(self.last[0], at) else None
+        return self.last[1] if self.last is not None and self._way.has_unbranched_path(self.last[0], at) else None
 
-    def _held(self, at: int) -> Frame | str:
-        known, value = self._tool.at(at)
+    def _tool_in_effect(self, at: int) -> Frame | str:
+        known, value = self._tool.value_in_effect(at)
         if not known:
             return "its tool depends on the way that the program took"
         if isinstance(value, Frame | str):
@@ -198,13 +198,15 @@ class Poses:
         if found is None:
             name = said if len(said) < 40 and said in self._declared else "a pose"
             spans: tuple[Span, ...] = tuple(one.span(k) for k in range(1, 7))
-            found = PoseTarget(name, line_at(self._text, one.start()), URSCRIPT, tuple(map(float, one.groups())), spans)
+            found = PoseTarget(
+                name, line_number(self._text, one.start()), URSCRIPT, tuple(map(float, one.groups())), spans
+            )
             found.problem = "the program changes it" if said in self._changed else ""
             self._taken[one.start()] = self._program.add_pose(found, counted=False)
         return found
 
 
-def _parts(text: str) -> tuple[list[int], list[int]]:
+def _subprogram_boundaries(text: str) -> tuple[list[int], list[int]]:
     """Where subprograms begin, and where what surrounds them goes on behind them; and the number of each."""
     starts: list[int] = []
     owners: list[int] = []
@@ -224,7 +226,7 @@ def _parts(text: str) -> tuple[list[int], list[int]]:
     return starts, owners
 
 
-def _unnamed(at: int, said: str) -> tuple[int, str]:
+def _strip_argument_name(at: int, said: str) -> tuple[int, str]:
     """An argument and its place without its name: ``pose=``."""
     named = NAMED.match(said)
     return (at + named.end(), said[named.end() :]) if named else (at, said)
@@ -249,7 +251,7 @@ def inverse_arguments(text: str, at: int) -> dict[str, tuple[int, str]]:
     for k, (place, one) in enumerate([*arguments(inside(text, call.end()))][1:]):
         named = NAMED.match(one)
         name = one[: named.end()].split("=")[0].strip() if named else OF_INVERSE[min(k, 3)]
-        start, value = _unnamed(call.end() + place, one)
+        start, value = _strip_argument_name(call.end() + place, one)
         found["".join(name.lower().split("_"))] = (start, value)
     return found
 

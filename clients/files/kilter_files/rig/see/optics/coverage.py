@@ -38,7 +38,7 @@ class Gate:
         return {"name": self.name, "value": round(self.value, 3), "needed": self.needed, "met": self.met}
 
 
-def gates_of(seen: Sequence[Seen], fit: Fit) -> list[Gate]:
+def evaluate_gates(seen: Sequence[Seen], fit: Fit) -> list[Gate]:
     """Return all gates: of the views, of the corners in the picture, and of the poses."""
     camera = fit.camera
     pixels = np.concatenate([view.pixels for view in seen])

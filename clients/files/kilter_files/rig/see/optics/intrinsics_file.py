@@ -61,22 +61,22 @@ def _kalibr(path: Path, cameras: dict[str, Any], name: str | None) -> Camera:
     if len(values) != 4 or len(resolution) != 2:
         raise fault(path, f"{key} lacks four intrinsics or its resolution", REMEDY)
     lens = _numbers(one.get("distortion_coeffs")) if model != "none" else []
-    return _made(path, [*resolution, *values], model, lens, str(key))
+    return _build_camera(path, [*resolution, *values], model, lens, str(key))
 
 
 def _matrix(path: Path, document: dict[str, Any], size: tuple[int, int] | None) -> Camera:
     """ROS and OpenCV: a matrix of nine, and the numbers of the lens."""
-    k = _numbers(_first(document, MATRIX_KEYS))
+    k = _numbers(_first_stated_value(document, MATRIX_KEYS))
     if len(k) != 9:
         raise fault(path, f"has none of {', '.join(MATRIX_KEYS)} with nine numbers", REMEDY)
     if abs(k[1]) > 1e-6 * abs(k[0]):
         raise fault(path, f"its pixels are skewed ({k[1]:g} in the first row)", "Calibrate it without skew.")
-    stated = [_first(document, keys) for keys in (WIDTH_KEYS, HEIGHT_KEYS)]
+    stated = [_first_stated_value(document, keys) for keys in (WIDTH_KEYS, HEIGHT_KEYS)]
     if None in stated:
         if size is None:
             raise fault(path, "does not say how large its pictures are", "Add image_width and image_height.")
         stated = list(size)
-    lens = _numbers(_first(document, LENS_KEYS))
+    lens = _numbers(_first_stated_value(document, LENS_KEYS))
     said = str(document.get("distortion_model") or ("fisheye" if document.get("fisheye_model") in (1, "1") else ""))
     if said and said not in (*ROS_MODELS, "none"):
         raise fault(path, f"its lens is {said!r}", f"Take one of {', '.join(ROS_MODELS)}.")
@@ -88,15 +88,15 @@ def _matrix(path: Path, document: dict[str, Any], size: tuple[int, int] | None) 
     if not any(lens) and model != "fisheye":
         model, lens = "none", []
     name = str(document.get("camera_name") or "camera")
-    return _made(path, [*_numbers(stated), k[0], k[4], k[2], k[5]], model, lens, name)
+    return _build_camera(path, [*_numbers(stated), k[0], k[4], k[2], k[5]], model, lens, name)
 
 
-def _made(path: Path, values: list[float], model: str, lens: list[float], name: str) -> Camera:
+def _build_camera(path: Path, values: list[float], model: str, lens: list[float], name: str) -> Camera:
     document = dict(zip(("width_px", "height_px", *FOCAL), values, strict=True))
     return checked_camera(path, document | {"distortion_model": model, "distortion": lens, "name": name})
 
 
-def _first(document: dict[str, Any], keys: tuple[str, ...]) -> Any:
+def _first_stated_value(document: dict[str, Any], keys: tuple[str, ...]) -> Any:
     return next((document[key] for key in keys if document.get(key) is not None), None)
 
 

@@ -13,8 +13,8 @@ from kilter_files.ground.errors import FileError
 from kilter_files.match.arm import rotations
 from kilter_files.rig.board.opencv import opencv
 from kilter_files.rig.see.optics.camera import Camera
-from kilter_files.rig.see.optics.homography import placed
-from kilter_files.rig.see.optics.lens import FREE, projected
+from kilter_files.rig.see.optics.homography import pose_from_homography
+from kilter_files.rig.see.optics.lens import FREE, project_points
 
 Indices = NDArray[np.int64]
 
@@ -80,7 +80,7 @@ def fit_intrinsics(seen: Sequence[Seen], size: tuple[int, int], model: str, name
     data = _together(used, model)
     best = _best_start(data, used, size)
     for _ in range(AGAIN):
-        state, _ = _minimised(best, data, ROUNDS)
+        state, _ = _run_levenberg_marquardt(best, data, ROUNDS)
         left = np.linalg.norm(_residuals(state, data), axis=1)
         # a wrong corner pulls its whole view: what the view leaves counts too, and only the worst of it goes
         of_view = np.array([np.median(left[data.view == k]) for k in range(data.views)])[data.view]
@@ -90,20 +90,20 @@ def fit_intrinsics(seen: Sequence[Seen], size: tuple[int, int], model: str, name
         if (kept == data.weights).all():
             break
         data = replace(data, weights=kept)
-    return _described(best, data, size, name, tuple(view.picture for view in used))
+    return _fit_with_sigmas(best, data, size, name, tuple(view.picture for view in used))
 
 
-def left_by(seen: Sequence[Seen], camera: Camera) -> float | None:
+def median_view_rms(seen: Sequence[Seen], camera: Camera) -> float | None:
     """Median over the views of what known intrinsics leave, rms px; None: no view has enough corners."""
     used = [view for view in seen if len(view.pixels) >= LEAST_CORNERS]
     if not used:
         return None
     data = replace(_together(used, camera.distortion_model), fixed=True)
     intrinsics = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion])
-    start = _posed(used, intrinsics, camera.distortion_model)
+    start = _initial_board_poses(used, intrinsics, camera.distortion_model)
     if start is None:
         return None
-    state, _ = _minimised(start, data, ROUNDS)
+    state, _ = _run_levenberg_marquardt(start, data, ROUNDS)
     squares = (_residuals(state, data) ** 2).mean(axis=1)
     return float(np.median([np.sqrt(squares[data.view == k].mean()) for k in range(data.views)]))
 
@@ -119,15 +119,15 @@ def _best_start(data: _Data, used: Sequence[Seen], size: tuple[int, int]) -> _St
     found = []
     for part in FOCALS:
         plain = np.array([part * size[0]] * 2 + [(size[0] - 1) / 2, (size[1] - 1) / 2])
-        start = _posed(used, np.concatenate([plain, np.zeros(FREE[data.model])]), data.model)
+        start = _initial_board_poses(used, np.concatenate([plain, np.zeros(FREE[data.model])]), data.model)
         if start is not None:
-            found.append(_minimised(start, data, 12))
+            found.append(_run_levenberg_marquardt(start, data, 12))
     if not found:
         raise FileError("No focal length explains the views.", code="intrinsics_not_found")
     return min(found, key=lambda one: one[1])[0]
 
 
-def _posed(used: Sequence[Seen], intrinsics: Floats, model: str) -> _State | None:
+def _initial_board_poses(used: Sequence[Seen], intrinsics: Floats, model: str) -> _State | None:
     """Where the boards are, by the homography of each view."""
     cv2 = opencv()
     boards = []
@@ -139,7 +139,7 @@ def _posed(used: Sequence[Seen], intrinsics: Floats, model: str) -> _State | Non
         h, _ = cv2.findHomography(view.mm[:, :2], plain, 0)
         if h is None:
             return None
-        boards.append(placed(h))
+        boards.append(pose_from_homography(h))
     return _State(intrinsics, *map(np.array, zip(*boards, strict=True)))
 
 
@@ -149,10 +149,10 @@ def _points(state: _State, data: _Data) -> Floats:
 
 
 def _residuals(state: _State, data: _Data) -> Floats:
-    return data.pixels - projected(_points(state, data), state.intrinsics, data.model)
+    return data.pixels - project_points(_points(state, data), state.intrinsics, data.model)
 
 
-def _moved(state: _State, intrinsics: Floats, poses: Floats) -> _State:
+def _apply_state_step(state: _State, intrinsics: Floats, poses: Floats) -> _State:
     """Step: ``poses`` (views, 6) are a rotation vector in the camera's frame, and mm."""
     return _State(state.intrinsics + intrinsics, rotations(poses[:, :3]) @ state.rotations, state.places + poses[:, 3:])
 
@@ -178,18 +178,18 @@ def _derivatives(state: _State, data: _Data) -> tuple[Floats, Floats]:
 
 
 def _difference(state: _State, data: _Data, intrinsics: Floats, poses: Floats, width: float) -> Floats:
-    ahead, behind = (_residuals(_moved(state, sign * intrinsics, sign * poses), data) for sign in (1, -1))
+    ahead, behind = (_residuals(_apply_state_step(state, sign * intrinsics, sign * poses), data) for sign in (1, -1))
     return (behind - ahead) / (2 * width)
 
 
-def _minimised(state: _State, data: _Data, rounds: int) -> tuple[_State, float]:
+def _run_levenberg_marquardt(state: _State, data: _Data, rounds: int) -> tuple[_State, float]:
     damping = 1e-3
     cost = _cost(state, data)
     for _ in range(rounds):
         a, b = _derivatives(state, data)
         left = _residuals(state, data)
         while damping < 1e12:
-            tried = _moved(state, *_step(a, b, left, data, damping))
+            tried = _apply_state_step(state, *_step(a, b, left, data, damping))
             new = _cost(tried, data)
             if np.isfinite(new) and new < cost:
                 break
@@ -207,7 +207,7 @@ def _cost(state: _State, data: _Data) -> float:
     points = _points(state, data)
     if (points[:, 2] <= 0).any() or state.intrinsics[:2].min() <= 0:
         return np.inf
-    left = data.pixels - projected(points, state.intrinsics, data.model)
+    left = data.pixels - project_points(points, state.intrinsics, data.model)
     return float((data.weights[:, None] * left**2).sum())
 
 
@@ -236,7 +236,7 @@ def _step(a: Floats, b: Floats, left: Floats, data: _Data, damping: float) -> tu
     return step, np.einsum("nij,nj->ni", inverse, by_pose - np.einsum("nij,i->nj", mixed, step))
 
 
-def _described(state: _State, data: _Data, size: tuple[int, int], name: str, pictures: tuple[str, ...]) -> Fit:
+def _fit_with_sigmas(state: _State, data: _Data, size: tuple[int, int], name: str, pictures: tuple[str, ...]) -> Fit:
     """Standard deviations clustered by view: what is left of the corners of one view is alike."""
     a, b = _derivatives(state, data)
     left = _residuals(state, data)

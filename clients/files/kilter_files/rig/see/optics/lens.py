@@ -10,7 +10,7 @@ from kilter_files.rig.see.optics.camera import MODELS
 FREE = {model: max(counts) for model, counts in MODELS.items()}  # numbers of each model
 
 
-def projected(points: Floats, intrinsics: Floats, model: str) -> Floats:
+def project_points(points: Floats, intrinsics: Floats, model: str) -> Floats:
     """Pixels (..., 2) of points (..., 3) in the camera's frame; ``intrinsics`` are fx, fy, cx, cy and the lens."""
     z = np.where(np.abs(points[..., 2]) < 1e-9, 1e-9, points[..., 2])
     x, y = points[..., 0] / z, points[..., 1] / z

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.errors import UsageError
 from kilter_files.rig.board.cube import check_cube, save_cube
 from kilter_files.rig.board.drawing import save_board
@@ -68,6 +68,6 @@ def board(
 def _show(document: dict[str, Any]) -> None:
     page, rulers = document["page"], document["rulers_mm"]
     size = f"{page['name'].upper()}, {len(document['markers'])} markers, {len(document['corners'])} corners"
-    say(f"{document['file']}: {size}; described in {document['description']}")
+    print_line(f"{document['file']}: {size}; described in {document['description']}")
     lengths = f"{rulers['across']:g} mm across and {rulers['upright']:g} mm upright"
-    say(f"  Print it at 100 % and measure both rulers: {lengths}.")
+    print_line(f"  Print it at 100 % and measure both rulers: {lengths}.")

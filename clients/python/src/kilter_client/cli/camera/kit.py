@@ -17,7 +17,7 @@ from kilter_client.cli.files.rig_file import rig_conditions
 from kilter_client.cli.files.sending import send
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
-from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.progress import job_bar
 from kilter_client.errors import NotFoundError, UsageError
 from kilter_client.files import kit_coverage, kit_loads, kit_words
@@ -78,7 +78,9 @@ def kit(
         names = [joint["name"] for joint in arm["joints"]]
         refuse_other_servos(calibration, names)
         rig = rig_conditions(cameras)
-        seen = kit_coverage.captured(views, arm["joints"], kilter.robots.convert(arm["document"], "chain"), rig)
+        seen = kit_coverage.capture_from_files(
+            views, arm["joints"], kilter.robots.convert(arm["document"], "chain"), rig
+        )
         refuse_readings_outside(calibration, views, names)
         document = {"robot": robot, "views": seen.views, "poses": seen.poses, "payloads_kg": list(seen.payloads_kg),
                     "missing": list(seen.missing), "loads": [asdict(one) for one in seen.pulled]}  # fmt: skip
@@ -115,7 +117,7 @@ def _page(
     untold: Mapping[int, str], as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
     """Identify, and say what came of it."""
-    loaded = [*kit_loads.loaded(len(arm["joints"]))]
+    loaded = [*kit_loads.gravity_loaded_joints(len(arm["joints"]))]
     effects = [
         {"id": "axial_compliance", "joints": loaded},
         {"id": "backlash_load", "joints": loaded, "softening_nm": SOFTENING_NM, "prior_sigma_rad": BACKLASH_RAD},
@@ -127,23 +129,23 @@ def _page(
         result = kilter.jobs.wait(job["id"], progress)["result"]
     version = str(result["version_id"])
     table = kilter.versions.export(version, "mdh-csv")
-    return {"version_id": version, **kit_words.told(result, arm["joints"], table, untold)}
+    return {"version_id": version, **kit_words.result_summary(result, arm["joints"], table, untold)}
 
 
 def _show_steps(document: Mapping[str, Any]) -> None:
     for number, step in enumerate(document["steps"], 1):
-        say(f"{number}. {step}")
+        print_line(f"{number}. {step}")
 
 
 def _show(document: Mapping[str, Any]) -> None:
-    say(kit_words.seen(document["views"], document["poses"], document["payloads_kg"]))
+    print_line(kit_words.describe_views(document["views"], document["poses"], document["payloads_kg"]))
     for line in document["missing"]:
-        say(f"still missing: {line}")
+        print_line(f"still missing: {line}")
     if "version_id" not in document:
         return
-    say(kit_words.off_by(document["before_mm"], document["after_mm"]))
+    print_line(kit_words.describe_tool_error(document["before_mm"], document["after_mm"]))
     for line in document["lines"] or [kit_words.NOTHING]:
-        say(f"  {line}")
+        print_line(f"  {line}")
     for line in document["warnings"]:
-        say(f"warning: {line}")
-    say(f"version {document['version_id']}; correct with it: kilter activate {document['version_id']}")
+        print_line(f"warning: {line}")
+    print_line(f"version {document['version_id']}; correct with it: kilter activate {document['version_id']}")

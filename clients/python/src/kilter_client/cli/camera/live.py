@@ -11,7 +11,7 @@ import typer
 
 from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.errors import UsageError
 from kilter_client.files import (
     files_feeds,
@@ -58,7 +58,7 @@ def live(
     check_numpy()
     targets = [files_target.read_target(path) for path in board]
     files_target.check_apart(targets)
-    feed, stop = files_feeds.feed_of(source), Event()
+    feed, stop = files_feeds.open_feed(source), Event()
     if output is None and not isinstance(feed, files_feeds.Folder):
         raise UsageError("Say where pictures go: -o DIR.")
     if joints is not None and output is None:
@@ -66,7 +66,7 @@ def live(
     session = files_session.Session(
         files_run.Looker(targets), files_taken.Taken(output, joints), feed.name, wanted=views
     )
-    with files_server.page_of(session, port) as address:
+    with files_server.serve_live_page(session, port) as address:
         # Told at once, for the document comes when the page has gone; stdout keeps to that one document.
         note(json.dumps({"address": address}) if as_json else f"{address}  (end with Ctrl-C)")
         try:
@@ -75,10 +75,12 @@ def live(
             pass  # the usual end
         finally:
             stop.set()
-    emit({"address": address, **_told(session, output, joints, source, board)}, as_json, _show)
+    emit({"address": address, **_session_document(session, output, joints, source, board)}, as_json, _show)
 
 
-def _told(session: Any, output: Path | None, joints: Path | None, source: str, board: list[Path]) -> dict[str, Any]:
+def _session_document(
+    session: Any, output: Path | None, joints: Path | None, source: str, board: list[Path]
+) -> dict[str, Any]:
     where = source if output is None else str(output)
     boards = " ".join(f"--board {path}" for path in board)
     table = f" --joints {Path(where) / 'joints.csv'}" if joints is not None else ""
@@ -89,8 +91,8 @@ def _told(session: Any, output: Path | None, joints: Path | None, source: str, b
 
 
 def _show(document: dict[str, Any]) -> None:
-    say(f"{len(document['views'])} views of {document['pictures']} pictures in {document['folder']}")
+    print_line(f"{len(document['views'])} views of {document['pictures']} pictures in {document['folder']}")
     for gate in document["gates"]:
         if not gate["met"]:
-            say(f"  Missing: {gate['remedy']}")
-    say(f"  Next: {document['next']}")
+            print_line(f"  Missing: {gate['remedy']}")
+    print_line(f"  Next: {document['next']}")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_client.errors import FileError
-from kilter_client.results.rows import saved
+from kilter_client.results.rows import write_file
 
 Part = Mapping[str, Any]
 MODELS = {"none": "plumb_bob", "brown": "plumb_bob", "rational": "rational_polynomial", "fisheye": "equidistant"}
@@ -38,7 +38,7 @@ def write_ros_files(result: Mapping[str, Any], folder: Path, frames: Mapping[str
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise FileError(f"{folder}: cannot be made: {error.strerror or error}.", file=str(folder)) from error
-    return [saved(text.encode(), folder / name) for name, text in ros_files(result, frames).items()]
+    return [write_file(text.encode(), folder / name) for name, text in ros_files(result, frames).items()]
 
 
 def quaternion(part: Part) -> tuple[float, float, float, float]:

@@ -10,7 +10,7 @@ import typer
 
 from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.cli.terminal.progress import upload_bar
 from kilter_client.errors import FileError, UsageError
 from kilter_client.files import (
@@ -22,7 +22,7 @@ from kilter_client.files import (
     files_target,
     joint_log,
 )
-from kilter_client.results.rows import saved
+from kilter_client.results.rows import write_file
 from kilter_files.formats.reader import LogHints
 from kilter_files.rig.see.as_parquet import check_pyarrow, write_parquet
 from kilter_files.rig.see.optics.intrinsics_file import read_camera
@@ -119,17 +119,17 @@ def see(
     bag = _bag(pictures, joints, every, topic, joints_topic, order)
     source, poses = bag or _files(pictures, joints, every, starts_s)
     looker = files_run.Looker(
-        targets, poses, known, intrinsics, files_second.second_of(targets) if cross_check else None
+        targets, poses, known, intrinsics, files_second.create_second_detector(targets) if cross_check else None
     )
-    seen = _looked(looker, source, output, camera_name, as_json)
-    document = described(seen, looker, mount, camera_name)
+    seen = _write_views_file(looker, source, output, camera_name, as_json)
+    document = views_document(seen, looker, mount, camera_name)
     beside = output.with_suffix(".json")
-    saved((json.dumps(document, indent=1) + "\n").encode(), beside)
+    write_file((json.dumps(document, indent=1) + "\n").encode(), beside)
     emit({"file": str(output), "description": str(beside)} | document, as_json, _show)
 
 
 def _files(pictures: list[Path], joints: Path | None, every: int, starts_s: float) -> tuple[Pictures, Poses | None]:
-    source = files_sources.source_of(pictures, every)
+    source = files_sources.gather_source(pictures, every)
     return source, None if joints is None else files_poses.read_poses(
         joints, source.count(), bool(source.videos), starts_s
     )
@@ -161,14 +161,14 @@ def _check_output(output: Path) -> None:
         check_pyarrow(output)
 
 
-def _looked(looker: Looker, source: Pictures, output: Path, camera_name: str | None, as_json: bool) -> Seen:
+def _write_views_file(looker: Looker, source: Pictures, output: Path, camera_name: str | None, as_json: bool) -> Seen:
     """Write beside the file first: what was there stays until all is well."""
     part, whole = (output.with_name(output.name + ending) for ending in (".part", ".whole"))
     total = source.count()
     try:
         bar = upload_bar(f"{total} pictures", as_json, "looking through")
         with bar as told, part.open("w", encoding="utf-8", newline="") as stream:
-            seen = looker.look(source, stream, camera_name, lambda done: told(done, total))
+            seen = looker.write_views(source, stream, camera_name, lambda done: told(done, total))
         if output.suffix.lower() == PARQUET:
             write_parquet(part, whole)
             whole.replace(output)
@@ -182,7 +182,7 @@ def _looked(looker: Looker, source: Pictures, output: Path, camera_name: str | N
     return seen
 
 
-def described(seen: Seen, looker: Looker, mount: str, camera_name: str | None) -> dict[str, Any]:
+def views_document(seen: Seen, looker: Looker, mount: str, camera_name: str | None) -> dict[str, Any]:
     """Return what the JSON file holds."""
     other = "flange" if mount == "fixed" else "fixed"
     cameras = []
@@ -207,20 +207,24 @@ def described(seen: Seen, looker: Looker, mount: str, camera_name: str | None) -
 
 def _show(document: dict[str, Any]) -> None:
     rows, pictures = document["rows"], document["pictures"]
-    say(f"{document['file']}: {rows} views of {pictures} pictures, {document['corners']} corners")
+    print_line(f"{document['file']}: {rows} views of {pictures} pictures, {document['corners']} corners")
     sigmas = sorted(view["sigma_px"] for view in document["views"])
-    say(f"  Standard deviation of a corner by the pictures: {sigmas[len(sigmas) // 2]:.3f} px, median of the views")
+    print_line(
+        f"  Standard deviation of a corner by the pictures: {sigmas[len(sigmas) // 2]:.3f} px, median of the views"
+    )
     if fit := document.get("intrinsics"):
         one = document["cameras"][0]
         pairs = zip(("fx", "fy", "cx", "cy"), one["sigmas_px"], strict=False)
         numbers = ", ".join(f"{name} {one[f'{name}_px']:.2f} ± {sigma:.2f}" for name, sigma in pairs)
-        say(f"  Intrinsics ({fit['model']}): {numbers} px; {fit['rms_px']:.3f} px rms left in {fit['views']} views")
+        print_line(
+            f"  Intrinsics ({fit['model']}): {numbers} px; {fit['rms_px']:.3f} px rms left in {fit['views']} views"
+        )
     if other := document.get("cross_check"):
         apart = f"{other['mean_u_px']:+.3f}, {other['mean_v_px']:+.3f} px on average, {other['rms_px']:.3f} px rms"
-        say(f"  {other['detector']} on {other['corners']} corners: ours are {apart} from its")
+        print_line(f"  {other['detector']} on {other['corners']} corners: ours are {apart} from its")
     for text in document["warnings"]:
-        say(f"  Warning: {text}.")
+        print_line(f"  Warning: {text}.")
     for refusal in document["refused"][:SHOWN]:
-        say(f"  Refused ({refusal['code']}): {refusal['picture']}: {refusal['detail']}. {refusal['remedy']}")
+        print_line(f"  Refused ({refusal['code']}): {refusal['picture']}: {refusal['detail']}. {refusal['remedy']}")
     if len(document["refused"]) > SHOWN:
-        say(f"  ... and {len(document['refused']) - SHOWN} more, all in {document['description']}")
+        print_line(f"  ... and {len(document['refused']) - SHOWN} more, all in {document['description']}")

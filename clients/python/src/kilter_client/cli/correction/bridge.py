@@ -12,11 +12,11 @@ import typer
 from kilter_client.bridges.egm import AXES as EGM_AXES
 from kilter_client.bridges.egm import EgmWire
 from kilter_client.bridges.fci import CYCLE_S as FCI_CYCLE_S
-from kilter_client.bridges.plan import Setpoints, planned
+from kilter_client.bridges.plan import Setpoints, open_plan
 from kilter_client.bridges.rsi import AXES, From, RsiWire
 from kilter_client.cli.groups import Group
 from kilter_client.cli.terminal.arguments import Json, Robot
-from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.errors import MissingPackageError
 
 if TYPE_CHECKING:
@@ -103,9 +103,9 @@ def rsi(
 
     Ctrl-C fades the offsets out and ends; a second one ends at once.
     """
-    running = _needed()
-    start = running.prepared(robot, "rsi", version, force, as_json, publish)
-    wire = RsiWire(running.axes_of(signs, start.joints, AXES), joints_from, cycle_ms)
+    running = _import_bridge_runtime()
+    start = running.prepare_bridge(robot, "rsi", version, force, as_json, publish)
+    wire = RsiWire(running.parse_axis_signs(signs, start.joints, AXES), joints_from, cycle_ms)
     bounds: Bounds = running.Bounds(largest_deg, rate_deg_s, ramp_s, cycle_ms, gone_after_s)
     emit(running.answer_over_udp(start, wire, bounds, listen, port, controller), as_json, _show)
 
@@ -136,12 +136,12 @@ def egm(
 
     The setpoints come from a file, or from a planner. Ctrl-C fades the offsets out and ends; a second one ends at once.
     """
-    running = _needed()
-    start = running.prepared(robot, "egm", version, force, as_json, publish)
+    running = _import_bridge_runtime()
+    start = running.prepare_bridge(robot, "egm", version, force, as_json, publish)
     bounds: Bounds = running.Bounds(largest_deg, rate_deg_s, ramp_s, cycle_ms, gone_after_s)
-    plan = planned(path, setpoints_port, start.found.limits_deg)
+    plan = open_plan(path, setpoints_port, start.found.limits_deg)
     setpoints = Setpoints(plan, math.radians(speed_deg_s), bounds.cycle_s)
-    wire = EgmWire(running.axes_of(signs, start.joints, EGM_AXES), setpoints)
+    wire = EgmWire(running.parse_axis_signs(signs, start.joints, EGM_AXES), setpoints)
     emit(running.answer_over_udp(start, wire, bounds, listen, port, controller), as_json, _show)
 
 
@@ -171,14 +171,14 @@ def fci(
 
     Ctrl-C brings the arm to rest, fades the offsets out and ends; a second one ends at once.
     """
-    running = _needed()
-    start = running.prepared(robot, "fci", version, force, as_json, publish)
+    running = _import_bridge_runtime()
+    start = running.prepare_bridge(robot, "fci", version, force, as_json, publish)
     bounds: Bounds = running.Bounds(largest_deg, rate_deg_s, ramp_s, 1000.0 * FCI_CYCLE_S, 0.0)
-    setpoints = Setpoints(planned(path, None, start.found.limits_deg), math.radians(speed_deg_s), FCI_CYCLE_S)
+    setpoints = Setpoints(open_plan(path, None, start.found.limits_deg), math.radians(speed_deg_s), FCI_CYCLE_S)
     emit(running.move_by_fci(start, setpoints, bounds, address, realtime), as_json, _show)
 
 
-def _needed() -> Any:
+def _import_bridge_runtime() -> Any:
     """Import what a bridge needs.
 
     Raises:
@@ -197,19 +197,19 @@ def _needed() -> Any:
 def _show(document: Mapping[str, Any]) -> None:
     counts = document["counts"]
     took = document.get("answer_us") or {}
-    say(
+    print_line(
         f"{document['bridge']} bridge of {document['robot']}: {counts.get('answered', 0)} answers, late {counts.get('late', 0)}"
     )
     for name, count in counts.items():
         if count and name not in ("answered", "late"):
-            say(f"  {name}: {count}")
+            print_line(f"  {name}: {count}")
     for name, count in document["refused"].items():
-        say(f"  not corrected, {name}: {count}")
+        print_line(f"  not corrected, {name}: {count}")
     if document["controller_missed"] is not None:
-        say(f"  missed by the controller's own count: {document['controller_missed']}")
+        print_line(f"  missed by the controller's own count: {document['controller_missed']}")
     if document.get("command_success_rate") is not None:
-        say(f"  commands that came in time, of the last 100: {100 * document['command_success_rate']:.0f} %")
+        print_line(f"  commands that came in time, of the last 100: {100 * document['command_success_rate']:.0f} %")
     if took.get("p50") is not None:
-        say(
+        print_line(
             f"  answer after {took['p50']} us (median), {took['p99']} us (p99), at most {document['answer_longest_us']} us"
         )

@@ -20,7 +20,7 @@ from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot
 from kilter_client.cli.terminal.interrupt import on_interrupt
-from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.errors import UsageError
 from kilter_files import prepare
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE
@@ -110,7 +110,7 @@ def correct(
             task=task and task.value, strict=strict, at_limit=at_limit and at_limit.value, hold=hold,
         )  # fmt: skip
         found = None if used is None else kilter.versions.get(used, robot=robot)
-        frames = {} if found is None else frames_of(found)
+        frames = {} if found is None else correction_frames(found)
     status = {} if form else verdicts(content, trajectory.content_type)
     _remark(content, status, as_json)
     if frames and not form:
@@ -135,7 +135,11 @@ def _show_written(told: dict[str, Any], content: Corrected, as_json: bool) -> No
         "notes": list(content.notes),
         "u95": content.u95,
     }
-    emit(document, as_json, lambda _: say(f"{told['output']}: {rows or len(content)} {'rows' if rows else 'bytes'}"))
+    emit(
+        document,
+        as_json,
+        lambda _: print_line(f"{told['output']}: {rows or len(content)} {'rows' if rows else 'bytes'}"),
+    )
 
 
 def _remark(content: Corrected, status: Mapping[str, int], as_json: bool) -> None:
@@ -150,7 +154,7 @@ def _remark(content: Corrected, status: Mapping[str, int], as_json: bool) -> Non
         note(f"Note: {remark}", as_json)
 
 
-def frames_of(version: Mapping[str, Any]) -> dict[str, str]:
+def correction_frames(version: Mapping[str, Any]) -> dict[str, str]:
     """Return whose base and tool frame a version corrects in, and in words which axes an error is along."""
     found = (version.get("details") or {}).get("reference") or {}
     base, tool = found.get("base") or "robot", found.get("tool") or "robot"
@@ -192,11 +196,11 @@ def status(
 
 
 def _show_status(document: dict[str, Any]) -> None:
-    say(f"{document['url']}: {document['status']}, version {document.get('version')}")
+    print_line(f"{document['url']}: {document['status']}, version {document.get('version')}")
     for name, check in document.get("checks", {}).items():
-        say(f"  {name}: {'ok' if check['ok'] else 'not ok'} ({check['detail']})")
+        print_line(f"  {name}: {'ok' if check['ok'] else 'not ok'} ({check['detail']})")
     if "today" in document:
         show_today(document["today"])
     for bridge in document.get("bridges", ()):
         counts = f"{bridge['cycles']} cycles, {bridge['late']} late, {bridge['lost']} lost"
-        say(f"{bridge['sentence']} Since {bridge['since'][:19]}Z: {counts}.")
+        print_line(f"{bridge['sentence']} Since {bridge['since'][:19]}Z: {counts}.")

@@ -10,7 +10,7 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.errors import UsageError
 from kilter_client.files import files_reading, files_remedies
 
@@ -44,10 +44,12 @@ Track = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
-    app.command("filter", epilog="Example: kilter filter weld.mod --robot irb -o weld_corrected.mod --diff")(filtered)
+    app.command("filter", epilog="Example: kilter filter weld.mod --robot irb -o weld_corrected.mod --diff")(
+        filter_program
+    )
 
 
-def filtered(
+def filter_program(
     program: Annotated[
         Path,
         typer.Argument(help="The program: .src, .dat, .mod, .modx, .script, .ls or .csv.", exists=True, dir_okay=False),
@@ -94,9 +96,9 @@ def filtered(
             version=version,
             signs=signs,
             fanuc_j3=fanuc_j3 and fanuc_j3.value,
-            bases=_named(base),
-            tools=_named(tool),
-            tracks=_named(track),
+            bases=_frames_by_name(base),
+            tools=_frames_by_name(tool),
+            tracks=_frames_by_name(track),
             strict=strict,
             again=again,
         )
@@ -128,7 +130,7 @@ def _note(done: FilteredProgram, as_json: bool) -> None:
         note(f"Note: {remark}", as_json)
 
 
-def _named(given: list[str] | None) -> dict[str, str]:
+def _frames_by_name(given: list[str] | None) -> dict[str, str]:
     """Frames by their names; one without a name has an empty one."""
     parted = [one.rpartition("=") for one in given or []]
     return {name.strip(): numbers for name, _, numbers in parted}
@@ -136,11 +138,11 @@ def _named(given: list[str] | None) -> dict[str, str]:
 
 def _show(document: dict[str, Any]) -> None:
     if document["diff"]:
-        say(document["diff"])
+        print_line(document["diff"])
     worst = f"{document['largest_change_file']}, line {document['largest_change_line']}"
     change = f"{document['largest_change_deg']:.3g} deg ({worst})"
     written = " and ".join(document["written"]) or "Nothing written"
-    say(f"{written}: {document['targets']} targets, largest change {change}")
+    print_line(f"{written}: {document['targets']} targets, largest change {change}")
     for held in document["not_ok"]:
         about = f": {held['at_limits']}" if held["at_limits"] else ""
-        say(f"  {held['file']}, line {held['line']}: {held['name']} is {held['status']}{about}")
+        print_line(f"  {held['file']}, line {held['line']}: {held['name']} is {held['status']}{about}")

@@ -14,8 +14,8 @@ from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.stored import exported
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import Json, VersionId
-from kilter_client.cli.terminal.output import emit, say
-from kilter_client.cli.terminal.references import OfRobot, resolved
+from kilter_client.cli.terminal.output import emit, print_line
+from kilter_client.cli.terminal.references import OfRobot, resolve_reference
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import ConflictError, NotFoundError, UsageError
 from kilter_client.files import files_beside_rows, files_exported, files_homing, kit_words
@@ -81,7 +81,7 @@ def homing(
         raise UsageError(f"{output} is the calibration itself, which stays as it is: name another file.")
     found = files_beside_rows.of_follower(calibration)
     with Kilter() as kilter:
-        version = resolved(kilter, "version", version, robot, as_json)
+        version = resolve_reference(kilter, "version", version, robot, as_json)
         stated = _refuse_other(kilter, version, found)
         told = files_exported.lists_of_export(kilter.versions.export(version, "mdh-csv"))
     zeros = told.get("zero_offsets", [])
@@ -150,7 +150,7 @@ def _state(one: Mapping[str, Any]) -> str:
     return f"{one['joint']} {exported.STATES[one['state']]}"
 
 
-def _within(half_ticks: float) -> str:
+def _format_half_width(half_ticks: float) -> str:
     """Half the width of an interval, which is never nothing."""
     return f"±{half_ticks:.0f}" if half_ticks >= 1.0 else f"±{max(half_ticks, 0.1):.1f}"
 
@@ -158,14 +158,18 @@ def _within(half_ticks: float) -> str:
 def _show(document: Mapping[str, Any]) -> None:
     rows = []
     for one in document["servos"]:
-        half = "–" if one["half_width_ticks"] is None or one["state"] == "held" else _within(one["half_width_ticks"])
+        half = (
+            "–"
+            if one["half_width_ticks"] is None or one["state"] == "held"
+            else _format_half_width(one["half_width_ticks"])
+        )
         rows.append(
             (one["servo"], str(one["before"]), str(one["after"]), f"{one['after'] - one['before']:+d}", half,
              f"{one['left_deg']:+.4f}", exported.STATES[one["state"]])
         )  # fmt: skip
     show_rows(("servo", "homing offset", "now", "ticks", "95 %", "left deg", "its zero is"), rows, numbers=True)
     for line in document["diff"]:
-        say(line)
+        print_line(line)
     if not document["calibration_compared"]:
-        say(NOT_COMPARED)
-    say(WRITE)
+        print_line(NOT_COMPARED)
+    print_line(WRITE)

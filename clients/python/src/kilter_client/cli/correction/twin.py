@@ -14,15 +14,15 @@ from kilter_client import Kilter
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import Json, VersionId, split_names
 from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
-from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.cli.terminal.progress import job_bar
-from kilter_client.cli.terminal.references import OfRobot, resolved, resolved_options
+from kilter_client.cli.terminal.references import OfRobot, resolve_reference, resolved_options
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
 from kilter_client.results.shown import MODELS as STAGES
 from kilter_client.twin.drives import read_drives
 from kilter_client.twin.onto import lay_onto
-from kilter_client.twin.settled import Settings, errors_of, loaded, rows_of
+from kilter_client.twin.settled import Settings, load_model, model_errors, read_measured_rows
 from kilter_client.twin.usd import USD_SUFFIXES, lay_over
 from kilter_client.twin.views import ViewErrors
 from kilter_files.ground.later import np
@@ -71,18 +71,20 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Score a model on measured poses, settled, beside the nominal arm and a version; base and tool fitted for each."""
-    found = loaded(model)
+    found = load_model(model)
     with Kilter() as kilter:
-        used = resolved(kilter, "campaign", campaign, robot, as_json)
+        used = resolve_reference(kilter, "campaign", campaign, robot, as_json)
         known = kilter.campaigns.get(used)
         of = kilter.robots.get(known["robot"])
-        measured = rows_of(kilter.campaigns.rows(used), len(of["joints"]), known.get("conditions") or {}, rows)
-        job = _evaluated(kilter, known["robot"], used, version, as_json)
+        measured = read_measured_rows(
+            kilter.campaigns.rows(used), len(of["joints"]), known.get("conditions") or {}, rows
+        )
+        job = _run_evaluation(kilter, known["robot"], used, version, as_json)
     names = split_names(joints) or [joint["name"] for joint in of["joints"]]
     if len(names) != len(of["joints"]):
         raise UsageError(f"--joints names {len(names)} joints, robot {known['robot']} has {len(of['joints'])}.")
     settings = Settings(names, site, payload_body, None if step_ms is None else step_ms * 1e-3)
-    apart = errors_of(found, measured, settings, model)
+    apart = model_errors(found, measured, settings, model)
     emit(_document(model, used, job, apart), as_json, _show)
 
 
@@ -107,7 +109,7 @@ def onto(
     if usd and output.suffix.lower() not in (".usda", ".usd"):
         raise UsageError(f"{output} is to be a layer of USD, as text: name it .usda.")
     with Kilter() as kilter:
-        version = resolved(kilter, "version", version, robot, as_json)
+        version = resolve_reference(kilter, "version", version, robot, as_json)
         twin = kilter.versions.export(version, "usd" if usd else "mjcf").decode()
     names = split_names(joints)
     laid = lay_over(model, twin, output, names) if usd else lay_onto(model, twin, names, site)
@@ -133,7 +135,7 @@ def read(
         raise UsageError(
             "--robot-file and --output go together: a robot document, and the copy with the model's drives."
         )
-    found = read_drives(loaded(model), split_names(joints), model)
+    found = read_drives(load_model(model), split_names(joints), model)
     if robot_file is not None and output is not None:
         write(output, _with_drives(robot_file, found.stiffness).encode())
     document = {
@@ -173,18 +175,18 @@ def _show_read(document: Mapping[str, Any]) -> None:
     ]
     show_rows(("joint", "in the model", "effect", "start", "unit"), rows)
     for line in document["left"]:
-        say(f"left out: {line}")
+        print_line(f"left out: {line}")
     if document["effects"]:
-        say("identify with: " + " ".join(f"--effects '{json.dumps(effect)}'" for effect in document["effects"]))
+        print_line("identify with: " + " ".join(f"--effects '{json.dumps(effect)}'" for effect in document["effects"]))
 
 
 def _show_laid(document: Mapping[str, Any]) -> None:
     for note in document["notes"]:
-        say(f"  {note}")
-    say(f"{document['output']}: the tool is at kilter_tool")
+        print_line(f"  {note}")
+    print_line(f"{document['output']}: the tool is at kilter_tool")
 
 
-def _evaluated(kilter: Kilter, robot: str, campaign: str, version: str | None, as_json: bool) -> dict[str, Any]:
+def _run_evaluation(kilter: Kilter, robot: str, campaign: str, version: str | None, as_json: bool) -> dict[str, Any]:
     options = resolved_options(kilter, {} if version is None else {"version": version}, robot, as_json)
     job = kilter.jobs.submit("evaluate", robot, [campaign], None, options | {"refit": ["base", "tool"]}, [], "")
     with on_interrupt(partial(job_goes_on, job["id"])), job_bar("evaluate", as_json) as progress:
@@ -216,17 +218,17 @@ def _document(
 
 def _show(document: Mapping[str, Any]) -> None:
     show_rows(("arm", "mean mm", "rms mm", "95 % mm", "max mm"), list(_lines(document["errors"])), numbers=True)
-    say(
+    print_line(
         f"{document['model']} settled at {document['rows']} rows of {document['campaign_id']}; base and tool fitted for each."
     )
     if document["pixels"] is not None:
         px = document["pixels"]
-        say(
+        print_line(
             f"Views: millimetres are the tool's, without the noise of corners. {document['model']} leaves "
             f"{px['rms_px']:.2f} px (rms of a coordinate of a corner), of which {px['noise_px']:.2f} px are noise within views."
         )
     for warning in document["warnings"]:
-        say(f"warning: {warning['message']}")
+        print_line(f"warning: {warning['message']}")
 
 
 def _lines(errors: Mapping[str, Mapping[str, float | None]]) -> Iterator[tuple[str, ...]]:

@@ -11,7 +11,7 @@ from kilter_client import Kilter
 from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.errors import FileError, KilterError
 from kilter_client.files import files_beside_rows, files_calibration
-from kilter_client.verbs.servo_calibration import CONDITION, compared
+from kilter_client.verbs.servo_calibration import CONDITION, compare_calibration
 from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from kilter_files.tables.joint_log import JointLog
 
 
-def calibrated(log: JointLog) -> dict[str, Any]:
+def calibration_conditions(log: JointLog) -> dict[str, Any]:
     """Return what a campaign of this log is made with besides; nothing where the log has no calibration."""
     return {} if log.calibration_sha256 is None else {"conditions": {CONDITION: log.calibration_sha256}}
 
@@ -34,7 +34,7 @@ def refuse_other_servos(calibration: Path, joints: Sequence[str]) -> None:
     check_numpy()
     found = files_beside_rows.of_follower(calibration)
     for joint in joints:
-        files_calibration.servo_of(found, joint)
+        files_calibration.servo_name_for_joint(found, joint)
 
 
 def refuse_readings_outside(calibration: Path, views: Sequence[Path], joints: Sequence[str]) -> None:
@@ -50,7 +50,7 @@ def refuse_readings_outside(calibration: Path, views: Sequence[Path], joints: Se
             rows = list(DictReader(lines))
         for j, joint in enumerate(joints, 1):
             angles = np.array([float(row[f"q{j}_deg"]) for row in rows])
-            servo = files_calibration.servo_of(found, joint)
+            servo = files_calibration.servo_name_for_joint(found, joint)
             files_calibration.refuse_outside(found, file, f"q{j}_deg", servo, angles, 0)
 
 
@@ -79,7 +79,7 @@ def stated_servos(
     found = files_beside_rows.of_follower(calibration)
     try:
         with Kilter() as kilter:
-            return kilter.run(compared(robot, found, prepared, str(file)))
+            return kilter.run(compare_calibration(robot, found, prepared, str(file)))
     except FileError:
         raise
     except KilterError:

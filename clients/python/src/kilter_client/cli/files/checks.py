@@ -21,7 +21,9 @@ Piecewise = Annotated[bool, typer.Option("--piecewise", help="Match the parts be
 Unchecked = Annotated[bool, typer.Option("--unchecked", help="Only warn of wrong pairs and knocks.")]
 
 
-def checks_of(robot: str | None, piecewise: bool, unchecked: bool, since: float | None, until: float | None) -> Checks:
+def build_checks(
+    robot: str | None, piecewise: bool, unchecked: bool, since: float | None, until: float | None
+) -> Checks:
     """Return the checks, with the model of a robot of the server.
 
     Raises:
@@ -33,20 +35,20 @@ def checks_of(robot: str | None, piecewise: bool, unchecked: bool, since: float 
     if piecewise and robot is None:
         raise UsageError("--piecewise needs the robot's model: name it with --robot or --model.")
     start, end = -float("inf") if since is None else since, float("inf") if until is None else until
-    return clock_checks.Checks(None if robot is None else model_of(robot), piecewise, unchecked, start, end)
+    return clock_checks.Checks(None if robot is None else fetch_arm_model(robot), piecewise, unchecked, start, end)
 
 
-def model_of(robot: str) -> Arm:
+def fetch_arm_model(robot: str) -> Arm:
     """Return the model of a robot of the server."""
     with Kilter() as kilter:
-        return files_arm.arm_of(kilter.robots.check(kilter.robots.get(robot)["document"]))
+        return files_arm.arm_from_check(kilter.robots.check(kilter.robots.get(robot)["document"]))
 
 
-def cut_by(recording: Recording, without: Sequence[str] | None) -> Recording:
+def drop_markers_if_any(recording: Recording, without: Sequence[str] | None) -> Recording:
     """Return a recording without some markers."""
-    return cut_recording.without(recording, without) if without else recording
+    return cut_recording.drop_markers(recording, without) if without else recording
 
 
 def in_time(recording: Recording, checks: Checks) -> Recording:
     """Return the part of a recording that counts."""
-    return cut_recording.between(recording, checks.since_s, checks.until_s)
+    return cut_recording.cut_to_interval(recording, checks.since_s, checks.until_s)

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from kilter_client import Kilter
-from kilter_client.cli.terminal.output import say
-from kilter_client.cli.terminal.references import resolved
+from kilter_client.cli.terminal.output import print_line
+from kilter_client.cli.terminal.references import resolve_reference
 from kilter_client.cli.terminal.tables import number, show_rows
-from kilter_client.cli.terminal.wording import in_words, parameters_of
+from kilter_client.cli.terminal.wording import in_words, parameters_by_request_name
 from kilter_client.errors import KilterError
 from kilter_client.verbs.dry_run import checked_here, checked_rows
 from kilter_files import Prepared
@@ -32,12 +32,12 @@ def what_it_holds(
     except KilterError as error:  # a dry run needs no server
         return known | checked_here(prepared, wanted["conditions"], error)
     with kilter:
-        into = resolved(kilter, "campaign", campaign, robot, as_json, "--campaign") if campaign else None
-        return known | kilter.run(checked_rows(robot, prepared, wanted, into, _worded))
+        into = resolve_reference(kilter, "campaign", campaign, robot, as_json, "--campaign") if campaign else None
+        return known | kilter.run(checked_rows(robot, prepared, wanted, into, _rephrase_for_upload))
 
 
-def _worded(detail: str) -> str:
-    return in_words(detail, parameters_of(["upload"]))
+def _rephrase_for_upload(detail: str) -> str:
+    return in_words(detail, parameters_by_request_name(["upload"]))
 
 
 def show_dry_run(document: Document) -> None:
@@ -48,21 +48,21 @@ def show_dry_run(document: Document) -> None:
     ]
     if rows:
         show_rows(("column", "unit", "lowest", "highest", "empty"), rows)
-        say(f"rows: {document['rows']}")
-        say(f"poses: {_poses(document['poses'])}")
-        say(f"loads: {_loads(document['loads'])}")
-        say(f"directions: {_directions(document['directions'])}")
+        print_line(f"rows: {document['rows']}")
+        print_line(f"poses: {_poses(document['poses'])}")
+        print_line(f"loads: {_loads(document['loads'])}")
+        print_line(f"directions: {_directions(document['directions'])}")
     for text in document["left_out"]:
-        say(f"left out: {text}")
+        print_line(f"left out: {text}")
     for text in document["refused"]:
-        say(f"would be refused: {text}")
+        print_line(f"would be refused: {text}")
     if not document["refused"]:
-        say("would be refused: nothing found")
+        print_line("would be refused: nothing found")
     for text in document["odd"]:
-        say(f"looks odd: {text}")
+        print_line(f"looks odd: {text}")
     if document["not_checked"]:
-        say(f"not checked: {document['not_checked']}")
-    say("Nothing was stored.")
+        print_line(f"not checked: {document['not_checked']}")
+    print_line("Nothing was stored.")
 
 
 def _poses(poses: Document | None) -> str:

@@ -11,7 +11,7 @@ import typer
 from kilter_client.cli.files.inspect import Calibration, JointOrder, NormMode, check_numpy
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.files import files_episodes, files_moved
 from kilter_files.formats.reader import LogHints
 
@@ -51,10 +51,10 @@ def episodes(
     """
     check_numpy()
     order = arguments.split_names([joint_order or ""])
-    found = files_episodes.episodes_of(dataset, LogHints(None, order, calibration=calibration, norm_mode=norm_mode))
+    found = files_episodes.read_episodes(dataset, LogHints(None, order, calibration=calibration, norm_mode=norm_mode))
     moves = [
         vars(move) | {"signals": list(move.signals), "means": MEANS[move.what]}
-        for move in files_moved.moves_of(found, least_deg)
+        for move in files_moved.detect_joint_moves(found, least_deg)
     ]
     document = {"dataset": str(dataset), "episodes": len(found.numbers), "joints": list(found.joints), "least_deg": least_deg,
                 "moves": moves, "untold": UNTOLD}  # fmt: skip
@@ -68,7 +68,9 @@ def _show(document: Mapping[str, Any]) -> None:
         signals = ", ".join(SIGNALS[name] for name in move["signals"])
         between = f"between episodes {move['before']} and {move['after']}"
         scatter = f"single episodes scatter by {move['scatter_deg']:.1f} deg"
-        say(f"{move['joint']} moved by {move['by_deg']:+.1f} deg {between} ({signals}; {scatter}): {move['means']}.")
+        print_line(
+            f"{move['joint']} moved by {move['by_deg']:+.1f} deg {between} ({signals}; {scatter}): {move['means']}."
+        )
     if not document["moves"]:
-        say(f"No joint moved by {document['least_deg']:g} deg or more over {document['episodes']} episodes.")
-    say(document["untold"])
+        print_line(f"No joint moved by {document['least_deg']:g} deg or more over {document['episodes']} episodes.")
+    print_line(document["untold"])

@@ -8,10 +8,10 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from kilter_client.cli.files.joint_names import joints_of
+from kilter_client.cli.files.joint_names import fetch_joint_names
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
 from kilter_files import draft
@@ -95,7 +95,7 @@ def inspect(
 ) -> None:
     """Show what is understood of a file: columns, units, rows, frames, gaps, and what looks wrong. Sends nothing."""
     if draft is not None:
-        emit(_drafted(file, draft, robot), as_json, _show_draft)
+        emit(_save_draft(file, draft, robot), as_json, _show_draft)
         return
     check_numpy()
     if preset not in PRESETS:
@@ -105,29 +105,36 @@ def inspect(
     order = arguments.split_names([joint_order or ""])
     log = LogHints(topic, order, calibration=calibration, norm_mode=norm_mode, zero=zero)
     document = look(
-        file, rate_hz=rate, allow_cut=allow_cut, preset=preset, euler=euler, unit=unit, log=log, robot=joints_of(robot)
+        file,
+        rate_hz=rate,
+        allow_cut=allow_cut,
+        preset=preset,
+        euler=euler,
+        unit=unit,
+        log=log,
+        robot=fetch_joint_names(robot),
     )
     emit(document, as_json, _show)
     if document["problems"]:
         raise typer.Exit(1)
 
 
-def _drafted(file: Path, target: Path, robot: str | None) -> dict[str, Any]:
+def _save_draft(file: Path, target: Path, robot: str | None) -> dict[str, Any]:
     """Write the draft, never over a file that is there."""
-    found = draft(file, joints_of(robot))
+    found = draft(file, fetch_joint_names(robot))
     found.save(target)
     return {"file": str(file), "draft": str(target)} | found.to_document()
 
 
 def _show_draft(document: dict[str, Any]) -> None:
-    say(f"{document['draft']}: a column map for {document['file']}")
+    print_line(f"{document['draft']}: a column map for {document['file']}")
     for text in document["guessed"]:
-        say(f"  check {text}")
+        print_line(f"  check {text}")
     for text in document["open"]:
-        say(f"  fill in {text}")
+        print_line(f"  fill in {text}")
     if document["unused"]:
-        say(f"  not used: {', '.join(document['unused'])}")
-    say(f"Then: kilter upload ROBOT {quote(document['file'])} --map {quote(document['draft'])} --dry-run")
+        print_line(f"  not used: {', '.join(document['unused'])}")
+    print_line(f"Then: kilter upload ROBOT {quote(document['file'])} --map {quote(document['draft'])} --dry-run")
 
 
 def check_numpy() -> None:
@@ -143,18 +150,18 @@ def check_numpy() -> None:
 def _show(document: dict[str, Any]) -> None:
     size = document.get("frames", document.get("rows"))
     what = "frames" if "frames" in document else "rows"
-    say(f"{document['file']}: {document['kind']}" + (f", {size} {what}" if size is not None else ""))
+    print_line(f"{document['file']}: {document['kind']}" + (f", {size} {what}" if size is not None else ""))
     if document.get("rate_hz"):
-        say(f"  {document['rate_hz']:g} Hz, {document['duration_s']:.3f} s")
+        print_line(f"  {document['rate_hz']:g} Hz, {document['duration_s']:.3f} s")
     for text in document["notes"]:
-        say(f"  {text}")
+        print_line(f"  {text}")
     _show_markers(document)
     _show_columns(document)
     for text in document["warnings"]:
-        say(f"  Warning: {text}.")
+        print_line(f"  Warning: {text}.")
     for problem in document["problems"]:
         place = ", ".join(f"{key} {value}" for key, value in problem.items() if key != "what")
-        say(f"  Problem: {place + ': ' if place else ''}{problem['what']}.")
+        print_line(f"  Problem: {place + ': ' if place else ''}{problem['what']}.")
 
 
 def _show_markers(document: dict[str, Any]) -> None:
@@ -169,7 +176,7 @@ def _show_markers(document: dict[str, Any]) -> None:
     if rows:
         show_rows(("marker", "seen", "longest gap", "noise mm", "x, y, z mm"), rows)
     if len(markers) > MARKERS_SHOWN:
-        say(f"  and {len(markers) - MARKERS_SHOWN} more markers (--json lists them)")
+        print_line(f"  and {len(markers) - MARKERS_SHOWN} more markers (--json lists them)")
 
 
 def _show_columns(document: dict[str, Any]) -> None:
@@ -180,11 +187,11 @@ def _show_columns(document: dict[str, Any]) -> None:
     if rows:
         show_rows(("column", "unit", "lowest", "highest", "empty"), rows)
     for topic in document.get("topics", []):
-        say(f"  {topic['name']}: {topic['messages']} messages of {topic['type']}")
+        print_line(f"  {topic['name']}: {topic['messages']} messages of {topic['type']}")
     for channel in document.get("channels", []):
         rate = "" if channel["rate_hz"] is None else f", {channel['rate_hz']:g} Hz"
         span = f", {channel['low']:.6g} to {channel['high']:.6g}" if "low" in channel else ""
         scaled = ", scaled" if channel["scaled"] else ""
-        say(f"  {channel['name']}: {channel['samples']} samples{rate}{span} {channel['unit']}{scaled}".rstrip())
+        print_line(f"  {channel['name']}: {channel['samples']} samples{rate}{span} {channel['unit']}{scaled}".rstrip())
     for variable in document.get("variables", []):
-        say(f"  {variable['name']}: {' x '.join(map(str, variable['shape']))}")
+        print_line(f"  {variable['name']}: {' x '.join(map(str, variable['shape']))}")

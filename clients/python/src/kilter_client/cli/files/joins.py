@@ -8,10 +8,10 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client.cli.files.inspect import check_numpy
-from kilter_client.cli.files.joint_names import joints_of
+from kilter_client.cli.files.joint_names import fetch_joint_names
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot, three
-from kilter_client.cli.terminal.output import emit, say, say_remarks
+from kilter_client.cli.terminal.output import emit, print_line, say_remarks
 from kilter_client.errors import UsageError
 from kilter_client.files import ballbar, dwells, files_ballbar_join, files_tilt_join
 from kilter_files import read_joints
@@ -82,7 +82,7 @@ def tilt_join(
 ) -> None:
     """Join inclinometer logs with the joint log: one reading per rest, for kilter joint-parameters --readings."""
     check_numpy()
-    names = [name.removesuffix(":m") for name in joints_of(robot)]
+    names = [name.removesuffix(":m") for name in fetch_joint_names(robot)]
     if joint not in names:
         raise UsageError(f"--joint {joint}: the robot has {', '.join(names)}.")
     options = files_tilt_join.TiltOptions(
@@ -105,5 +105,5 @@ def _digits(value: float) -> str:
 
 
 def _show(document: dict[str, Any]) -> None:
-    say(f"{document['file']}: {document['rows']} rows")
+    print_line(f"{document['file']}: {document['rows']} rows")
     say_remarks(document)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from kilter_client import Kilter
 
 
-def joints_of(robot: str | None) -> list[str]:
+def fetch_joint_names(robot: str | None) -> list[str]:
     """Return the joint names of a robot of the server, for logs that name them; prismatic ones end in ``:m``."""
     if robot is None:
         return []

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.files.calibrated_rows import calibrated
-from kilter_client.cli.files.checks import Model, Piecewise, Unchecked, checks_of, cut_by, in_time
+from kilter_client.cli.files.calibrated_rows import calibration_conditions
+from kilter_client.cli.files.checks import Model, Piecewise, Unchecked, build_checks, drop_markers_if_any, in_time
 from kilter_client.cli.files.inspect import (
     AllowCut,
     Calibration,
@@ -21,18 +21,18 @@ from kilter_client.cli.files.inspect import (
     Zero,
     check_numpy,
 )
-from kilter_client.cli.files.joint_names import joints_of
+from kilter_client.cli.files.joint_names import fetch_joint_names
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.interrupt import on_interrupt
-from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.progress import upload_bar
 from kilter_client.errors import UsageError
 from kilter_client.files import dwells, frames_by_time, matching, rigid_body
 from kilter_files import read_joints
 from kilter_files.formats.opening import open_recording
 from kilter_files.formats.reader import LogHints
-from kilter_files.formats.registry import recognised
+from kilter_files.formats.registry import has_format
 from kilter_files.tables.table import Prepared, Table
 
 if TYPE_CHECKING:
@@ -105,10 +105,10 @@ def match(
     check_numpy()
     if by == "frames" and out is not None:
         raise UsageError("--out writes dwells; every frame is sent with --robot, in parts.")
-    found = cut_by(open_recording(recording, rate, allow_cut, unit), without)
+    found = drop_markers_if_any(open_recording(recording, rate, allow_cut, unit), without)
     order, servos = arguments.split_names([joint_order or ""]), (calibration, norm_mode, zero)
     log = _log(joints, joints_map, topic, order, servos, robot or model, as_json)
-    checks = checks_of(model or robot, piecewise, unchecked, since, until)
+    checks = build_checks(model or robot, piecewise, unchecked, since, until)
     if tcp is not None and (tool is not None or found.kind.startswith("tool-")):
         found = rigid_body.tool_as_markers(found, tool)
     if by != "order":
@@ -117,7 +117,7 @@ def match(
     if body is not None:
         note(f"  poses of a rigid body: {body.source}, tool point {body.tcp.round(3).tolist()} mm", as_json)
     own = {"name": name or recording.name, "device": device, "role": role, "numbered": name is None}
-    wanted = own | calibrated(log)
+    wanted = own | calibration_conditions(log)
     if by == "frames":
         document = _frames(found, log, body, checks, robot, wanted, as_json)
     else:
@@ -131,7 +131,7 @@ def _log(
     servos: tuple[Path | None, str | None, str], robot: str | None, as_json: bool,
 ) -> JointLog:  # fmt: skip
     """Read the joint log, and say what was understood of it; ``servos`` are a data set's calibration, norm mode and zero."""
-    likely = joints_of(robot) if recognised(joints, "bag") else ()
+    likely = fetch_joint_names(robot) if has_format(joints, "bag") else ()
     log = read_joints(joints, joints_map, LogHints(topic, order, likely, *servos))
     for text in log.notes:
         note(f"  {text}", as_json)
@@ -150,7 +150,7 @@ def _dwells(
     wanted: dict[str, Any], as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
     matched = matching.match_dwells(found, log, by, options[0], body, options[1])
-    _tell(matched.report, as_json)
+    _print_match_report(matched.report, as_json)
     rows = matched.report["dwells"]
     table: Table = Table({n: v.tolist() for n, v in matched.columns.items()}, list(range(1, rows + 1)))
     prepared = Prepared.from_table(table)
@@ -165,18 +165,18 @@ def _frames(
     found: Recording, log: JointLog, body: Body | None, checks: Checks, robot: str | None, wanted: dict[str, Any],
     as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
-    from kilter_client.cli.files.parts import parts
+    from kilter_client.cli.files.parts import cut_parquet_parts
 
     pieces, warnings = frames_by_time.match_frames(found, log, checks)
     report = {
         "clock": matching.clock_report(pieces, found.duration_s),
         "warnings": [*found.warnings, *log.warnings, *warnings],
     }
-    _tell(report, as_json)
+    _print_match_report(report, as_json)
     if not robot:
         return report | {"frames": found.frames}
     return report | _send(
-        lambda: parts(matching.frame_rows(found, log, pieces, body)), found.frames, robot, wanted, as_json
+        lambda: cut_parquet_parts(matching.frame_rows(found, log, pieces, body)), found.frames, robot, wanted, as_json
     )
 
 
@@ -195,7 +195,7 @@ def _send(pieces: Any, rows: int, robot: str, wanted: dict[str, Any], as_json: b
     return {"campaign_id": sent.campaign_id, "rows": sent.rows, "rows_there_already": sent.there}
 
 
-def _tell(report: dict[str, Any], as_json: bool) -> None:
+def _print_match_report(report: dict[str, Any], as_json: bool) -> None:
     clock = report.get("clock")
     if "dwells" in report:
         scatter = ", ".join(f"{v:.4f}" for v in report["scatter_mm"])
@@ -215,11 +215,11 @@ def _tell(report: dict[str, Any], as_json: bool) -> None:
 def _show(document: dict[str, Any]) -> None:
     if "campaign_id" in document:
         there = document["rows_there_already"]
-        say(
+        print_line(
             f"campaign {document['campaign_id']}: {document['rows']} rows"
             + (f", {there} there already" if there else "")
         )
     elif "out" in document:
-        say(f"{document['out']}: {document['rows']} rows")
+        print_line(f"{document['out']}: {document['rows']} rows")
     else:
-        say("Nothing was sent: name the robot with --robot.")
+        print_line("Nothing was sent: name the robot with --robot.")

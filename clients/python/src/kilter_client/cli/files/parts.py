@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_client.errors import ApiError, KilterError, ObservationError, ServerUnreachableError
-from kilter_client.resources.name_match import same
+from kilter_client.resources.name_match import is_same_campaign
 from kilter_files.ground.later import pa, parquet
 from kilter_files.match.matching import Columns
 from kilter_files.tables.table import PARQUET_TYPE, Prepared
@@ -28,7 +28,7 @@ Progress = Callable[[int, bool], None]
 Pieces = Callable[[], Iterable[Prepared]]
 
 
-def parts(blocks: Iterable[Columns], rows: int = PART_ROWS) -> Iterator[Prepared]:
+def cut_parquet_parts(blocks: Iterable[Columns], rows: int = PART_ROWS) -> Iterator[Prepared]:
     """Cut columns that come in blocks into Parquet parts of ``rows`` rows; one part is in memory at a time."""
     waiting: list[Columns] = []
     held = 0
@@ -36,12 +36,12 @@ def parts(blocks: Iterable[Columns], rows: int = PART_ROWS) -> Iterator[Prepared
         waiting.append(block)
         held += len(next(iter(block.values())))
         while held >= rows:
-            whole = _joined(waiting)
+            whole = _concatenate_columns(waiting)
             yield _parquet({name: values[:rows] for name, values in whole.items()})
             waiting = [{name: values[rows:] for name, values in whole.items()}]
             held -= rows
     if held:
-        yield _parquet(_joined(waiting))
+        yield _parquet(_concatenate_columns(waiting))
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def _send(kilter: Kilter, campaign: str, pieces: Pieces, progress: Progress | No
 
 def _sent_before(kilter: Kilter, robot: str, wanted: dict[str, Any], first: Prepared, pieces: Pieces) -> Sent | None:
     """Return the campaign that holds exactly these parts."""
-    for known in _alike(kilter.campaigns.list(robot), wanted):
+    for known in _matching_campaigns(kilter.campaigns.list(robot), wanted):
         there = {str(done["sha256"]): int(done["rows"]) for done in known["uploads"]}
         if first.sha256 in there and {part.sha256 for part in pieces()} == set(there):
             rows = sum(there.values())
@@ -117,17 +117,17 @@ def _sent_before(kilter: Kilter, robot: str, wanted: dict[str, Any], first: Prep
 
 def _begun(kilter: Kilter, robot: str, wanted: dict[str, Any], first: Prepared) -> str:
     """Return the staged campaign that an earlier sending of these parts began, or a new one."""
-    for known in _alike(kilter.campaigns.list(robot, staged=True), wanted):
+    for known in _matching_campaigns(kilter.campaigns.list(robot, staged=True), wanted):
         if not known["uploads"] or any(done["sha256"] == first.sha256 for done in known["uploads"]):
             return str(known["id"])
     return str(kilter.campaigns.add(robot, **wanted, staged=True)["id"])
 
 
-def _alike(campaigns: Iterable[dict[str, Any]], wanted: dict[str, Any]) -> list[dict[str, Any]]:
-    return [known for known in campaigns if same(known, wanted)]
+def _matching_campaigns(campaigns: Iterable[dict[str, Any]], wanted: dict[str, Any]) -> list[dict[str, Any]]:
+    return [known for known in campaigns if is_same_campaign(known, wanted)]
 
 
-def _joined(blocks: list[Columns]) -> Columns:
+def _concatenate_columns(blocks: list[Columns]) -> Columns:
     return blocks[0] if len(blocks) == 1 else {n: np.concatenate([b[n] for b in blocks]) for n in blocks[0]}
 
 

@@ -24,8 +24,8 @@ def rig_conditions(file: Path) -> dict[str, Any]:
     """
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
-        cameras = [_part(one, CAMERA) for one in document["cameras"]]
-        boards = [_part(one, BOARD) for one in document["boards"]]
+        cameras = [_known_fields(one, CAMERA) for one in document["cameras"]]
+        boards = [_known_fields(one, BOARD) for one in document["boards"]]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(
             f"--cameras {file}: does not describe cameras and boards ({error}): give the JSON that `kilter see` writes."
@@ -36,5 +36,5 @@ def rig_conditions(file: Path) -> dict[str, Any]:
     return {"cameras": cameras, "boards": boards}
 
 
-def _part(one: dict[str, Any], known: tuple[str, ...]) -> dict[str, Any]:
+def _known_fields(one: dict[str, Any], known: tuple[str, ...]) -> dict[str, Any]:
     return {name: one[name] for name in known if one.get(name) is not None}

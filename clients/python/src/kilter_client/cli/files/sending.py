@@ -10,7 +10,7 @@ from kilter_client import Kilter
 from kilter_client.cli.terminal.interrupt import on_interrupt
 from kilter_client.cli.terminal.output import REMEDY_FOR_COLUMNS
 from kilter_client.cli.terminal.progress import upload_bar
-from kilter_client.cli.terminal.references import resolved
+from kilter_client.cli.terminal.references import resolve_reference
 from kilter_client.errors import ConflictError, KilterError, ObservationError
 from kilter_client.verbs.campaigns import send_rows
 from kilter_files import Prepared
@@ -27,8 +27,11 @@ def send(
     """
     targets: list[tuple[str, bool]] = []
     with Kilter() as kilter:
-        into = resolved(kilter, "campaign", campaign, robot, as_json, "--campaign") if campaign else None
-        with on_interrupt(partial(_left, kilter, targets, prepared.sha256)), upload_bar(file.name, as_json) as sent:
+        into = resolve_reference(kilter, "campaign", campaign, robot, as_json, "--campaign") if campaign else None
+        with (
+            on_interrupt(partial(_describe_interrupted_send, kilter, targets, prepared.sha256)),
+            upload_bar(file.name, as_json) as sent,
+        ):
             try:
                 return kilter.run(send_rows(robot, into, wanted, prepared, str(file), sent, targets.append))
             except ObservationError as error:
@@ -37,12 +40,12 @@ def send(
                 raise
 
 
-def _left(kilter: Kilter, targets: list[tuple[str, bool]], sha256: str) -> str:
+def _describe_interrupted_send(kilter: Kilter, targets: list[tuple[str, bool]], sha256: str) -> str:
     """Say what is left of rows that were being sent; a new campaign is withdrawn."""
     if not targets:
         return "nothing is stored. The same command sends the file again."
     campaign, new = targets[0]
-    return _taken_back(kilter, campaign) if new else _added(kilter, campaign, sha256)
+    return _taken_back(kilter, campaign) if new else _describe_added_rows(kilter, campaign, sha256)
 
 
 def _taken_back(kilter: Kilter, campaign: str) -> str:
@@ -59,7 +62,7 @@ def _taken_back(kilter: Kilter, campaign: str) -> str:
     return "nothing is stored. The same command sends the file again."
 
 
-def _added(kilter: Kilter, campaign: str, sha256: str) -> str:
+def _describe_added_rows(kilter: Kilter, campaign: str, sha256: str) -> str:
     """Say whether rows that were being added are there."""
     try:
         there = any(upload["sha256"] == sha256 for upload in kilter.campaigns.get(campaign)["uploads"])

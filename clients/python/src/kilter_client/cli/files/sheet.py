@@ -10,13 +10,13 @@ import typer
 from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import File, Json
-from kilter_client.cli.terminal.output import emit, note, say, say_remarks
+from kilter_client.cli.terminal.output import emit, note, print_line, say_remarks
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import MissingPackageError, UsageError
 from kilter_client.files import ballbar, drawn_circle, files_height, files_report
 from kilter_client.results.plots import draw
 from kilter_files import read_joints
-from kilter_files.ground.faults import head_of
+from kilter_files.ground.faults import read_head
 from kilter_files.ground.later import np
 from kilter_files.rig.sheet.drawing import save_sheet
 from kilter_files.rig.sheet.layout import sheet_for
@@ -140,7 +140,7 @@ def sheet_join(
     heights = None if height is None else files_height.read_heights(height, channel, volts, height_time)
     circle = _circle(file, radius_mm, page, bars_mm, allow_gaps)
     frame = (
-        drawn_circle.Frame.own()
+        drawn_circle.Frame.sheet_frame()
         if points is None
         else drawn_circle.register(points, drawn_circle.read_points(points), circle.radius_mm, faces_down)
     )
@@ -159,7 +159,7 @@ def sheet_join(
 
 def _circle(file: Path, radius_mm: float | None, page: int, bars_mm: str | None, allow_gaps: bool) -> Circle:
     """Errors of the circle in a scan, or in a ball bar's log."""
-    if head_of(file, 1024).lstrip()[:4] not in (b"%PDF", b"\x89PNG") and head_of(file, 2) != b"\xff\xd8":
+    if read_head(file, 1024).lstrip()[:4] not in (b"%PDF", b"\x89PNG") and read_head(file, 2) != b"\xff\xd8":
         bar = ballbar.read_ballbar(file, radius_mm)
         out, turn = bar.radius_mm - bar.nominal_mm, np.radians(bar.angle_deg)
         return drawn_circle.Circle(
@@ -209,26 +209,28 @@ def bars(text: str | None) -> tuple[float, float] | None:
 
 
 def _show_join(document: dict[str, Any]) -> None:
-    say(f"{document['file']}: {document['rows']} rows for kilter upload")
+    print_line(f"{document['file']}: {document['rows']} rows for kilter upload")
     say_remarks(document)
     if any(document["frame"]["left_mm"]):
-        say(f"  the four points fit the sheet within {max(document['frame']['left_mm']):.3f} mm")
-    say(f"  rms distance from the command: {document['off_command_rms_mm']:.3f} mm")
+        print_line(f"  the four points fit the sheet within {max(document['frame']['left_mm']):.3f} mm")
+    print_line(f"  rms distance from the command: {document['off_command_rms_mm']:.3f} mm")
 
 
 def _show_sheet(document: dict[str, Any]) -> None:
-    say(f"{document['file']}: {document['page'].upper()}, radius {document['radius_mm']:g} mm, {document['gaps']} gaps")
-    say(f"  Print it at 100 % and measure both scale bars: {document['bar_mm']:g} mm.")
+    print_line(
+        f"{document['file']}: {document['page'].upper()}, radius {document['radius_mm']:g} mm, {document['gaps']} gaps"
+    )
+    print_line(f"  Print it at 100 % and measure both scale bars: {document['bar_mm']:g} mm.")
 
 
 def _show_reading(document: dict[str, Any]) -> None:
     line, placing = document["line"], document["placing"]
-    say(f"{document['file']}: sheet of radius {document['radius_mm']:g} mm, {placing['dpi']:.0f} dpi")
+    print_line(f"{document['file']}: sheet of radius {document['radius_mm']:g} mm, {placing['dpi']:.0f} dpi")
     say_remarks(document)
     marks = f"{placing['marks']} marks within {placing['marks_rms_mm']:.3f} mm"
-    say(f"  {marks}; line {line['width_mm']:.2f} mm wide, seen in {line['seen']} of {line['gaps']} gaps")
+    print_line(f"  {marks}; line {line['width_mm']:.2f} mm wide, seen in {line['seen']} of {line['gaps']} gaps")
     errors = f"mean {line['mean_abs_mm']:.3f}, rms {line['rms_mm']:.3f}, largest {line['max_abs_mm']:.3f} mm"
-    say(f"  error out of the circle: {errors}; mean radius {line['radius_mm']:.3f} mm")
+    print_line(f"  error out of the circle: {errors}; mean radius {line['radius_mm']:.3f} mm")
     head = {"angle_deg": "deg", "out_mm": "out mm", "out_sigma_mm": "sigma", "along_mm": "along mm"}
     head |= {"along_sigma_mm": "sigma"}
     names = [name for name in head if name in document["rows"][0]]

@@ -10,18 +10,18 @@ import typer
 from kilter_client.cli.files.calibrated_rows import stated_servos
 from kilter_client.cli.files.dry_run import show_dry_run, what_it_holds
 from kilter_client.cli.files.inspect import JointOrder, Topic
-from kilter_client.cli.files.joint_names import joints_of
+from kilter_client.cli.files.joint_names import fetch_joint_names
 from kilter_client.cli.files.rig_file import rig_conditions
 from kilter_client.cli.files.sending import send
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot
-from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.errors import UsageError
 from kilter_client.verbs import campaigns
-from kilter_client.verbs.inputs import moment_of
+from kilter_client.verbs.inputs import parse_time
 from kilter_files import Prepared, prepare
 from kilter_files.formats.reader import LogHints
-from kilter_files.formats.registry import recognised
+from kilter_files.formats.registry import has_format
 from kilter_files.formats.tracker_header import PRESETS
 from kilter_files.match.uploaded_markers import checked_markers
 
@@ -129,17 +129,17 @@ def upload(
     Makes a campaign, or adds to --campaign. The same file again changes nothing.
     """
     stated = (payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm)
-    conditions, at = conditions_of(*stated, cameras, unchecked and not campaign), moment_of(measured_at)
+    conditions, at = build_conditions(*stated, cameras, unchecked and not campaign), parse_time(measured_at)
     if campaign and (name or notes or conditions or at or instrument or calibration):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
     # The robot's joints, where a bag names its joints and nobody said which is the first.
-    asks = joints is not None and column_map is None and not joint_order and recognised(joints, "bag")
+    asks = joints is not None and column_map is None and not joint_order and has_format(joints, "bag")
     order = arguments.split_names([joint_order]) if joint_order else []
-    hints = LogHints(topic, order, joints_of(robot) if asks else [])
+    hints = LogHints(topic, order, fetch_joint_names(robot) if asks else [])
     read = prepare(file, device, column_map, joints, preset=preset, euler=euler, hints=hints)
     prepared = checked_markers(file, read, unchecked)
     servos, prepared = stated_servos(robot, calibration, prepared, file, dry_run) if calibration else ({}, prepared)
-    _tell(file, prepared, as_json)
+    _print_file_notes(file, prepared, as_json)
     wanted = {
         "name": name or file.name, "device": device or preset or "", "role": role, "conditions": conditions | servos,
         "notes": notes, "numbered": name is None, "measured_at": at, "instrument": instrument,
@@ -172,15 +172,15 @@ def sent_file(
 ) -> dict[str, Any]:
     """Send a file as a campaign of its own, or find the campaign that has it, and return what was stored."""
     prepared = checked_markers(file, prepare(file, device, column_map), unchecked=False)
-    _tell(file, prepared, as_json)
+    _print_file_notes(file, prepared, as_json)
     wanted = {
         "name": name or file.name, "device": device or "", "role": role, "conditions": conditions, "notes": "",
-        "numbered": not name, "measured_at": moment_of(measured_at), "instrument": instrument,
+        "numbered": not name, "measured_at": parse_time(measured_at), "instrument": instrument,
     }  # fmt: skip
     return send(robot, None, wanted, file, prepared, as_json)
 
 
-def conditions_of(
+def build_conditions(
     payload_kg: float | None,
     payload_com_mm: str | None,
     temperature_c: float | None,
@@ -191,7 +191,7 @@ def conditions_of(
 ) -> dict[str, Any]:
     """Return what holds for the whole campaign."""
     stated = (rig_conditions(cameras) if cameras else {}) | ({"unchecked": True} if unchecked else {})
-    return stated | campaigns.conditions_of(
+    return stated | campaigns.build_conditions(
         payload_kg=payload_kg,
         payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
         temperature_c=temperature_c,
@@ -200,7 +200,7 @@ def conditions_of(
     )
 
 
-def _tell(file: Path, prepared: Prepared, as_json: bool) -> None:
+def _print_file_notes(file: Path, prepared: Prepared, as_json: bool) -> None:
     """Say what is understood of the file."""
     note(f"{file}: {'' if prepared.rows is None else f'{prepared.rows} rows'}".rstrip(": "), as_json)
     for text in prepared.notes:
@@ -211,4 +211,4 @@ def _tell(file: Path, prepared: Prepared, as_json: bool) -> None:
 
 def _show_upload(done: dict[str, Any]) -> None:
     known = "" if done.get("new", True) else ", there already"
-    say(f"campaign {done['campaign_id']}: {done['rows']} rows{known} (sha256 {done['sha256'][:12]})")
+    print_line(f"campaign {done['campaign_id']}: {done['rows']} rows{known} (sha256 {done['sha256'][:12]})")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.output import print_line
 from kilter_client.cli.terminal.tables import number, show_rows
 
 
@@ -14,12 +14,12 @@ def show_active(document: Mapping[str, Any], state: str) -> None:
     _show_comparison(document["id"], document.get("compared"))
     _show_preview(document.get("preview"))
     for warning in document.get("warnings") or ():
-        say(f"warning: {warning['message']}")
+        print_line(f"warning: {warning['message']}")
     for objection in document.get("objections") or ():
-        say(f"forced, though: {objection['message']}")
-    say(f"{document['id']} is {state}.")
+        print_line(f"forced, though: {objection['message']}")
+    print_line(f"{document['id']} is {state}.")
     if document["not_corrected"]:
-        say(document["not_corrected"])
+        print_line(document["not_corrected"])
 
 
 def _show_preview(preview: Mapping[str, Any] | None) -> None:
@@ -33,14 +33,16 @@ def _show_preview(preview: Mapping[str, Any] | None) -> None:
     largest = (
         "" if preview["largest_mm"] is None else f"; it moves the tool by {number(preview['largest_mm'], 3)} mm at most"
     )
-    say(f"Of {preview['poses']} poses {where} it corrects {preview['corrected']} ({held}){largest}.")
+    print_line(f"Of {preview['poses']} poses {where} it corrects {preview['corrected']} ({held}){largest}.")
 
 
 def _show_comparison(version: str, compared: Mapping[str, Any] | None) -> None:
     if not compared:
         return
     where = ", ".join(compared.get("campaign_names") or compared["campaigns"])
-    say(f"Compared on {compared['poses']} poses ({compared['rows']} rows) that neither was fitted to, of {where}:")
+    print_line(
+        f"Compared on {compared['poses']} poses ({compared['rows']} rows) that neither was fitted to, of {where}:"
+    )
     rivals = (("registration only", compared["registration_only"]), (compared["active_version"], compared["active"]))
     rows = [
         (name, number(rival["mean_mm"]), number(rival["larger_by_mm"], 2), number(rival["margin_mm"], 2))
@@ -69,4 +71,4 @@ def show_activations(document: Mapping[str, Any]) -> None:
 def show_today(document: Mapping[str, Any]) -> None:
     """Print how good a robot is today, in the server's words."""
     for sentence in document["sentences"]:
-        say(sentence)
+        print_line(sentence)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
-from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.output import print_line
 from kilter_client.cli.terminal.tables import number, show_rows
 
 EXIT_CODES = {"ok": 0, "moved": 3, "cannot_tell": 4}
@@ -19,14 +19,14 @@ LISTED = 6  # causes of a table, the best first
 
 def show_drift(result: Mapping[str, Any]) -> None:
     """Print the verdict, what to do, what was looked at, and what such rows can show."""
-    say(result["sentence"])
+    print_line(result["sentence"])
     if result.get("remedy"):
-        say(f"  {result['remedy']}")
+        print_line(f"  {result['remedy']}")
     if result["verdict"] != "ok":
         _show_causes(result)
     show_smallest(result)
     for warning in result.get("warnings") or ():
-        say(f"warning: {warning['message']}")
+        print_line(f"warning: {warning['message']}")
 
 
 def show_smallest(result: Mapping[str, Any]) -> None:
@@ -34,18 +34,18 @@ def show_smallest(result: Mapping[str, Any]) -> None:
     rows = [(one["words"], f"{number(one['value'], 2)} {one['unit']}") for one in result.get("smallest") or ()]
     if rows:
         show_rows(("such rows show", "from a change of"), rows)
-        say(
+        print_line(
             f"in 95 % of the checks; an arm that has not moved alarms in {number(result['false_alarm'])} of them at most"
         )
     if result.get("unseen"):
-        say(f"they do not show: {', '.join(result['unseen'])}")
+        print_line(f"they do not show: {', '.join(result['unseen'])}")
     for sentence in result.get("faint") or ():
-        say(sentence)
+        print_line(sentence)
 
 
 def show_history(found: Mapping[str, Any]) -> None:
     """Print how a robot stands, its checks with what was done between them, and the charts that say most."""
-    say(f"{found['robot']}: {found['sentence']}")
+    print_line(f"{found['robot']}: {found['sentence']}")
     events = [(str(one["at"]), one["verdict"].replace("_", " "), one["sentence"]) for one in found["history"]]
     events += [(str(one["at"]), one["what"], _said_of_mark(one)) for one in found["marks"]]
     show_rows(
@@ -55,7 +55,7 @@ def show_history(found: Mapping[str, Any]) -> None:
     charts = sorted(found["charts"], key=_height, reverse=True)[:LISTED]
     rows = [
         (
-            one["words"], f"{number(_last(one['values']), 3)} {one['unit']}", number(one["scatter"], 2),
+            one["words"], f"{number(_latest_value(one['values']), 3)} {one['unit']}", number(one["scatter"], 2),
             f"{number(_height(one), 2)} of {number(one['limit'], 2)}", str(one["since"] or "")[:10],
         )
         for one in charts
@@ -64,14 +64,14 @@ def show_history(found: Mapping[str, Any]) -> None:
         show_rows(("chart", "last", "scatter", "sum", "since"), rows)
     elif found["checks"]:
         whole = any(one["whole"] for one in found["history"] if one["version_id"] == found["version_id"])
-        say("The sums over many checks begin with the fourth that agrees." if whole else NEVER_SUMMED)
+        print_line("The sums over many checks begin with the fourth that agrees." if whole else NEVER_SUMMED)
 
 
 def _said_of_mark(one: Mapping[str, Any]) -> str:
     return f"{one['note']} ({one['repair_id']})" if one.get("repair_id") else str(one["version_id"])
 
 
-def _last(values: Sequence[float | None]) -> float:
+def _latest_value(values: Sequence[float | None]) -> float:
     """The number of the last check that shows it."""
     return next((value for value in reversed(values) if value is not None), 0.0)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_client.cli.reports.identify_report import corrected_in
+from kilter_client.cli.reports.identify_report import describe_correction_frames
 from kilter_client.cli.reports.load_model_report import show_load_model
 from kilter_client.cli.reports.unobservable_report import show_unobservable
-from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.output import print_line
 from kilter_client.cli.terminal.tables import number, show_rows
 
 MOST_PLACES = 12
@@ -26,47 +26,49 @@ GAP_ROWS = (
 
 def show_gap(result: Mapping[str, Any]) -> None:
     """Print a gap report."""
-    say(f"verdict: {result['verdict']}. {result.get('sentence') or ''}".rstrip())
+    print_line(f"verdict: {result['verdict']}. {result.get('sentence') or ''}".rstrip())
     gap = result["gap"]
     unit = "deg" if gap.get("before_deg") is not None else "mm by views" if gap.get("lengths") == "by_views" else "mm"
-    _where(result.get("where") or [])
+    _show_misfit_places(result.get("where") or [])
     _effects(result.get("effects") or [], unit)
     whole = (result.get("adequacy") or {}).get("sentence")
     if whole:
-        say(f"the model as a whole: {whole}")
+        print_line(f"the model as a whole: {whole}")
     _gap(result, unit)
     _kinds(result.get("measurements") or [])
     _control(result)
     if result.get("prior"):
-        say(result["prior"]["sentence"])
+        print_line(result["prior"]["sentence"])
     show_load_model(result.get("load_model") or [])
     show_unobservable(result.get("null_directions") or [])
     _not_testable(result.get("not_testable") or [])
     _next_poses(result.get("next_poses") or [], result.get("told_apart") or {})
     if result.get("version_id") and result.get("reference"):
-        say(corrected_in(result["reference"]))
+        print_line(describe_correction_frames(result["reference"]))
     for warning in result.get("warnings") or ():
         if warning.get("code") != "poses_will_not_tell":  # said with the poses
-            say(f"warning: {warning['message']}")
+            print_line(f"warning: {warning['message']}")
 
 
-def _where(places: Sequence[Mapping[str, Any]]) -> None:
+def _show_misfit_places(places: Sequence[Mapping[str, Any]]) -> None:
     sure = [p for p in places if p["p_value"] < STANDS_OUT]
     if not sure:
         if places:
-            say(f"Where the model is wrong: no place stands out (the clearest has p {number(places[0]['p_value'], 2)})")
+            print_line(
+                f"Where the model is wrong: no place stands out (the clearest has p {number(places[0]['p_value'], 2)})"
+            )
         return
     rows = [
         (str(p["factor"]), str(p["level"]), number(p["excess"], 3), number(p["p_value"], 2)) for p in sure[:MOST_PLACES]
     ]
     show_rows(("where", "level", "excess chi2", "p"), rows, title="Where the model is wrong")
     if len(sure) > MOST_PLACES:
-        say(f"  and {len(sure) - MOST_PLACES} more: see --json")
+        print_line(f"  and {len(sure) - MOST_PLACES} more: see --json")
 
 
 def _effects(effects: Sequence[Mapping[str, Any]], unit: str) -> None:
     if not effects:
-        say("Nothing is missing that the library could name.")
+        print_line("Nothing is missing that the library could name.")
         return
     rows = []
     for effect in effects:
@@ -89,9 +91,9 @@ def _effects(effects: Sequence[Mapping[str, Any]], unit: str) -> None:
         failed = [name for name, passed in (effect.get("gates") or {}).items() if passed is False]
         if failed or (effect["verdict"] == "provisional" and effect.get("to_confirm")):
             passed = f"not passed {', '.join(failed)}" if failed else "not all tests were made"
-            say(f"  {_name(effect)} is not more than {effect['verdict']}: {passed}")
+            print_line(f"  {_name(effect)} is not more than {effect['verdict']}: {passed}")
             for remedy in effect.get("to_confirm") or ():
-                say(f"    {remedy}")
+                print_line(f"    {remedy}")
         _remarks(effect, unit)
 
 
@@ -100,31 +102,31 @@ def _class(effect: Mapping[str, Any]) -> None:
     claim, about = effect.get("claim") or {}, effect.get("physical_class") or {}
     if claim.get("said") != "class":
         if effect.get("class"):
-            say(f"  {_name(effect)} stands for its class: {effect['class']}")
+            print_line(f"  {_name(effect)} stands for its class: {effect['class']}")
         return
     others = ", ".join([*(about.get("members") or ()), *(about.get("outside") or ())])
-    say(f"  {_name(effect)} stands for its class: {claim['words']} (any of: {others})")
+    print_line(f"  {_name(effect)} stands for its class: {claim['words']} (any of: {others})")
     lacking = " and ".join(str(e["words"]) for e in claim.get("evidence") or () if not e.get("met"))
     if lacking:
-        say(f"    a name inside the class needs {lacking}")
+        print_line(f"    a name inside the class needs {lacking}")
 
 
 def _remarks(effect: Mapping[str, Any], unit: str) -> None:
     """Joints that the data do not show, what a confirmation said, and whether it matters."""
     unseen = sorted(set(effect.get("joints") or ()) - set(effect.get("seen_joints") or effect.get("joints") or ()))
     if unseen:
-        say(f"  {effect['id']} is not seen at joint {', '.join(map(str, unseen))}: zero is within the interval")
+        print_line(f"  {effect['id']} is not seen at joint {', '.join(map(str, unseen))}: zero is within the interval")
     gain = effect.get("gain_mm")
     if gain is not None and gain < 0.0:
-        say(
+        print_line(
             f"  {_name(effect)} adds {number(-gain, 2)} to the plain rms error: it is named because it explains the surer "
             "readings better, each weighed by its noise"
         )
     if effect.get("too_small_to_matter"):
-        say(f"  {_name(effect)} moves the tool by {number(effect.get('moves_mm'), 2)} mm: too small to matter")
+        print_line(f"  {_name(effect)} moves the tool by {number(effect.get('moves_mm'), 2)} mm: too small to matter")
     for one in (effect.get("claim") or {}).get("evidence") or ():
         if one.get("met") and one.get("told"):
-            say(f"  {_name(effect)}: {one['told']}")
+            print_line(f"  {_name(effect)}: {one['told']}")
     half = effect.get("halves")
     if half:
         both = (
@@ -135,9 +137,10 @@ def _remarks(effect: Mapping[str, Any], unit: str) -> None:
                 f"{number(half['without_mm'], 3)} {unit} without it"
             )
         )
-        say(
+        print_line(
             f"  {_name(effect)} beside what else is left: {sum(half['named'])} of 2 halves name it, amplitudes "
-            f"{number(half['apart_sigma'], 2)} sigma apart{both}{_of_both(effect.get('joints') or (), half.get('joints'))}"
+            f"{number(half['apart_sigma'], 2)} sigma "
+            f"apart{both}{_describe_shared_joints(effect.get('joints') or (), half.get('joints'))}"
         )
     told = effect.get("replication")
     if told:
@@ -146,17 +149,17 @@ def _remarks(effect: Mapping[str, Any], unit: str) -> None:
             "not_seen": "does not stand out", "not_testable": "cannot be tested",
         }  # fmt: skip
         apart = f" ({number(told['apart_sigma'], 2)} sigma apart)" if told.get("apart_sigma") is not None else ""
-        say(
+        print_line(
             f"  in the confirmation {_name(effect)} {words[told['outcome']]}{apart}. {told.get('reason') or ''}".rstrip()
         )
         if told.get("with_mm") is not None:
-            say(
+            print_line(
                 f"  the confirmation has {number(told['with_mm'], 3)} {unit} with it, "
                 f"{number(told['without_mm'], 3)} {unit} without it"
             )
 
 
-def _of_both(joints: Sequence[int], both: Sequence[int] | None) -> str:
+def _describe_shared_joints(joints: Sequence[int], both: Sequence[int] | None) -> str:
     """At which of several joints both halves name it."""
     if both is None or len(joints) < 2:
         return ""
@@ -174,12 +177,12 @@ def _gap(result: Mapping[str, Any], unit: str) -> None:
     rows = [(rows, name, number(gap.get(f"{key}_{end}"), 4)) for key, rows, name in GAP_ROWS]
     show_rows(("rows", "", f"rms {unit}"), rows, title="The gap", numbers=False)
     if end != unit:
-        say(
+        print_line(
             "mm by views are beside the rotation of the tool, as sure as those of a typical view; moves are at the tool"
         )
     if gap.get(f"noise_{end}") is not None:
         said = f"noise of {'a joint' if unit == 'deg' else 'a coordinate'}: {number(gap[f'noise_{end}'])} {unit}"
-        say(said if unit == "deg" else f"{said}; the noise floor above is what it leaves of an error in space")
+        print_line(said if unit == "deg" else f"{said}; the noise floor above is what it leaves of an error in space")
     bars = (result.get("figures") or {}).get("gap_bar", {}).get("data") or []
     if bars:
         across, along = ("x", "y") if bars[0].get("orientation") == "h" else ("y", "x")
@@ -187,15 +190,15 @@ def _gap(result: Mapping[str, Any], unit: str) -> None:
     closure = gap.get("closure")
     how = gap.get("held_out")
     if closure is None and how:
-        say(f"held-out rows: {how}")
+        print_line(f"held-out rows: {how}")
     if closure is not None:
-        say(f"closed on held-out rows ({how}): {100 * closure:.1f} % of what is above the noise")
+        print_line(f"closed on held-out rows ({how}): {100 * closure:.1f} % of what is above the noise")
     if gap.get("held_out_set_aside") is not None:
         every = gap.get(f"validation_after_all_{end}")
         with_them = (
             f", which no model of this search predicts; with them after is {number(every)} {unit}" if every else ""
         )
-        say(f"held-out rows left out of these errors: {gap['held_out_set_aside'] or 'none'}{with_them}")
+        print_line(f"held-out rows left out of these errors: {gap['held_out_set_aside'] or 'none'}{with_them}")
     _coverage(result.get("predictive") or {}, (result.get("adequacy") or {}).get("held_out") or {})
 
 
@@ -204,12 +207,12 @@ def _coverage(told: Mapping[str, Any], unseen: Mapping[str, Any]) -> None:
     if told.get("of"):
         shares = [100.0 * told[f"inside{end}"] / told[f"of{end}"] for end in ("", "_all") if told.get(f"of{end}")]
         with_them = f", {shares[1]:.0f} % with rows set aside" if len(shares) > 1 else ""
-        say(f"held-out coordinates within their 95 % intervals: {shares[0]:.0f} % of {told['of']}{with_them}")
+        print_line(f"held-out coordinates within their 95 % intervals: {shares[0]:.0f} % of {told['of']}{with_them}")
     if unseen:
         every = (
             f", {number(unseen['chi2_all'] / unseen['freedom_all'], 3)} with them" if unseen.get("freedom_all") else ""
         )
-        say(
+        print_line(
             f"chi-square of {unseen['poses']} held-out poses, which no choice saw: {number(unseen['chi2_per_freedom'], 3)} "
             f"per number, p {number(unseen['p_value'], 2)}{every}"
         )
@@ -219,7 +222,7 @@ def _bar(names: Sequence[str], values: Sequence[float]) -> None:
     longest = max(values, default=0.0) or 1.0
     width = max(len(name) for name in names)
     for name, value in zip(names, values, strict=True):
-        say(f"  {name:<{width}} {'#' * max(1, round(BAR * value / longest))} {number(value, 3)}")
+        print_line(f"  {name:<{width}} {'#' * max(1, round(BAR * value / longest))} {number(value, 3)}")
 
 
 def _kinds(kinds: Sequence[Mapping[str, Any]]) -> None:
@@ -242,7 +245,9 @@ def _control(result: Mapping[str, Any]) -> None:
         tried = "; ".join(
             f"{_name(r)}: {100 * r['survived']:.0f} % of {r['shuffles']} shuffles of {r['shuffled']}" for r in rows
         )
-        say(f"negative control {'passed' if control.get('passed') else 'NOT passed'} (names that survived: {tried})")
+        print_line(
+            f"negative control {'passed' if control.get('passed') else 'NOT passed'} (names that survived: {tried})"
+        )
 
 
 def _not_testable(rows: Sequence[Mapping[str, Any]]) -> None:
@@ -252,24 +257,26 @@ def _not_testable(rows: Sequence[Mapping[str, Any]]) -> None:
     groups: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
         groups.setdefault(str(row.get("missing") or row["reason"]), []).append(row)
-    say(f"What these data cannot test, by what is missing ({len(rows)}; how to test each: --json, not_testable):")
+    print_line(
+        f"What these data cannot test, by what is missing ({len(rows)}; how to test each: --json, not_testable):"
+    )
     for missing, own in groups.items():
-        say(f"  {missing}: {', '.join(dict.fromkeys(_name(row) for row in own))}")
+        print_line(f"  {missing}: {', '.join(dict.fromkeys(_name(row) for row in own))}")
         if len(own) == 1:
-            say(f"    how to test it: {own[0]['remedy']}")
+            print_line(f"    how to test it: {own[0]['remedy']}")
 
 
 def _next_poses(poses: Sequence[Mapping[str, Any]], told: Mapping[str, Any]) -> None:
     if not poses:
         return
-    say(f"Measure next ({len(poses)} poses):")
+    print_line(f"Measure next ({len(poses)} poses):")
     for kind, change in dict.fromkeys((p.get("kind"), p.get("change")) for p in poses):
         own = [p for p in poses if (p.get("kind"), p.get("change")) == (kind, change)]
         apart, factor = " from ".join(own[0].get("separates") or ["?"]), own[-1].get("information_factor")
         more = "" if factor is None else f", information times {number(factor, 3)} after all"
-        say(f"  {change or 'new poses'}: {len(own)}, to tell {apart}{more}")
+        print_line(f"  {change or 'new poses'}: {len(own)}, to tell {apart}{more}")
     if told.get("sentence"):
-        say(f"  {told['sentence']}")
+        print_line(f"  {told['sentence']}")
 
 
 def _name(effect: Mapping[str, Any]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from kilter_client.cli.reports.load_model_report import show_load_model
-from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.output import print_line
 from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.files import files_unusual
 from kilter_client.results.digits import decimals, ends, estimate
@@ -28,17 +28,19 @@ def show_parameters(parameters: list[Mapping[str, Any]]) -> None:
     rows = [_row(p) for p in parameters if p not in folded]
     show_rows(("parameter", "nominal", "value", "change", "95 %", "unit", ""), rows)
     if folded:
-        say(f"and {len(folded)} learned weights, {folded[0]['name']} to {folded[-1]['name']}: no physics; see --json")
+        print_line(
+            f"and {len(folded)} learned weights, {folded[0]['name']} to {folded[-1]['name']}: no physics; see --json"
+        )
 
 
 def show_identification(result: Mapping[str, Any]) -> None:
     """Print what an identification adds: method, intervals, learning, observability, groups, influence."""
     for line in _lines(result):
-        say(line)
+        print_line(line)
     if result.get("prior"):
-        say(result["prior"]["sentence"])
+        print_line(result["prior"]["sentence"])
     if result.get("masses"):
-        say(result["masses"]["sentence"])
+        print_line(result["masses"]["sentence"])
     show_load_model(result.get("load_model") or [])
     if (result.get("method") or {}).get("name") == "influence":  # of the others the page shows it
         _influence(result.get("influence") or [])
@@ -77,7 +79,7 @@ def _lines(result: Mapping[str, Any]) -> Iterator[str]:
         )
     frames = result.get("reference") or {}
     if frames:
-        yield corrected_in(frames)
+        yield describe_correction_frames(frames)
     seen = result.get("observability") or {}
     if seen:
         values = ", ".join(f"{name} {number(seen.get(name), 3)}" for name in INDICES)
@@ -89,7 +91,7 @@ def _lines(result: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {number(group['correlation'], 3)}  {', '.join(group['parameters'])}"
 
 
-def corrected_in(frames: Mapping[str, str]) -> str:
+def describe_correction_frames(frames: Mapping[str, str]) -> str:
     """Say in which frames corrections work."""
     return f"corrections work in the base frame of the {frames['base']} and the tool frame of the {frames['tool']}"
 
@@ -110,7 +112,7 @@ def _influence(rows: list[Mapping[str, Any]]) -> None:
     head = ("influence of", "off by", "mean mm", "least", "most", "mean k", "leads")
     show_rows(head, texts, numbers=True)
     if len(rows) > MOST_INFLUENCES:
-        say(f"and {len(rows) - MOST_INFLUENCES} of less influence; see --json")
+        print_line(f"and {len(rows) - MOST_INFLUENCES} of less influence; see --json")
 
 
 def _row(p: Mapping[str, Any]) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.cli.terminal.tables import number, show_rows
 
 FEW_REASONS = 2  # of one remedy, from which they stand in the JSON alone
@@ -34,37 +34,39 @@ def finish_check(told: dict[str, Any], as_json: bool) -> None:
 
 def show_check(told: Mapping[str, Any]) -> None:
     """Print a check: what a job would use and find out, and what it would fail of."""
-    say(f"{told['kind']} of {told['robot']}: {'would run' if told['would_run'] else 'would fail'}; nothing was queued")
+    print_line(
+        f"{told['kind']} of {told['robot']}: {'would run' if told['would_run'] else 'would fail'}; nothing was queued"
+    )
     for problem in told["problems"]:
-        say(f"  {problem['code']}: {problem['message']}")
+        print_line(f"  {problem['code']}: {problem['message']}")
     rows = [(c["id"], c["name"], c["use"], str(c["rows"]), number(c["poses"])) for c in told["campaigns"]]
     if rows:
         show_rows(("campaign", "name", "use", "rows", "poses"), rows)
     held = told["held_out"]
     if held["how"] != "none":
-        say(f"held out: {held['poses']} poses, {held['rows']} rows ({HOW[held['how']]})")
+        print_line(f"held out: {held['poses']} poses, {held['rows']} rows ({HOW[held['how']]})")
     _show_identifiability(told.get("identifiability"))
     testability = told.get("testability")
     if testability:
-        say(f"{len(testability['testable'])} parameters of effects can be tested")
+        print_line(f"{len(testability['testable'])} parameters of effects can be tested")
     _show_missing(told["missing"])
     for limit in told["limited"]:
-        say(f"note: {limit}")
+        print_line(f"note: {limit}")
     last = told["duration_s"]
-    say(
+    print_line(
         f"it would take some {number(last['expected'])} s ({number(last['low'])} to {number(last['high'])} s): {last['basis']}"
     )
 
 
 def _show_identifiability(told: Mapping[str, Any] | None) -> None:
     if told:
-        say(
+        print_line(
             f"{told['parameters']} parameters, {len(told['identifiable'])} identifiable, rank {told['rank']}; judged with "
             f"{number(told['noise_mm'])} mm of noise ({told['noise_from']})"
         )
         for one in (one for direction in told["null_directions"] for one in direction.get("sums") or ()):
             if len(one["parameters"]) <= MOST_TERMS:
-                say(f"  {one['sentence']}")
+                print_line(f"  {one['sentence']}")
 
 
 def _show_missing(missing: Sequence[Mapping[str, Any]]) -> None:
@@ -73,12 +75,12 @@ def _show_missing(missing: Sequence[Mapping[str, Any]]) -> None:
     for one in missing:
         by_remedy.setdefault(one["remedy"], {}).setdefault(one["reason"], []).append(one["what"])
     if by_remedy:
-        say("not determined by these data:")
+        print_line("not determined by these data:")
     for remedy, reasons in by_remedy.items():
         names = [name for own in reasons.values() for name in own]
         if len(reasons) <= FEW_REASONS:
             for reason, own in reasons.items():
-                say(f"  {', '.join(own)}: {reason}")
+                print_line(f"  {', '.join(own)}: {reason}")
         else:
-            say(f"  {', '.join(names)} ({len(names)} in all)")
-        say(f"    {remedy}")
+            print_line(f"  {', '.join(names)} ({len(names)} in all)")
+        print_line(f"    {remedy}")

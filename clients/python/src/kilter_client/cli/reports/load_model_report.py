@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.output import print_line
 from kilter_client.cli.terminal.tables import number, show_rows
 
 HEAD = ("body", "", "stated", "found", "sigma", "stated sigma", "unit")
@@ -17,7 +17,9 @@ def show_load_model(rows: Sequence[Mapping[str, Any]]) -> None:
     if seen:
         show_rows(HEAD, [_row(row) for row in seen], title="Masses that the data determine")
     if len(seen) < len(rows):
-        say(f"{len(rows) - len(seen)} of {len(rows)} masses and centres are known no better than stated; see --json")
+        print_line(
+            f"{len(rows) - len(seen)} of {len(rows)} masses and centres are known no better than stated; see --json"
+        )
 
 
 def _row(row: Mapping[str, Any]) -> tuple[str, ...]:

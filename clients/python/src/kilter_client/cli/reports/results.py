@@ -9,7 +9,7 @@ from kilter_client.cli.reports.drift_report import show_drift, show_smallest
 from kilter_client.cli.reports.gap_report import show_gap
 from kilter_client.cli.reports.identify_report import show_identification, show_parameters
 from kilter_client.cli.reports.unobservable_report import show_unobservable
-from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.output import print_line
 from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.results.shown import MODELS, nominal_words
 
@@ -25,17 +25,17 @@ MEASURES = (
 
 def show_job(job: dict[str, Any]) -> None:
     """Print a job: how it stands, and what is in its result."""
-    say(f"{job['kind']} {job['id']} of {job['robot']}: {job['state']}{_stage(job)}")
+    print_line(f"{job['kind']} {job['id']} of {job['robot']}: {job['state']}{_stage(job)}")
     error = job.get("error")
     if error:
-        say(f"  {error.get('code')}: {error.get('message')}")
+        print_line(f"  {error.get('code')}: {error.get('message')}")
     result = job.get("result") or {}
     if job["kind"] == "gap" and result:
         show_gap(result)
     elif job["kind"] == "plan" and result:
         show_plan(result)
     elif job["kind"] == "rezero" and result:
-        say(result["sentence"])
+        print_line(result["sentence"])
         show_result(result)
     elif job["kind"] == "drift" and result:
         show_drift(result)
@@ -49,38 +49,40 @@ def show_job(job: dict[str, Any]) -> None:
 def _show_made(version: str, objections: Sequence[Mapping[str, Any]]) -> None:
     """Print the version a job made, and how to go on unless something speaks against it."""
     if not objections:
-        say(f"version {version}; make it the one that corrects with: kilter activate {version}")
+        print_line(f"version {version}; make it the one that corrects with: kilter activate {version}")
         return
-    say(f"version {version} is stored, but not fit to correct with:")
+    print_line(f"version {version} is stored, but not fit to correct with:")
     for objection in objections:
-        say(f"  {objection['message']}")
+        print_line(f"  {objection['message']}")
 
 
 def show_plan(result: Mapping[str, Any]) -> None:
     """Print how many poses were planned and what they are worth."""
-    say(f"{result['count']} poses for {result['purpose']}")
+    print_line(f"{result['count']} poses for {result['purpose']}")
     if result.get("separates"):
-        say(f"{' and '.join(result['separates'])} correlate by {number(result['correlation'], 3)} in these data")
+        print_line(f"{' and '.join(result['separates'])} correlate by {number(result['correlation'], 3)} in these data")
     show_smallest(result)
     for proposal in result.get("proposals") or ():
         worth = number(proposal["information_factor"], 3)
-        say(f"  {proposal['change'] or 'new poses'}: {proposal['poses']}, information times {worth}")
+        print_line(f"  {proposal['change'] or 'new poses'}: {proposal['poses']}, information times {worth}")
     if (result.get("told_apart") or {}).get("enough"):  # that they do not is a warning
-        say(f"  {result['told_apart']['sentence']}")
+        print_line(f"  {result['told_apart']['sentence']}")
     if result.get("within") == "campaigns":
-        say("all where the robot was driven in its campaigns; --anywhere goes to its limits")
+        print_line("all where the robot was driven in its campaigns; --anywhere goes to its limits")
     for warning in result.get("warnings") or ():
-        say(f"warning: {warning['message']}")
+        print_line(f"warning: {warning['message']}")
 
 
 def show_version(version: dict[str, Any]) -> None:
     """Print a version and its parameters."""
-    say(f"version {version['id']} of {version.get('robot')}, made {str(version.get('created_at'))[:16]}")
-    say(f"  {'active' if version['active'] else 'not active'}, job {version['job_id']}, parent {version['parent_id']}")
+    print_line(f"version {version['id']} of {version.get('robot')}, made {str(version.get('created_at'))[:16]}")
+    print_line(
+        f"  {'active' if version['active'] else 'not active'}, job {version['job_id']}, parent {version['parent_id']}"
+    )
     for objection in version.get("objections") or ():
-        say(f"  not fit to correct with: {objection['message']}")
+        print_line(f"  not fit to correct with: {objection['message']}")
     for campaign in version["campaigns"]:
-        say(f"  {campaign['use']}: campaign {campaign['id']} ({campaign['name']}), {campaign['rows']} rows")
+        print_line(f"  {campaign['use']}: campaign {campaign['id']} ({campaign['name']}), {campaign['rows']} rows")
     _workspace((version.get("details") or {}).get("workspace"))
     show_result({**(version.get("details") or {}), **version})
 
@@ -89,7 +91,7 @@ def _workspace(found: Mapping[str, Any] | None) -> None:
     """Where the version corrects all over the joint limits, and why its limits are what they are."""
     if not found:
         return
-    say(f"  {found['sentence']}")
+    print_line(f"  {found['sentence']}")
     counts = {"corrected": found["ok"], "damped": found["damped"], "limited": found["limited"]}
     counts |= {f"refused ({word})": count for word, count in (found.get("refused") or {}).items()}
     rows = [(word, f"{100 * count / found['poses']:.1f} %") for word, count in counts.items() if count]
@@ -107,28 +109,28 @@ def show_result(result: Mapping[str, Any]) -> None:
     _configurations(result.get("configurations") or [])
     show_unobservable(result.get("null_directions") or [])
     for warning in result.get("warnings") or ():
-        say(f"warning: {warning.get('message', warning) if isinstance(warning, Mapping) else warning}")
+        print_line(f"warning: {warning.get('message', warning) if isinstance(warning, Mapping) else warning}")
     if result.get("noise_mm") is not None:
         source = f" (from {result['noise_source']})" if result.get("noise_source") else ""
-        say(f"noise of a coordinate: {number(result['noise_mm'])} mm{source}")
+        print_line(f"noise of a coordinate: {number(result['noise_mm'])} mm{source}")
     if result.get("pixels"):
         _pixels(result["pixels"])
 
 
 def _pixels(pixels: Mapping[str, Any]) -> None:
-    say(f"noise of a corner: {number(pixels['noise_px'])} px (within views)")
+    print_line(f"noise of a corner: {number(pixels['noise_px'])} px (within views)")
     for name, where in (("train", "views that were fitted"), ("validation", "views held out")):
         if tool := pixels.get(name):
             low, high = number(tool["low_mm"]), number(tool["high_mm"])
             off = f"{number(tool['rms_mm'])} mm rms (95 %: {low} to {high} mm)"
-            say(f"the tool in {where} is off by {off}, the noise of the views taken off")
+            print_line(f"the tool in {where} is off by {off}, the noise of the views taken off")
     _left_open(pixels)
 
 
 def _left_open(block: Mapping[str, Any], where: str = "") -> None:
     if left := block.get("left_open"):
         may = f"{number(left['rms_mm'])} mm rms (95 %: up to {number(left['high_mm'])} mm){where}"
-        say(f"by what the fit leaves open the tool may be off by {may}; views hardly see size and distance")
+        print_line(f"by what the fit leaves open the tool may be off by {may}; views hardly see size and distance")
 
 
 def _stage(job: Mapping[str, Any]) -> str:
@@ -167,10 +169,12 @@ def _metrics(metrics: Mapping[str, Any], train: str) -> None:
     show_rows(("rows", "model", *(label for _, label in measures)), rows, numbers=True)
     aside = [f"{name} {block['left_out'] or 'none'}" for name, block in blocks if block.get("left_out") is not None]
     if aside and train == "train":
-        say(f"rows left out of these errors: {', '.join(aside)}")
+        print_line(f"rows left out of these errors: {', '.join(aside)}")
     for name, block in blocks:
         if block.get("within_u95") is not None:
-            say(f"{100 * block['within_u95']:.0f} % of the coordinates of {name} lie within their 95 % intervals")
+            print_line(
+                f"{100 * block['within_u95']:.0f} % of the coordinates of {name} lie within their 95 % intervals"
+            )
         if train != "train":
             _left_open(block, f" in {name}")
         if block.get("budget"):
@@ -181,7 +185,7 @@ def _show_budget(name: str, budget: Mapping[str, Any]) -> None:
     k, u = number(budget["k"], 1), number(budget["expanded_mm"], 3)
     missing = ", ".join(budget["not_assessed"]).replace("_", " ")
     lacks = f"; not assessed: {missing}" if missing else ""
-    say(f"expanded uncertainty of a coordinate of {name} (k = {k}): {u} mm{lacks}")
+    print_line(f"expanded uncertainty of a coordinate of {name} (k = {k}): {u} mm{lacks}")
 
 
 def _label(block: Mapping[str, Any], stage: str) -> str:
@@ -205,7 +209,7 @@ def _iso9283(campaign: str, report: Mapping[str, Any]) -> None:
     texts = [(symbol, mm, repeats, str(demands)) for symbol, mm, repeats, demands in rows]
     show_rows(("ISO 9283", "mm", "repeats", "demanded"), texts, title=f"campaign {campaign}", numbers=True)
     for refused in report.get("refused") or ():
-        say(f"not given: {refused['message']}")
+        print_line(f"not given: {refused['message']}")
 
 
 def _joints(joints: list[Mapping[str, Any]]) -> None:

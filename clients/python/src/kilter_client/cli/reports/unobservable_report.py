@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.output import print_line
 
 
 def show_unobservable(directions: list[Any]) -> None:
     """Print each combination of parameters that changes nothing that was measured."""
     if not directions:
         return
-    say("What these data cannot distinguish:")
+    print_line("What these data cannot distinguish:")
     for direction in directions:
         sentence = direction.get("sentence") if isinstance(direction, Mapping) else direction
-        say(f"  - {sentence or _combination(direction)}")
+        print_line(f"  - {sentence or _combination(direction)}")
 
 
 def _combination(direction: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import File, Json
-from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import FileError
 from kilter_files import prepare
@@ -136,10 +136,10 @@ def _show_axes(found: dict[str, Any]) -> None:
         for axis in found["axes"]
     ]
     show_rows(("joint", "kind", "rows", "moved", "radius mm", "off mm", "axis ± deg", "axis ± mm"), rows)
-    say(f"the whole robot is {found['rms_mm']:.4g} mm (rms) from all rows")
+    print_line(f"the whole robot is {found['rms_mm']:.4g} mm (rms) from all rows")
 
 
 def _show_frame(found: dict[str, Any]) -> None:
-    say(json.dumps(found["pose"]))
+    print_line(json.dumps(found["pose"]))
     show_rows(("point", "off mm"), [(point["name"], f"{point['left_mm']:.4f}") for point in found["points"]])
-    say(f"rms {found['rms_mm']:.4g} mm")
+    print_line(f"rms {found['rms_mm']:.4g} mm")

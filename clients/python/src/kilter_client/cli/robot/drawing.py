@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
-from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.output import print_line
 from kilter_client.cli.terminal.tables import show_rows
 
 Document = dict[str, Any]
@@ -19,21 +19,21 @@ VIEWS = (("from the side: x to the right, z up", 0, 2), ("from above: x to the r
 
 def show_check(document: Document) -> None:
     """Print the check of a robot."""
-    say(f"{document['name']} at zero, o base, 1 2 3 ... axes, * flange, T tool")
+    print_line(f"{document['name']} at zero, o base, 1 2 3 ... axes, * flange, T tool")
     for title, across, up in VIEWS:
-        say(f"\n{title}")
-        say(drawing([(p[across], p[up]) for p in document["zero"]["points_mm"]]))
+        print_line(f"\n{title}")
+        print_line(drawing([(p[across], p[up]) for p in document["zero"]["points_mm"]]))
     tool = document["zero"]["tool"]
-    say(f"\ntool at zero: {', '.join(f'{name} {value:g}' for name, value in tool.items())}")
-    say(f"reach of the tool from the first axis: {document['reach_mm']:.0f} mm\n")
+    print_line(f"\ntool at zero: {', '.join(f'{name} {value:g}' for name, value in tool.items())}")
+    print_line(f"reach of the tool from the first axis: {document['reach_mm']:.0f} mm\n")
     columns = ("", "joint", "kind", "axis", "through mm", "to the one before", "limits")
     show_rows(columns, [_axis(k, axis, document["joints"]) for k, axis in enumerate(document["axes"], 1)])
     for word in document.get("drives") or ():
-        say(f"drive: {word}")
+        print_line(f"drive: {word}")
     for word in document["suspicious"] or ("nothing",):
-        say(f"suspicious: {word}")
+        print_line(f"suspicious: {word}")
     for word in document["notes"]:
-        say(f"note: {word}")
+        print_line(f"note: {word}")
 
 
 def _axis(number: int, axis: Document, joints: Sequence[Document]) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
 from kilter_client.cli.terminal.arguments import Json, Robot
-from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
 from kilter_client.requests.calls import meshes as calls
@@ -86,7 +86,7 @@ def remove(robot: Robot, link: Link, as_json: Json = False) -> None:
     """Delete the shape of a link: it is drawn as cylinders again."""
     with Kilter() as kilter:
         kilter.run(calls.remove(robot, link))
-    emit({"removed": link}, as_json, lambda _: say(f"{link} is drawn as cylinders."))
+    emit({"removed": link}, as_json, lambda _: print_line(f"{link} is drawn as cylinders."))
 
 
 def _package(text: str) -> tuple[str, Path]:
@@ -104,4 +104,4 @@ def _show(document: dict[str, Any]) -> None:
     if rows:
         show_rows(("link", "format", "unit", "triangles", "SHA-256"), rows)
     else:
-        say("No link has a shape: it is drawn as cylinders.")
+        print_line("No link has a shape: it is drawn as cylinders.")

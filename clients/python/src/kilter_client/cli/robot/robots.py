@@ -18,7 +18,7 @@ from kilter_client.cli.robot.robot_file import RobotSource, takes_a_robot
 from kilter_client.cli.stored import keeping
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import Json, Retired, Robot
-from kilter_client.cli.terminal.output import emit, note, say
+from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
 
@@ -61,7 +61,7 @@ def add(
     with Kilter() as kilter:
         emit(kilter.robots.add(document), as_json, _show)
         for line in () if as_json else kilter.robots.check(document)["suspicious"]:
-            say(f"suspicious: {line}")
+            print_line(f"suspicious: {line}")
 
 
 @robot.command(epilog="Example: kilter robot check arm.csv --name arm --convention dh --plot arm.png")
@@ -123,7 +123,7 @@ def compensation(
         emit(
             kilter.robots.compensation(robot, compensation.value),
             as_json,
-            lambda found: say(found["controller_sentence"]),
+            lambda found: print_line(found["controller_sentence"]),
         )
 
 
@@ -144,11 +144,13 @@ def show(robot: Robot, as_json: Json = False) -> None:
 
 def say_document(document: dict[str, Any]) -> None:
     """Print a robot document as it would stand in its file."""
-    say(json.dumps(document, indent=1))
+    print_line(json.dumps(document, indent=1))
 
 
 def _show(document: dict[str, Any]) -> None:
-    say(f"{document['name']} ({document['convention']}), active version: {document.get('active_version') or 'none'}")
+    print_line(
+        f"{document['name']} ({document['convention']}), active version: {document.get('active_version') or 'none'}"
+    )
     rows = [
         (
             str(number),
@@ -160,16 +162,16 @@ def _show(document: dict[str, Any]) -> None:
         for number, joint in enumerate(document.get("joints", ()), 1)
     ]
     show_rows(("", "joint", "kind", "limits", "gear ratio"), rows)
-    say(document["controller_sentence"])
-    say(f"parameters: {', '.join(document.get('parameters', ())) or 'none'}")
+    print_line(document["controller_sentence"])
+    print_line(f"parameters: {', '.join(document.get('parameters', ())) or 'none'}")
     load = (document.get("document") or {}).get("load")
     if load:
         centre = ", ".join(f"{value:g}" for value in load.get("payload_com_mm") or (0, 0, 0))
-        say(f"default load: {load['payload_kg']:g} kg at ({centre}) mm in the tool frame")
+        print_line(f"default load: {load['payload_kg']:g} kg at ({centre}) mm in the tool frame")
     if document.get("remarks"):
-        say(f"remarks: {document['remarks']}")
+        print_line(f"remarks: {document['remarks']}")
     for remark in document.get("notes", ()):
-        say(f"note: {remark}")
+        print_line(f"note: {remark}")
 
 
 def _limits(joint: dict[str, Any]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from kilter_client.cli.terminal.output import say
+from kilter_client.cli.terminal.output import print_line
 from kilter_client.cli.terminal.tables import show_rows
 
 STATES = {
@@ -13,7 +13,7 @@ STATES = {
 }  # fmt: skip
 
 
-def _plain(value: float | None) -> str:
+def _format_value(value: float | None) -> str:
     return "" if value is None else f"{value:.6g}"
 
 
@@ -22,7 +22,7 @@ def show(document: dict[str, Any]) -> None:
     if "numbers" not in document:
         return
     rows = [
-        (one["where"], one["name"], *(_plain(one[key]) for key in ("nominal", "exported", "difference")))
+        (one["where"], one["name"], *(_format_value(one[key]) for key in ("nominal", "exported", "difference")))
         for one in document["numbers"]
     ]
     show_rows(("joint or frame", "number", "nominal", "exported", "difference"), rows)
@@ -33,4 +33,4 @@ def show(document: dict[str, Any]) -> None:
         within = "–" if half is None or one["state"] in ("held", "shared") else f"± {half:.2g} {unit}"
         offsets.append((one["joint"], f"{one[f'offset_{unit}']:+.6g} {unit}", within, STATES[one["state"]]))
     show_rows(("joint", "zero offset", "95 %", "how well it is known"), offsets)
-    say(document["zero_offsets_sign"])
+    print_line(document["zero_offsets_sign"])

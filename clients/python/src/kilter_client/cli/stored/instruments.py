@@ -10,10 +10,10 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import emit, say
+from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.requests.calls import instruments as calls
-from kilter_client.verbs.inputs import day_of
+from kilter_client.verbs.inputs import parse_day
 
 instrument = typer.Typer(
     help="Instruments and their certificates.", no_args_is_help=True, rich_markup_mode=None, cls=Group
@@ -74,8 +74,8 @@ def add(
         "mpe_um": mpe_um,
         "mpe_um_per_m": mpe_um_per_m,
         "certificate": certificate,
-        "certified_on": day_of(certified_on),
-        "valid_until": day_of(valid_until),
+        "certified_on": parse_day(certified_on),
+        "valid_until": parse_day(valid_until),
         "notes": notes,
     }
     with Kilter() as kilter:
@@ -90,7 +90,7 @@ def list_(as_json: Json = False) -> None:
 
 
 def _show_one(one: dict[str, Any]) -> None:
-    say(f"instrument {one['name']}: {one['kind']}, serial number {one['serial_number']}, MPE {_mpe(one)}")
+    print_line(f"instrument {one['name']}: {one['kind']}, serial number {one['serial_number']}, MPE {_mpe(one)}")
 
 
 def _show(document: dict[str, Any]) -> None:
@@ -104,7 +104,7 @@ def _show(document: dict[str, Any]) -> None:
     if rows:
         show_rows(("instrument", "kind", "serial number", "MPE", "by", "certificate", "valid until"), rows)
     else:
-        say("There is no instrument yet: add it with `kilter instrument add`.")
+        print_line("There is no instrument yet: add it with `kilter instrument add`.")
 
 
 def _mpe(one: dict[str, Any]) -> str:

@@ -9,8 +9,8 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.groups import WithDefault
 from kilter_client.cli.terminal.arguments import Json, Robot
-from kilter_client.cli.terminal.output import emit, say
-from kilter_client.cli.terminal.references import OfRobot, resolved
+from kilter_client.cli.terminal.output import emit, print_line
+from kilter_client.cli.terminal.references import OfRobot, resolve_reference
 from kilter_client.errors import ApiError, UsageError
 from kilter_client.resources.references import Kind, is_full
 
@@ -60,15 +60,19 @@ def _register_use(group: typer.Typer, kind: Kind) -> None:
     def retire(reference: ResourceReference, robot: OfRobot = None, as_json: Json = False) -> None:
         """Take it out of use: lists leave it out, no job uses it. What cites it stays as it is."""
         with Kilter() as kilter:
-            document = _kept(kilter, kind).retire(resolved(kilter, kind, reference, robot, as_json))
-        emit(document, as_json, lambda _: say(f"{kind} {document['id']} is retired"))
+            document = _resource_for_kind(kilter, kind).retire(
+                resolve_reference(kilter, kind, reference, robot, as_json)
+            )
+        emit(document, as_json, lambda _: print_line(f"{kind} {document['id']} is retired"))
 
     @group.command(epilog=f"Example: kilter {kind}s restore {example}")
     def restore(reference: ResourceReference, robot: OfRobot = None, as_json: Json = False) -> None:
         """Bring it back into use."""
         with Kilter() as kilter:
-            document = _kept(kilter, kind).restore(resolved(kilter, kind, reference, robot, as_json))
-        emit(document, as_json, lambda _: say(f"{kind} {document['id']} is in use again"))
+            document = _resource_for_kind(kilter, kind).restore(
+                resolve_reference(kilter, kind, reference, robot, as_json)
+            )
+        emit(document, as_json, lambda _: print_line(f"{kind} {document['id']} is in use again"))
 
     @group.command(epilog=f"Example: kilter {kind}s purge {example}61e82fd541c1ab --yes")
     def purge(
@@ -79,9 +83,9 @@ def _register_use(group: typer.Typer, kind: Kind) -> None:
         """Delete it for good, if nothing cites it; its hash is kept."""
         with Kilter() as kilter:
             if not is_full(kind, full_id):
-                raise UsageError(f"A purge takes the full id{_of(kilter, kind, full_id)}")
+                raise UsageError(f"A purge takes the full id{_describe_reference(kilter, kind, full_id)}")
             _refuse_unsure(yes, f"kilter {kind}s purge {full_id}")
-            document = _kept(kilter, kind).purge(full_id)
+            document = _resource_for_kind(kilter, kind).purge(full_id)
         emit(document, as_json, _show_tombstone)
 
 
@@ -92,19 +96,19 @@ def register_robot(group: typer.Typer) -> None:
     def note(robot: Robot, text: Text, as_json: Json = False) -> None:
         """Add a note to a robot, replacing the previous one."""
         with Kilter() as kilter:
-            emit(kilter.robots.note(robot, text), as_json, lambda _: say(f"robot {robot}: {text}"))
+            emit(kilter.robots.note(robot, text), as_json, lambda _: print_line(f"robot {robot}: {text}"))
 
     @group.command(epilog="Example: kilter robot retire ur10")
     def retire(robot: Robot, as_json: Json = False) -> None:
         """Take a robot out of use: lists leave it out, nothing new is made of it. An active version keeps correcting."""
         with Kilter() as kilter:
-            emit(kilter.robots.retire(robot), as_json, lambda _: say(f"robot {robot} is retired"))
+            emit(kilter.robots.retire(robot), as_json, lambda _: print_line(f"robot {robot} is retired"))
 
     @group.command(epilog="Example: kilter robot restore ur10")
     def restore(robot: Robot, as_json: Json = False) -> None:
         """Bring a robot back into use."""
         with Kilter() as kilter:
-            emit(kilter.robots.restore(robot), as_json, lambda _: say(f"robot {robot} is in use again"))
+            emit(kilter.robots.restore(robot), as_json, lambda _: print_line(f"robot {robot} is in use again"))
 
     @group.command(epilog="Example: kilter robot purge ur10 --yes")
     def purge(robot: Robot, yes: Yes = False, as_json: Json = False) -> None:
@@ -114,18 +118,20 @@ def register_robot(group: typer.Typer) -> None:
             emit(kilter.robots.purge(robot), as_json, _show_tombstone)
 
 
-def _kept(kilter: Kilter, kind: Kind) -> Any:
+def _resource_for_kind(kilter: Kilter, kind: Kind) -> Any:
     return kilter.campaigns if kind == "campaign" else kilter.versions
 
 
 def _change(kind: Kind, reference: str, robot: str | None, as_json: bool, **words: str | None) -> None:
     with Kilter() as kilter:
-        document = _kept(kilter, kind).change(resolved(kilter, kind, reference, robot, as_json), **words)
+        document = _resource_for_kind(kilter, kind).change(
+            resolve_reference(kilter, kind, reference, robot, as_json), **words
+        )
     told = f" {document['name']!r}" if document["name"] else ""
-    emit(document, as_json, lambda _: say(f"{kind} {document['id']}{told}: {document['notes'] or 'no notes'}"))
+    emit(document, as_json, lambda _: print_line(f"{kind} {document['id']}{told}: {document['notes'] or 'no notes'}"))
 
 
-def _of(kilter: Kilter, kind: Kind, reference: str) -> str:
+def _describe_reference(kilter: Kilter, kind: Kind, reference: str) -> str:
     """Return what a reference that is not a full id stands for, as the end of a sentence."""
     try:
         return f": {reference!r} is {kilter.resolve(kind, reference).id}. Give that, if it is the one."
@@ -139,4 +145,4 @@ def _refuse_unsure(yes: bool, command: str) -> None:
 
 
 def _show_tombstone(document: dict[str, Any]) -> None:
-    say(f"{document['kind']} {document['id']} is purged (sha256 {document['sha256'][:12]} is kept)")
+    print_line(f"{document['kind']} {document['id']} is purged (sha256 {document['sha256'][:12]} is kept)")

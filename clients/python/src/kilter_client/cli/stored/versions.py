@@ -12,14 +12,14 @@ from kilter_client.cli.reports.activation_report import show_activations, show_a
 from kilter_client.cli.reports.results import show_version
 from kilter_client.cli.stored import exported, keeping
 from kilter_client.cli.terminal.arguments import Json, Retired, Robot, VersionId
-from kilter_client.cli.terminal.output import emit, note, say
-from kilter_client.cli.terminal.references import OfRobot, resolved
+from kilter_client.cli.terminal.output import emit, note, print_line
+from kilter_client.cli.terminal.references import OfRobot, resolve_reference
 from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.errors import UsageError
 from kilter_client.files import files_exported
 from kilter_client.requests.calls.versions import NOMINAL
 from kilter_client.results.digits import decimals, estimate
-from kilter_client.results.rows import saved
+from kilter_client.results.rows import write_file
 
 MASSES = "load_error"  # carried beside effects that follow loads: nobody asks for it
 
@@ -55,7 +55,7 @@ def list_(robot: Robot, retired: Retired = False, as_json: Json = False) -> None
 def version(version: VersionId, robot: OfRobot = None, as_json: Json = False) -> None:
     """Show a version: where it comes from, and its parameters."""
     with Kilter() as kilter:
-        version = resolved(kilter, "version", version, robot, as_json)
+        version = resolve_reference(kilter, "version", version, robot, as_json)
         emit(kilter.versions.get(version), as_json, show_version)
 
 
@@ -68,7 +68,7 @@ def activate(
 ) -> None:
     """Make a version the one that corrects, unless it predicts worse than the active one."""
     with Kilter() as kilter:
-        version = resolved(kilter, "version", version, robot, as_json)
+        version = resolve_reference(kilter, "version", version, robot, as_json)
         document = kilter.versions.activate(version, force=force, reason=reason)
     emit(document, as_json, lambda _: show_active(document, "active"))
 
@@ -120,7 +120,7 @@ def export(
     if as_json and output is None:
         raise UsageError("--json reports what was written: name the file with -o.")
     with Kilter() as kilter:
-        version = resolved(kilter, "version", version, robot, as_json)
+        version = resolve_reference(kilter, "version", version, robot, as_json)
         content = kilter.versions.export(version, form)
     for said in content.notes:
         note(f"Note: {said}", as_json)
@@ -135,7 +135,7 @@ def export(
 
 def _show_written(document: dict[str, Any]) -> None:
     exported.show(document)
-    say(f"{document['output']}: {document['bytes']} bytes")
+    print_line(f"{document['output']}: {document['bytes']} bytes")
 
 
 def write(output: Path, content: bytes) -> None:
@@ -145,7 +145,7 @@ def write(output: Path, content: bytes) -> None:
         FileError: it cannot be written.
 
     """
-    saved(content, output)
+    write_file(content, output)
 
 
 def _show_list(document: dict[str, Any]) -> None:
@@ -182,24 +182,24 @@ def _of_diff(kilter: Kilter, one: str, robot: str | None, as_json: bool) -> str:
     """The id of what is compared: a version, the job that made one, or the nominal robot."""
     if one == NOMINAL:
         return one
-    return resolved(kilter, "job" if one.startswith("job_") else "version", one, robot, as_json)
+    return resolve_reference(kilter, "job" if one.startswith("job_") else "version", one, robot, as_json)
 
 
 def _show_diff(document: dict[str, Any]) -> None:
-    say((document.get("paired") or {}).get("sentence") or document.get("not_paired") or "")
+    print_line((document.get("paired") or {}).get("sentence") or document.get("not_paired") or "")
     for word in ("added", "removed"):
         if document[f"effects_{word}"]:
-            say(f"effects {word}: {', '.join(document[f'effects_{word}'])}")
+            print_line(f"effects {word}: {', '.join(document[f'effects_{word}'])}")
     sides = [NOMINAL if document[key] == NOMINAL else word for key, word in (("a", "first"), ("b", "second"))]
     moved = [p for p in document["parameters"] if p.get("moved", True)]
     if moved:
-        show_rows(("parameter", *sides, "change", "unit"), [_compared(p) for p in moved])
+        show_rows(("parameter", *sides, "change", "unit"), [_comparison_row(p) for p in moved])
     rest = len(document["parameters"]) - len(moved)
     if rest:
-        say(f"{rest} more differ by less than their uncertainty or not at all; --json has them.")
+        print_line(f"{rest} more differ by less than their uncertainty or not at all; --json has them.")
 
 
-def _compared(p: dict[str, Any]) -> tuple[str, ...]:
+def _comparison_row(p: dict[str, Any]) -> tuple[str, ...]:
     """A row of a comparison; the change has the digits that the less certain of both allows."""
     values = [
         number(p[key], 7) if p.get(f"sigma_{key}") is None else estimate(p[key], decimals(p[f"sigma_{key}"]))

@@ -38,7 +38,7 @@ def emit(document: Document, as_json: bool, show: Callable[[Document], None]) ->
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def say(text: str = "") -> None:
+def print_line(text: str = "") -> None:
     """Print a line for people on stdout."""
     print(text)
 
@@ -46,9 +46,9 @@ def say(text: str = "") -> None:
 def say_remarks(document: Document) -> None:
     """Print the notes and warnings of a document, a line each."""
     for text in document["notes"]:
-        say(f"  {text}")
+        print_line(f"  {text}")
     for text in document["warnings"]:
-        say(f"  Warning: {text}.")
+        print_line(f"  Warning: {text}.")
 
 
 def note(text: str, as_json: bool = False) -> None:

@@ -33,7 +33,7 @@ def _fitting(widths: list[int], screen: int) -> list[int]:
 
 
 def _lines(cells: Sequence[str], widths: Sequence[int], numbers: bool) -> Iterator[str]:
-    folded = [_folded(cell, width) for cell, width in zip(cells, widths, strict=True)]
+    folded = [_wrap_cell(cell, width) for cell, width in zip(cells, widths, strict=True)]
     for parts in zip_longest(*folded, fillvalue=""):
         set_ = [
             part.rjust(width) if numbers and k else part.ljust(width)
@@ -42,5 +42,5 @@ def _lines(cells: Sequence[str], widths: Sequence[int], numbers: bool) -> Iterat
         yield (" " * GAP).join(set_).rstrip()
 
 
-def _folded(cell: str, width: int) -> list[str]:
+def _wrap_cell(cell: str, width: int) -> list[str]:
     return textwrap.wrap(cell, width) or [""] if len(cell) > width else [cell]

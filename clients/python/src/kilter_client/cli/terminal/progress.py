@@ -14,7 +14,7 @@ from kilter_client.verbs.progress import bars
 @contextmanager
 def upload_bar(name: str, as_json: bool, doing: str = "sending") -> Iterator[Callable[[int, int], None]]:
     """Show how much is done of the total: bytes sent, or what else is being done."""
-    if not _watched(as_json):
+    if not _is_interactive(as_json):
         yield lambda sent, total: None
         return
     with bars(stderr=True) as bar:
@@ -25,7 +25,7 @@ def upload_bar(name: str, as_json: bool, doing: str = "sending") -> Iterator[Cal
 @contextmanager
 def job_bar(name: str, as_json: bool) -> Iterator[Callable[[float, str], None]]:
     """Show the fraction and the stage of a job; where nobody watches a bar, say once that the server is away."""
-    if not _watched(as_json):
+    if not _is_interactive(as_json):
         yield _said_once(name, as_json)
         return
     with bars(stderr=True) as bar:
@@ -36,13 +36,13 @@ def job_bar(name: str, as_json: bool) -> Iterator[Callable[[float, str], None]]:
 def _said_once(name: str, as_json: bool) -> Callable[[float, str], None]:
     said: set[str] = set()
 
-    def say(_: float, stage: str) -> None:
+    def note_stage_once(_: float, stage: str) -> None:
         if stage == AWAY and stage not in said:
             said.add(stage)
             note(f"{name}: {stage}", as_json)
 
-    return say
+    return note_stage_once
 
 
-def _watched(as_json: bool) -> bool:
+def _is_interactive(as_json: bool) -> bool:
     return not as_json and sys.stderr.isatty()

@@ -19,7 +19,9 @@ OfRobot = Annotated[
 ]
 
 
-def resolved(kilter: Kilter, kind: Kind, reference: str, robot: str | None, as_json: bool, option: str = "") -> str:
+def resolve_reference(
+    kilter: Kilter, kind: Kind, reference: str, robot: str | None, as_json: bool, option: str = ""
+) -> str:
     """Return the id that a reference stands for, and say it; a full id is taken as it is.
 
     ``option`` is where it was typed; a refusal begins with it.
@@ -50,7 +52,7 @@ def resolved_all(
     kilter: Kilter, kind: Kind, references: Iterable[str], robot: str | None, as_json: bool, option: str = ""
 ) -> list[str]:
     """Return the ids that references stand for, and say them."""
-    return [resolved(kilter, kind, reference, robot, as_json, option) for reference in references]
+    return [resolve_reference(kilter, kind, reference, robot, as_json, option) for reference in references]
 
 
 def resolved_options(
@@ -62,6 +64,6 @@ def resolved_options(
     """
     named = {key: value for key, value in options.items() if key in ("start", "version") and isinstance(value, str)}
     return options | {
-        key: resolved(kilter, "version", value, robot, as_json, f"--{typed.get(key, key)}")
+        key: resolve_reference(kilter, "version", value, robot, as_json, f"--{typed.get(key, key)}")
         for key, value in named.items()
     }

@@ -48,7 +48,7 @@ PLAIN: Sequence[tuple[str, str]] = (
 NOT_KNOWN = ("not_found", "method_not_allowed")
 
 
-def reworded(error: KilterError, arguments: Sequence[str]) -> KilterError:
+def rephrase_error(error: KilterError, arguments: Sequence[str]) -> KilterError:
     """Return the error with its sentence in the words of the command line ``arguments``."""
     if error.code in NOT_KNOWN:
         error.detail = (
@@ -56,7 +56,7 @@ def reworded(error: KilterError, arguments: Sequence[str]) -> KilterError:
             "`kilter --version` shows both."
         )
         return error
-    error.detail = in_words(error.detail, parameters_of(arguments), str(error.context.get("option") or ""))
+    error.detail = in_words(error.detail, parameters_by_request_name(arguments), str(error.context.get("option") or ""))
     return error
 
 
@@ -78,17 +78,17 @@ def in_words(detail: str, flags: Mapping[str, str], option: str = "") -> str:
     return said if said.endswith((".", "!", "?")) else f"{said}."
 
 
-def parameters_of(arguments: Sequence[str]) -> dict[str, str]:
+def parameters_by_request_name(arguments: Sequence[str]) -> dict[str, str]:
     """Return the options and arguments of the command that was typed, by what the request calls them."""
-    command = command_of(arguments)
-    found = {} if command is None else {parameter.name: _shown(parameter) for parameter in command.params}
+    command = find_command(arguments)
+    found = {} if command is None else {parameter.name: _parameter_label(parameter) for parameter in command.params}
     for name, other in OTHER_NAMES.items():
         if name not in found and other in found:
             found[name] = found[other]
     return found
 
 
-def command_of(arguments: Sequence[str]) -> Any:
+def find_command(arguments: Sequence[str]) -> Any:
     """Return the command that ``arguments`` call, None when they call none."""
     words = [word for word in arguments if not word.startswith("-")]
     if not words or words[0] not in ENTRIES:
@@ -101,7 +101,7 @@ def command_of(arguments: Sequence[str]) -> Any:
     return inside.get(words[1] if len(words) > 1 else default, inside.get(default))
 
 
-def _shown(parameter: Any) -> str:
+def _parameter_label(parameter: Any) -> str:
     if parameter.param_type_name == "argument":
         return str(parameter.metavar or parameter.name.upper())
     return str(next((text for text in parameter.opts if text.startswith("--")), parameter.opts[0]))

@@ -80,11 +80,11 @@ def verify_audit(head: str | None = None) -> Steps[Document]:
         ConflictError: an entry was changed, left out or put in, or the noted one is not there any more.
 
     """
-    number, sha256 = checked((yield from audit()), head)
+    number, sha256 = verify_entries((yield from audit()), head)
     return {"entries": number, "sha256": sha256, "head": f"{number}:{sha256}"}
 
 
-def checked(entries: Iterable[Document], head: str | None = None) -> tuple[int, str]:
+def verify_entries(entries: Iterable[Document], head: str | None = None) -> tuple[int, str]:
     """Return number and hash of the last of entries that continue each other; raises as ``verify_audit`` does."""
     number, before, seen = 0, "", head in (None, "0:")
     for entry in entries:

@@ -10,18 +10,18 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.requests.calls.kept import place
-from kilter_client.requests.calls.references import id_of
+from kilter_client.requests.calls.references import resolve_id
 from kilter_client.requests.steps import (
     Document,
     Request,
     Sent,
     Steps,
     address,
-    answer_of,
     get,
     idempotency_header,
     post,
     read,
+    send_with_retries,
 )
 
 if TYPE_CHECKING:
@@ -32,10 +32,10 @@ UPLOAD_TIMEOUT_S = 600.0
 
 def add(robot: str, wanted: Mapping[str, Any]) -> Steps[Document]:
     """Add a campaign to a robot."""
-    return post(address("robots", robot, "campaigns"), _stated(wanted), idempotency_header())
+    return post(address("robots", robot, "campaigns"), _drop_unstated_fields(wanted), idempotency_header())
 
 
-def _stated(wanted: Mapping[str, Any]) -> Document:
+def _drop_unstated_fields(wanted: Mapping[str, Any]) -> Document:
     """A campaign as it is sent: without what is false or not stated, so that an earlier server takes it."""
     return {
         key: value
@@ -60,10 +60,10 @@ def commit(campaign_id: str, sha256: Sequence[str]) -> Steps[Document]:
 
 def discard(campaign_id: str) -> Steps[None]:
     """Delete a staged campaign with all that was sent to it."""
-    yield from answer_of(Request("DELETE", address("campaigns", campaign_id)))
+    yield from send_with_retries(Request("DELETE", address("campaigns", campaign_id)))
 
 
-def one(campaign: str, robot: str | None = None) -> Steps[Document]:
+def fetch_document(campaign: str, robot: str | None = None) -> Steps[Document]:
     """Return a campaign and its uploads."""
     path = yield from place("campaign", campaign, robot)
     return (yield from get(path))
@@ -78,13 +78,13 @@ def suspicious(campaign: str, robot: str | None = None) -> Steps[Document]:
 def rows(campaign: str, form: str = "csv", robot: str | None = None) -> Steps[bytes]:
     """Return the rows of a campaign as a file (csv, parquet, json), with the columns of their upload."""
     path = yield from place("campaign", campaign, robot, "observations")
-    answer = yield from answer_of(Request("GET", path, params={"format": form}))
+    answer = yield from send_with_retries(Request("GET", path, params={"format": form}))
     return answer.content
 
 
 def upload(campaign: str, file: Prepared, sent: Sent | None = None, robot: str | None = None) -> Steps[Document]:
     """Send observations."""
-    found = yield from id_of("campaign", campaign, robot)
+    found = yield from resolve_id("campaign", campaign, robot)
     return (yield from send(found, file, sent))
 
 
@@ -108,7 +108,7 @@ def check(
     path = address("robots", robot, "observations", "check")
     content, headers = file.content, {"Content-Type": file.content_type, "Content-Digest": _digest(file.sha256)}
     if wanted is not None:
-        content, kind = _form(_stated(wanted), file)
+        content, kind = _form(_drop_unstated_fields(wanted), file)
         headers = {"Content-Type": kind, "Content-Digest": _digest(hashlib.sha256(content).hexdigest())}
     params = {} if into is None else {"campaign": into}
     asked = Request("POST", path, params=params, content=content, headers=headers, timeout_s=UPLOAD_TIMEOUT_S)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_client.requests.calls.jobs import Progress, Watch, looked_at
+from kilter_client.requests.calls.jobs import Progress, Watch, poll_until_finished
 from kilter_client.requests.steps import Document, Request, Steps, address, get, idempotency_header, post, read
 
 PLACE = "fleet-jobs"
@@ -70,7 +70,7 @@ def wait_for_fleet(
 
     """
     watch = Watch(fleet_job, progress, timeout_s, FOLLOW)
-    yield from looked_at(address(PLACE, fleet_job), watch)
+    yield from poll_until_finished(address(PLACE, fleet_job), watch)
     return watch.last
 
 

@@ -15,7 +15,7 @@ from kilter_client.errors import (
     NotFoundError,
     ServerUnreachableError,
 )
-from kilter_client.requests.calls.references import id_of, resolved_request
+from kilter_client.requests.calls.references import resolve_id, resolved_request
 from kilter_client.requests.steps import (
     Document,
     Follow,
@@ -42,7 +42,7 @@ LOOK_TIMEOUT_S = 10.0
 AWAY = f"the server does not answer, waiting up to {PATIENCE_S:.0f} s for it"
 
 
-def asked(
+def request_body(
     kind: str,
     robot: str,
     campaigns: Sequence[str],
@@ -76,15 +76,15 @@ def list_jobs(robot: str | None = None, limit: int = 100) -> Steps[list[Document
     return list(found["jobs"])
 
 
-def one(job: str, robot: str | None = None) -> Steps[Document]:
+def fetch_document(job: str, robot: str | None = None) -> Steps[Document]:
     """Return a job's document; the id may be its beginning, a name, or ``latest`` with its robot."""
-    found = yield from id_of("job", job, robot)
+    found = yield from resolve_id("job", job, robot)
     return (yield from get(address("jobs", found)))
 
 
 def cancel(job: str, robot: str | None = None) -> Steps[Document]:
     """Ask a job to stop."""
-    found = yield from id_of("job", job, robot)
+    found = yield from resolve_id("job", job, robot)
     return (yield from post(address("jobs", found, "cancel")))
 
 
@@ -93,17 +93,17 @@ def wait(job: str, progress: Progress | None, timeout_s: float | None, robot: st
 
     It is followed by its events; when they are refused, or break off before they say anything, by looking.
     """
-    found = yield from id_of("job", job, robot)
+    found = yield from resolve_id("job", job, robot)
     watch = Watch(found, progress, timeout_s)
-    yield from _followed(found, watch)
+    yield from _follow_events(found, watch)
     if not watch.over:
-        yield from looked_at(address("jobs", found), watch)
-    return succeeded(watch.last if "result" in watch.last else (yield from one(found)))
+        yield from poll_until_finished(address("jobs", found), watch)
+    return require_success(watch.last if "result" in watch.last else (yield from fetch_document(found)))
 
 
-def _followed(job_id: str, watch: Watch) -> Steps[None]:
+def _follow_events(job_id: str, watch: Watch) -> Steps[None]:
     """Follow the events, each time from the last one that was heard, for as long as they bring news."""
-    follow, breaks = Follow(address("jobs", job_id, "events"), watch.told), 0
+    follow, breaks = Follow(address("jobs", job_id, "events"), watch.process_news), 0
     while True:
         known = follow.events.last_id
         try:
@@ -116,7 +116,7 @@ def _followed(job_id: str, watch: Watch) -> Steps[None]:
         breaks = 0 if follow.events.last_id != known else breaks + 1
         if watch.over or not follow.events.last_id or breaks > MOST_BREAKS:
             return
-        yield from looked_at(address("jobs", job_id), watch, until_answered=True)
+        yield from poll_until_finished(address("jobs", job_id), watch, until_answered=True)
         if watch.over:
             return
         yield Pause(POLL_S[min(breaks, len(POLL_S) - 1)])
@@ -137,20 +137,20 @@ class Watch:
         """Whether the job has ended, as far as was heard."""
         return self.last.get("state") in FINISHED
 
-    def told(self, document: Document) -> bool:
+    def process_news(self, document: Document) -> bool:
         """Take news of the job; whether it has ended."""
         self.last = document
         if self._progress is not None:
-            self._progress(*progress_of(document))
+            self._progress(*progress_and_stage(document))
         if self.over:
             return True
         self._in_time(str(document.get("state")))
         return False
 
-    def away(self) -> None:
+    def note_no_answer(self) -> None:
         """Take that there was no answer."""
         if self._progress is not None:
-            self._progress(progress_of(self.last)[0], AWAY)
+            self._progress(progress_and_stage(self.last)[0], AWAY)
         self._in_time("without an answer")
 
     def gone(self, request_id: str | None) -> ServerUnreachableError:
@@ -170,7 +170,7 @@ class Watch:
             )
 
 
-def looked_at(path: str, watch: Watch, until_answered: bool = False) -> Steps[None]:
+def poll_until_finished(path: str, watch: Watch, until_answered: bool = False) -> Steps[None]:
     """Look at the job's document until it has ended, through a restart of the server within ``PATIENCE_S``.
 
     With ``until_answered`` only until the server is back: what a job that goes on does, its events tell.
@@ -186,12 +186,12 @@ def looked_at(path: str, watch: Watch, until_answered: bool = False) -> Steps[No
             if time.monotonic() - heard > PATIENCE_S:
                 raise watch.gone(error.request_id) from error
             yield Relocate()
-            watch.away()
+            watch.note_no_answer()
         else:
             heard = time.monotonic()
             if until_answered and job.get("state") not in FINISHED:
                 return
-            if watch.told(job):
+            if watch.process_news(job):
                 return
         yield Pause(POLL_S[min(looks, len(POLL_S) - 1)])
         looks += 1
@@ -202,7 +202,7 @@ def _may_pass(error: ServerUnreachableError | ApiError) -> bool:
     return isinstance(error, ServerUnreachableError) or (error.status or 0) >= 500
 
 
-def succeeded(job: Document) -> Document:
+def require_success(job: Document) -> Document:
     """Return a finished job, or raise what it failed with."""
     state = job.get("state")
     if state == "succeeded":
@@ -214,7 +214,7 @@ def succeeded(job: Document) -> Document:
     raise JobFailedError(str(said or f"Job {job.get('id')} is {state}."), job=job, code=error.get("code"))
 
 
-def progress_of(job: Document) -> tuple[float, str]:
+def progress_and_stage(job: Document) -> tuple[float, str]:
     """Return the fraction that is done, and the stage."""
     progress = job.get("progress") or job
     return float(progress.get("fraction") or 0.0), str(progress.get("stage") or job.get("state") or "")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from kilter_client.requests.calls.references import Kind, id_of
+from kilter_client.requests.calls.references import Kind, resolve_id
 from kilter_client.requests.steps import Document, Steps, address, patch, post
 
 
 def place(kind: Kind, reference: str, robot: str | None = None, *more: str) -> Steps[str]:
     """Return the path of what a reference stands for."""
-    found = yield from id_of(kind, reference, robot)
+    found = yield from resolve_id(kind, reference, robot)
     return address(f"{kind}s", found, *more)
 
 

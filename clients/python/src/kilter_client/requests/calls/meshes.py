@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from kilter_client.requests.steps import Document, Request, Steps, address, answer_of, get, read
+from kilter_client.requests.steps import Document, Request, Steps, address, get, read, send_with_retries
 
 Form = Literal["stl", "obj"]
 
@@ -26,7 +26,7 @@ def put(robot: str, link: str, content: bytes, form: Form, unit: str) -> Steps[D
 
 def remove(robot: str, link: str) -> Steps[None]:
     """Delete the shape of a link."""
-    yield from answer_of(Request("DELETE", address("robots", robot, "meshes", link)))
+    yield from send_with_retries(Request("DELETE", address("robots", robot, "meshes", link)))
 
 
 def of_urdf(robot: str) -> Steps[Document]:

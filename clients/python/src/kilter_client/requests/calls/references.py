@@ -39,7 +39,7 @@ def resolve(kind: Kind, reference: str, robot: str | None = None) -> Steps[Found
     return Found(document["id"], document["robot"], document["name"], document["by"])
 
 
-def id_of(kind: Kind, reference: str, robot: str | None = None) -> Steps[str]:
+def resolve_id(kind: Kind, reference: str, robot: str | None = None) -> Steps[str]:
     """Return the id that a reference stands for; a whole id is not asked for."""
     if FULL[kind].fullmatch(reference):
         return reference
@@ -54,11 +54,11 @@ def resolved_request(robot: str, request: Mapping[str, Any]) -> Steps[Document]:
         if isinstance(out.get(key), list | tuple):
             ids = []
             for given in out[key]:
-                found = yield from id_of("campaign", given, robot)
+                found = yield from resolve_id("campaign", given, robot)
                 ids.append(found)
             out[key] = ids
     options = dict(out.get("options") or {})
     for key in ("start", "version"):
         if isinstance(options.get(key), str):
-            options[key] = yield from id_of("version", options[key], robot)
+            options[key] = yield from resolve_id("version", options[key], robot)
     return out | {"options": options}

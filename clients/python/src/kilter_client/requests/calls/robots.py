@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from kilter_client.requests.steps import Document, Request, Steps, address, answer_of, get, patch, post, read
+from kilter_client.requests.steps import Document, Request, Steps, address, get, patch, post, read, send_with_retries
 
 if TYPE_CHECKING:
     from kilter_files import Prepared
@@ -53,7 +53,7 @@ def add_repair(name: str, what: str, at: str | None) -> Steps[Document]:
 
 def remove_repair(name: str, repair: str) -> Steps[None]:
     """Delete a repair that was recorded by mistake."""
-    yield from answer_of(Request("DELETE", address("robots", name, "repairs", repair)))
+    yield from send_with_retries(Request("DELETE", address("robots", name, "repairs", repair)))
 
 
 def drifts() -> Steps[Document]:
@@ -127,14 +127,14 @@ def list_robots(retired: bool = False) -> Steps[list[Document]]:
     return list(found["robots"])
 
 
-def one(name: str) -> Steps[Document]:
+def fetch_document(name: str) -> Steps[Document]:
     """Return a robot with its joints, parameters and document."""
     return get(address("robots", name))
 
 
 def remove(name: str) -> Steps[None]:
     """Delete a robot nothing was measured on."""
-    yield from answer_of(Request("DELETE", address("robots", name)))
+    yield from send_with_retries(Request("DELETE", address("robots", name)))
 
 
 def note(name: str, remarks: str) -> Steps[Document]:

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 from kilter_client.requests.calls.kept import place
-from kilter_client.requests.calls.references import id_of
+from kilter_client.requests.calls.references import resolve_id
 from kilter_client.requests.exported import Exported
-from kilter_client.requests.steps import Answer, Document, Request, Steps, address, answer_of, get, post
+from kilter_client.requests.steps import Answer, Document, Request, Steps, address, get, post, send_with_retries
 
 if TYPE_CHECKING:
     from kilter_files import Prepared
@@ -23,7 +23,7 @@ def list_versions(robot: str, retired: bool = False) -> Steps[list[Document]]:
     return list(found["versions"])
 
 
-def one(version: str, robot: str | None = None) -> Steps[Document]:
+def fetch_document(version: str, robot: str | None = None) -> Steps[Document]:
     """Return a version: parent, job, campaigns, effects, parameters, covariance."""
     path = yield from place("version", version, robot)
     return (yield from get(path))
@@ -44,7 +44,7 @@ def activate(version: str, force: bool, reason: str, robot: str | None, if_match
 
 def rollback(robot: str) -> Steps[Document]:
     """Return to the version before the one that is active now: sent twice, or beside another's, it goes back once."""
-    active = yield from answer_of(Request("GET", address("robots", robot, "activations"), params={"limit": 1}))
+    active = yield from send_with_retries(Request("GET", address("robots", robot, "activations"), params={"limit": 1}))
     state = active.headers.get("etag")
     return (yield from post(address("robots", robot, "rollback"), headers={"If-Match": state} if state else {}))
 
@@ -57,8 +57,8 @@ def activations(robot: str) -> Steps[list[Document]]:
 
 def diff(first: str, second: str, robot: str | None = None) -> Steps[Document]:
     """Compare two versions; ``nominal`` stands for the nominal robot, a job for the version that it made."""
-    one = first if first == NOMINAL else (yield from id_of(_kind(first), first, robot))
-    other = second if second == NOMINAL else (yield from id_of(_kind(second), second, robot))
+    one = first if first == NOMINAL else (yield from resolve_id(_kind(first), first, robot))
+    other = second if second == NOMINAL else (yield from resolve_id(_kind(second), second, robot))
     return (yield from get(address("versions", one, "diff", other)))
 
 
@@ -67,23 +67,23 @@ def residuals(version: str, campaigns: Sequence[str] = (), form: str = "csv", ro
     path = yield from place("version", version, robot, "residuals")
     used = []
     for campaign in campaigns:
-        found = yield from id_of("campaign", campaign, robot)
+        found = yield from resolve_id("campaign", campaign, robot)
         used.append(found)
     asked = {"format": form, "campaign": used}
-    answer = yield from answer_of(Request("GET", path, params=asked, timeout_s=LONG_TIMEOUT_S))
+    answer = yield from send_with_retries(Request("GET", path, params=asked, timeout_s=LONG_TIMEOUT_S))
     return answer.content
 
 
 def export(version: str, form: str = "json", robot: str | None = None) -> Steps[Exported]:
     """Return a version as a file: json, urdf, dh-csv, ...; its ``notes`` say what it leaves out."""
     path = yield from place("version", version, robot, "export")
-    answer = yield from answer_of(Request("GET", path, params={"format": form}))
+    answer = yield from send_with_retries(Request("GET", path, params={"format": form}))
     exported = Exported(answer.content)
-    exported.notes = notes_of(answer)
+    exported.notes = server_notes(answer)
     return exported
 
 
-def notes_of(answer: Answer) -> tuple[str, ...]:
+def server_notes(answer: Answer) -> tuple[str, ...]:
     """What the server says of a file beside it."""
     return tuple(filter(None, answer.headers.get("kilter-notes", "").split(" | ")))
 
@@ -102,7 +102,7 @@ def correct(
     hold: Sequence[int] | None = None,
 ) -> Steps[Answer]:
     """Correct a trajectory; ``strict`` refuses it unless every row is corrected to within what is stated."""
-    chosen = None if not version else (yield from id_of("version", version, robot))
+    chosen = None if not version else (yield from resolve_id("version", version, robot))
     wanted = {
         "version": chosen,
         "format": form or None,
@@ -123,7 +123,7 @@ def correct(
         timeout_s=LONG_TIMEOUT_S,
         again=True,
     )
-    return (yield from answer_of(request))
+    return (yield from send_with_retries(request))
 
 
 def _kind(reference: str) -> Literal["job", "version"]:

@@ -1,0 +1,1 @@
+"""Answers and rules that were kept with activations."""
