@@ -74,12 +74,8 @@ def upload(
     )  # fmt: skip
     if campaign is not None and (name or notes or conditions or measured_at or instrument or calibration):
         raise UsageError("campaign= adds to a campaign that has its name, notes and conditions already.")
-    wanted: Document = {
-        "name": name or default_name(data),
-        "device": device or preset or "",
-        "role": role,
-        "notes": notes,
-    }
+    device_name = device or preset or ""
+    wanted: Document = {"name": name or default_name(data), "device": device_name, "role": role, "notes": notes}
     prepared = prepare_rows(data, columns, device, column_map, preset, euler, joints)
     file, arm = fspath(data) if isinstance(data, str | PathLike) else wanted["name"], reference("robot", robot)
     servos, prepared = yield from compare_calibration_file(arm, calibration, prepared, file)
