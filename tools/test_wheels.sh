@@ -11,7 +11,7 @@ pip install coverage ezc3d hypothesis packaging pin psycopg 'psycopg[binary]' py
 pip install --find-links dist 'kilter-client[files,plots,sheet,stream]'
 rm -rf build/suite
 mkdir -p build/suite/clients
-cp -r tests tools docs examples benchmarks README.md Makefile CHANGELOG.md CITATION.cff pyproject.toml constraints.txt build/suite/
+cp -r tests tools docs examples benchmarks README.md Makefile CHANGELOG.md changes CITATION.cff pyproject.toml constraints.txt build/suite/
 cp -r clients/matlab build/suite/clients/
 mkdir -p build/suite/clients/python
 cp -r clients/python/examples clients/python/README.md build/suite/clients/python/

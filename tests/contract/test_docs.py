@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from datetime import date
@@ -26,6 +29,8 @@ PAGES = sorted(
         REPOSITORY / "clients/python/README.md",
     ]
 )
+KINDS = ("Added", "Changed", "Fixed")
+MOST_OF_A_CHANGE = 140
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 
 
@@ -223,8 +228,47 @@ def test_every_server_command_is_documented(command: str) -> None:
 def test_changelog_has_the_usual_form() -> None:
     text = (REPOSITORY / "CHANGELOG.md").read_text(encoding="utf-8")
     assert "\n## [Unreleased]\n" in text
-    kinds = set(re.findall(r"^### (.+)$", text, re.MULTILINE))
-    assert kinds <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
+    releases = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
+    for release in releases:
+        head, *lines = [line for line in release.splitlines() if line]
+        assert re.fullmatch(r"\[Unreleased\]|\[\d+\.\d+\.\d+\] - \d{4}-\d\d-\d\d", head), head
+        assert len(lines) <= 40, f"{head}: {len(lines)} lines; join what belongs together"
+        kinds = [line.removeprefix("### ") for line in lines if line.startswith("### ")]
+        assert kinds == [kind for kind in KINDS if kind in kinds], f"{head}: join what has one heading"
+    assert not [line for line in text.splitlines() if len(line.removeprefix("- ")) > MOST_OF_A_CHANGE]
+
+
+def test_fragments_of_the_changelog_are_well_formed() -> None:
+    for path in sorted((REPOSITORY / "changes").iterdir()):
+        if path.name in ("README.md", "template.jinja"):
+            continue
+        assert re.fullmatch(r"[a-z0-9-]+\.(added|changed|fixed)\.md", path.name), f"{path.name}: NAME.added.md"
+        text = path.read_text(encoding="utf-8")
+        assert re.fullmatch(rf"\S.{{0,{MOST_OF_A_CHANGE - 1}}}\n", text), (
+            f"{path.name}: one line of at most 140 letters"
+        )
+        assert not text.startswith("- "), f"{path.name}: the dash comes by itself"
+
+
+def run_towncrier(folder: Path, *arguments: str) -> str:
+    command = [sys.executable, "-m", "towncrier", "build", "--version", "9.9.9", "--date", "2027-01-02", *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_fragments_of_the_changelog_become_a_release(tmp_path: Path) -> None:
+    assert run_towncrier(REPOSITORY, "--draft").startswith("## [9.9.9] - 2027-01-02\n")
+    for name in ("pyproject.toml", "CHANGELOG.md"):
+        shutil.copy(REPOSITORY / name, tmp_path)
+    (tmp_path / "changes").mkdir()
+    shutil.copy(REPOSITORY / "changes/template.jinja", tmp_path / "changes")
+    for name, text in {"a.changed": "More.", "b.changed": "Breaking: less.", "c.added": "New."}.items():
+        (tmp_path / f"changes/{name}.md").write_text(f"{text}\n")
+    run_towncrier(tmp_path, "--yes")
+    release = "\n## [9.9.9] - 2027-01-02\n\n### Added\n\n- New.\n\n### Changed\n\n- Breaking: less.\n- More.\n\n"
+    assert release in (tmp_path / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert not list((tmp_path / "changes").glob("*.md"))
 
 
 def test_no_table_of_options_is_written_by_hand() -> None:
