@@ -58,12 +58,10 @@ def influence(calibrate: Floats) -> Texts:
     names = sorted(moved, key=lambda name: -float(moved[name].mean()))
     title = "Displacement by +0.05 deg or +0.1 mm over 118 poses: median and range"
     drawing.bars("thesis-influence", title, "mm", {"": {name: moved[name] for name in names}})
-    rows = [[f"`{n}`", *(f"{f(moved[n]):.3f}" for f in (np.mean, np.min, np.max))] for n in names]
     share = float(np.mean(moved["q3"] > moved["q2"]))
     lengths = np.concatenate([moved[n] for n in names if "_" in n and n[0] in "ad" and n[1] == "_"])
     holds = share > 0.0 and bool(np.allclose(lengths, 0.1, atol=1e-6))
     return {
-        "influence_table": table(["element", "mean mm", "least", "most"], rows),
         "influence_verdict": "Holds." if holds else "Does not hold.",
         "elbow_share": f"{share:.0%}",
         "shoulder_mean": f"{moved['q2'].mean():.2f}",
