@@ -29,7 +29,7 @@ from pathlib import Path
 from kilter_files.formats.opening import open_recording
 from kilter_files.match.dwells import RestOptions, find_dwells
 from kilter_files.match.matching import marker_columns
-from kilter_client.cli.files.parts import parts
+from kilter_client.cli.files.parts import cut_parquet_parts
 start, busy = time.perf_counter(), time.process_time()
 recording = open_recording(Path(sys.argv[1]))
 frames = sum(len(block) for block in recording.blocks())
@@ -37,7 +37,7 @@ read, busy = time.perf_counter() - start, time.process_time() - busy
 start = time.perf_counter()
 if sys.argv[2] == "parts":
     rows = ({"t_s": b.t_s} | marker_columns(b.points_mm) for b in recording.blocks())
-    size = sum(len(part.content) for part in parts(rows))
+    size = sum(len(part.content) for part in cut_parquet_parts(rows))
 else:
     size = len(find_dwells(recording, RestOptions()))
 second = time.perf_counter() - start

@@ -74,11 +74,11 @@ from kilter_core.observations import Observations
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from tests.contract.test_docs import test_every_effect_is_documented
-from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.registry import get_job_kind
 from kilter_service.jobs.refusals import read_options
 
 test_every_effect_is_documented()
-kind_of("identify").check(read_options("identify", {"effects": [{"id": "toy_wobble", "joints": [2]}]}))
+get_job_kind("identify").check(read_options("identify", {"effects": [{"id": "toy_wobble", "joints": [2]}]}))
 robot = robot_from_document(preset_document("panda"))
 q = np.random.default_rng(0).uniform(*robot.limits.T, (80, 7))
 bent = q.copy()
@@ -126,10 +126,10 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
-from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.registry import get_job_kind
 from kilter_service.jobs.refusals import read_options
 
-kind_of("identify").check(read_options("identify", {"method": "toy_twice", "loss": "tukey", "intervals": "profile"}))
+get_job_kind("identify").check(read_options("identify", {"method": "toy_twice", "loss": "tukey", "intervals": "profile"}))
 robot = robot_from_document(preset_document("panda"))
 q = np.random.default_rng(0).uniform(*robot.limits.T, (60, 7))
 rows = Observations(q, position=Calibration.nominal(robot).predict(Observations(q + 1e-3)).position)
@@ -251,10 +251,10 @@ assert run(["upload", "arm", str(file), "--device", "toy", "--dry-run"]) == 0
 from kilter_files import DEVICES
 from kilter_files.formats.registry import list_formats
 from kilter_files.look.inspection import inspect
-from kilter_service.page.drop.child import _looked
+from kilter_service.page.drop.child import _inspect_file
 from kilter_service.page.drop.service import ways
 assert (inspect(file)["kind"], inspect(file)["rows"]) == ("toy", 2)
-assert _looked(file)["device"] == "toy"
+assert _inspect_file(file)["device"] == "toy"
 assert ("toy", "The log of a toy") in ways()
 assert ("upload --device", "toy", (".toy",), "The log of a toy") in list_formats()
 assert "toy" in DEVICES
@@ -328,9 +328,9 @@ from kilter_core.arm.presets import preset_document
 from pydantic import TypeAdapter
 from kilter_service.contract.jobs.job import NewJob
 from kilter_service.jobs.kind import JobInput
-from kilter_service.jobs.registry import kind_of
+from kilter_service.jobs.registry import get_job_kind
 
-kind = kind_of("count")
+kind = get_job_kind("count")
 asked = TypeAdapter(NewJob).validate_python({"kind": "count", "robot": "arm", "options": {"every": 2}})
 kind.check(asked.options)
 robot = robot_from_document(preset_document("panda"))

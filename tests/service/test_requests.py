@@ -291,7 +291,7 @@ def test_nothing_is_parsed_or_computed_on_the_event_loop(
         monkeypatch.setattr(module, name, watched)
 
     watched = [
-        (bodies, "_parsed"), (reading, "column_names"), (campaigns, "upload"), (correction, "correct"),
+        (bodies, "_parse_json"), (reading, "column_names"), (campaigns, "upload"), (correction, "correct"),
         (check, "check"), (circles, "found_robot"), (convert, "convert"), (robots, "add"), (frames, "find_frame"),
     ]  # fmt: skip
     for module, name in watched:

@@ -53,7 +53,7 @@ def cycle():
     one.other, other.other = other, one
     return weakref.ref(one)
 kept = [[] for _ in range(1000)]
-ShortPauses(long_s=0.0).begin()
+ShortPauses(long_s=0.0).watch_collections()
 gc.collect(1)
 assert gc.get_freeze_count() == 0
 gc.collect()

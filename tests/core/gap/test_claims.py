@@ -278,7 +278,7 @@ def told(called: str, verdict: str, moves_mm: float, empirical: bool = False) ->
     """What a sentence reads of an effect that was judged."""
     evidence = SimpleNamespace(moves_mm=moves_mm, candidate=SimpleNamespace(empirical=empirical))
     return SimpleNamespace(
-        called=called, verdict=verdict, evidence=evidence, gates={"held_out": verdict != "provisional"}
+        display_name=called, verdict=verdict, evidence=evidence, gates={"held_out": verdict != "provisional"}
     )
 
 
