@@ -70,7 +70,7 @@ def measured(pictures: int) -> list[Line]:
 
         source = Source(tuple(paths[k % DIFFERENT] for k in range(pictures)))
         with (folder / "views.csv").open("w", newline="") as stream:
-            seen = Looker([target]).look(source, stream, None, told)
+            seen = Looker([target]).write_views(source, stream, None, told)
         later = pictures - max(1, pictures // 10)
         rate = later / (time.perf_counter() - began[0])
         grown = (_most_kb() - early[0]) / 1024 * ALL / later

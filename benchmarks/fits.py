@@ -34,7 +34,7 @@ def arm() -> RobotModel:
     """A UR10 with link masses, in which everything that carries load gives way."""
     links = [{"mass_kg": kg, "com_mm": [-100.0 if k in (1, 2) else 0.0, 0.0, 30.0]} for k, kg in enumerate(MASS_KG)]
     robot = robot_from_document({**preset_document("ur10"), "links": links})
-    return RobotModel(robot, tuple(make_effect(e).on(robot) for e in EFFECTS))
+    return RobotModel(robot, tuple(make_effect(e).configure_for_robot(robot) for e in EFFECTS))
 
 
 def campaign(model: RobotModel, count: int, seed: int = 0) -> Observations:
@@ -56,7 +56,7 @@ def lines() -> list[Line]:
 def _large_fit() -> list[Line]:
     model = arm()
     start, options = Calibration(model, model.values0()), IdentifyOptions(level=3, noise_mm=NOISE_M * 1e3)
-    rows = Measurement.of(campaign(model, 1_000))
+    rows = Measurement.from_observations(campaign(model, 1_000))
     problem, values = prepare_problem(start, rows, options)
     fit = solve(problem, values)
     alone = best_of(lambda: solve(problem, values), 10) * 1e3
@@ -72,8 +72,8 @@ def _bootstrap() -> Line:
     twin = thesis_katana()
     rows = twin.observe(iso_poses(twin.robot, 118), noise_m=1e-5)
     options = IdentifyOptions(level=3)
-    start = Calibration.nominal(twin.robot, tuple(e.on(twin.robot) for e in options.make_effects()))
-    fit = estimate(start, Measurement.of(rows), options)
+    start = Calibration.nominal(twin.robot, tuple(e.configure_for_robot(twin.robot) for e in options.make_effects()))
+    fit = estimate(start, Measurement.from_observations(rows), options)
     seconds = best_of(lambda: bootstrap(fit, 0, lambda fraction, stage: None), 3)
     what = f"{RESAMPLES} bootstrap refits of the Katana, 118 poses, {len(fit.names)} parameters"
     return Line(what, f"{seconds:.2f} s", f"<= {MOST_BOOTSTRAP_S:.0f} s", seconds <= MOST_BOOTSTRAP_S)
@@ -86,7 +86,9 @@ def _growth() -> list[Line]:
     each, out = {}, []
     for count in SIZES:
         start = Calibration(model, model.values0())
-        problem, values = prepare_problem(start, Measurement.of(campaign(model, count)), IdentifyOptions(noise_mm=0.02))
+        problem, values = prepare_problem(
+            start, Measurement.from_observations(campaign(model, count)), IdentifyOptions(noise_mm=0.02)
+        )
         shortest, iterations = float("inf"), 1
         for _ in range(max(2, 20_000 // count)):
             began = time.perf_counter()

@@ -50,7 +50,7 @@ def versions_of(arms: Sequence[Arm], rng: np.random.Generator) -> list[FleetVers
     robot, out = robot_from_document(document()), []
     for k, arm in enumerate(arms):
         found = identify(robot, arm.measured(poses(FITTED, rng), rng, NOISE_MM * 1e-3))
-        out.append(FleetVersion.of(f"r{k}", f"v{k}", found.calibration, found.predictive.to_document()))
+        out.append(FleetVersion.from_calibration(f"r{k}", f"v{k}", found.calibration, found.predictive.to_document()))
     return out
 
 

@@ -60,7 +60,7 @@ def motion(robot: Robot, seconds: float, rate: float) -> Observations:
 def measured(robot: Robot, rows: Observations, rng: np.random.Generator, correlation: float = 0.0) -> Observations:
     """Rows of an arm with two hidden effects."""
     effects = (make_effect("axial_compliance", [1, 2]), make_effect("backlash", [0]))
-    model = RobotModel(robot, tuple(e.on(robot, rows) for e in effects))
+    model = RobotModel(robot, tuple(e.configure_for_robot(robot, rows) for e in effects))
     values = model.values0()
     values[model.n_geometric :] = [4e-6, 4e-6, 2e-4]
     noise: NDArray[np.float64] = rng.standard_normal((len(rows), 3))

@@ -55,7 +55,9 @@ def of_kilter(data: Campaign) -> dict[str, Any]:
     held = Observations(data.q_held, position=data.position_held * 1e-3)
     result = identify(arm, train, held, options)
     return {
-        "seconds": best_of(lambda: estimate(Calibration.nominal(arm), Measurement.of(train), options), ROUNDS),
+        "seconds": best_of(
+            lambda: estimate(Calibration.nominal(arm), Measurement.from_observations(train), options), ROUNDS
+        ),
         "whole_seconds": best_of(lambda: identify(arm, train, None, options), ROUNDS),
         "parameters": len(result.free_names),
         "held_out_mm": result.metrics["validation"]["identified"]["mean_mm"],

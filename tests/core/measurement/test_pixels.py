@@ -179,7 +179,9 @@ def test_corner_sigmas_weigh_the_corners() -> None:
     stated, plain = replace(rows, pixel_sigma=sigma), rows
     off = []
     for one in (stated, plain):
-        rig = Measurement.from_observations(one, held=True).tool.fitted(Calibration.nominal(robot).predict(one))
+        rig = Measurement.from_observations(one, held=True).tool.fit_rig_to_rows(
+            Calibration.nominal(robot).predict(one)
+        )
         off.append(np.linalg.norm(rig.cameras[0].pose[:3, 3] - scene.eyes[0].pose.translation))
     assert off[0] < 0.3e-3 < off[1]
 
@@ -228,7 +230,7 @@ def test_several_cameras_and_a_solid_of_corners() -> None:
     rows = scene.observed(scene.poses(25, rng), rng, 0.05)
     assert set(zip(rows.camera.tolist(), rows.board.tolist(), strict=True)) == {(0, 0), (0, 1), (1, 0), (1, 1)}
     robot = robot_from_document(scene.drawn.document())
-    rig = Measurement.from_observations(rows, held=True).tool.fitted(Calibration.nominal(robot).predict(rows))
+    rig = Measurement.from_observations(rows, held=True).tool.fit_rig_to_rows(Calibration.nominal(robot).predict(rows))
     for found, true in zip((*rig.cameras, *rig.boards), (*scene.eyes, *scene.sheets), strict=True):
         assert np.abs(found.pose - true.pose.homogeneous).max() < 5e-4, true.name
 
