@@ -74,7 +74,7 @@ class Watched:
         rows = arm.measured(some_poses(FITTED, rng), rng, NOISE)
         found = identify(robot_from_document(arm.document()), rows, options=options)
         assert found.predictive is not None
-        region = Region.of(found.calibration)
+        region = Region.from_calibration(found.calibration)
         plan = check_poses(found.calibration, found.predictive, POSES, region, seed=seed)
         return Watched(arm, found.calibration, found.predictive, plan.q, rng)
 

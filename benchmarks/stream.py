@@ -144,7 +144,7 @@ class Line:
             time.sleep(0.01)
         if signer is not None:
             self._publisher.put(signer.greeting())
-            while not any(signer.challenged(data, b"") for _, data in self.arrived):
+            while not any(signer.accept_challenge(data, b"") for _, data in self.arrived):
                 if time.monotonic() > end:
                     raise SystemExit(f"no nonce for {key}")
                 time.sleep(0.01)
@@ -152,7 +152,7 @@ class Line:
 
     def answers(self, first: int = 0) -> list[wire.Answer]:
         """What came back, without signatures; those of the wrong key count as lost."""
-        found = [data if self.signer is None else self.signer.opened(data) for _, data in self.arrived[first:]]
+        found = [data if self.signer is None else self.signer.verify_answer(data) for _, data in self.arrived[first:]]
         return [wire.decode_answer(data) for data in found if data is not None]
 
     def _take(self, sample: zenoh.Sample) -> None:
@@ -166,7 +166,7 @@ class Line:
             values, joints=6, seq=self.seq, t_send_ns=time.monotonic_ns(), t_apply_ns=0, flags=flags, step_ns=step_ns
         )
         self.sent[self.seq] = time.perf_counter_ns()  # a controller signs, too: it counts
-        self._publisher.put(data if self.signer is None else self.signer.sealed(data))
+        self._publisher.put(data if self.signer is None else self.signer.sign_frame(data))
 
     def wait(self, seconds: float = 3.0) -> None:
         """Wait for the answers that are under way."""

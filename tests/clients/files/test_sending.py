@@ -145,7 +145,8 @@ def test_a_killed_client_leaves_nothing_to_see(kilter: Kilter, server: Path) -> 
     """The client dies by SIGKILL in the middle; what it began is finished by the next."""
     robot = three_joints(kilter, "killed-robot")
     code = (
-        "import os, signal\nfrom kilter_client import Kilter\nfrom kilter_client.cli.files.parts import cut_parquet_parts, send_whole\n"
+        "import os, signal\nfrom kilter_client import Kilter\n"
+        "from kilter_client.cli.files.parts import cut_parquet_parts, send_whole\n"
         "from tests.clients.files.test_sending import WANTED, blocks\n"
         "def stop(rows, there, seen=[]):\n    seen.append(rows)\n    len(seen) == 3 and os.kill(os.getpid(), signal.SIGKILL)\n"
         f"send_whole(Kilter(), {robot!r}, WANTED, lambda: cut_parquet_parts(blocks(), 200), stop)\n"
