@@ -24,6 +24,8 @@ PYPROJECTS = ("pyproject.toml", "core/pyproject.toml", "clients/files/pyproject.
 CORE_MAY_IMPORT = {"kilter_core", "numpy", "scipy", "numba"}
 FORBIDDEN_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", "misc", "common"}
 MODULE_CAP, FUNCTION_CAP = 500, 60
+HOUSES = ("core/kilter_core", "service/kilter_service", "clients/files/kilter_files")
+WRITTEN = {".py", ".pyi", ".js", ".css", ".html", ".c", ".h", ".hpp", ".cpp", ".m"}
 
 
 def sources(*folders: str) -> Iterator[Source]:
@@ -75,6 +77,25 @@ def test_modules_are_short_and_say_what_they_are_for() -> None:
         if not one.is_empty and "from __future__ import annotations" not in one.text and path.name != "__init__.py":
             wrong.append(f"{path} lacks the annotations import")
     assert not wrong
+
+
+def test_each_room_keeps_its_budget_of_lines() -> None:
+    budgets: dict[str, int] = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+        "kilter"
+    ]["lines"]
+    listed = subprocess.run(["git", "ls-files", *budgets], cwd=REPOSITORY, capture_output=True, check=True, text=True)
+    lines = dict.fromkeys(budgets, 0)
+    for name in listed.stdout.splitlines():
+        path = REPOSITORY / name
+        if path.suffix in WRITTEN and path.exists():
+            room = max((one for one in budgets if name.startswith(f"{one}/")), key=len)
+            lines[room] += path.read_bytes().count(b"\n")
+    over = {room: count for room, count in lines.items() if count > budgets[room]}
+    assert not over, "Remove lines, or say in docs/decisions/0031 what was given up for them."
+    rooms = {
+        f"{one.parent.relative_to(REPOSITORY)}" for house in HOUSES for one in REPOSITORY.glob(f"{house}/*/__init__.py")
+    }
+    assert rooms <= budgets.keys()
 
 
 def test_functions_are_short() -> None:
