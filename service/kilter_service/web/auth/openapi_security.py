@@ -49,7 +49,7 @@ def serve_openapi(app: FastAPI) -> None:
     async def answer(request: Request) -> Response:
         made, root = await run_in_threadpool(text), request.scope.get("root_path", "").rstrip("/")
         if root:  # as FastAPI says where a proxy shows the server
-            made = JSONResponse({**json.loads(made), "servers": [{"url": root}]}).body
+            made = bytes(JSONResponse({**json.loads(made), "servers": [{"url": root}]}).body)
         return Response(made, media_type=JSONResponse.media_type)
 
     app.add_route("/openapi.json", answer, include_in_schema=False)
