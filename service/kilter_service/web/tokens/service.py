@@ -17,7 +17,7 @@ from kilter_service.ground.paging import Page, in_time
 from kilter_service.web.tokens import store
 from kilter_service.web.tokens.records import TokenRecord
 
-log = logging.getLogger("kilter.access")
+log = logging.getLogger("kilter.api")
 
 PREFIX = "kilter_"  # programs that look for secrets in published files know them by it
 SECRET_BYTES = 32
