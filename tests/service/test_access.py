@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +17,7 @@ from kilter_core.twin import thesis_katana
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import CampaignRow, FleetJobRow, FleetRobotRow, JobRow, TokenRow
+from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.run import app as application
 from kilter_service.run.app import create_app
@@ -24,6 +26,7 @@ from kilter_service.versions.store import NewVersion
 from kilter_service.web.auth.policy import RULES
 from kilter_service.web.auth.token import admin_token
 from kilter_service.web.routing import GuardedRoute
+from kilter_service.web.tokens.service import get_valid_token, hash_secret
 
 from .conftest import new_database, ready, served
 
@@ -304,6 +307,30 @@ def test_a_token_ends_when_it_is_revoked_or_expires(house: House) -> None:
     gone = house.client.delete(path, headers={"Authorization": f"Bearer {house.tokens['admin']}"}).json()
     assert (gone["revoked_by"], gone["revoked_at"] is not None) == ("the-admin", True)
     assert refusal(house.ask("GET /v1/whoami", again["token"])) == (401, "token_ended")
+
+
+@pytest.mark.parametrize(
+    "altered", ["revoked_at = NULL, revoked_by = ''", "role = 'admin'", "robots = NULL", "id = 'tok_of_nobody'"]
+)
+def test_a_token_that_was_altered_past_kilter_does_not_work(house: House, altered: str) -> None:
+    wanted = {"name": "left", "role": "viewer", "robots": [OWN]}
+    made = house.ask("POST /v1/tokens", "admin", json=wanted).json()
+    assert house.ask("GET /v1/whoami", made["token"]).status_code == 200
+    house.ask("POST /v1/robots/check", "admin", json={})  # what the audit says meanwhile is read on
+    if "revoked" in altered:
+        head = {"Authorization": f"Bearer {house.tokens['admin']}"}
+        house.client.delete(f"/v1/tokens/{made['id']}", headers=head).raise_for_status()
+    with house.database.engine.begin() as connection:
+        connection.execute(text(f"UPDATE tokens SET {altered} WHERE id = :id"), {"id": made["id"]})
+    try:
+        for _ in range(2):
+            assert refusal(house.ask("GET /v1/whoami", made["token"])) == (401, "token_ended")
+        with closing(Database(house.settings.database)) as anew, pytest.raises(ServiceError, match="past Kilter"):
+            get_valid_token(anew, hash_secret(made["token"]))
+        assert house.ask("GET /v1/whoami", "viewer").status_code == 200
+    finally:
+        with house.database.engine.begin() as connection:
+            connection.execute(text("DELETE FROM tokens WHERE name = 'left'"))
 
 
 @pytest.mark.parametrize("given", ["wrong", "kilter_" + "A" * 43, "tok_0", "'; DROP TABLE tokens; --"])

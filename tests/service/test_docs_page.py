@@ -12,6 +12,11 @@ from urllib.parse import urljoin, urlsplit
 import httpx
 import pytest
 
+from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
+
+from .conftest import ready, served
+
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
 
@@ -84,3 +89,14 @@ def test_chromium_shows_every_route_and_complains_of_nothing(shared_client: http
     assert shown.stdout.count('<div class="opblock ') == len(operations) > 30, shown.stderr[-2000:]
     complaints = [line for line in shown.stderr.splitlines() if "CONSOLE" in line and "favicon" not in line]
     assert not complaints
+
+
+def test_the_description_is_kept_as_text_alone(tmp_path: Path, migrated: Path) -> None:
+    settings = Settings(data=tmp_path, host="127.0.0.1", token=None)
+    ready(settings, migrated)
+    app = create_app(settings)
+    app.root_path = "/kilter"
+    with served(app) as client:
+        answers = [client.get("/openapi.json").raise_for_status().json() for _ in range(2)]
+    assert app.openapi_schema is None
+    assert answers[0] == answers[1] == {**app.openapi(), "servers": [{"url": "/kilter"}]}

@@ -42,3 +42,21 @@ def test_the_api_process_shares_the_memory_of_its_threads() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "system"
+
+
+EXPORT = """
+import sys
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.arm.presets import preset_document
+from kilter_core.twin import Twin
+from kilter_service.robots.exporters.registry import export
+from tests.service.exporters.test_exporters import exportable
+document = preset_document("ur10")
+made = export("usd", exportable(document, Twin(robot_from_document(document), {}, ()).truth))
+print(made.text.startswith("#usda"), any(name.partition(".")[0] == "pxr" for name in sys.modules))
+"""
+
+
+def test_a_process_that_exports_usd_does_not_load_its_package() -> None:
+    done = subprocess.run([sys.executable, "-c", EXPORT], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", "False"]

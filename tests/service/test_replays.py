@@ -9,6 +9,7 @@ import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -123,19 +124,44 @@ def test_a_rollback_returns_to_the_rules_of_that_time(settings: Settings, databa
     assert found["rate_rad_s"] == 0.001
 
 
-def test_what_changed_before_answers_were_kept_is_estimated(
-    settings: Settings, database: Database, kilterd: Kilterd, capsys: pytest.CaptureFixture[str]
+def test_a_version_of_the_first_releases_keeps_their_task_until_it_is_activated_anew(
+    settings: Settings, database: Database, kilterd: Kilterd, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     document = {"name": ROBOT, "convention": "preset", "preset": ROBOT}
-    store_active(settings, database, document, calibration_of(ROBOT, effects=()))
+    calibration = calibration_of(ROBOT, effects=())
+    version = store_active(settings, database, document, calibration)
     command.downgrade(revision.configuration(settings.database), "0014")
+    kilterd(["backup", "--data", str(settings.data), str(tmp_path / "old.backup")])
+    capsys.readouterr()
     kilterd(["upgrade", "--check", "--data", str(settings.data)])
     said = capsys.readouterr().out
-    found = re.search(r"By an estimate joints change by at most (\S+) deg, the tool point by (\S+) mm", said)
+    found = re.search(
+        r"would keep the task.* Activated anew, joints change by at most (\S+) deg, the tool point by (\S+) mm", said
+    )
     assert found is not None, said
     # The release of 2026-11-23 10:18 itself answers these setpoints otherwise by 0.4953 deg and 0.0000 mm at most.
     assert float(found[1]) == pytest.approx(0.495, abs=0.01)
     assert float(found[2]) < 0.001
+    kilterd(["upgrade", "--data", str(settings.data)])
+    assert f"{version}: keeps the task of its release." in capsys.readouterr().out
+    restored = settings.model_copy(update={"data": tmp_path / "restored"})
+    kilterd(["restore", "--data", str(restored.data), str(tmp_path / "old.backup")])
+    q = np.array([[0.1, 0.6, 0.4, 0.3, 0.2], [0.5, 0.8, -0.4, 0.6, 1.0]])
+    options = CorrectionOptions(largest_rad=math.radians(1.0), largest_m=0.005, farthest_m=0.005)
+    kept, today = (
+        compile_program(calibration, one).correct_rows(q).q for one in (replace(options, least_leverage=1e3), options)
+    )
+    assert np.abs(kept - today).max() > 1e-4
+    for each in (settings, restored):
+        np.testing.assert_array_equal(streamed(each, ROBOT, q), kept)
+    command.downgrade(revision.configuration(settings.database), "0014")
+    kilterd(["upgrade", "--data", str(settings.data)])
+    np.testing.assert_array_equal(streamed(settings, ROBOT, q), kept)
+    capsys.readouterr()
+    kilterd(["upgrade", "--check", "--data", str(settings.data)])
+    assert f"{version}: joints change by at most 0 deg" in capsys.readouterr().out
+    activation.activate(database, version, "admin", ActivationWish())
+    np.testing.assert_array_equal(streamed(settings, ROBOT, q), today)
 
 
 def planar() -> Calibration:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import shutil
 import sqlite3
 import subprocess
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 from alembic import command
 
-from kilter_core.correct.program import Track
+from kilter_core.correct.program import CorrectionOptions, CorrectionProgram, Track, compile_program
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import DATABASE_FILE, Settings
@@ -34,11 +35,12 @@ Kilterd = Callable[[list[str]], None]
 
 @pytest.fixture
 def old(tmp_path: Path) -> tuple[Settings, bytes]:
-    """Settings of a data folder of the first revision, and the corrections of its active version."""
+    """Settings of a data folder of the first revision, and what its releases answered: the tool point alone, of five joints."""
     settings = Settings(data=tmp_path / "data", database_url=None)
     settings.data.mkdir()
     store_active(settings, calibration_of(ROBOT))
-    corrected = corrections(settings)
+    assert corrections(settings) != point_alone()  # activated today it has today's task
+    corrected = point_alone()
     command.downgrade(revision.configuration(settings.database), FIRST)
     assert revision_of(settings) == FIRST
     with closing(sqlite3.connect(settings.data / DATABASE_FILE)) as file:
@@ -58,9 +60,20 @@ def corrections(settings: Settings) -> bytes:
         active = source.load()[ROBOT]
     finally:
         source.close()
+    return followed(active.program)
+
+
+def followed(program: CorrectionProgram) -> bytes:
+    """Bytes of the path as a program corrects it."""
     path = np.array(Q) + 0.1 * np.sin(np.arange(200) * 0.01)[:, None]
-    _, out, _, _ = Track(active.program, settled=True).follow(path, 1, np.full(len(path), 0.01))
+    _, out, _, _ = Track(program, settled=True).follow(path, 1, np.full(len(path), 0.01))
     return bytes(out.tobytes())
+
+
+def point_alone() -> bytes:
+    """Bytes of the path where every posture counts as weak, so that the tool point alone is held."""
+    options = CorrectionOptions(largest_rad=math.radians(1.0), largest_m=0.005, farthest_m=0.005, least_leverage=1000.0)
+    return followed(compile_program(calibration_of(ROBOT), options))
 
 
 def revision_of(settings: Settings) -> str | None:

@@ -39,7 +39,7 @@ from kilter_service.versions.today.routes import router as today
 from kilter_service.web import problems
 from kilter_service.web.audit.refusals import Refusals
 from kilter_service.web.audit.routes import router as audit
-from kilter_service.web.auth.openapi_security import openapi_with_security
+from kilter_service.web.auth.openapi_security import openapi_with_security, serve_openapi
 from kilter_service.web.auth.rates import Rates
 from kilter_service.web.auth.slow_bodies import Unhurried
 from kilter_service.web.auth.token import admin_token
@@ -66,6 +66,7 @@ def create_app(settings: Settings) -> FastAPI:
         version=code_version(),
         summary=SUMMARY,
         lifespan=lambda app: _life(app, settings),
+        openapi_url=None,
         docs_url=None,
         redoc_url=None,
     )
@@ -81,6 +82,7 @@ def create_app(settings: Settings) -> FastAPI:
     for router in (health, docs_page, *ROUTERS, *PAGE):  # the first that fits is found by looking at each
         app.router.routes.extend(router.routes)
     app.openapi = openapi_with_security(app)  # type: ignore[method-assign]  # as FastAPI says to extend it
+    serve_openapi(app)
     return app
 
 

@@ -9,7 +9,7 @@ from kilter_service.ground.paging import Page, in_time
 from kilter_service.ground.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.robots.exporters.exportable import Exportable
-from kilter_service.robots.exporters.registry import Exported, export
+from kilter_service.robots.exporters.registry import Exported, export, export_notes
 from kilter_service.robots.into_controller import said_of_controller
 from kilter_service.versions import store, wire
 
@@ -52,8 +52,19 @@ def activations(database: Database, robot: str, page: Page) -> ActivationList:
 
 def export_version(database: Database, version_id: str, format_name: str) -> Exported:
     """Return a version as a file of another tool's format, and what to say of a controller that is given it."""
+    version, told = _exportable(database, version_id, format_name)
+    found = export(format_name, version)
+    return found._replace(notes=(*found.notes, *told))
+
+
+def exported_notes(database: Database, version_id: str, format_name: str) -> tuple[str, ...]:
+    """Return what a version's file of a format leaves out, and what to say of a controller that is given it."""
+    version, told = _exportable(database, version_id, format_name)
+    return (*export_notes(format_name, version), *told)
+
+
+def _exportable(database: Database, version_id: str, format_name: str) -> tuple[Exportable, tuple[str, ...]]:
     with database.reading() as session:
         record = store.get(session, version_id)
         robot, rules = robots.get(session, record.robot), store.rules_of(session, version_id)
-    found = export(format_name, Exportable(robot, wire.version(record), record.calibration, rules))
-    return found._replace(notes=(*found.notes, *said_of_controller(format_name, robot)))
+    return Exportable(robot, wire.version(record), record.calibration, rules), said_of_controller(format_name, robot)

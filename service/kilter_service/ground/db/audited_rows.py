@@ -7,14 +7,16 @@ state is found, whoever computed its seals anew. What is older than the audit is
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime
+from threading import Lock
 from typing import Any, NamedTuple
 
-from sqlalchemy import Table, select
+from sqlalchemy import Table, or_, select
 from sqlalchemy.orm import Session
 
 from kilter_service.ground.db.audited import hash_when_long
+from kilter_service.ground.db.database_seal import audit_end
 from kilter_service.ground.db.row import Instant, Row
 from kilter_service.ground.db.tables import ActivationRow, AuditRow, RepairRow, RobotRow, TokenRow
 
@@ -34,7 +36,7 @@ class Difference(NamedTuple):
 
 def audit_differences(session: Session) -> Iterator[Difference]:
     """Yield the rows that are not what the audit says of them."""
-    audited, since = read_audited(session)
+    audited, since = read_audited(session, COMPARED), audit_begin(session)
     for one in COMPARED:
         table = Row.metadata.tables[one.__tablename__]
         (key,) = table.primary_key.columns
@@ -48,26 +50,61 @@ def audit_differences(session: Session) -> Iterator[Difference]:
             yield Difference(thing, audited[thing], None, said)
 
 
-def read_audited(session: Session) -> tuple[Audited, datetime | None]:
-    """Return what the audit says of the rows that are compared, and when it begins."""
-    names = tuple(f"{one.__tablename__}/" for one in COMPARED)
-    found: Audited = {}
-    since = None
-    query = select(AuditRow.content).order_by(AuditRow.number).execution_options(yield_per=AT_ONCE)
-    for text in session.execute(query).scalars():
-        content = json.loads(text)
-        since = since or datetime.fromisoformat(content["at"])
-        for change in content["changes"]:
-            thing, after = change["thing"], change["after"]
-            if thing.startswith(f"{RobotRow.__tablename__}/") and not after:
+class AuditedTokens:
+    """What the audit says of tokens, kept for a process: a token that was put back in the files does not work again."""
+
+    def __init__(self) -> None:
+        self._end: list[Any] = [0, ""]
+        self._rows: Audited = {}
+        self._since: datetime | None = None
+        self._reading = Lock()
+
+    def describe_difference(self, session: Session, token_id: str) -> str:
+        """Say how a stored token differs from what the audit says of it; empty: it does not."""
+        table = Row.metadata.tables[TokenRow.__tablename__]
+        row = session.execute(select(table).where(table.c.id == token_id)).mappings().one()
+        with self._reading:
+            self._read_on(session)
+            return _describe_difference(table, dict(row), self._rows.get(f"{table.name}/{token_id}"), self._since)
+
+    def _read_on(self, session: Session) -> None:
+        """Read the entries that are new; all, where the last one is not there any more: another database is in place."""
+        end = audit_end(session.connection())
+        if end == self._end:
+            return
+        number, sha256 = self._end
+        if session.execute(select(AuditRow.sha256).where(AuditRow.number == number)).scalar() != sha256:
+            number, self._rows, self._since = 0, {}, audit_begin(session)
+        read_audited(session, (TokenRow,), number, self._rows)
+        self._end = end
+
+
+def audit_begin(session: Session) -> datetime | None:
+    """Return when the audit begins."""
+    text = session.execute(select(AuditRow.content).order_by(AuditRow.number).limit(1)).scalar()
+    return None if text is None else datetime.fromisoformat(json.loads(text)["at"])
+
+
+def read_audited(
+    session: Session, compared: Sequence[type[Row]], after: int = 0, found: Audited | None = None
+) -> Audited:
+    """Return what the audit says of rows of these tables; to ``found`` it adds what entries behind number ``after`` say."""
+    names = tuple(f"{one.__tablename__}/" for one in compared)
+    found = {} if found is None else found
+    mentioned = or_(*(AuditRow.content.contains(f'"{name}') for name in (*names, f"{RobotRow.__tablename__}/")))
+    query = select(AuditRow.content).where(AuditRow.number > after, mentioned).order_by(AuditRow.number)
+    for text in session.execute(query.execution_options(yield_per=AT_ONCE)).scalars():
+        for change in json.loads(text)["changes"]:
+            thing, after_change = change["thing"], change["after"]
+            if thing.startswith(f"{RobotRow.__tablename__}/") and not after_change:
                 _forget_repairs(found, thing.partition("/")[2])
             if not thing.startswith(names):
                 continue
-            if after:
-                found.setdefault(thing, {}).update(json.loads(after))
+            if after_change:
+                found.setdefault(thing, {}).update(json.loads(after_change))
             else:
                 found.pop(thing, None)
-    return found, since
+    return found
 
 
 def _forget_repairs(found: Audited, robot: str) -> None:

@@ -17,6 +17,7 @@ from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
 from sqlalchemy.orm import Session, sessionmaker
 
 from kilter_service.ground.db import audited, sealed, seals
+from kilter_service.ground.db.audited_rows import AuditedTokens
 from kilter_service.ground.db.outages import DatabaseAwayError, outages
 from kilter_service.ground.files.private_files import private_file, private_folder
 
@@ -44,6 +45,7 @@ class Database:
         file = self.engine.url.database if self.engine.dialect.name == "sqlite" else None
         self._folder = Path(file).parent if file else None
         self.sealer = seals.sealer()
+        self.audited_tokens = AuditedTokens()
         self._changing = sessionmaker(self.engine, expire_on_commit=False)
         audited.listen(self._changing)
         sealed.listen(self._changing, self.sealer)

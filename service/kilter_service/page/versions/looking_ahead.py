@@ -127,13 +127,13 @@ def back(database: Database, robot: str, temperature_c: float | None) -> Ahead:
 
 
 def exports(database: Database, version_id: str) -> list[Download]:
-    """Write every file once, to say what it leaves out."""
+    """Return each format with what its file leaves out."""
     return [_download(database, version_id, name) for name in FORMATS]
 
 
 def _download(database: Database, version_id: str, name: str) -> Download:
     words = NAMES.get(name, name)
     try:
-        return Download(name, words, service.export_version(database, version_id, name).notes)
+        return Download(name, words, service.exported_notes(database, version_id, name))
     except CoreError as error:  # a format that cannot hold this arm
         return Download(name, words, (), error.message)

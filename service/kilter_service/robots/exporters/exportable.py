@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -49,7 +50,7 @@ class Exportable:
 
 
 class Written(NamedTuple):
-    """A file's text, or its bytes where it is none, and notes on what it leaves out of the version."""
+    """A file's text, its bytes where it is none, or what makes either, and notes on what it leaves out of the version."""
 
-    text: str | bytes
+    text: str | bytes | Callable[[], str | bytes]
     notes: tuple[str, ...] = ()

@@ -50,19 +50,35 @@ def export(name: str, version: Exportable) -> Exported:
         RobotError: the format cannot describe the robot.
 
     """
+    written = _written(name, version)
+    text = written.text() if callable(written.text) else written.text
+    form = FORMATS[name]
+    return Exported(text, form.media_type, _file_name(version, form.suffix), written.notes)
+
+
+def export_notes(name: str, version: Exportable) -> tuple[str, ...]:
+    """Return what a file leaves out of a version.
+
+    Raises:
+        ServiceError: there is no such format.
+        RobotError: the format cannot describe the robot.
+
+    """
+    return _written(name, version).notes
+
+
+def _written(name: str, version: Exportable) -> Written:
     if name not in FORMATS:
         raise ServiceError(
             f"There is no export format {name!r}. There are: {', '.join(FORMATS)}.",
             code="export_unavailable",
             formats=list(FORMATS),
         )
-    form = FORMATS[name]
-    module, _, function = form.exporter.rpartition(".")
+    module, _, function = FORMATS[name].exporter.rpartition(".")
     exporter: Callable[[Exportable], Written] = getattr(
         import_module(f"kilter_service.robots.exporters.{module}"), function
     )
-    written = exporter(version)
-    return Exported(written.text, form.media_type, _file_name(version, form.suffix), written.notes)
+    return exporter(version)
 
 
 def _file_name(version: Exportable, suffix: str) -> str:

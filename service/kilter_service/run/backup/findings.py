@@ -19,6 +19,7 @@ class Findings:
     meshes: int = 0
     every_row: bool = False  # all tables were compared with a backup's manifest, or one was written
     sealed: bool = True  # else it is of a release that sealed no rows
+    revision: str | None = None  # of a copy, before it was brought to this one
     other_key: str = ""  # why no seal can be compared: it is sealed with another key than the one in use
 
     def add(self, sentence: str) -> None:

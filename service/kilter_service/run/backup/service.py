@@ -23,7 +23,7 @@ from kilter_service.ground.files.private_files import private_file, private_fold
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, LOCK_FILE, Settings
 from kilter_service.run.backup import manifest, store
 from kilter_service.run.backup.findings import Findings
-from kilter_service.run.backup.upgrade import keep_todays_answers
+from kilter_service.run.backup.upgrade import keep_rules_and_answers
 
 PAGES_AT_ONCE = 2000  # of a copy: writers go on in between
 
@@ -52,6 +52,8 @@ def backup(settings: Settings, where: Path) -> tuple[Path, Findings]:
         if found.other_key:
             raise ServiceError(found.other_key, code="seal_key_other")
         _refuse_damaged(found, "The database is damaged, so there is no new backup")
+        if found.revision != revision.HEAD:
+            _keep_rules_and_answers(part, found)
         manifest.write(part)
         found.every_row = True
         _put(part, path)
@@ -91,9 +93,7 @@ def restore(settings: Settings, path: Path, *, accept: bool = False) -> Findings
                     code="seal_key_other",
                 )
             _refuse_damaged(found, f"{path} is damaged and was not restored")
-            with closing(Database(f"sqlite:///{part}")) as database:
-                keep_todays_answers(database)
-            _one_file(part)
+            _keep_rules_and_answers(part, found)
             if settings.database_url is None:
                 _put(part, settings.data / DATABASE_FILE)
             else:
@@ -155,6 +155,13 @@ def _check_readable(settings: Settings, database: Database) -> None:
         revision.check(database)
 
 
+def _keep_rules_and_answers(part: Path, found: Findings) -> None:
+    """Give a copy that was brought to this revision what active versions of its release lack."""
+    with closing(Database(f"sqlite:///{part}")) as database:
+        keep_rules_and_answers(database, found.revision)
+    _one_file(part)
+
+
 def _checked_copy(path: Path, copy: Path) -> Findings:
     """Copy a backup, bring the copy to the revision of this Kilter and check it."""
     private_file(copy)
@@ -174,10 +181,10 @@ def _migrate_and_check(path: Path) -> Findings:
     database = Database(f"sqlite:///{path}")
     try:
         revision.check_known(database)
-        sealed = revision.has_seals(database)
+        sealed, of_revision = revision.has_seals(database), revision.current(database)
         revision.migrate(database)
         found = store.check(database)
-        found.sealed = sealed
+        found.sealed, found.revision = sealed, of_revision
         return found
     except Exception as error:
         return _damage(error)

@@ -102,11 +102,11 @@ def planned_changes(settings: Settings, plan: Plan) -> Iterator[Change]:
             url = f"sqlite:///{copy}"
         with closing(Database(url)) as database:
             revision.migrate(database)
-            yield from replays.compare_answers(database, before_rules=_is_before_rules(plan))
+            yield from replays.compare_answers(database, before_rules=_is_before_rules(plan.found))
 
 
-def _is_before_rules(plan: Plan) -> bool:
-    return plan.found is not None and plan.found <= POINT_ALONE
+def _is_before_rules(found: str | None) -> bool:
+    return found is not None and found <= POINT_ALONE
 
 
 def upgrade(settings: Settings, *, replay: bool = True) -> Plan:
@@ -139,15 +139,18 @@ def upgrade(settings: Settings, *, replay: bool = True) -> Plan:
 def _replay_and_keep(database: Database, plan: Plan) -> tuple[Change, ...]:
     if not _has_active(database):
         return ()
-    changes = tuple(replays.compare_answers(database, before_rules=_is_before_rules(plan)))
-    replays.keep_answers(database)
+    changes = tuple(replays.compare_answers(database, before_rules=_is_before_rules(plan.found)))
+    keep_rules_and_answers(database, plan.found)
     return changes
 
 
-def keep_todays_answers(database: Database) -> None:
-    """Keep today's answers of active versions that have none, such as those of a backup of an earlier release."""
+def keep_rules_and_answers(database: Database, found: str | None) -> None:
+    """Keep task, rules and answers of active versions that have none: those of the release of revision ``found``.
+
+    However old data come to this revision, by an upgrade or by restoring a backup, they are given here what they lack.
+    """
     if _has_active(database):
-        replays.keep_answers(database)
+        replays.keep_answers(database, before_rules=_is_before_rules(found))
 
 
 def _has_active(database: Database) -> bool:
@@ -162,9 +165,9 @@ def describe_change(change: Change, plan: Plan, *, done: bool) -> str:
     far = f"joints change by at most {joints}, the tool point by {change.tool_mm:.2g} mm"
     who = f"{change.robot} {change.version_id}"
     if not change.kept:
-        kept = f"{who}: no earlier answers are stored; today's {'are' if done else 'would be'} kept."
-        estimate = f" Releases before 2026-11-23 answered otherwise. By an estimate {far}."
-        return kept + estimate if _is_before_rules(plan) else kept
+        if _is_before_rules(plan.found):
+            return f"{who}: {'keeps' if done else 'would keep'} the task of its release. Activated anew, {far}."
+        return f"{who}: no earlier answers are stored; today's {'are' if done else 'would be'} kept."
     other = f"; {change.otherwise} are refused that were not, or the other way round" if change.otherwise else ""
     return f"{who}: {far}, at {change.setpoints} setpoints{other}."
 

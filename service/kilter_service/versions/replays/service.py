@@ -54,24 +54,33 @@ def correct_setpoints(calibration: Calibration, limits: dict[str, Any], rules: R
     return np.where((done.status == Status.OK)[:, None], done.q, np.nan)
 
 
-def replay_version(database: Database, version_id: str) -> Replay:
-    """Return what a version answers today, under the rules of this release."""
+def first_rules(n_joints: int) -> dict[str, Any]:
+    """Rules of releases before 2026-11-23: the whole pose, or the tool point alone where an arm has fewer than six joints."""
+    return rules_today() | ({"task": "pose"} if n_joints >= WHOLE_POSE else {"least_leverage": ANY_LEVERAGE})
+
+
+def replay_version(database: Database, version_id: str, *, before_rules: bool = False) -> Replay:
+    """Return what a version answers today, under the rules of this release, or under the :func:`first_rules`."""
     with database.reading() as session:
         calibration, limits = store.calibration(session, version_id), store.get(session, version_id).limits
-    q, rules = drawn(calibration.robot, SETPOINTS), rules_today()
+    q = drawn(calibration.robot, SETPOINTS)
+    rules = first_rules(calibration.robot.n_joints) if before_rules else rules_today()
     answers = correct_setpoints(calibration, limits, rules, q)
     return Replay(rules, *(np.asarray(one, STORED).tobytes() for one in (q, answers)))
 
 
-def keep_answers(database: Database) -> None:
-    """Keep today's answers of the active versions that have none: those of earlier releases."""
+def keep_answers(database: Database, *, before_rules: bool = False) -> None:
+    """Keep rules and answers of the active versions that have none: those of earlier releases.
+
+    ``before_rules``: they are of a release before 2026-11-23, and keep its rules until they are activated anew.
+    """
     with database.reading() as session:
         missing = [
             entry for entry in store.active_entries(session) if store.rules_of(session, entry.version_id) is None
         ]
     for entry in missing:
         try:
-            replay = replay_version(database, entry.version_id)
+            replay = replay_version(database, entry.version_id, before_rules=before_rules)
         except CoreError:  # nor is it streamed
             continue
         with database.transaction() as session:
@@ -81,7 +90,7 @@ def keep_answers(database: Database) -> None:
 def compare_answers(database: Database, *, before_rules: bool = False) -> Iterator[Change]:
     """Yield how the answers of each active version differ from those that were kept.
 
-    ``before_rules``: they are of a release before 2026-11-23, which kept none; what it answered is estimated.
+    ``before_rules``: they are of a release before 2026-11-23, which kept none; then it is what activating them anew changes.
     """
     with database.reading() as session:
         found = [_active(session, entry) for entry in store.active_entries(session)]
@@ -108,8 +117,7 @@ def _compare(
     if before_upgrade is None:
         q = drawn(calibration.robot, SETPOINTS)
         now = correct_setpoints(calibration, limits, rules_today(), q)
-        n = calibration.robot.n_joints
-        earlier = rules_today() | ({"task": "pose"} if n >= WHOLE_POSE else {"least_leverage": ANY_LEVERAGE})
+        earlier = first_rules(calibration.robot.n_joints)
         before = correct_setpoints(calibration, limits, earlier, q) if before_rules else now
     else:
         stored = (before_upgrade.setpoints, before_upgrade.answers)

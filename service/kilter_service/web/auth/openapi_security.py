@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import FastAPI, Request, Response
+from fastapi.concurrency import run_in_threadpool
+from fastapi.responses import JSONResponse
 
 from kilter_service.web.auth.policy import rule_for_route
 
@@ -31,6 +35,24 @@ def openapi_with_security(app: FastAPI) -> Callable[[], dict[str, Any]]:
         return document
 
     return openapi
+
+
+def serve_openapi(app: FastAPI) -> None:
+    """Answer ``/openapi.json`` from its text: as objects, which FastAPI keeps, the description takes 20 MB."""
+
+    @cache
+    def text() -> bytes:
+        made = bytes(JSONResponse(app.openapi()).body)
+        app.openapi_schema = None
+        return made
+
+    async def answer(request: Request) -> Response:
+        made, root = await run_in_threadpool(text), request.scope.get("root_path", "").rstrip("/")
+        if root:  # as FastAPI says where a proxy shows the server
+            made = bytes(JSONResponse({**json.loads(made), "servers": [{"url": root}]}).body)
+        return Response(made, media_type=JSONResponse.media_type)
+
+    app.add_route("/openapi.json", answer, include_in_schema=False)
 
 
 def _describe(operation: dict[str, Any], route: str) -> None:

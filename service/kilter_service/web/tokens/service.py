@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import secrets
 from dataclasses import asdict
 from datetime import timedelta
@@ -15,6 +16,8 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.web.tokens import store
 from kilter_service.web.tokens.records import TokenRecord
+
+log = logging.getLogger("kilter.api")
 
 PREFIX = "kilter_"  # programs that look for secrets in published files know them by it
 SECRET_BYTES = 32
@@ -58,11 +61,12 @@ def get_valid_token(database: Database, sha256: str) -> TokenRecord:
     """Return the token whose secret has this hash, if it still holds.
 
     Raises:
-        ServiceError: there is none, it has expired, or it was revoked.
+        ServiceError: there is none, it has expired, it was revoked, or it is not what the audit says of it.
 
     """
     with database.reading() as session:
         found = store.by_hash(session, sha256)
+        altered = "" if found is None else database.audited_tokens.describe_difference(session, found.id)
     if found is None:
         raise ServiceError(
             "The token is not one of this server's: compare it with the `token` file in the server's data folder, or ask "
@@ -73,6 +77,13 @@ def get_valid_token(database: Database, sha256: str) -> TokenRecord:
         ended = f"was revoked by {found.revoked_by}" if found.revoked_at else "has expired"
         raise ServiceError(
             f"Token {found.name!r} {ended}: ask an admin for a new one (`kilter token add`).",
+            code="token_ended",
+            name=found.name,
+        )
+    if altered:
+        log.error("token %s does not work, it was altered past Kilter: %s Run `kilterd verify`.", found.id, altered)
+        raise ServiceError(
+            f"Token {found.name!r} was altered past Kilter: ask an admin for a new one (`kilter token add`).",
             code="token_ended",
             name=found.name,
         )

@@ -196,6 +196,7 @@ def written(old: str, value: float, least: int) -> str:
     return f"{value:{'+' if old[0] == '+' else ''}.{decimals}f}"
 
 
+@lru_cache(maxsize=4)
 def blank_strings_and_comments(text: str, comment: str) -> str:
     """Blank strings and comments: places stay."""
     return re.sub(rf'"[^"\n]*"|{comment}[^\r\n]*', lambda match: " " * len(match[0]), text)

@@ -17,6 +17,7 @@ from kilter_files.formats.programs.found import (
     line_number,
     sign,
 )
+from kilter_files.formats.programs.keyed import Tailed
 from kilter_files.formats.programs.krl_lines import MOTIONS, not_kept, reassigned_or_passed_variables, used_as_data
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
 from kilter_files.formats.programs.poses.krl import (
@@ -30,9 +31,9 @@ from kilter_files.formats.programs.poses.krl import (
 )
 from kilter_files.formats.programs.poses.krl_frames import KrlFrames
 
-AXES = re.compile(
-    rf"(?:\b({NAME})\s{{0,9}}=\s{{0,9}})?\{{\s{{0,9}}(?:(?:E6)?AXIS\s{{0,9}}:)?\s{{0,9}}(A\d\s[^{{}}]{{0,500}})(\}}|\Z|\{{)",
-    re.I,
+AXES = Tailed(
+    rf"(?:\b({NAME})\s{{0,9}}=\s{{0,9}})?",
+    r"\{\s{0,9}(?:(?:E6)?AXIS\s{0,9}:)?\s{0,9}(A\d\s[^{}]{0,500})(\}|\Z|\{)",
 )
 AXIS = re.compile(rf"\s{{0,9}}([AE])(\d)\s{{1,9}}({NUMBER})\s{{0,9}}", re.I)
 ARM_AXIS = re.compile(r"\bA\d\s", re.I)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator
+from functools import lru_cache
 
 STATEMENTS = """
 DEF DEFFCT DEFDAT END ENDFCT ENDDAT GLOBAL PUBLIC DECL CONST EXT EXTFCT EXTP EXTFCTP IMPORT STRUC ENUM SIGNAL
@@ -49,10 +50,8 @@ REST = frozenset(
 def reassigned_or_passed_variables(text: str) -> set[str]:
     """Return the variables, in capitals, that a statement gives another value than a list, or hands to a subprogram."""
     found = {match[1].upper() for match in GIVEN.finditer(text) if not EXTERNAL_PART.match(match[2])}
-    for at in subprograms(text):
-        inside = text[at : text.find("\n", at) % (len(text) + 1)].partition("(")[2]
-        found |= {one[1].upper() for one in HANDED.finditer(inside)}
-    return found
+    calls = {text[at : text.find("\n", at) % (len(text) + 1)] for at in subprograms(text)}
+    return found | {one[1].upper() for call in calls for one in HANDED.finditer(call.partition("(")[2])}
 
 
 def used_as_data(text: str) -> set[str]:
@@ -75,15 +74,23 @@ def not_kept(
     """
     bases = {name.partition("[")[0] for name in targets}
     handed = bases | {name.partition("[")[0] for name in poses}
-    at = 0
+    at, known = 0, dict[str, str]()  # what a line does stands in it, however often it comes
     for number, line in enumerate(text.split("\n"), 1):
         said = line.strip()
         if said and said[0] != "&" and at not in within:  # & begins what only the editor reads
-            why = "a sensor moves the arm" if SENSOR.search(said) else ""
-            why = why or _changes_target(said, bases) or _not_understood(said) or _describe_passed_target(said, handed)
-            if why:
-                yield number, f"{said[:40]}: {why}"
+            if said not in known:
+                known[said] = _describe_line(said, bases, handed)
+            if known[said]:
+                yield number, f"{said[:40]}: {known[said]}"
         at += len(line) + 1
+
+
+def _describe_line(said: str, bases: Collection[str], handed: Collection[str]) -> str:
+    """Why a line may move the arm elsewhere than to a target; empty: it does not."""
+    calls = "(" in said
+    why = "a sensor moves the arm" if calls and SENSOR.search(said) else ""
+    why = why or _changes_target(said, bases) or _not_understood(said)
+    return why or (_describe_passed_target(said, handed) if calls else "")
 
 
 def _changes_target(said: str, bases: Collection[str]) -> str:
@@ -103,6 +110,7 @@ def _describe_passed_target(said: str, targets: Collection[str]) -> str:
     return next((f"{by} is given a part of a target" for by, name in parts_handed(said) if name in targets), "")
 
 
+@lru_cache(maxsize=1024)
 def _may_change(function: str) -> bool:
     """Whether a function, in capitals, may change what it is given."""
     return function in READING or (function not in KEPT | REST and OF_MOTION.fullmatch(function) is None)
@@ -110,20 +118,15 @@ def _may_change(function: str) -> bool:
 
 def variables_passed_to_calls(text: str) -> set[str]:
     """Return the variables, in capitals, that a call is given whole or in part and may change; arrays without their index."""
-    found = {name for _, name in parts_handed(text)}
-    for call in CALLED.finditer(text):
-        by = call[1].upper()
-        if _may_change(by):
-            found |= {one[1].upper() for one in HANDED.finditer(call[2])}
-    return found
+    given = {call[2] for call in CALLED.finditer(text) if _may_change(call[1].upper())}
+    return {one[1].upper() for said in given for pattern in (HANDED, PART_HANDED) for one in pattern.finditer(said)}
 
 
 def parts_handed(text: str) -> Iterator[tuple[str, str]]:
     """Yield what is given a part of a variable, which it may change, and the name of the variable in capitals."""
-    for call in CALLED.finditer(text):
-        by = call[1].upper()
-        if _may_change(by):
-            yield from ((call[1], one[1].upper()) for one in PART_HANDED.finditer(call[2]))
+    calls = dict.fromkeys((call[1], call[2]) for call in CALLED.finditer(text) if _may_change(call[1].upper()))
+    for by, given in calls:
+        yield from ((by, one[1].upper()) for one in PART_HANDED.finditer(given))
 
 
 def _not_understood(said: str) -> str:

@@ -13,21 +13,25 @@ from kilter_files.formats.programs.found import (
     line_number,
     sign,
 )
+from kilter_files.formats.programs.keyed import Keyed, has_word
 from kilter_files.formats.programs.one_target import UNUSED, Spans
 from kilter_files.formats.programs.poses.rapid import AXIS_LOCKED, DISPLACED, TARGET, UNUSED_AXIS, parse_pose_target
 from kilter_files.formats.programs.poses.rapid import DECLARED as POSE
 from kilter_files.formats.programs.rapid_moves import MOVE, PAIR, TO_POSES, Known, Poses, RapidMoves, take_joints
 from kilter_files.formats.programs.rapid_uses import declared_again, elements, is_assigned, other_uses, variable_changes
 
-DECLARED = re.compile(r"\bjointtarget\s+(\w+)\s*+(\{[\w,\s]*\})?\s*+:=((?:[^;:]|:(?!=)){0,200000}+)(;|(?=:=)|\Z)", re.I)
+DECLARED = Keyed(
+    "jointtarget", r"\bjointtarget\s+(\w+)\s*+(\{[\w,\s]*\})?\s*+:=((?:[^;:]|:(?!=)){0,200000}+)(;|(?=:=)|\Z)"
+)
 SEVERAL_TIMES = "it is declared several times"
 PART_READ = re.compile(r"(?<![\\.\w])(\w+)\s*+(?:\{[^}\n]{0,40}\}\s*+)?\.\s*+robax\b", re.I)
 EXTERNAL = re.compile(r"\.\s*+extax\b", re.I)
-CONSTANT = re.compile(r"\bCONST\s+robtarget\s+(\w+)", re.I)
-HOLDS_TARGETS = re.compile(r"\b(?:rob|joint)target\s+\w+\s*+(?:\{[\w,\s]*\})?\s*+:=[^;]{0,200000}", re.I)
+CONSTANT = Keyed("const", r"\bCONST\s+robtarget\s+(\w+)")
+HOLDS_TARGETS = Keyed("robtarget jointtarget", r"\b(?:rob|joint)target\s+\w+\s*+(?:\{[\w,\s]*\})?\s*+:=[^;]{0,200000}")
 COMPUTED = re.compile(r"[A-Za-z_]\w{2,}")
-BY_ITSELF = re.compile(
-    r"(?<![\\.\w])(Ind[ACDR]Move|EGMRun(?:Joint|Pose)|EGMMove[LC]|StepBwdPath|LoadId)(?=[\s\\])", re.I
+BY_ITSELF = Keyed(
+    "ind egm stepbwdpath loadid",
+    r"(?<![\\.\w])(Ind[ACDR]Move|EGMRun(?:Joint|Pose)|EGMMove[LC]|StepBwdPath|LoadId)(?=[\s\\])",
 )
 
 
@@ -67,7 +71,7 @@ def find(program: Program) -> None:
     program.cartesian = [pose for pose in program.cartesian if pose.uses or pose not in origins]
     _note_problems(text, program, poses)
     data = _note_other_uses(text, program, poses, known, moves.understood, Spans(left))
-    data |= {match[1].lower() for match in PART_READ.finditer(text)} - {
+    data |= {match[1].lower() for match in (PART_READ.finditer(text) if has_word(text, "robax") else ())} - {
         match[1].lower() for match in variable_changes(text)
     }
     program.leave_targets({one: DATA for name in data - moves.moved for one in known.get(name, {}).values()})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from kilter_files.formats.programs.found import EXTERNAL_AXES, NUMBER, Program, line_number
+from kilter_files.formats.programs.keyed import Keyed
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Use
 from kilter_files.formats.programs.poses.rapid import TARGET, UNUSED_AXIS, RapidFrames, arguments, parse_pose_target
 from kilter_files.formats.programs.poses.rapid_computed import CALL, Computed
@@ -12,8 +13,9 @@ from kilter_files.formats.programs.poses.rapid_flow import RapidFlow
 
 SIX = r"\[\s*+" + r"\s*+,\s*+".join([f"({NUMBER})"] * 6) + r"\s*+\]"
 PAIR = re.compile(rf"\[\s*+{SIX}\s*+,\s*+{SIX}\s*+\]")
-MOVE = re.compile(
-    r"\b(Move\w{1,20}|Arc[LC]\d?(?:Start|End)?|Trigg[LJC]|Search[LC])(?=[\s\\])\s*+([^;]{0,2000}+)(;|\Z)", re.I
+MOVE = Keyed(
+    "move arc trigg search",
+    r"\b(Move\w{1,20}|Arc[LC]\d?(?:Start|End)?|Trigg[LJC]|Search[LC])(?=[\s\\])\s*+([^;]{0,2000}+)(;|\Z)",
 )
 TO_POSES = re.compile(r"(?:Move|Trigg|Arc)([JLC])(?:DO|AO|GO|Sync|\d?(?:Start|End))?\d?", re.I)
 TO_TOOL = {"M": 2, "T": 3, "A": 4}  # arguments between goals and tool: speed and zone, a trigger, seam and weld

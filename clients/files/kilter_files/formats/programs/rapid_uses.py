@@ -10,8 +10,10 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
+from kilter_files.formats.programs.keyed import Keyed
+
 TYPES = r"(?:robtarget|jointtarget|tooldata|wobjdata)"
-DECLARES = re.compile(rf"\b{TYPES}\s+(\w+)(?:\s*+\{{[\w,*\s]*\}})?\s*+(:=)?", re.I)
+DECLARES = Keyed("robtarget jointtarget tooldata wobjdata", rf"\b{TYPES}\s+(\w+)(?:\s*+\{{[\w,*\s]*\}})?\s*+(:=)?")
 ASSIGNS = re.compile(r"(?<![\\.\w])(\w+)\s*+(?:\.[\w.]+|\{[^}\n]{0,40}\}[\w.]*)?\s*+:=")
 PART_GIVEN = re.compile(
     r"(?<![\\.\w])(\w+)\s*+(?:\{[^}\n]{0,40}\}\s*+)?\.\s*+[A-Za-z_][\w.]{0,80}(?:\{[^}\n]{0,40}\})?(?=\s*+[,;\\])"
@@ -22,8 +24,8 @@ READS = re.compile(
 WORD = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)(?!\w|\s*+\.\s*+\w)")
 OPENS = re.compile(r";|\b(?:THEN|ELSE|DO)\b", re.I)
 FIRST = re.compile(r"[A-Za-z]\w*")
-ROUTINE = re.compile(r"\b(?:PROC|FUNC\s+\w+)\s+(\w+)\s*+\(([^()]{0,2000}+)\)", re.I)
-CONSTANT = re.compile(r"\bCONST\s+\w+\s+(\w+)", re.I)
+ROUTINE = Keyed("proc func", r"\b(?:PROC|FUNC\s+\w+)\s+(\w+)\s*+\(([^()]{0,2000}+)\)")
+CONSTANT = Keyed("const", r"\bCONST\s+\w+\s+(\w+)")
 BRACKETS = re.compile(r"[()\[\]{},;]")
 FUNCTION = re.compile(r"(?<![\\.\w])([A-Za-z]\w*)\s*+\(")
 ARGUMENT = re.compile(r"\s*+([A-Za-z]\w*)\s*+(?:\{[^}\n]{0,40}\}\s*+)?(?:\.\s*+\w+\s*+)*")
@@ -139,7 +141,7 @@ def other_uses(text: str, names: Collection[str], understood: Collection[int]) -
     """
     declared = {match.start(1) for match in DECLARES.finditer(text)}
     by_value = _by_value(text)
-    for match in WORD.finditer(text):
+    for match in _words_like(names).finditer(text) if names else ():
         at = match.start()
         if match[1].lower() in names and at not in understood and at not in declared:
             if ASSIGNS.match(text, at) or is_assigned(text, at):
@@ -147,6 +149,12 @@ def other_uses(text: str, names: Collection[str], understood: Collection[int]) -
             before = text[_statement_start(text, at) : at]
             bare = before[-1:] in ", \t\r\n" and before.count("(") == before.count(")")
             yield Use(at, match[1], _instruction(before, by_value) if bare else "")
+
+
+def _words_like(names: Collection[str]) -> re.Pattern[str]:
+    """``WORD``, of words that begin as one of some names does, which are in small letters."""
+    begin = "".join(sorted({name[0] for name in names if name[0].isascii() and name[0].isalpha()}))
+    return re.compile(WORD.pattern.replace("A-Za-z]", f"{begin}{begin.upper()}]", 1) if begin else r"(?!)")
 
 
 def _statement_start(text: str, at: int) -> int:

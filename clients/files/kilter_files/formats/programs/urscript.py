@@ -15,6 +15,7 @@ from kilter_files.formats.programs.found import (
     line_number,
     sign,
 )
+from kilter_files.formats.programs.keyed import Keyed
 from kilter_files.formats.programs.one_target import JointTarget, Span
 from kilter_files.formats.programs.poses.urscript import (
     BY_FORCE,
@@ -27,8 +28,10 @@ from kilter_files.formats.programs.poses.urscript import (
 )
 
 DECLARED = re.compile(r"^[ \t]*+(?:global[ \t]+|local[ \t]+)?(\w{1,64})[ \t]*+=[ \t]*+([^\r\n]*)", re.M)
-MOVE = re.compile(
-    r"\b((?:optimove|move|servo|speed)[jlpc])[ \t]{0,9}\(\s*+(?:\w{1,16}\s?=\s?)?(\[[^\]]{0,500}\]?|\w{1,64}\s?[(\[]?)?"
+MOVE = Keyed(
+    "optimove move servo speed",
+    r"\b((?:optimove|move|servo|speed)[jlpc])[ \t]{0,9}\(\s*+(?:\w{1,16}\s?=\s?)?(\[[^\]]{0,500}\]?|\w{1,64}\s?[(\[]?)?",
+    0,
 )
 TO_JOINTS = frozenset(("movej", "movel", "movep"))  # along a line too the arm comes to these joints
 POSE = re.compile(r"p\s?\[|get_inverse_kin\s?\(")

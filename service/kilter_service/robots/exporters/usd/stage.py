@@ -37,7 +37,6 @@ class Stage:
         self.root = f"/{pxr.Tf.MakeValidIdentifier(title)}"
         self.axes = identified_axes(calibration, exported)
         self.thick = thickness(self.axes)
-        self.light = False
         self._names = self._unique([joint.name for joint in calibration.robot.joints])
         self._scene()
         self._arm(driven)
@@ -145,7 +144,6 @@ class Stage:
     def _weigh(self, body: Any, links: list[Link]) -> None:
         """One mass of several: their centre, and their inertia about it along its own axes."""
         mass = sum(float(link.mass) for link in links)
-        self.light = self.light or mass <= 0.0
         com, inertia = np.zeros(3), np.zeros((3, 3))
         if mass > 0.0:
             com = sum((link.mass * np.asarray(link.com) for link in links), np.zeros(3)) / mass

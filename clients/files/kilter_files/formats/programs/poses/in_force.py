@@ -7,6 +7,7 @@ import re
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 
 @dataclass(frozen=True)
@@ -85,10 +86,11 @@ class InForce:
         return _Part([at for at, _ in inside], values, same, plain, jumps)
 
 
+@lru_cache(maxsize=2)
 def calls_of_own(text: str, named: re.Pattern[str]) -> list[int]:
     """Return where a program calls its own subprograms, of which ``named`` finds the names: they may move the arm."""
-    names = {match[1].upper() for match in named.finditer(text)}
-    heads = {match.start(1) for match in named.finditer(text)}
+    own = [*named.finditer(text)]
+    names, heads = {match[1].upper() for match in own}, {match.start(1) for match in own}
     calls = re.finditer(r"(?<![\w.$])(\w{1,64})[ \t]*+\(", text)
     return [match.start() for match in calls if match[1].upper() in names and match.start() not in heads]
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 
 from kilter_files.formats.programs.found import NUMBER, Program, blank_strings_and_comments, line_number
+from kilter_files.formats.programs.keyed import Tailed
 from kilter_files.formats.programs.krl_lines import EXTERNAL_PART, GIVEN, parts_handed
 from kilter_files.formats.programs.notations import KRL
 from kilter_files.formats.programs.one_target import PoseTarget
@@ -14,10 +15,9 @@ from kilter_files.formats.programs.poses.track import AT_ZERO, frame_on_track
 
 INDEX = r"\[\s{0,9}\d{1,4}\s{0,9}(?:,\s{0,9}\d{1,4}\s{0,9}){0,2}\]"  # constants, of an array of up to three dimensions
 NAME = rf"\w{{1,64}}(?:{INDEX})?"
-POSE = re.compile(
-    rf"(?:(?<![\w$.])((?:E6)?POS\s{{1,9}})?({NAME})\s{{0,9}}=\s{{0,9}})?"
+POSE = Tailed(
+    rf"(?:(?<![\w$.])((?:E6)?POS\s{{1,9}})?({NAME})\s{{0,9}}=\s{{0,9}})?",
     r"\{\s{0,9}((?:E6)?POS\s{0,9}:)?\s{0,9}([XYZ]\s[^{}\n]{0,500})\}(?![ \t]*+:)",
-    re.I,
 )
 PART = re.compile(rf"\s{{0,9}}(\w{{1,2}})\s{{1,9}}({NUMBER}|'B\s?[01]{{1,16}}')\s{{0,9}}", re.I)
 COMPUTED_INDEX = re.compile(r"(?<![\w$.])(\w{1,64})[ \t]*+\[[ \t\d,]*+[^ \t\d,\]]")
@@ -116,7 +116,9 @@ def note_external(program: Program) -> None:
 def _moving_external_axes(text: str) -> Iterator[str]:
     """The external axes that a program moves from zero."""
     for line in blank_strings_and_comments(text, ";").splitlines():
-        for match in () if OTHER_LINE.match(line) else EXTERNAL_AXIS.finditer(line):
+        if not ("E" in line or "e" in line) or OTHER_LINE.match(line):
+            continue
+        for match in EXTERNAL_AXIS.finditer(line):
             value = match[2]
             if value is None or re.fullmatch(NUMBER, value) is None or abs(float(value)) > AT_ZERO:
                 yield match[1] or match[3]

@@ -7,6 +7,7 @@ from bisect import bisect_right
 from collections.abc import Iterator
 
 from kilter_files.formats.programs.found import NUMBER, Program, blank_strings_and_comments
+from kilter_files.formats.programs.keyed import Keyed, Tailed
 from kilter_files.formats.programs.krl_lines import (
     reassigned_or_passed_variables,
     subprograms,
@@ -19,20 +20,18 @@ from kilter_files.formats.programs.poses.krl import NAME, key
 NULL = Frame(KRL, (0.0,) * 6)
 BRACES = r"\{([^{}\r\n]{0,500})\}"
 ALONE = rf"{BRACES}(?![ \t]*+:)"  # not the first part of a longer expression
-FRAME = re.compile(
-    rf"(?<![\w.$])(\$(?:BASE|TOOL)|(?:BASE|TOOL)_DATA\s{{0,9}}\[\s{{0,9}}\d{{1,4}}\s{{0,9}}\]|{NAME})\s{{0,9}}=\s{{0,9}}{ALONE}",
-    re.I,
+FRAME = Tailed(
+    rf"(?<![\w.$])(\$(?:BASE|TOOL)|(?:BASE|TOOL)_DATA\s{{0,9}}\[\s{{0,9}}\d{{1,4}}\s{{0,9}}\]|{NAME})\s{{0,9}}",
+    rf"=\s{{0,9}}{ALONE}",
 )
-FRAMES = re.compile(r"\bFRAME[ \t]+(\w[^=\r\n]{0,300})", re.I)
+FRAMES = Keyed("frame", r"\bFRAME[ \t]+(\w[^=\r\n]{0,300})")
 PART = re.compile(rf"\s{{0,9}}(?:(?:FRAME|(?:E6)?POS)\s{{0,9}}:\s{{0,9}})?([XYZABC])\s{{1,9}}({NUMBER})\s{{0,9}}", re.I)
 SET = re.compile(
     r"^[ \t]*+(?:\$(BASE|TOOL)[ \t]*+(?:=|(?=\.))[ \t]*+([^\r\n]{1,200})|FDAT_ACT[ \t]*+(?:=|(?=\.))[ \t]*+([^\r\n]{1,300})"
     r"|BAS[ \t]*+\([ \t]*+#(BASE|TOOL|\w{1,30})[ \t]*+,[ \t]*+(\w{1,30}))",
     re.I | re.M,
 )
-FDAT = re.compile(
-    rf"\b({NAME})\s{{0,9}}=\s{{0,9}}\{{([^{{}}\r\n]{{0,500}}\b(?:TOOL|BASE)_NO\b[^{{}}\r\n]{{0,500}})\}}", re.I
-)
+FDAT = Tailed(rf"\b({NAME})\s{{0,9}}", r"=\s{0,9}\{([^{}\r\n]{0,500}\b(?:TOOL|BASE)_NO\b[^{}\r\n]{0,500})\}")
 CONTROL = re.compile(
     r"^[ \t]*+(?:(IF|FOR|WHILE|REPEAT|LOOP|SWITCH)\b|(END(?:IF|FOR|WHILE|LOOP|SWITCH)|UNTIL)\b|(ELSE|CASE|DEFAULT)\b"
     r"|(GOTO\b|\w{1,64}[ \t]*+:(?!=)))",
@@ -55,7 +54,7 @@ ORIENTATION = re.compile(
     re.I | re.M,
 )
 OWN_ORIENTATION = re.compile(r"\$ORI_TYPE[ \t]*+=[ \t]*+(#\w{1,20})", re.I)
-MOVE_DATA = re.compile(r"\b(\w{1,64})\s{0,9}=\s{0,9}(\{[^{}\r\n]{0,500}\bORI_TYP\b[^{}\r\n]{0,500}\})", re.I)
+MOVE_DATA = Tailed(r"\b(\w{1,64})\s{0,9}", r"=\s{0,9}(\{[^{}\r\n]{0,500}\bORI_TYP\b[^{}\r\n]{0,500}\})")
 NOT_TAKEN = re.compile(r"#(?:CONST\w*|IGNORE)\b", re.I)  # the arm keeps the orientation that it has, or finds its own
 TOOL_STANDS = "its tool stands still (#TCP)"
 
@@ -68,16 +67,15 @@ class KrlFrames:
         self._stated = program.stated
         texts = [text, *([blank_strings_and_comments(program.beside.text, ";")] if program.beside is not None else [])]
         self._named = {name for one in texts for name in _declared_frame_names(one)}
-        self.literals = {match.start(2) - 1 for match in FRAME.finditer(text) if self._is_frame(match[1])}
+        listed = [[*FRAME.finditer(one)] for one in texts]
+        self.literals = {match.start(2) - 1 for match in listed[0] if self._is_frame(match[1])}
         self._frames: dict[str, Frame | str] = {}
         self._data: dict[str, str] = {}
         self._handed = {name for one in texts for name in variables_passed_to_calls(one)}
         self._given = {name for one in texts for name in reassigned_or_passed_variables(one)} | self._handed
-        for one in texts:
-            self._read(one)
-        self._set_at = {
-            key(match[1]): match.start() for match in reversed([*FRAME.finditer(text)]) if "_DATA" in match[1].upper()
-        }
+        for one, found in zip(texts, listed, strict=True):
+            self._read(one, found)
+        self._set_at = {key(match[1]): match.start() for match in reversed(listed[0]) if "_DATA" in match[1].upper()}
         self._changed = {(match[1].upper(), match[2].strip()) for one in texts for match in CHANGED.finditer(one)}
         self._text, self._blocks = text, list(BLOCK.finditer(text))
         self._stands = STANDING.search(text) is not None
@@ -104,8 +102,8 @@ class KrlFrames:
         name = key(name)
         return name[0] == "$" or name.startswith(("BASE_DATA[", "TOOL_DATA[")) or name.partition("[")[0] in self._named
 
-    def _read(self, text: str) -> None:
-        for match in FRAME.finditer(text):
+    def _read(self, text: str, listed: list[re.Match[str]]) -> None:
+        for match in listed:
             name = key(match[1])
             if not self._is_frame(name):
                 continue

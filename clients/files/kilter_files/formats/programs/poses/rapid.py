@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Iterator
 
 from kilter_files.formats.programs.found import NUMBER, Program, Stated, line_number
+from kilter_files.formats.programs.keyed import Keyed
 from kilter_files.formats.programs.notations import NOT_UNIT, RAPID, Frame
 from kilter_files.formats.programs.one_target import PoseTarget
 from kilter_files.formats.programs.poses.configurations import ConfData
@@ -25,14 +26,14 @@ def _list(count: int) -> str:
 
 POSE = rf"{_list(3)}\s*+,\s*+{_list(4)}"
 TARGET = re.compile(rf"\[\s*+{POSE}\s*+,\s*+{_list(4)}\s*+,\s*+{_list(6)}\s*+\]")
-DECLARED = re.compile(r"\brobtarget\s+(\w+)\s*+(\{[\w,\s]*\})?\s*+:=([^;]{0,200000})", re.I)
-TOOL = re.compile(rf"\btooldata\s+(\w+)\s*+:=\s*+\[\s*+(TRUE|FALSE)\s*+,\s*+\[\s*+{POSE}\s*+\]", re.I)
-OBJECT = re.compile(
+DECLARED = Keyed("robtarget", r"\brobtarget\s+(\w+)\s*+(\{[\w,\s]*\})?\s*+:=([^;]{0,200000})")
+TOOL = Keyed("tooldata", rf"\btooldata\s+(\w+)\s*+:=\s*+\[\s*+(TRUE|FALSE)\s*+,\s*+\[\s*+{POSE}\s*+\]")
+OBJECT = Keyed(
+    "wobjdata",
     rf"\bwobjdata\s+(\w+)\s*+:=\s*+\[\s*+(TRUE|FALSE)\s*+,\s*+(TRUE|FALSE)\s*+,[^,\[\]]{{0,80}},\s*+\[\s*+{POSE}\s*+\]\s*+,\s*+\[\s*+{POSE}\s*+\]",
-    re.I,
 )
-DISPLACED = re.compile(r"\b(?:PDispOn|PDispSet|EOffsOn|EOffsSet)\b", re.I)
-AXIS_LOCKED = re.compile(r"\bSingArea\s*+\\\s*+LockAxis4\b", re.I)
+DISPLACED = Keyed("pdispon pdispset eoffson eoffsset", r"\b(?:PDispOn|PDispSet|EOffsOn|EOffsSet)\b")
+AXIS_LOCKED = Keyed("singarea", r"\bSingArea\s*+\\\s*+LockAxis4\b")
 
 
 def parse_pose_target(program: Program, name: str, match: re.Match[str]) -> PoseTarget:

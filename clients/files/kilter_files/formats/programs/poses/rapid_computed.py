@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_number
+from kilter_files.formats.programs.keyed import Keyed
 from kilter_files.formats.programs.notations import RAPID
 from kilter_files.formats.programs.one_target import PoseTarget, WrittenOut
 from kilter_files.formats.programs.poses.rapid import arguments
@@ -19,9 +20,9 @@ SHIFT = re.compile(
     rf"\s*+({VALUE})\s*+,\s*+({VALUE})\s*+,\s*+({VALUE})\s*+((?:,?\s*+\\\s*+R[xyz]\s*+:=\s*+{VALUE}\s*+){{0,3}})", re.I
 )
 TURN = re.compile(rf"R([xyz])\s*+:=\s*+({VALUE})", re.I)
-CONSTANT = re.compile(rf"\bCONST\s+num\s+(\w+)\s*+:=\s*+({NUMBER})\s*+;", re.I)
-NUM = re.compile(r"\bnum\s+(\w+)", re.I)
-LOOP = re.compile(r"\bFOR\s+(\w+)\s+FROM\b", re.I)  # which declares its variable
+CONSTANT = Keyed("const", rf"\bCONST\s+num\s+(\w+)\s*+:=\s*+({NUMBER})\s*+;")
+NUM = Keyed("num", r"\bnum\s+(\w+)")
+LOOP = Keyed("for", r"\bFOR\s+(\w+)\s+FROM\b")  # which declares its variable
 
 
 class Computed:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from kilter_files.formats.programs.keyed import Keyed
 from kilter_files.formats.programs.poses.in_force import InForce
 
-SWITCHED = re.compile(r"\bConf([JL])\s*+\\\s*+(On|Off)\b", re.I)
-ROUTINE = re.compile(r"\b(?:PROC|FUNC\s+\w{1,64}|TRAP)\s+(\w{1,64})", re.I)
+SWITCHED = Keyed("conf", r"\bConf([JL])\s*+\\\s*+(On|Off)\b")
+ROUTINE = Keyed("proc func trap", r"\b(?:PROC|FUNC\s+\w{1,64}|TRAP)\s+(\w{1,64})")
 STARTS = re.compile(r"^[ \t]*+(?:LOCAL\s+)?(?:PROC|FUNC|TRAP|ERROR|UNDO|BACKWARD|END(?:PROC|FUNC|TRAP))\b", re.I | re.M)
 STATEMENT = re.compile(r"(?:^[ \t]*+|(?:;|\b(?:THEN|ELSE|DO)\b|(?<=\w):(?!=))\s*+)([A-Za-z]\w{0,63})", re.I | re.M)
 WAYS = {

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_number
+from kilter_files.formats.programs.keyed import Keyed
 from kilter_files.formats.programs.notations import URSCRIPT, Frame
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
 from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own, calls_that_set
@@ -17,7 +18,7 @@ SIX = re.compile(r"p\s?\[\s*+" + r"\s*+,\s*+".join([f"({NUMBER})"] * 6) + r"\s*+
 INVERSE = re.compile(r"get_inverse_kin[ \t]{0,9}\(")
 IN_FRAME = re.compile(r"pose_trans[ \t]{0,9}\(")
 CALL = re.compile(r"\b(move[jlpc])[ \t]{0,9}\(")
-SET_TCP = re.compile(r"\bset_tcp[ \t]{0,9}\(")
+SET_TCP = Keyed("set_tcp", r"\bset_tcp[ \t]{0,9}\(", 0)
 BRACKET = re.compile(r"[()\[\]]")
 MOST_INSIDE = 2000  # characters
 CALLED = re.compile(r"(?<![\w.])(\w{1,64})[ \t]{0,9}\(")
@@ -29,8 +30,10 @@ KNOWN = re.compile(
     r"|end_force_mode|powerdown|varmsg|request_\w{1,64}"
 )
 MOVES = re.compile(r"(?:optimove|move|servo|speed)[jlpc]")
-DISPLACED = re.compile(r"\b(?:path_offset_(?:set|enable)|track_conveyor_\w{1,20})[ \t]{0,9}\(")
-FORCED = re.compile(r"\b(end_)?force_mode[ \t]{0,9}\(")
+DISPLACED = Keyed(
+    "path_offset_ track_conveyor_", r"\b(?:path_offset_(?:set|enable)|track_conveyor_\w{1,20})[ \t]{0,9}\(", 0
+)
+FORCED = Keyed("force_mode end_force_mode", r"\b(end_)?force_mode[ \t]{0,9}\(", 0)
 BY_FORCE = "force_mode moves the arm beside it"
 OF_INVERSE = ("qnear", "maxpositionerror", "maxorientationerror", "tcp")
 FIXED_ORIENTATION = re.compile(r"mode\s?=(?!\s?0\b)")
