@@ -11,8 +11,8 @@ from typing import Any
 
 from kilter_core.effects import EFFECTS
 from kilter_files.formats.registry import list_formats
+from kilter_service.contract.jobs.registry import KINDS
 from kilter_service.contract.words import describe_schema
-from kilter_service.jobs.registry import KINDS
 from tools.contract.commands import table_of_command, table_of_server
 
 MARK = re.compile(r"(<!-- make contract: (?P<name>[\w -]+) -->\n).*?(<!-- end -->)", re.DOTALL)

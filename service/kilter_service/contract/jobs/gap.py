@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
@@ -24,6 +24,9 @@ from kilter_service.contract.gap_details import (
     Refused,
     Untestable,
 )
+from kilter_service.contract.jobs.check import TestabilityCheck
+from kilter_service.contract.jobs.job import JobOf
+from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.jobs.shared import (
     FIX,
     FREE,
@@ -133,3 +136,22 @@ class GapResult(MadeVersion):
     reference: Reference | None = Field(None, description="Where the frames of a correction come from.")
     prior: PriorUsed | None = Field(None, description="What other robots of the type said; null: they were not asked.")
     start: str | None = Field(None, description="The version it continued from; null: the nominal robot.")
+
+
+GAP = JobContract(
+    "gap",
+    noun="gap search",
+    called="search",
+    title="Search for what is missing",
+    summary="Find where the model is wrong and name what is missing; the result is a new version.",
+    options=GapOptions,
+    result=GapResult,
+    seconds=(5.0, 2.0, 60.0),
+    version_option="start",
+    takes_confirmation=True,
+    long=True,
+    usual=("effects", "start", "noise_mm", "alpha"),
+    uses={"train": "train", "validation": "validation", "confirmation": "confirmation"},
+    check=TestabilityCheck,
+)
+GapJob: TypeAlias = JobOf[GapOptions, GapResult]

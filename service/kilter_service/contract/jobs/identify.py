@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
 from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import FitDetails, Metrics, NullDirection, Parameter
+from kilter_service.contract.jobs.check import IdentifiabilityCheck
+from kilter_service.contract.jobs.job import JobOf
+from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.jobs.shared import (
     FIX,
     FREE,
@@ -106,3 +109,20 @@ class IdentifyResult(FitDetails, MadeVersion):
     metrics: Metrics | None = Field(None, description="Errors on the rows fitted and on those held out.")
     noise_mm: Mm | None = Field(None, description="Standard deviation of a coordinate of the noise, mm.")
     figures: IdentifyFigures | None = Field(None, description="Figures by name.")
+
+
+IDENTIFY = JobContract(
+    "identify",
+    noun="identification",
+    title="Identify parameters",
+    summary="Identify parameters from campaigns; the result is a new version.",
+    options=IdentifyOptions,
+    result=IdentifyResult,
+    seconds=(1.0, 0.3, 20.0),
+    version_option="start",
+    takes_folds=True,
+    usual=("method", "level", "effects", "loss", "start"),
+    uses={"train": "train", "validation": "validation"},
+    check=IdentifiabilityCheck,
+)
+IdentifyJob: TypeAlias = JobOf[IdentifyOptions, IdentifyResult]

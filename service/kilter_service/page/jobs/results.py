@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from kilter_service.contract.jobs.job import Job
+from kilter_service.contract.jobs.registry import KINDS, Job
 from kilter_service.ground.db import Database
 from kilter_service.page.gap import service as story
 from kilter_service.page.jobs import evaluation, identification, planned
@@ -30,11 +30,10 @@ def default_context(database: Database, job: Job) -> dict[str, Any]:
         "remedy": getattr(result, "remedy", None),
         "warnings": getattr(result, "warnings", None) or [],
         "version": getattr(result, "version_id", None),
-        "robot": job.robot if job.kind in CHECKS else "",
+        "robot": job.robot if KINDS[job.kind].watching else "",
     }
 
 
-CHECKS = ("drift", "rezero")  # their result stands beside the other checks of the robot, too
 PLAIN = Result("jobs/plain.html", default_context)
 RESULTS: dict[str, Result] = {
     "identify": Result("jobs/identify.html", identification.result_context),
