@@ -85,7 +85,7 @@ def client_modules(snapshot: Path) -> dict[str, str]:
     interface = json.loads(snapshot.read_text(encoding="utf-8"))
     schemas = interface["components"]["schemas"]
     jobs = _kinds_of_job(interface)
-    checks = [f"{name.removesuffix('Job')}Check" for name in jobs.values()]
+    checks = [name for job in jobs.values() if (name := f"{job.removesuffix('Job')}Check") in schemas]
     modules = {**MODULES, "checks": checks, "jobs": [*jobs.values()], "others": _answers(interface)}
     every = _needed(schemas, [root for roots in modules.values() for root in roots], {}, {})
     families = _families(schemas, every)
