@@ -1,4 +1,4 @@
-"""What CONTRIBUTING.md says of adding an effect, a method, a reader, a kind of job and an export: done in a copy.
+"""What CONTRIBUTING.md says of adding an effect, a method, a reader, an option, a kind of job and an export: done in a copy.
 
 Each addition may touch so many files and no more; then the copy is used as it is, in a process of its own.
 """
@@ -19,6 +19,8 @@ COPIED = (
     "core", "service", "clients/files", "clients/python", "clients/matlab", "docs", "tests/contract", "migrations", "tools",
 )  # fmt: skip
 SECONDS = 500
+SNAPSHOT = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/contract/test_openapi.py", "-k", "snapshot"]
+MAKE_CONTRACT = (["-m", "tools.contract"], SNAPSHOT, ["-m", "tools.contract"])
 NO_CONTRACT = ("kind of measurement",)  # names nothing that `make contract` writes
 QUICK = ("effect", "kind of measurement")  # what `make test` tries; `make test-slow` tries the others too
 
@@ -264,12 +266,8 @@ KIND = '''"""Job kind ``count``: how many rows there are."""
 
 from __future__ import annotations
 
-from kilter_service.contract.jobs.count import CountOptions
+from kilter_service.contract.jobs.count import COUNT
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
-
-
-def check(options: CountOptions) -> None:
-    """All that can be asked goes together."""
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
@@ -278,9 +276,9 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     return JobOutput({"rows": {name: -(-len(rows) // job.options.every) for name, rows in job.campaigns.items()}})
 
 
-COUNT = JobKind("count", CountOptions, check, run, takes_folds=False)
+KIND = JobKind(COUNT, run)
 '''
-KIND_OPTIONS = '''"""Jobs of kind ``count``: how many rows there are."""
+KIND_CONTRACT = '''"""Jobs of kind ``count``: how many rows there are."""
 
 from __future__ import annotations
 
@@ -288,6 +286,7 @@ from typing import Annotated
 
 from pydantic import Field
 
+from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.units import Asked, Stored
 
 
@@ -301,41 +300,126 @@ class CountResult(Stored):
     """How many rows there are."""
 
     rows: dict[str, int] | None = Field(None, description="Rows, by campaign.")
+
+
+COUNT = JobContract(
+    "count",
+    noun="count of rows",
+    title="Count rows",
+    summary="Count the rows of campaigns.",
+    options=CountOptions,
+    result=CountResult,
+    usual=("every",),
+    uses={"train": "train"},
+)
 '''
-IMPORT = "from kilter_service.contract.jobs.count import CountOptions, CountResult\n"
-NEW_JOB = '''class NewCountJob(_NewJob):
-    """Count the rows of campaigns."""
+KIND_PAGE = """## count
+How many rows campaigns have, with `kilter count`.
 
-    kind: Literal["count"] = Field(description=KIND)
-    options: CountOptions = Field(CountOptions(), description=OPTIONS)
+<!-- make contract: options of count -->
+<!-- end -->
 
-
-'''
-COUNT_JOB = '''class CountJob(_Job):
-    """A count with what was asked and what came out."""
-
-    kind: Literal["count"] = Field(description=KIND)
-    options: CountOptions = Field(description="Options, as asked.")
-    result: CountResult | None = Field(description=RESULT)
-
-
-'''
+"""
 USE_KIND = """
-import numpy as np
-from kilter_core.observations import Observations
-from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.presets import preset_document
-from pydantic import TypeAdapter
-from kilter_service.contract.jobs.job import NewJob
-from kilter_service.jobs.kind import JobInput
-from kilter_service.jobs.registry import get_job_kind
+import json, os, pathlib, shutil, subprocess, sys, tempfile
+import httpx, kilter
+from playwright.sync_api import sync_playwright
+from tools.local_server import local_server
 
-kind = get_job_kind("count")
-asked = TypeAdapter(NewJob).validate_python({"kind": "count", "robot": "arm", "options": {"every": 2}})
-kind.check(asked.options)
-robot = robot_from_document(preset_document("panda"))
-job = JobInput(robot, {"cmp_1": Observations(np.zeros((3, 7)))}, None, asked.options)
-assert kind.run(job, lambda fraction, stage: None).result == {"rows": {"cmp_1": 2}}
+folder = pathlib.Path(tempfile.mkdtemp())
+(folder / "rows.csv").write_text("\\n".join(
+    [",".join(f"q{j}_deg" for j in range(1, 8)) + ",x_mm,y_mm,z_mm"]
+    + [",".join(map(str, [k, -20, 10, -90 + k, 5, 100, 30, 400 + k, 10, 500])) for k in range(7)]
+))
+with local_server(folder / "data") as server:
+    os.environ.update(server.environment())
+    with kilter.connect(server.url) as k:
+        k.add_robot(preset="panda", name="arm")
+        campaign = k.upload("arm", folder / "rows.csv").campaign_id
+        # The library
+        assert k.check("count", "arm", campaign).would_run
+        found = k.count("arm", campaign, every=2, progress=False)
+        assert type(found).__name__ == "CountResult" and found.rows == {campaign: 4}, found
+    # HTTP
+    token = (folder / "data/token").read_text().strip()
+    asked = {"kind": "count", "robot": "arm", "campaigns": [campaign], "options": {"every": 1001}}
+    with httpx.Client(base_url=server.url, headers={"Authorization": f"Bearer {token}"}) as client:
+        job = client.get("/v1/jobs?robot=arm").json()["jobs"][0]
+        refused = client.post("/v1/jobs", json=asked).json()
+    assert refused["code"] == "option_invalid" and "options.every is 1001" in refused["detail"], refused
+    assert (job["kind"], job["state"]) == ("count", "succeeded"), job
+    # The command
+    words = [sys.executable, "-m", "kilter_client", "count", "arm", "-c", campaign, "--every", "3", "--json"]
+    words[1:3] = ["-c", "import sys; from kilter_client.cli import run; sys.exit(run(sys.argv[1:]))"]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["result"] == {"rows": {campaign: 3}}, done.stdout
+    # The page
+    with sync_playwright() as playwright:
+        chromium = shutil.which("chromium") or shutil.which("google-chrome")
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_page(base_url=server.url)
+        page.goto("/login")
+        page.get_by_label("Token").fill(token)
+        page.get_by_role("button", name="Log in").click()
+        page.wait_for_url("**/")
+        page.goto("/robots/arm/jobs")
+        page.get_by_role("link", name="Count rows").first.click()
+        page.get_by_label("Every").fill("7")
+        page.get_by_role("button", name="Check").click()
+        page.get_by_text("The check has passed.").wait_for()
+        page.get_by_role("button", name="Run").click()
+        page.get_by_text(f"Rows {campaign}").wait_for()
+        assert page.locator(f"dt:has-text('Rows {campaign}') + dd").inner_text() == "1"
+        browser.close()
+"""
+
+OPTION = """    toy_width_mm: float | None = option(
+        None, "Width of a toy, mm, above 0 and at most 50; null: as wide as it is.", above=0.0, high=50.0
+    )
+"""
+USE_OPTION = """
+import contextlib, io, pathlib, tempfile
+from kilter_client.cli import run
+from kilter_core.errors import OptionError
+from kilter_core.identify import IdentifyOptions
+from kilter_service.contract.jobs.identify import IDENTIFY
+from kilter_service.ground.settings import Settings
+from kilter_service.jobs.kinds.identify import KIND
+from kilter_service.jobs.refusals import read_options
+from kilter_service.page.jobs import options
+from kilter_service.run.app import create_app
+
+# The core
+assert IdentifyOptions(toy_width_mm=3).toy_width_mm == 3
+for wrong, said in ((0, "a number above 0.0 and at most 50.0"), ("wide", "a number"), (True, "a number")):
+    try:
+        IdentifyOptions(toy_width_mm=wrong)
+    except OptionError as error:
+        assert said in str(error), error
+    else:
+        raise AssertionError(f"{wrong!r} was not refused")
+# HTTP
+schema = create_app(Settings(data=pathlib.Path(tempfile.mkdtemp()))).openapi()["components"]["schemas"]
+(number, _) = schema["IdentifyOptions"]["properties"]["toy_width_mm"]["anyOf"]
+assert number == {"type": "number", "exclusiveMinimum": 0.0, "maximum": 50.0, "x-unit": "mm"}, number
+KIND.check(read_options("identify", {"toy_width_mm": 50}))
+try:
+    read_options("identify", {"toy_width_mm": 51})
+except OptionError as error:
+    assert str(error).startswith("options.toy_width_mm is 51: give a number"), error
+else:
+    raise AssertionError("it was not refused")
+# The page, the command, the library, MATLAB and the reference
+(field,) = (one for one in options.fields("identify")[1] if one.name == "toy_width_mm")
+assert (field.form, field.hint[:14]) == ("number", "Width of a toy"), field
+with contextlib.redirect_stdout(io.StringIO()) as shown, contextlib.suppress(SystemExit):
+    run(["identify", "--help"])
+assert "--toy-width-mm" in shown.getvalue(), shown.getvalue()
+for page in ("clients/matlab/+kilter/identify.m", "clients/python/src/kilter_client/typed/options.py",
+             "docs/reference/cli.md", "docs/reference/job-options.md"):
+    text = pathlib.Path(page).read_text(encoding="utf-8")
+    assert ("toy-width-mm" if page.endswith("cli.md") else "toy_width_mm") in text, page
 """
 
 EXPORT = '''"""Export as a list of names, one a line."""
@@ -420,8 +504,12 @@ def lined(path: str, *lines: tuple[str, str]) -> str:
 METHODS, EFFECTS = "core/kilter_core/identify/registry.py", "core/kilter_core/effects/registry.py"
 MEASUREMENTS = "core/kilter_core/measurement/registry.py"
 READERS = "clients/files/kilter_files/formats/registry.py"
-KINDS, FORMATS = "service/kilter_service/jobs/registry.py", "service/kilter_service/robots/exporters/registry.py"
-JOBS = "service/kilter_service/contract/jobs/job.py"
+KINDS, FORMATS = (
+    "service/kilter_service/contract/jobs/registry.py",
+    "service/kilter_service/robots/exporters/registry.py",
+)
+OPTIONS = "core/kilter_core/identify/options.py"
+JOB_PAGE = "docs/reference/job-options.md"
 ROWS, UNITS = "core/kilter_core/observations/rows.py", "service/kilter_service/contract/columns.py"
 COLUMNS_PAGE = "docs/reference/columns.md"
 PAGE, ROW = "docs/reference/effects.md", "| `toy_wobble` | a test | dq = w sin 3q | `toy_wobble`, deg | |\n"
@@ -453,15 +541,16 @@ ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
         "clients/files/kilter_files/formats/readers/toy.py": READER,
         READERS: lined(READERS, ('    "ballbar",\n', '    "toy",\n')),
     }, USE_READER),
+    "option of an identification or a gap search": (1, {
+        OPTIONS: lined(OPTIONS, ("    prior: str | None = option(\n", OPTION)),
+    }, USE_OPTION),
     "kind of job": (4, {
-        "service/kilter_service/contract/jobs/count.py": KIND_OPTIONS,
-        JOBS: lined(JOBS, ("from kilter_service.contract.jobs.evaluate", IMPORT),
-                    ("class NewPlanJob", NEW_JOB), ("class PlanJob", COUNT_JOB))
-        .replace("NewIdentifyJob |", "NewIdentifyJob | NewCountJob |")
-        .replace("[IdentifyJob |", "[IdentifyJob | CountJob |"),
+        "service/kilter_service/contract/jobs/count.py": KIND_CONTRACT,
         "service/kilter_service/jobs/kinds/count.py": KIND,
-        KINDS: lined(KINDS, ("from kilter_service.jobs.kinds.evaluate", "from kilter_service.jobs.kinds.count import COUNT\n"))
+        KINDS: lined(KINDS, ("from kilter_service.contract.jobs.drift",
+                             "from kilter_service.contract.jobs.count import COUNT\n"))
         .replace("(IDENTIFY, GAP,", "(IDENTIFY, COUNT, GAP,"),
+        JOB_PAGE: lined(JOB_PAGE, ("## drift\n", KIND_PAGE)),
     }, USE_KIND),
     "export": (2, {
         "service/kilter_service/robots/exporters/names_txt.py": EXPORT,
@@ -494,16 +583,17 @@ def test_an_addition_touches_no_more_files_than_the_guide_says(what: str, copy: 
         str(copy / part) for part in (".", "core", "service", "clients/files", "clients/python/src")
     )
     environment = {**os.environ, "PYTHONPATH": paths, "PYTHONSAFEPATH": "1", "OPENBLAS_NUM_THREADS": "1"}
+    environment["KILTER_WRITE_SNAPSHOTS"] = "1"
     # What `make contract` writes is no file that anybody edits.
     used = ["-c", f"import kilter_core as core; assert core.__file__.startswith({str(copy)!r})\n{use}"]
-    for arguments in [used] if what in NO_CONTRACT else [["-m", "tools.contract"], used]:
+    for arguments in [used] if what in NO_CONTRACT else [*MAKE_CONTRACT, used]:
         done = subprocess.run(
             [sys.executable, *arguments], cwd=copy, env=environment, capture_output=True, text=True, timeout=SECONDS,
             check=False,
         )  # fmt: skip
-        assert done.returncode == 0, done.stderr
+        assert done.returncode == 0, done.stdout + done.stderr
     guide = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8").lower()
-    section = guide.split(f"## add {'an' if what[0] in 'e' else 'a'} {what}\n")[1].split("\n## ")[0]
+    section = guide.split(f"## add {'an' if what[0] in 'eo' else 'a'} {what}\n")[1].split("\n## ")[0]
     assert not (what in NO_CONTRACT and "make contract" in section)
     named = [path for path in changes if (REPOSITORY / path).exists()]
     assert all(f"`{path.lower()}`" in section for path in named), named

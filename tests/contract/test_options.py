@@ -19,7 +19,7 @@ from kilter_core.gap.search.requested import joints_by_effect
 from kilter_service.contract.effects import AnyEffect
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.jobs.identify import IdentifyOptions
-from kilter_service.contract.jobs.job import NewJob
+from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.jobs.refusals import refusal, without_kind
 from kilter_service.jobs.registry import KINDS
 

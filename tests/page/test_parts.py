@@ -17,12 +17,11 @@ from kilter_service.contract.fits import Errors, Parameter, StageErrors
 from kilter_service.contract.jobs.job import JobSummary, Progress
 from kilter_service.contract.today import ErrorsToday, Today
 from kilter_service.contract.versions import VersionSummary
-from kilter_service.ground.called import JOBS, display_name
+from kilter_service.ground.called import display_name
 from kilter_service.ground.db.row import utc_now
 from kilter_service.page.figures.meanings import MEANINGS
 from kilter_service.page.shared.accuracy import accuracy_today
 from kilter_service.page.shared.correcting import Correcting, Corrector
-from kilter_service.page.shared.listed_jobs import KINDS
 from kilter_service.page.shared.state import assess_robot_state
 from kilter_service.page.words import format_in_largest_unit, parameter_sigma
 
@@ -156,7 +155,6 @@ def test_what_has_no_name_is_called_by_what_it_is_and_when_it_was_made(there: Ma
     ]  # fmt: skip
     assert [display_name(one) for one in unnamed] == ["version of 2026-11-02 14:05:09", "search of 2026-11-02 14:05:09"]
     assert display_name(unnamed[0].model_copy(update={"name": "spring"})) == "spring"
-    assert set(JOBS) == set(KINDS)
 
 
 def test_a_row_of_jobs_and_of_versions_needs_no_id(there: Made) -> None:

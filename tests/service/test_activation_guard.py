@@ -14,9 +14,9 @@ from sqlalchemy import select, update
 
 from kilter_core.identify.holdout import split
 from kilter_core.observations.repeats import rounded_poses
-from kilter_service.contract.jobs.gap import GapOptions
-from kilter_service.contract.jobs.identify import IdentifyOptions
-from kilter_service.contract.jobs.job import NewGapJob, NewIdentifyJob
+from kilter_service.contract.jobs.gap import GAP, GapOptions
+from kilter_service.contract.jobs.identify import IDENTIFY, IdentifyOptions
+from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.contract.versions import ActivationWish
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow, VersionRow
@@ -74,12 +74,12 @@ class Lab:
 
     def outcome(self, campaigns: list[str], validation: Any = None, **options: Any) -> dict[str, Any]:
         """Do an identify job as the worker does it; returns the job."""
-        job = NewIdentifyJob(
+        job = IDENTIFY.request(
             kind="identify", robot="arm", campaigns=campaigns, validation=validation, options=IdentifyOptions(**options)
         )
         return self.done(job)
 
-    def done(self, job: NewIdentifyJob | NewGapJob) -> dict[str, Any]:
+    def done(self, job: NewJob) -> dict[str, Any]:
         """Do a job as the worker does it; returns it as it ended."""
         with self.database.transaction() as session:
             job_id = jobs.add(session, robots.get(session, "arm").id, job)
@@ -93,7 +93,7 @@ class Lab:
     def search(self, campaign: str, **options: Any) -> str:
         """Do a gap job as the worker does it, with few resamples."""
         few = {"bootstraps": 19, "resamples": 5, "permutations": 3, "next_poses": 0}
-        job = NewGapJob(kind="gap", robot="arm", campaigns=[campaign], options=GapOptions(**few | options))
+        job = GAP.request(kind="gap", robot="arm", campaigns=[campaign], options=GapOptions(**few | options))
         done = self.done(job)
         assert done["state"] == "succeeded", done
         return str(done["result"]["version_id"])
@@ -111,7 +111,7 @@ class Lab:
             calibration = {**row.calibration, "values": dict(row.calibration["values"])}
             change(calibration["values"])
             request = jobs.get(session, row.job_id).request
-            copied = NewIdentifyJob(kind="identify", robot="arm", campaigns=request.campaigns)
+            copied = IDENTIFY.request(kind="identify", robot="arm", campaigns=request.campaigns)
             made = jobs.add(session, row.robot_id, copied)
             session.get_one(JobRow, made).id = job_id
             session.flush()

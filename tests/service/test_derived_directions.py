@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from kilter_core.arm.presets import preset_document
-from kilter_service.contract.jobs.job import NewJob
+from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.inputs.approaches import with_direction_warning

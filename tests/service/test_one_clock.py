@@ -17,7 +17,7 @@ from pydantic import TypeAdapter
 
 from kilter_core.arm.presets import preset_document
 from kilter_files import prepare
-from kilter_service.contract.jobs.job import NewJob
+from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.inputs.laws_of_time import with_clock_warnings

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from kilter_core.arm.presets import preset_document
-from kilter_service.contract.jobs.job import NewJob
+from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.registry import get_job_kind

@@ -10,7 +10,7 @@ import httpx
 import numpy as np
 from pydantic import TypeAdapter
 
-from kilter_service.contract.jobs.job import NewJob
+from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.lease import store as lease

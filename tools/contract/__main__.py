@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tools.contract.client_types import client_modules
 from tools.contract.effects import effects_data
-from tools.contract.methods import methods_module
+from tools.contract.options import options_data
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGES = (
@@ -29,22 +29,29 @@ def modules() -> dict[Path, str]:
     """Return what the contract itself takes from the core as it should be."""
     texts = {
         "service/kilter_service/contract/effects.json": effects_data(),
-        "service/kilter_service/contract/methods.py": formatted(methods_module()),
+        "service/kilter_service/contract/options.json": options_data(),
     }
     return {REPOSITORY / name: text for name, text in texts.items()}
 
 
-def tables() -> dict[Path, str]:
-    """Return whatever repeats the contract as it should be."""
+def client_texts() -> dict[Path, str]:
+    """Return what the client must know of the contract as it should be; its commands are made from it."""
     from tools.contract.lists import lists_text
-    from tools.contract.tables import command_texts, with_help, with_tables  # imports the modules, which must stand
+    from tools.contract.tables import command_texts  # imports the modules, which must stand
 
     client = "clients/python/src/kilter_client/cli"
     texts = {f"{client}/texts/option_texts.py": formatted(command_texts())}
     texts[f"{client}/texts/lists.json"] = lists_text()
     made = client_modules(REPOSITORY / "tests/contract/openapi.json")
     texts |= {f"{TYPED}/{module}.py": formatted(text) for module, text in made.items()}
-    texts |= {page: with_tables(read(page)) for page in PAGES}
+    return {REPOSITORY / name: text for name, text in texts.items()}
+
+
+def tables() -> dict[Path, str]:
+    """Return the pages and the help that repeat the contract as they should be."""
+    from tools.contract.tables import with_help, with_tables
+
+    texts = {page: with_tables(read(page)) for page in PAGES}
     texts |= {
         f"clients/matlab/+kilter/{kind}.m": with_help(kind, read(f"clients/matlab/+kilter/{kind}.m")) for kind in MATLAB
     }
@@ -89,7 +96,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tools.contract", description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing, say what is not up to date")
     check = parser.parse_args().check
-    found = [stale(made(), check) for made in (modules, tables, library)]
+    found = [stale(made(), check) for made in (modules, client_texts, tables, library)]
     return 1 if check and any(found) else 0
 
 

@@ -42,15 +42,6 @@ MODULES: Mapping[str, Sequence[str]] = {
     "evaluations": ("EvaluateResult",),
     "plans": ("PlanResult",),
     "drifts": ("DriftResult", "RezeroResult", "DriftHistory", "DriftList", "Repair"),
-    "checks": (
-        "IdentifyCheck",
-        "GapCheck",
-        "EvaluateCheck",
-        "PlanCheck",
-        "JointParametersCheck",
-        "DriftCheck",
-        "RezeroCheck",
-    ),
     "server": ("Health", "ResolvedReference", "JobSummary", "Today", "BridgeList"),
 }
 JOB = "/v1/jobs/{job}"
@@ -94,7 +85,8 @@ def client_modules(snapshot: Path) -> dict[str, str]:
     interface = json.loads(snapshot.read_text(encoding="utf-8"))
     schemas = interface["components"]["schemas"]
     jobs = _kinds_of_job(interface)
-    modules = {**MODULES, "jobs": [*jobs.values()], "others": _answers(interface)}
+    checks = [name for job in jobs.values() if (name := f"{job.removesuffix('Job')}Check") in schemas]
+    modules = {**MODULES, "checks": checks, "jobs": [*jobs.values()], "others": _answers(interface)}
     every = _needed(schemas, [root for roots in modules.values() for root in roots], {}, {})
     families = _families(schemas, every)
     schemas = {**schemas, **families}

@@ -12,7 +12,7 @@ from typing import Any
 
 import kilter
 from kilter_client.results import corrected, dry_run, program, record, rows, shown, shown_jobs, tables
-from kilter_client.typed.names import MODULE_OF
+from kilter_client.typed.names import JOBS, MODULE_OF
 
 MADE = "<!-- Made from the docstrings by `make contract`: change it there. -->\n"
 GROUPS = {
@@ -124,7 +124,8 @@ def library_page() -> str:
         lines += _function(reads, f"kilter.{reads.__name__}")
     for title, names in GROUPS.items():
         lines.append(f"## {title}\n")
-        for name in names:
+        made = [kind for kind in JOBS if title == "Jobs" and kind not in names]
+        for name in (*names, *made):
             lines += _function(getattr(kilter.AsyncKilter, name), f"k.{name}", bound=True)
     lines.append("## Results\n")
     for title, kinds in BEHAVIOUR.items():

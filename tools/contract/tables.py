@@ -11,9 +11,8 @@ from typing import Any
 
 from kilter_core.effects import EFFECTS
 from kilter_files.formats.registry import list_formats
+from kilter_service.contract.jobs.registry import KINDS
 from kilter_service.contract.words import describe_schema
-from kilter_service.jobs.registry import KINDS
-from tools.contract.commands import table_of_command, table_of_server
 
 MARK = re.compile(r"(<!-- make contract: (?P<name>[\w -]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -24,6 +23,8 @@ def with_tables(page: str) -> str:
 
 
 def _table(name: str) -> str:
+    from tools.contract.commands import table_of_command, table_of_server  # the commands as they were just written
+
     if name == "effects":
         return "\n".join(_effect_rows()) + "\n"
     if name == "kinds":
@@ -96,12 +97,31 @@ def _effect_rows() -> Iterator[str]:
 def command_texts() -> str:
     """Return the module with the help of the command's options."""
     lines = ['"""Help of the options of jobs, made from the contract by `make contract`: change it there."""\n']
-    lines.append("from __future__ import annotations\n")
+    lines.append("from __future__ import annotations\n\nfrom kilter_client.cli.texts.kind import Kind\n")
     for kind in KINDS:
         lines.append(f"{kind.upper()} = {{")
         lines += [f"    {name!r}: {plain(schema)!r}," for name, schema in properties(kind).items()]
         lines.append("}")
-    return "\n".join(lines) + "\n"
+    lines.append("KINDS = {")
+    for kind, about in KINDS.items():
+        lines.append(f"    {kind!r}: Kind({about.summary!r}, {about.needs_campaigns!r}, {kind.upper()}, {{")
+        lines += [f"        {name!r}: {_form(schema)!r}," for name, schema in properties(kind).items()]
+        lines.append("    }),")
+    return "\n".join([*lines, "}"]) + "\n"
+
+
+def _form(schema: dict[str, Any]) -> str:
+    """What a command takes for an option: a form of ``Kind``, or its choices with bars between."""
+    parts = [part for part in schema.get("anyOf", [schema]) if part.get("type") != "null"]
+    if len(parts) != 1:
+        return "json"
+    kind, values = parts[0].get("type"), parts[0].get("enum", [parts[0]["const"]] if "const" in parts[0] else [])
+    if values:
+        return "|".join(values) if all(isinstance(one, str) for one in values) else "json"
+    items = parts[0].get("items", {})
+    if kind == "array" and items.get("type") == "string":
+        return "names"
+    return {"boolean": "flag", "integer": "integer", "number": "number", "string": "text"}.get(str(kind), "json")
 
 
 def plain(schema: dict[str, Any]) -> str:

@@ -90,7 +90,7 @@ SOFTENING = "Half-width over which the sign of the load changes, N m, 0 or more;
 
 
 def option(default: Any, text: str, **limits: Any) -> Any:
-    """Say what an option of an effect means, and what it may be: ``low``, ``above``, ``high``, or ``choices``."""
+    """Declare an option: its default, its sentence, and its range: ``low``, ``above``, ``high``, ``below``, or ``choices``."""
     return field(default=default, metadata={"text": text, **limits})
 
 

@@ -11,60 +11,93 @@ from typing import Any
 import numpy as np
 
 from kilter_core.effects import Effect, effect_from_document
+from kilter_core.effects.base import option
 from kilter_core.errors import OptionError
 from kilter_core.identify.registry import METHODS
 from kilter_core.model import RobotModel
 from kilter_core.types import Ints
 
+FRAME = ("free", "fixed")
+REFERENCES = ("auto", "robot", "registration")
+REFERENCE = (
+    "Frames that corrections work in: the robot's own, those of the registration, or `auto`: the robot's own for a frame "
+    "that is fixed or found within 10 mm and 1 degree of it."
+)
+MASSES = (
+    "`uncertain`: errors of masses and centres are carried beside effects that follow the load, as "
+    "`load_error` does; `as_stated`: masses are exact; `auto`: uncertain, but beside an effect that follows the sign of a "
+    "load values are fitted with masses as stated, and sigmas hold what their errors do."
+)
+SEED = "Seed of everything that is drawn by chance, 0 or more."
+MOST_SEED = 2**31
 FULL_TILTING = ("clearance_tilt", "backlash_load", "axial_compliance")
 
 
 @dataclass(frozen=True)
 class IdentifyOptions:
-    """Options of an identification, the names of the contract.
+    """Options of an identification. Those declared with ``option`` are options of the job, too, and of its commands.
 
-    ``level`` 1 joint offsets, 2 geometry, 3 geometry and non-geometric effects (3 when ``effects`` are given, else 2).
-    ``effects`` ids, or documents with options and joints. ``free`` patterns replace the level's geometric parameters,
-    ``fix`` patterns hold parameters (``alpha_*``). ``base`` and ``tool`` are "free" or "fixed"; with ``base`` "removed" only
-    the distances between poses count (relative calibration). ``socket_distances_mm`` are known distances between ball
-    sockets, {"1-2": 400.0}. ``tilt_first`` holds the
-    effects while the geometry is identified (thesis 4.22, 5.20): those of the starting version, else those fitted first.
-    ``search_mm`` and ``search_deg`` are half the box of a global search. ``intervals`` "bootstrap" or "profile" adds 95 %
-    intervals that do not rest on the covariance. ``loss`` "huber"
-    bounds what a wrong row pulls, "tukey" lets it go. ``noise_mm`` is the standard
-    deviation of a coordinate when it is known; otherwise it is estimated. ``reference`` says in which frames a correction
-    should put the tool where the nominal robot would be: "robot" (its own base and tool: the measurements were taken in
-    them), "registration" (where the nominal robot fits the measurements best), or "auto": the robot's own for a frame
-    that is fixed or that the registration finds within 10 mm and 1 degree of it. ``refit`` ("base",) gives every campaign
-    and session a base of its own, ("tool",) a tool (a marker that was mounted anew), () one of each to all; None leaves
-    the base to the device of the campaign. ``masses``
-    "uncertain" carries the errors of masses and centres beside effects that follow the load, "as_stated" does not, "auto"
-    does where none of them follows the sign of a load, and else lets the covariance hold what they do;
-    ``mass_sigma_percent`` and ``com_sigma_mm`` are how well they are known, where it is not as the robot says. ``prior``
-    "fleet" adds what versions of other robots of the type say before these rows (:mod:`kilter_core.identify.fleet`).
+    ``effects`` are ids, or documents with options and joints. ``free`` patterns replace the level's geometric parameters,
+    ``fix`` patterns hold parameters (``alpha_*``). ``socket_distances_mm`` are known distances between ball
+    sockets, {"1-2": 400.0}. ``tilt_first`` holds the effects as in the thesis (4.22, 5.20). ``reference`` says in which
+    frames a correction should put the tool where the nominal robot would be: "robot": the measurements were taken in its
+    own base and tool; "registration": where the nominal robot fits the measurements best. ``refit`` ("base",) gives every
+    campaign and session a base of its own, ("tool",) a tool (a marker that was mounted anew), () one of each to all; None
+    leaves the base to the device of the campaign. ``prior`` is that of :mod:`kilter_core.identify.fleet`.
     """
 
-    level: int | None = None
-    method: str = "least_squares"
-    tilt_first: bool = False
+    level: int | None = option(
+        None,
+        "1 joint offsets, 2 geometry, 3 geometry and effects; null: 3 when `effects` are named, else 2.",
+        choices=(1, 2, 3),
+    )
+    method: str = option("least_squares", "The estimator.", choices=tuple(METHODS))
+    tilt_first: bool = option(
+        False, "Hold the effects while the geometry is identified: those of the start, else as fitted before it."
+    )
     effects: tuple[str | Mapping[str, Any], ...] = ()
     free: tuple[str, ...] = ()
     fix: tuple[str, ...] = ()
-    base: str = "free"
-    tool: str = "free"
-    loss: str = "linear"
-    noise_mm: float | None = None
-    reference: str = "auto"
-    seed: int = 0
-    search_mm: float = 25.0
-    search_deg: float = 10.0
-    intervals: str | None = None
+    base: str = option(
+        "free",
+        "Whether the base is fitted; `removed`: only distances between poses count.",
+        choices=("free", "fixed", "removed"),
+    )
+    tool: str = option("free", "Whether the tool is fitted.", choices=FRAME)
+    loss: str = option(
+        "linear",
+        "`huber` bounds what a wrong row can pull, `tukey` sets it aside and names it.",
+        choices=("linear", "huber", "tukey"),
+    )
+    noise_mm: float | None = option(
+        None, "Standard deviation of a coordinate, mm, above 0; null: estimated from the rows.", above=0.0
+    )
+    reference: str = option("auto", REFERENCE, choices=REFERENCES)
+    seed: int = option(0, SEED, low=0, high=MOST_SEED)
+    search_mm: float = option(25.0, "Half the width of a global search in lengths, mm, above 0.", above=0.0)
+    search_deg: float = option(10.0, "Half the width of a global search in angles, degrees, above 0.", above=0.0)
+    intervals: str | None = option(
+        None,
+        "Add 95 % intervals that do not rest on the covariance; null: none.",
+        choices=("bootstrap", "profile"),
+    )
     socket_distances_mm: Mapping[str, float] = field(default_factory=dict)
     refit: tuple[str, ...] | None = None
-    masses: str = "auto"
-    mass_sigma_percent: float | None = None
-    com_sigma_mm: float | None = None
-    prior: str | None = None
+    masses: str = option("auto", MASSES, choices=("auto", "uncertain", "as_stated"))
+    mass_sigma_percent: float | None = option(
+        None, "Standard deviation of every mass, percent of it, above 0; null: what the robot says of each.", above=0.0
+    )
+    com_sigma_mm: float | None = option(
+        None,
+        "Standard deviation of each coordinate of every centre of mass, mm, above 0; null: what the robot says.",
+        above=0.0,
+    )
+    prior: str | None = option(
+        None,
+        "`fleet`: add what versions of at least five other robots of this type say before the rows; null: none of them is "
+        "asked.",
+        choices=("fleet",),
+    )
 
     @property
     def noise_m(self) -> float | None:
@@ -83,23 +116,13 @@ class IdentifyOptions:
         return {(int(a), int(b)): length * 1e-3 for (a, b), length in pairs}
 
     def __post_init__(self) -> None:
-        self._check_choice("level", (None, 1, 2, 3))
+        refuse_undeclared_values(self)
         self._check_method()
-        self._check_choice("base", ("free", "fixed", "removed"))
-        self._check_choice("tool", ("free", "fixed"))
-        self._check_choice("loss", ("linear", "huber", "tukey"))
-        self._check_choice("intervals", (None, "bootstrap", "profile"))
-        self._check_choice("reference", ("auto", "robot", "registration"))
         self._check_masses()
         self._check_prior()
         if self.refit is not None and (set(self.refit) - {"base", "tool"} or len(set(self.refit)) < len(self.refit)):
             message = f'refit is {self.refit!r}: give ["base"], ["tool"], ["base", "tool"] or [].'
             raise OptionError(message, option="refit", value=self.refit)
-        if self.noise_mm is not None and not self.noise_mm > 0:
-            raise OptionError("noise_mm must be above 0: it is a standard deviation.", option="noise_mm")
-        for name in ("search_mm", "search_deg"):
-            if not getattr(self, name) > 0:
-                raise OptionError(f"{name} must be above 0: it is half the width of the search.", option=name)
         if not isinstance(self.socket_distances_mm, Mapping):
             raise OptionError(
                 'socket_distances_mm is not an object: give {"1-2": 400.0}.', option="socket_distances_mm"
@@ -117,13 +140,9 @@ class IdentifyOptions:
             )
 
     def _check_masses(self) -> None:
-        """Refuse widths that are none, and those of masses that count as exact."""
-        self._check_choice("masses", ("auto", "uncertain", "as_stated"))
+        """Refuse widths of masses that count as exact."""
         for name in ("mass_sigma_percent", "com_sigma_mm"):
-            sigma = getattr(self, name)
-            if sigma is not None and not sigma > 0:
-                raise OptionError(f"{name} must be above 0: it is a standard deviation.", option=name)
-            if sigma is not None and self.masses == "as_stated":
+            if getattr(self, name) is not None and self.masses == "as_stated":
                 raise OptionError(
                     f"{name} says how well masses are known, masses as_stated that they are exact: leave one of them out.",
                     option=name,
@@ -131,7 +150,6 @@ class IdentifyOptions:
 
     def _check_prior(self) -> None:
         """Refuse a prior beside a method that knows none, or that continues from a version's own."""
-        self._check_choice("prior", (None, "fleet"))
         if self.prior is not None and (self.method != "least_squares" or self.tilt_first):
             other = "tilt_first, which holds effects" if self.method == "least_squares" else f"method {self.method}"
             raise OptionError(
@@ -140,8 +158,7 @@ class IdentifyOptions:
             )
 
     def _check_method(self) -> None:
-        """Refuse a method that there is not, and what does not go with the one there is."""
-        self._check_choice("method", tuple(METHODS))
+        """Refuse what does not go with the method."""
         method = METHODS[self.method]
         if self.intervals is not None and not method.minimum:
             raise OptionError(
@@ -204,11 +221,40 @@ class IdentifyOptions:
         wanted = [chain.elements[k] for k in chain.named_elements]
         return [str(e.name) for e in wanted if (e.joint is not None if self.level == 1 else not e.dependent)]
 
-    def _check_choice(self, name: str, allowed: Sequence[Any]) -> None:
-        value = getattr(self, name)
-        if value not in allowed:
-            offered = ", ".join(str(a) for a in allowed if a is not None)
-            raise OptionError(f"{name} is {value!r}: give {offered}.", option=name, value=value)
+
+def refuse_undeclared_values(options: Any) -> None:
+    """Refuse values of a dataclass of options that their declarations do not allow.
+
+    Raises:
+        OptionError: not one of the choices, not a number, or out of its range.
+
+    """
+    for one in fields(options):
+        value = getattr(options, one.name)
+        if "text" in one.metadata and not (value is None and "None" in str(one.type)):
+            wanted = _describe_unmet(value, str(one.type), one.metadata)
+            if wanted:
+                raise OptionError(f"{one.name} is {value!r}: give {wanted}.", option=one.name, value=value)
+
+
+def _describe_unmet(value: Any, kind: str, declared: Mapping[str, Any]) -> str:
+    """What an option takes that a value is not; empty: it is allowed."""
+    if "choices" in declared:
+        return "" if value in declared["choices"] else ", ".join(map(str, declared["choices"]))
+    if "bool" in kind:
+        return "" if isinstance(value, bool | np.bool_) else "true or false"
+    whole = "int" in kind
+    if isinstance(value, bool) or not isinstance(value, int | np.integer if whole else int | float | np.number):
+        return "a whole number" if whole else "a number"
+    low, above, high, below = (declared.get(limit) for limit in ("low", "above", "high", "below"))
+    under = (low is not None and not value >= low) or (above is not None and not value > above)
+    over = (high is not None and not value <= high) or (below is not None and not value < below)
+    if not (under or over):
+        return ""
+    if low is not None and high is not None:
+        return f"a number from {low} to {high}"
+    limits = {"{} or more": low, "above {}": above, "at most {}": high, "below {}": below}
+    return "a number " + " and ".join(words.format(limit) for words, limit in limits.items() if limit is not None)
 
 
 def known_options(options: type, job: str, document: Mapping[str, Any]) -> dict[str, Any]:

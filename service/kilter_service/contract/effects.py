@@ -14,25 +14,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, create_model
 
-from kilter_service.contract.units import Asked, JointNumber, unit
+from kilter_service.contract.options import option_fields
+from kilter_service.contract.units import Asked, JointNumber
 
-NUMBERS = {"float": float, "int": int, "bool": bool, "joint": JointNumber}
 Said = Mapping[str, Any]
 SAID: list[Said] = json.loads(Path(__file__).with_name("effects.json").read_text(encoding="utf-8"))
-
-
-def _type(said: Said) -> Any:
-    """Type of an option: one of its choices, or a number, a list of numbers or of lists, or nothing."""
-    if "choices" in said:
-        return Literal[tuple(said["choices"])]
-    number: Any = NUMBERS[said["number"]]
-    limits = said.get("limits", {})
-    if "unit" in said:
-        number = Annotated[number, unit(said["unit"], **limits)]
-    elif limits:
-        number = Annotated[number, Field(**limits)]
-    forms = {"number": number, "list": list[number], "lists": list[list[number]], "null": None}
-    return reduce(or_, (forms[form] for form in said["forms"]))
 
 
 def _joints(said: Said) -> Any:
@@ -41,9 +27,8 @@ def _joints(said: Said) -> Any:
 
 
 def _model(said: Said) -> type[Asked]:
-    options = {one["name"]: (_type(one), Field(one["default"], description=one["text"])) for one in said["options"]}
     name = Field(description="Id of the effect.")
-    fields: Any = {"joints": _joints(said), "id": (Literal[said["id"]], name), **options}
+    fields: Any = {"joints": _joints(said), "id": (Literal[said["id"]], name), **option_fields(said["options"])}
     return create_model(said["model"], __base__=Asked, __module__=__name__, __doc__=said["summary"], **fields)
 
 

@@ -2,20 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from datetime import datetime
 from typing import Protocol
 
-# Of a job by its kind, of a version none: whoever reads need not know what an id stands for.
-JOBS: Mapping[str, str] = {
-    "identify": "identification",
-    "gap": "search",
-    "evaluate": "evaluation",
-    "plan": "plan of poses",
-    "joint_parameters": "measurement of joints",
-    "drift": "check",
-    "rezero": "re-zeroing",
-}
+from kilter_service.contract.jobs.registry import KINDS
 
 
 class Made(Protocol):
@@ -29,6 +19,9 @@ def display_name(made: Made) -> str:
     """Return what people call it; to the second, so that two of a minute differ."""
     if made.name:
         return made.name
-    kind = getattr(made, "kind", "")
-    what = JOBS.get(kind, kind) or ("version" if hasattr(made, "job_id") else "campaign")
+    # Of a job by its kind, of a version none: whoever reads need not know what an id stands for.
+    kind = KINDS.get(getattr(made, "kind", ""))
+    what = "version" if hasattr(made, "job_id") else "campaign"
+    if kind is not None:
+        what = kind.called or kind.noun
     return f"{what} of {made.created_at:%Y-%m-%d %H:%M:%S}"

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import store as campaigns
 from kilter_service.campaigns.unstated_load import REMEDY
-from kilter_service.contract.jobs.check import CheckedCampaign, JobCheck
-from kilter_service.contract.jobs.job import NewJob
+from kilter_service.contract.jobs.check import CheckedCampaign
+from kilter_service.contract.jobs.registry import JobCheck, NewJob
 from kilter_service.ground.db import Database, Session
 from kilter_service.jobs import service, store, wire
 from kilter_service.jobs.durations import PastRun, duration

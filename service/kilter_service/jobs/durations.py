@@ -8,22 +8,12 @@ from statistics import median
 from typing import Any
 
 from kilter_service.contract.jobs.check import Duration
+from kilter_service.contract.jobs.registry import KINDS
 from kilter_service.jobs.records import JobRequest
 
 START_ROWS = 100  # overhead of a job, in rows
 BEGUN = 2.0  # factor by which the beginning of a job may mislead
 WIDEST = 3.0  # factor by which a single earlier job may mislead
-# Seconds of the kinds on a machine of 2024, for some hundred poses of an arm of six joints: expected, low, high.
-RULES = {
-    "identify": (1.0, 0.3, 20.0),
-    "gap": (5.0, 2.0, 60.0),
-    "evaluate": (0.5, 0.1, 5.0),
-    "plan": (3.0, 0.3, 60.0),
-    "joint_parameters": (0.5, 0.1, 10.0),
-    "drift": (0.2, 0.05, 3.0),
-    "rezero": (1.0, 0.2, 10.0),
-}
-OTHER = (5.0, 0.5, 120.0)
 RULE_ROWS = 300
 SHORTEST_S = 0.01
 
@@ -72,7 +62,7 @@ def _cap_by_budget(found: Duration, request: JobRequest) -> Duration:
 
 
 def _by_rule(kind: str, rows: int, request: JobRequest) -> Duration:
-    expected, low, high = RULES.get(kind, OTHER)
+    expected, low, high = KINDS[kind].seconds
     more = max(1.0, _work(rows, request) / _work(RULE_ROWS, JobRequest.from_document({"robot": ""})))
     basis = f"a rule for {kind} jobs of this size: no earlier one of this server tells it"
     return _duration(expected * more, low, high * more, basis)

@@ -18,7 +18,8 @@ from typing import NamedTuple
 from fastapi import FastAPI
 from fastapi.concurrency import run_in_threadpool
 
-from kilter_service.contract.jobs.job import FINAL, Job
+from kilter_service.contract.jobs.job import FINAL
+from kilter_service.contract.jobs.registry import Job
 from kilter_service.ground.db import Database
 from kilter_service.ground.failure_log import Failing
 from kilter_service.jobs import service, store, wire

@@ -1,4 +1,4 @@
-"""What a kind of job is. Adding one is its file in ``kinds/`` and one line in ``registry.py``."""
+"""What the work of a kind of job is; ``contract/jobs`` declares the kinds, ``kinds/`` has a module of each."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import ObservationError
-from kilter_service.contract.units import Asked
+from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.settings import Queue
 
@@ -68,7 +68,7 @@ class JobInput:
     ``devices``, ``names`` and ``instruments`` (of those that name one) are those of all campaigns, by id, and
     ``certificates`` what those of the instruments have against a campaign.
     ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
-    the version the options name (``JobKind.version_option``), ``made_from`` the campaigns it was made from. Only for kinds
+    the version the options name (``JobContract.version_option``), ``made_from`` the campaigns it was made from. Only for kinds
     with ``history``: ``driven (N, n)`` joint readings of all the robot's campaigns, and ``origin``, the result of the job
     that made the version. ``fit``: what the version was fitted to. ``fleet`` are
     versions of other robots of the type, one of each, where the option ``prior`` asks for them.
@@ -176,38 +176,35 @@ def refuse_nothing(_: Any) -> None:
     """Leave the options to their model."""
 
 
+def describe_no_details(_: JobPreview) -> dict[str, Any]:
+    """Say of a preview what every kind says, and no more."""
+    return {}
+
+
 @dataclass(frozen=True)
 class JobKind:
-    """A kind of job.
+    """The work of a kind of job, beside its declaration in the contract.
 
-    ``options`` is the contract's model of them. ``check`` refuses at once, before the job is queued, what that model
+    ``check`` refuses at once, before the job is queued, what the model of the options
     cannot say (which options go together); it raises a CoreError. ``run`` computes: it gets
     ``progress(fraction, stage)``, which raises ``CancelledError`` when the job was cancelled, and must call it at
-    least once a second. Both import core inside, because the API process lists the kinds without it. ``version_option``
-    names the option that holds a version; ``needs_campaigns``, ``takes_folds`` and ``takes_confirmation`` say what a
-    request must and may have,
-    ``instead_of_campaigns`` which options replace campaigns. ``long`` kinds have a queue of their own: whoever
-    identifies does not wait for somebody's gap search. ``history`` kinds want to know where the arm was driven before,
-    ``against_fit`` kinds what their version was fitted to. ``most_campaigns`` is how many a request may name.
+    least once a second. Both import core inside, because the API process lists the kinds without it.
     ``preview_job`` fills in what such a job would do, at once, from the same input; without it only its rows are counted.
+    ``describe_preview`` says what its check has beside those of other kinds.
     """
 
-    name: str
-    options: type[Asked]
-    check: Callable[[Any], None]
+    contract: JobContract[Any, Any]
     run: Callable[[JobInput, Progress], JobOutput]
-    version_option: str | None = None
-    needs_campaigns: bool = True
-    takes_folds: bool = True
-    takes_confirmation: bool = False
-    instead_of_campaigns: tuple[str, ...] = ()
-    long: bool = False
-    history: bool = False
-    against_fit: bool = False
-    most_campaigns: int | None = None
+    check: Callable[[Any], None] = refuse_nothing
     preview_job: Callable[[JobInput, JobPreview], None] | None = None
+    describe_preview: Callable[[JobPreview], dict[str, Any]] = describe_no_details
+
+    @property
+    def name(self) -> str:
+        """Its name in a request."""
+        return self.contract.name
 
     @property
     def queue(self) -> Queue:
         """Queue of its jobs; a worker runs one job of each at a time."""
-        return "long" if self.long else "short"
+        return "long" if self.contract.long else "short"

@@ -29,7 +29,8 @@ def read_options(kind: str, document: Mapping[str, Any]) -> Asked:
 
     """
     try:
-        return get_job_kind(kind).options.model_validate(document)
+        options: type[Asked] = get_job_kind(kind).contract.options
+        return options.model_validate(document)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         raise _option_error(kind, first, document, tuple(first["loc"])) from error
@@ -127,16 +128,17 @@ def _in_body(loc: Sequence[Any], options: object) -> list[Any]:
 
 
 def _names(kind: str) -> list[str]:
-    return sorted(get_job_kind(kind).options.model_fields)
+    return sorted(get_job_kind(kind).contract.options.model_fields)
 
 
 def _required_option_names(kind: str) -> list[str]:
-    return [name for name, field in get_job_kind(kind).options.model_fields.items() if field.is_required()]
+    return [name for name, field in get_job_kind(kind).contract.options.model_fields.items() if field.is_required()]
 
 
 @cache
 def _schema(kind: str) -> dict[str, Any]:
-    return get_job_kind(kind).options.model_json_schema()
+    options: type[Asked] = get_job_kind(kind).contract.options
+    return options.model_json_schema()
 
 
 @cache

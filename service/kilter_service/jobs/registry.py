@@ -1,22 +1,17 @@
-"""Every kind of job Kilter can run."""
+"""The work of every kind of job that the contract declares."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 from types import MappingProxyType
 
+from kilter_service.contract.jobs.registry import KINDS as DECLARED
 from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.kind import JobKind
-from kilter_service.jobs.kinds.drift import DRIFT
-from kilter_service.jobs.kinds.evaluate import EVALUATE
-from kilter_service.jobs.kinds.gap import GAP
-from kilter_service.jobs.kinds.identify import IDENTIFY
-from kilter_service.jobs.kinds.joint_parameters import JOINT_PARAMETERS
-from kilter_service.jobs.kinds.plan import PLAN
-from kilter_service.jobs.kinds.rezero import REZERO
 
 KINDS: Mapping[str, JobKind] = MappingProxyType(
-    {kind.name: kind for kind in (IDENTIFY, GAP, EVALUATE, PLAN, JOINT_PARAMETERS, DRIFT, REZERO)}
+    {name: import_module(f"kilter_service.jobs.kinds.{name}").KIND for name in DECLARED}
 )
 
 

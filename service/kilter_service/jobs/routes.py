@@ -8,8 +8,8 @@ from fastapi import APIRouter, Header, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 
-from kilter_service.contract.jobs.check import JobCheck
-from kilter_service.contract.jobs.job import FINAL, Job, JobList, NewJob
+from kilter_service.contract.jobs.job import FINAL, JobList
+from kilter_service.contract.jobs.registry import Job, JobCheck, NewJob
 from kilter_service.jobs import checking, service
 from kilter_service.jobs.events import get_job_followers, has_received_end
 from kilter_service.jobs.request import JobRoute

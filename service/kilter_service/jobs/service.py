@@ -5,7 +5,8 @@ from __future__ import annotations
 from pydantic import TypeAdapter
 
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.jobs.job import FINAL, Folds, Job, JobList, JobSummary, NewJob
+from kilter_service.contract.jobs.job import FINAL, Folds, JobList, JobSummary
+from kilter_service.contract.jobs.registry import Job, NewJob
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
@@ -60,7 +61,7 @@ def validate_job(session: Session, job: NewJob, kind: JobKind) -> int:
         references.check_name(session, "job", robot_id, job.name)
         references.check_name(session, "version", robot_id, job.name)
     _check_campaigns(session, robot_id, job, kind)
-    version = getattr(job.options, kind.version_option) if kind.version_option else None
+    version = getattr(job.options, kind.contract.version_option) if kind.contract.version_option else None
     if version is not None:
         _check_version(session, robot_id, str(version))
     return robot_id
@@ -75,9 +76,9 @@ def _check_campaigns(session: Session, robot_id: int, job: NewJob, kind: JobKind
                 code="campaigns_invalid",
                 campaign=campaign,
             )
-    others = [name for name in kind.instead_of_campaigns if getattr(job.options, name)]
-    if not job.campaigns and kind.needs_campaigns and not others:
-        instead = "".join(f", or {name} in `options`" for name in kind.instead_of_campaigns)
+    others = [name for name in kind.contract.instead_of_campaigns if getattr(job.options, name)]
+    if not job.campaigns and kind.contract.needs_campaigns and not others:
+        instead = "".join(f", or {name} in `options`" for name in kind.contract.instead_of_campaigns)
         raise ServiceError(
             f"The job names no campaign: give at least one in `campaigns`{instead}.", code="campaigns_invalid"
         )
@@ -85,26 +86,26 @@ def _check_campaigns(session: Session, robot_id: int, job: NewJob, kind: JobKind
         raise ServiceError(
             f"A {kind.name} job takes campaigns or {others[0]}, not both: make two jobs.", code="campaigns_invalid"
         )
-    if kind.most_campaigns is not None and len(job.campaigns) > kind.most_campaigns:
+    if kind.contract.most_campaigns is not None and len(job.campaigns) > kind.contract.most_campaigns:
         raise ServiceError(
-            f"The job names {len(job.campaigns)} campaigns, and a {kind.name} job takes {kind.most_campaigns}: make a job of "
-            "each.",
+            f"The job names {len(job.campaigns)} campaigns, and a {kind.name} job takes {kind.contract.most_campaigns}: "
+            "make a job of each.",
             code="campaigns_invalid",
         )
-    if isinstance(job.validation, Folds) and not kind.takes_folds:
+    if isinstance(job.validation, Folds) and not kind.contract.takes_folds:
         raise ServiceError(
             f"A {kind.name} job takes no folds: name campaigns in `validation`, give a fraction of the poses, or "
             "leave it out: then each pose is held out in turn.",
             code="option_invalid",
             option="validation",
         )
-    if job.validation == 0 and not kind.takes_confirmation:
+    if job.validation == 0 and not kind.contract.takes_confirmation:
         raise ServiceError(
             f"validation is 0: a {kind.name} job holds nothing out by itself. Leave validation out.",
             code="option_invalid",
             option="validation",
         )
-    if job.confirmation and not kind.takes_confirmation:
+    if job.confirmation and not kind.contract.takes_confirmation:
         raise ServiceError(
             f"A {kind.name} job takes no confirmation: only gap does. Evaluate the version against the campaign instead.",
             code="option_invalid",

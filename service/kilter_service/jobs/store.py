@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import ColumnElement, Select, case, func, or_, select
 
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.jobs.job import FINAL, NewJob
+from kilter_service.contract.jobs.job import FINAL
+from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.contract.versions import Objection
 from kilter_service.ground.caller import allowed_robots, as_document
 from kilter_service.ground.db import Session
@@ -257,8 +258,8 @@ def load_job_input(
         certificates=campaigns.certificates(
             session, (*request.campaigns, *request.held_out_campaigns, *request.confirmation)
         ),
-        driven=campaigns.driven(session, robot_id, robot) if kind.history else None,
-        origin=_origin(session, named) if kind.history and named is not None else None,
+        driven=campaigns.driven(session, robot_id, robot) if kind.contract.history else None,
+        origin=_origin(session, named) if kind.contract.history and named is not None else None,
         fit=FitOfVersion() if named is None else _fit(session, named, kind, request),
         confirmation=load_rows(request.confirmation),
         default_load=() if robot.load is None else unstated,
@@ -270,7 +271,7 @@ def load_job_input(
 
 def _fit(session: Session, version: str, kind: JobKind, request: JobRequest) -> FitOfVersion:
     """Return what a job's version was fitted to: against the rows that are judged, or those that judge what continues it."""
-    if kind.against_fit:
+    if kind.contract.against_fit:
         return load_version_fit(session, version, request.campaigns)
     judging = [*request.held_out_campaigns, *request.confirmation]
     return load_version_fit(session, version, judging) if judging else FitOfVersion()
@@ -284,8 +285,8 @@ def _campaigns_without_load(session: Session, request: JobRequest) -> tuple[str,
 
 def starting_version(session: Session, robot_id: int, kind: JobKind, request: JobRequest) -> str | None:
     """Return the version a job starts from: the one its options name, and for some kinds else the active one."""
-    named = request.options.get(kind.version_option) if kind.version_option else None
-    if named is None and kind.version_option == "version":
+    named = request.options.get(kind.contract.version_option) if kind.contract.version_option else None
+    if named is None and kind.contract.version_option == "version":
         active = versions.active_entry(session, robot_id)
         named = None if active is None else active.version_id
     return named
@@ -387,7 +388,7 @@ def campaigns_used_by_request(session: Session, request: JobRequest) -> list[Use
 def _version(row: JobRow, content: VersionContent, used: Sequence[UsedRecord]) -> NewVersion:
     request, kind = JobRequest.from_document(row.request), get_job_kind(row.kind)
     fields = {key: value for key, value in asdict(content).items() if key not in ("limits", "parent_id")}
-    named = request.options.get(kind.version_option) if kind.version_option else None
+    named = request.options.get(kind.contract.version_option) if kind.contract.version_option else None
     return NewVersion(
         **fields,
         limits=content.limits.model_dump(mode="json"),

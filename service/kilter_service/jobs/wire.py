@@ -2,82 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from pydantic import BaseModel
-
-from kilter_core.parameters import display_unit_and_scale
-from kilter_service.contract.fits import NullDirection
-from kilter_service.contract.gap_details import Detectable, Untestable
-from kilter_service.contract.jobs.check import (
-    CheckedCampaign,
-    DriftCheck,
-    Duration,
-    EvaluateCheck,
-    GapCheck,
-    HeldOut,
-    Identifiability,
-    IdentifyCheck,
-    JobCheck,
-    JobProblem,
-    JointParametersCheck,
-    Missing,
-    PlanCheck,
-    RezeroCheck,
-    Testability,
-    UnknownParameter,
-)
-from kilter_service.contract.jobs.drift import DriftResult
-from kilter_service.contract.jobs.evaluate import EvaluateResult
-from kilter_service.contract.jobs.gap import GapResult
-from kilter_service.contract.jobs.identify import IdentifyResult
-from kilter_service.contract.jobs.job import (
-    DriftJob,
-    EvaluateJob,
-    GapJob,
-    IdentifyJob,
-    Job,
-    JobError,
-    JobSummary,
-    JointParametersJob,
-    PlanJob,
-    Progress,
-    RezeroJob,
-)
-from kilter_service.contract.jobs.joint_parameters import JointParametersResult
-from kilter_service.contract.jobs.plan import PlanResult
-from kilter_service.contract.jobs.rezero import RezeroResult
-from kilter_service.contract.units import Asked
+from kilter_service.contract.jobs.check import CheckedCampaign, Duration, HeldOut, JobProblem, Missing
+from kilter_service.contract.jobs.job import JobError, JobSummary, Progress
+from kilter_service.contract.jobs.registry import Job, JobCheck
 from kilter_service.contract.written import as_written
-from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.records import JobRecord, ListedJob, ProgressRecord
 from kilter_service.jobs.registry import get_job_kind
-
-if TYPE_CHECKING:
-    from kilter_core.gap.check import GapCheck as FoundByCheck
-    from kilter_core.identify.check import IdentificationCheck
-
-ANSWERS: dict[str, tuple[type[Job], type[BaseModel]]] = {
-    "identify": (IdentifyJob, IdentifyResult),
-    "gap": (GapJob, GapResult),
-    "evaluate": (EvaluateJob, EvaluateResult),
-    "plan": (PlanJob, PlanResult),
-    "joint_parameters": (JointParametersJob, JointParametersResult),
-    "drift": (DriftJob, DriftResult),
-    "rezero": (RezeroJob, RezeroResult),
-}
-
-
-CHECKS: dict[str, type[JobCheck]] = {
-    "identify": IdentifyCheck,
-    "gap": GapCheck,
-    "evaluate": EvaluateCheck,
-    "plan": PlanCheck,
-    "joint_parameters": JointParametersCheck,
-    "drift": DriftCheck,
-    "rezero": RezeroCheck,
-}
 
 
 def progress_json(record: ProgressRecord) -> str:
@@ -88,16 +21,15 @@ def progress_json(record: ProgressRecord) -> str:
 
 def job(record: JobRecord) -> Job:
     """Say all of a job; what an earlier release wrote in another form is left out."""
-    answer, result = ANSWERS[record.kind]
-    options: Asked = as_written(get_job_kind(record.kind).options, record.request.options)
-    return answer(
+    kind = get_job_kind(record.kind).contract
+    return kind.job(
         **_summary_fields(record),
         campaigns=record.request.campaigns,
         validation=record.request.validation,
         confirmation=record.request.confirmation,
-        options=options,
+        options=as_written(kind.options, record.request.options),
         attempts=record.attempts,
-        result=None if record.result is None else as_written(result, record.result),
+        result=None if record.result is None else as_written(kind.result, record.result),
     )
 
 
@@ -126,12 +58,8 @@ def check(
     kind: str, robot: str, version: str | None, found: JobPreview, campaigns: list[CheckedCampaign], duration: Duration
 ) -> JobCheck:
     """Say what a job would do."""
-    own: dict[str, Any] = {}
-    if kind == "identify":
-        own = {"identifiability": None if found.identification is None else _identifiability(found.identification)}
-    elif kind == "gap":
-        own = {"testability": None if found.search is None else _testability(found.search)}
-    return CHECKS[kind](
+    job_kind = get_job_kind(kind)
+    return job_kind.contract.preview(
         kind=kind,
         robot=robot,
         version=version,
@@ -144,43 +72,5 @@ def check(
         missing=[Missing(what=one.what, reason=one.reason, remedy=one.remedy) for one in found.missing],
         limited=found.limited,
         duration_s=duration,
-        **own,
+        **job_kind.describe_preview(found),
     )
-
-
-def _identifiability(found: IdentificationCheck) -> Identifiability:
-    return Identifiability(
-        parameters=len(found.names),
-        rank=found.rank,
-        identifiable=list(found.known),
-        not_identifiable=[UnknownParameter(name=u.name, reason=u.reason, remedy=u.remedy) for u in found.unknown],
-        null_directions=[NullDirection(**direction) for direction in found.directions],
-        noise_mm=to_mm(found.noise),
-        noise_from=found.noise_source,
-    )
-
-
-def _testability(found: FoundByCheck) -> Testability:
-    testable = []
-    for one in found.testable:
-        unit, scale = display_unit_and_scale(one.unit)
-        testable.append(
-            Detectable(
-                id=one.id,
-                parameter=one.parameter,
-                unit=unit,
-                smallest_detectable=one.smallest * scale,
-                visibility=one.visibility,
-            )
-        )
-    untestable = [
-        Untestable(
-            id=u.id,
-            joints=None if u.joints is None else [j + 1 for j in u.joints],
-            reason=u.reason,
-            remedy=u.remedy,
-            missing=u.missing or None,
-        )
-        for u in found.not_testable
-    ]
-    return Testability(testable=testable, not_testable=untestable)

@@ -137,6 +137,10 @@ class AsyncKilter:
         return f"AsyncKilter({self.url!r})"
 
 
+for _kind, _verb in computed.make_missing_verbs(AsyncKilter).items():
+    setattr(AsyncKilter, _kind, make_async_method(_verb))
+
+
 def connect_async(url: str | None = None, token: str | None = None) -> AsyncKilter:
     """Connect as ``connect`` does, for use under asyncio.
 

@@ -149,6 +149,10 @@ class Kilter:
         return f"Kilter({self.url!r})"
 
 
+for _kind, _verb in jobs.make_missing_verbs(Kilter).items():
+    setattr(Kilter, _kind, waiting(_verb))
+
+
 def bound(found: T, connection: Connection) -> T:
     """Let a typed result ask over this connection."""
     bind: Any = getattr(found, "bound", None)

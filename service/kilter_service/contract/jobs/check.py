@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -91,7 +91,9 @@ class Testability(Strict):
     not_testable: list[Untestable] = Field(description="Effects that cannot be tested, with what would help.")
 
 
-class _Check(Strict):
+class JobCheck(Strict):
+    """What every kind of job would do."""
+
     robot: str = Field(description="Name of the robot.")
     version: str | None = Field(description="Id of the version it would start from; null: the nominal robot.")
     would_run: bool = Field(description="Whether the job would run through, as far as can be predicted.")
@@ -103,55 +105,18 @@ class _Check(Strict):
     missing: list[Missing] = Field(description="What it would run without.")
     limited: list[str] = Field(description="Where this check looked at less than the job would, in words.")
     duration_s: Duration = Field(description="How long it would compute, s.")
+    kind: str = Field(description=KIND)
 
 
-class IdentifyCheck(_Check):
-    """What an identification would do."""
+class IdentifiabilityCheck(JobCheck):
+    """A check that also says what the poses tell."""
 
-    kind: Literal["identify"] = Field(description=KIND)
     identifiability: Identifiability | None = Field(
         description="What the poses tell of the parameters; null: see `problems`."
     )
 
 
-class GapCheck(_Check):
-    """What a gap search would do."""
+class TestabilityCheck(JobCheck):
+    """A check that also says what could be tested."""
 
-    kind: Literal["gap"] = Field(description=KIND)
     testability: Testability | None = Field(description="What could be tested; null: see `problems`.")
-
-
-class EvaluateCheck(_Check):
-    """What an evaluation would do."""
-
-    kind: Literal["evaluate"] = Field(description=KIND)
-
-
-class PlanCheck(_Check):
-    """What a plan would do."""
-
-    kind: Literal["plan"] = Field(description=KIND)
-
-
-class JointParametersCheck(_Check):
-    """What a measurement of joints would do."""
-
-    kind: Literal["joint_parameters"] = Field(description=KIND)
-
-
-class DriftCheck(_Check):
-    """What a check of an arm would do."""
-
-    kind: Literal["drift"] = Field(description=KIND)
-
-
-class RezeroCheck(_Check):
-    """What a re-zeroing would do."""
-
-    kind: Literal["rezero"] = Field(description=KIND)
-
-
-JobCheck = Annotated[
-    IdentifyCheck | GapCheck | EvaluateCheck | PlanCheck | JointParametersCheck | DriftCheck | RezeroCheck,
-    Field(discriminator="kind"),
-]

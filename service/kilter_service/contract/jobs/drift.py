@@ -8,6 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from kilter_service.contract.fits import StageErrors
+from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.jobs.shared import NewFrames, NoiseMm, SetupMm, Version
 from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Asked, Celsius, JointNumber, Mm, Stored
@@ -137,3 +138,20 @@ class DriftResult(Stored):
         None, description="Lowest and highest temperature, degrees Celsius, of the rows of the fit; null: not known."
     )
     warnings: list[Remark] | None = Field(None, description="What to know before trusting the result.")
+
+
+DRIFT = JobContract(
+    "drift",
+    noun="check of an arm",
+    called="check",
+    title="Check for drift",
+    summary="Check whether an arm has moved since its version was made; names one campaign.",
+    options=DriftOptions,
+    result=DriftResult,
+    seconds=(0.2, 0.05, 3.0),
+    version_option="version",
+    against_fit=True,
+    most_campaigns=1,
+    watching=True,
+    usual=("version", "new_setup", "setup_mm", "noise_mm"),
+)

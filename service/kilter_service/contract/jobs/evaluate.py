@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
 from kilter_service.contract.cameras import LeftOpen
 from kilter_service.contract.fits import StageErrors
+from kilter_service.contract.jobs.job import JobOf
+from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.jobs.shared import NewFrames, Version
 from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Asked, Deg, Mm, Stored
@@ -104,3 +106,20 @@ class EvaluateResult(Stored):
     warnings: list[Remark] | None = Field(None, description="What to know before trusting the result.")
     standard: str | None = Field(None, description="The standard, with its year.")
     iso9283: dict[str, Iso9283] | None = Field(None, description="Criteria, by campaign.")
+
+
+EVALUATE = JobContract(
+    "evaluate",
+    noun="evaluation",
+    title="Evaluate a version",
+    summary="Compare a version with campaigns.",
+    options=EvaluateOptions,
+    result=EvaluateResult,
+    seconds=(0.5, 0.1, 5.0),
+    version_option="version",
+    takes_folds=True,
+    against_fit=True,
+    usual=("version", "refit", "metrics"),
+    uses={"validation": "train"},
+)
+EvaluateJob: TypeAlias = JobOf[EvaluateOptions, EvaluateResult]

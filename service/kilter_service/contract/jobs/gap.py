@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import Field
 
@@ -24,71 +24,39 @@ from kilter_service.contract.gap_details import (
     Refused,
     Untestable,
 )
+from kilter_service.contract.jobs.check import TestabilityCheck
+from kilter_service.contract.jobs.job import JobOf
+from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.jobs.shared import (
     FIX,
     FREE,
     LIMITS,
     PRIOR,
-    REFERENCE,
-    SEED,
     Effects,
-    Free,
     Limits,
     MadeVersion,
     Names,
-    NoiseMm,
     PriorName,
-    ReferenceFrames,
-    Seed,
     Version,
 )
 from kilter_service.contract.next_poses import NextPose, ToldApart
-from kilter_service.contract.units import Asked, Micrometres
+from kilter_service.contract.options import WithCoreOptions, with_core_options
 
 
-class GapOptions(Asked):
+@with_core_options("gap")
+class GapOptions(WithCoreOptions):
     """What can be asked of a gap search."""
 
     start: Version = Field(None, description="Id of the version to continue from; null: the nominal robot.")
-    alpha: Annotated[float, Field(gt=0, lt=0.5)] = Field(
-        0.01, description="Chance of any false name in the whole search, between 0 and 0.5."
-    )
     effects: Effects = Field([], description="Look for these effects only, by id or at some joints; empty: for all.")
-    noise_mm: NoiseMm | None = Field(
-        None, description="Standard deviation of a coordinate, mm, above 0, where no pose was measured twice."
-    )
     free: Names = Field([], description=FREE)
     fix: Names = Field([], description=FIX)
-    base: Free = Field("free", description="Whether the base is fitted.")
-    tool: Free = Field("free", description="Whether the tool is fitted.")
-    reference: ReferenceFrames = Field("auto", description=REFERENCE)
     refit: Annotated[list[Literal["tool"]], Field(max_length=1)] = Field(
         [],
         description='["tool"]: every campaign and session has a tool of its own (a remounted marker); '
         "[]: all rows share one.",
     )
     prior: PriorName = Field(None, description=PRIOR)
-    max_effects: Annotated[int, Field(ge=1, le=50)] = Field(
-        8, description="Most effects to name, 1 to 50; an effect at several joints is one."
-    )
-    bootstraps: Annotated[int, Field(ge=1, le=20_000)] = Field(
-        1999, description="Resamples behind the p-value of an effect, 1 to 20000."
-    )
-    resamples: Annotated[int, Field(ge=1, le=10_000)] = Field(
-        100, description="Resamples of poses on which a name must return, 1 to 10000."
-    )
-    permutations: Annotated[int, Field(ge=1, le=10_000)] = Field(
-        20, description="Shuffles of the negative control, 1 to 10000."
-    )
-    next_poses: Annotated[int, Field(ge=0, le=1000)] = Field(12, description="Poses to propose, 0 to 1000.")
-    seed: Seed = Field(0, description=SEED)
-    matters_um: Annotated[Micrometres, Field(ge=0)] = Field(
-        5.0, description="Movement of the tool below which nothing matters, micrometres (um), 0 or more."
-    )
-    budget_s: Annotated[float, Field(gt=0)] | None = Field(
-        None,
-        description="Seconds that a search may take, above 0: it then ends with the best it has; null: as many as it needs.",
-    )
     limits: Limits = Field(None, description=LIMITS)
 
 
@@ -133,3 +101,22 @@ class GapResult(MadeVersion):
     reference: Reference | None = Field(None, description="Where the frames of a correction come from.")
     prior: PriorUsed | None = Field(None, description="What other robots of the type said; null: they were not asked.")
     start: str | None = Field(None, description="The version it continued from; null: the nominal robot.")
+
+
+GAP = JobContract(
+    "gap",
+    noun="gap search",
+    called="search",
+    title="Search for what is missing",
+    summary="Find where the model is wrong and name what is missing; the result is a new version.",
+    options=GapOptions,
+    result=GapResult,
+    seconds=(5.0, 2.0, 60.0),
+    version_option="start",
+    takes_confirmation=True,
+    long=True,
+    usual=("effects", "start", "noise_mm", "alpha"),
+    uses={"train": "train", "validation": "validation", "confirmation": "confirmation"},
+    check=TestabilityCheck,
+)
+GapJob: TypeAlias = JobOf[GapOptions, GapResult]

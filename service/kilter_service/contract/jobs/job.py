@@ -1,21 +1,17 @@
-"""A job: what is asked, how far it is, what came out. Options and result depend on the kind."""
+"""A job: what is asked, how far it is, what came out. Options and result are those of its kind (``kind.py``)."""
 
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
-from pydantic import Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
-from kilter_service.contract.jobs.drift import DriftOptions, DriftResult
-from kilter_service.contract.jobs.evaluate import EvaluateOptions, EvaluateResult
-from kilter_service.contract.jobs.gap import GapOptions, GapResult
-from kilter_service.contract.jobs.identify import IdentifyOptions, IdentifyResult
-from kilter_service.contract.jobs.joint_parameters import JointParametersOptions, JointParametersResult
-from kilter_service.contract.jobs.plan import PlanOptions, PlanResult
-from kilter_service.contract.jobs.rezero import RezeroOptions, RezeroResult
 from kilter_service.contract.references import Title
-from kilter_service.contract.units import Fraction, Id, Ids, Listed, Strict
+from kilter_service.contract.units import Asked, Fraction, Id, Ids, Listed, Strict
+
+OptionsT = TypeVar("OptionsT", bound=Asked)
+ResultT = TypeVar("ResultT", bound=BaseModel)
 
 State = Literal["queued", "running", "succeeded", "failed", "cancelled"]
 FINAL: frozenset[str] = frozenset({"succeeded", "failed", "cancelled"})
@@ -33,7 +29,9 @@ class Folds(Strict):
     )
 
 
-class _NewJob(Strict):
+class NewJobOf(Strict, Generic[OptionsT]):
+    """What every job is asked for with."""
+
     robot: Id = Field(description="Name of the robot.")
     name: Title = Field("", description=NAME)
     campaigns: Ids = Field([], description="Ids of the campaigns to use, all of that robot; at most 1000.")
@@ -44,6 +42,8 @@ class _NewJob(Strict):
         [],
         description="Ids of campaigns of another day or set-up in which what was found must be seen again; kind `gap`.",
     )
+    kind: str = Field(description=KIND)
+    options: OptionsT = Field(description=OPTIONS)
 
     @model_validator(mode="before")
     @classmethod
@@ -56,61 +56,6 @@ class _NewJob(Strict):
             raise ValueError("confirmation is given twice: leave it out of the options")
         rest = {name: value for name, value in options.items() if name != "confirmation"}
         return {**given, "options": rest, "confirmation": options["confirmation"] or []}
-
-
-class NewIdentifyJob(_NewJob):
-    """Identify parameters from campaigns; the result is a new version."""
-
-    kind: Literal["identify"] = Field(description=KIND)
-    options: IdentifyOptions = Field(IdentifyOptions(), description=OPTIONS)
-
-
-class NewGapJob(_NewJob):
-    """Find where the model is wrong and name what is missing; the result is a new version."""
-
-    kind: Literal["gap"] = Field(description=KIND)
-    options: GapOptions = Field(GapOptions(), description=OPTIONS)
-
-
-class NewEvaluateJob(_NewJob):
-    """Compare a version with campaigns."""
-
-    kind: Literal["evaluate"] = Field(description=KIND)
-    options: EvaluateOptions = Field(EvaluateOptions(), description=OPTIONS)
-
-
-class NewPlanJob(_NewJob):
-    """Plan poses to measure; needs no campaign."""
-
-    kind: Literal["plan"] = Field(description=KIND)
-    options: PlanOptions = Field(description="Options of the kind; `purpose` is needed.")
-
-
-class NewJointParametersJob(_NewJob):
-    """Measure joints by inclinometer readings or link-side encoders, or propose where to read."""
-
-    kind: Literal["joint_parameters"] = Field(description=KIND)
-    options: JointParametersOptions = Field(JointParametersOptions(), description=OPTIONS)
-
-
-class NewDriftJob(_NewJob):
-    """Check whether an arm has moved since its version was made; names one campaign."""
-
-    kind: Literal["drift"] = Field(description=KIND)
-    options: DriftOptions = Field(DriftOptions(), description=OPTIONS)
-
-
-class NewRezeroJob(_NewJob):
-    """Make a version of the one or few parameters that moved; names one campaign."""
-
-    kind: Literal["rezero"] = Field(description=KIND)
-    options: RezeroOptions = Field(RezeroOptions(), description=OPTIONS)
-
-
-NewJob = Annotated[
-    NewIdentifyJob | NewGapJob | NewEvaluateJob | NewPlanJob | NewJointParametersJob | NewDriftJob | NewRezeroJob,
-    Field(discriminator="kind"),
-]
 
 
 class Progress(Strict):
@@ -145,73 +90,15 @@ class JobSummary(Strict):
     finished_at: datetime | None = Field(description="When it was over; null: not yet.")
 
 
-class _Job(JobSummary):
+class JobOf(JobSummary, Generic[OptionsT, ResultT]):
+    """A job with what was asked and what came out."""
+
     campaigns: list[str] = Field(description="Ids of the campaigns it uses.")
     validation: list[str] | Fraction | Folds | None = Field(description="What it holds out, as asked.")
     confirmation: list[str] = Field([], description="Campaigns in which what it finds must be seen again.")
     attempts: int = Field(description="How often a worker began it.")
-
-
-class IdentifyJob(_Job):
-    """An identification with what was asked and what came out."""
-
-    kind: Literal["identify"] = Field(description=KIND)
-    options: IdentifyOptions = Field(description="Options, as asked.")
-    result: IdentifyResult | None = Field(description=RESULT)
-
-
-class GapJob(_Job):
-    """A gap search with its options and its result."""
-
-    kind: Literal["gap"] = Field(description=KIND)
-    options: GapOptions = Field(description="Options, as asked.")
-    result: GapResult | None = Field(description=RESULT)
-
-
-class EvaluateJob(_Job):
-    """An evaluation with what was asked and what came out."""
-
-    kind: Literal["evaluate"] = Field(description=KIND)
-    options: EvaluateOptions = Field(description="Options, as asked.")
-    result: EvaluateResult | None = Field(description=RESULT)
-
-
-class PlanJob(_Job):
-    """A plan of poses with what was asked and what came out."""
-
-    kind: Literal["plan"] = Field(description=KIND)
-    options: PlanOptions = Field(description="Options, as asked.")
-    result: PlanResult | None = Field(description=RESULT)
-
-
-class JointParametersJob(_Job):
-    """A measurement of joints with what was asked and what came out."""
-
-    kind: Literal["joint_parameters"] = Field(description=KIND)
-    options: JointParametersOptions = Field(description="Options, as asked.")
-    result: JointParametersResult | None = Field(description=RESULT)
-
-
-class DriftJob(_Job):
-    """A check of an arm with what was asked and what came out."""
-
-    kind: Literal["drift"] = Field(description=KIND)
-    options: DriftOptions = Field(description="Options, as asked.")
-    result: DriftResult | None = Field(description=RESULT)
-
-
-class RezeroJob(_Job):
-    """A re-zeroing with what was asked and what came out."""
-
-    kind: Literal["rezero"] = Field(description=KIND)
-    options: RezeroOptions = Field(description="Options, as asked.")
-    result: RezeroResult | None = Field(description=RESULT)
-
-
-Job = Annotated[
-    IdentifyJob | GapJob | EvaluateJob | PlanJob | JointParametersJob | DriftJob | RezeroJob,
-    Field(discriminator="kind"),
-]
+    options: OptionsT = Field(description="Options, as asked.")
+    result: ResultT | None = Field(description=RESULT)
 
 
 class JobList(Listed):

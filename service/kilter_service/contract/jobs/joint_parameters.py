@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from kilter_service.contract.fits import Parameter
+from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.jobs.shared import MadeVersion, Seed
 from kilter_service.contract.joints import JointMotions
 from kilter_service.contract.units import Asked, Deg, Kg, Load, PointMm, Stored
@@ -71,3 +72,16 @@ class JointParametersResult(MadeVersion):
     joint: str | None = Field(None, description="The joint that configurations are proposed for.")
     configurations: list[Configuration] | None = Field(None, description="Configurations to read.")
     csv: str | None = Field(None, description="The configurations as a CSV file to fill in.")
+
+
+JOINT_PARAMETERS = JobContract(
+    "joint_parameters",
+    noun="measurement of joints",
+    title="Measure joints",
+    summary="Measure joints by inclinometer readings or link-side encoders, or propose where to read.",
+    options=JointParametersOptions,
+    result=JointParametersResult,
+    seconds=(0.5, 0.1, 10.0),
+    instead_of_campaigns=("readings", "propose"),
+    usual=("propose", "resolution_deg", "count"),
+)

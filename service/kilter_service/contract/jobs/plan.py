@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import ConfigDict, Field
 
 from kilter_service.contract.jobs.drift import SmallestChange
+from kilter_service.contract.jobs.job import JobOf
+from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.jobs.shared import PRIOR, Effects, NoiseMm, PriorName, Seed, Version
 from kilter_service.contract.next_poses import ToldApart
 from kilter_service.contract.remarks import Remark
@@ -123,3 +125,21 @@ class PlanResult(Stored):
     )
     within: str | None = Field(None, description="Where poses were looked for.")
     warnings: list[Remark] | None = Field(None, description="What to know before driving them.")
+
+
+PLAN = JobContract(
+    "plan",
+    noun="plan of poses",
+    title="Plan poses",
+    summary="Plan poses to measure; needs no campaign.",
+    options=PlanOptions,
+    result=PlanResult,
+    seconds=(3.0, 0.3, 60.0),
+    version_option="version",
+    needs_campaigns=False,
+    takes_folds=True,
+    history=True,
+    usual=("purpose", "count", "effects", "version", "payloads_kg"),
+    uses={"train": "train"},
+)
+PlanJob: TypeAlias = JobOf[PlanOptions, PlanResult]

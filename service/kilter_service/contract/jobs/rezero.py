@@ -8,6 +8,7 @@ from pydantic import Field
 
 from kilter_service.contract.fits import Metrics, Parameter
 from kilter_service.contract.jobs.drift import DriftCause
+from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.jobs.shared import LIMITS, Limits, MadeVersion, NewFrames, NoiseMm, SetupMm, Version
 from kilter_service.contract.units import Asked
 
@@ -46,3 +47,19 @@ class RezeroResult(MadeVersion):
     p_before: float | None = Field(None, description="Chance of the rows by the version that was changed.")
     p_after: float | None = Field(None, description="Chance of the rows by the new version.")
     metrics: Metrics | None = Field(None, description="Errors on these rows.")
+
+
+REZERO = JobContract(
+    "rezero",
+    noun="re-zeroing",
+    title="Re-zero what moved",
+    summary="Make a version of the one or few parameters that moved; names one campaign.",
+    options=RezeroOptions,
+    result=RezeroResult,
+    seconds=(1.0, 0.2, 10.0),
+    version_option="version",
+    against_fit=True,
+    most_campaigns=1,
+    watching=True,
+    usual=("version", "causes", "new_setup", "noise_mm"),
+)

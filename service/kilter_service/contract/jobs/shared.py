@@ -14,8 +14,6 @@ from kilter_service.contract.versions import CorrectionLimits, Objection
 MAX_EFFECTS = 200
 Effects = Annotated[list[AnyEffect], Field(max_length=MAX_EFFECTS)]
 Names = Annotated[list[Annotated[str, Field(min_length=1, max_length=128)]], Field(max_length=1000)]
-Free = Literal["free", "fixed"]
-ReferenceFrames = Literal["auto", "robot", "registration"]
 Seed = Annotated[int, Field(ge=0, le=2**31)]
 NoiseMm = Annotated[Mm, Field(gt=0)]
 SetupMm = Annotated[Mm, Field(ge=0)]
@@ -35,11 +33,6 @@ NewFrames = Annotated[list[Literal["base", "tool"]], Field(max_length=2), AfterV
 
 FREE = "Parameters to identify, by name or pattern (`alpha_*`); empty: those of the level."
 FIX = "Parameters to hold, by name or pattern (`alpha_*`)."
-NOISE = "Standard deviation of a coordinate, mm, above 0; null: estimated from the rows."
-REFERENCE = (
-    "Frames that corrections work in: the robot's own, those of the registration, or `auto`: the robot's own for a frame "
-    "that is fixed or found within 10 mm and 1 degree of it."
-)
 START = "Id of the version to start from; null: the nominal robot."
 LIMITS = (
     "The largest correction the version may make; null: what it needs at 99 % of its poses, from 1 degree and 5 mm to "
@@ -49,7 +42,6 @@ PRIOR = (
     "`fleet`: add what versions of at least five other robots of this type say before the rows; null: none of them is "
     "asked."
 )
-SEED = "Seed of everything that is drawn by chance, 0 or more."
 
 
 class MadeVersion(Stored):

@@ -11,15 +11,15 @@ from kilter_core.errors import CoreError
 from kilter_service.campaigns import store as campaigns
 from kilter_service.campaigns.records import CampaignRecord
 from kilter_service.contract.jobs.fleet import NewFleetJob
-from kilter_service.contract.jobs.identify import IdentifyOptions
-from kilter_service.contract.jobs.job import NewIdentifyJob
+from kilter_service.contract.jobs.identify import IDENTIFY, IdentifyOptions
+from kilter_service.contract.jobs.job import NewJobOf
 from kilter_service.contract.written import as_written
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import ALL, Page
 from kilter_service.jobs import service, store
 from kilter_service.jobs.fleet.records import Planned
-from kilter_service.jobs.kinds.identify import IDENTIFY
+from kilter_service.jobs.kinds import identify
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 
@@ -63,22 +63,24 @@ def plan_robot_job(database: Database, fleet: NewFleetJob, robot: str) -> Planne
         before = None if last is None else last.version_id
         try:
             job = _job(session, fleet, robot, robot_id, before)
-            service.validate_job(session, job, IDENTIFY)
+            service.validate_job(session, job, identify.KIND)
         except CoreError as error:
             return Planned(robot_id, before, refusal=(error.code, error.message))
     if fleet.options is None:  # those that are given for all were checked once
         try:
-            IDENTIFY.check(job.options)  # may import the core and take its time: outside
+            identify.KIND.check(job.options)  # may import the core and take its time: outside
         except CoreError as error:
             return Planned(robot_id, before, refusal=(error.code, error.message))
     return Planned(robot_id, before, job)
 
 
-def _job(session: Session, fleet: NewFleetJob, robot: str, robot_id: int, before: str | None) -> NewIdentifyJob:
+def _job(
+    session: Session, fleet: NewFleetJob, robot: str, robot_id: int, before: str | None
+) -> NewJobOf[IdentifyOptions]:
     robots.refuse_retired_robot(session, robot_id)
     given = fleet.campaigns.get(robot)
     fitted, held = (given, []) if given is not None else _latest(session, robot, robot_id, before)
-    return NewIdentifyJob(
+    return IDENTIFY.request(
         kind="identify",
         robot=robot,
         name=fleet.name,

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from kilter_service.contract.jobs.job import NewIdentifyJob
+from kilter_service.contract.jobs.identify import IdentifyOptions
+from kilter_service.contract.jobs.job import NewJobOf
 
 
 @dataclass(frozen=True)
@@ -16,7 +17,7 @@ class Planned:
 
     robot_id: int
     before: str | None
-    job: NewIdentifyJob | None = None
+    job: NewJobOf[IdentifyOptions] | None = None
     refusal: tuple[str, str] | None = None
 
 

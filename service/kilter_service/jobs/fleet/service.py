@@ -9,7 +9,7 @@ from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.jobs.fleet import planning, store, wire
-from kilter_service.jobs.kinds.identify import IDENTIFY
+from kilter_service.jobs.kinds import identify
 from kilter_service.jobs.records import Asked
 from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_document
 from kilter_service.web.observability import logs, tracing
@@ -31,7 +31,7 @@ def submit(database: Database, fleet: NewFleetJob, once: Once = NOT_REPEATED) ->
             return known
         names = planning.resolve_robot_names(session, fleet)
     if fleet.options is not None:
-        IDENTIFY.check(fleet.options)
+        identify.KIND.check(fleet.options)
     planned = [planning.plan_robot_job(database, fleet, robot) for robot in names]
     with database.transaction() as session:
         known = once.first_answer(session, body, ANSWER)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
+from kilter_service.contract.jobs.registry import KINDS
 from kilter_service.ground.core import core_effects
 from kilter_service.jobs.kind import JobInput, JobOutput
 
@@ -46,7 +47,7 @@ def _following(kind: str, job: JobInput) -> list[str]:
     elif kind == "identify":
         asked = [str(e if isinstance(e, str) else e.id) for e in job.options.effects]
         own = asked or (list(THESIS) if job.options.level == 3 and not own else own)
-    elif kind not in ("evaluate", "drift", "rezero"):
+    elif not KINDS[kind].against_fit:
         return []
     return [name for name in dict.fromkeys(own) if name in reading]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.errors import CoreError, ObservationError, OptionError
-from kilter_service.contract.jobs.drift import DriftOptions
+from kilter_service.contract.jobs.drift import DRIFT, DriftOptions
 from kilter_service.ground.core import core_measurement, core_watch_check, estimate, metrics, predictive
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.budgets import uncertainty_budget
@@ -15,7 +15,7 @@ from kilter_service.jobs.inputs.conditions import build_check_conditions
 from kilter_service.jobs.inputs.other_instrument import counted_noise, remark
 from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.job_preview import JobPreview
-from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, refuse_nothing
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from kilter_service.versions.drift import wire
 from kilter_service.versions.drift.since import last_otherwise
 
@@ -191,7 +191,4 @@ def _errors(job: JobInput, rows: Observations, known: Predictive, found: Check) 
     return {"n": len(errors.points), "left_out": 0, "identified": errors.to_document(), "budget": budget}
 
 
-DRIFT = JobKind(
-    "drift", DriftOptions, refuse_nothing, run, version_option="version", takes_folds=False, against_fit=True,
-    most_campaigns=1, preview_job=preview_job,
-)  # fmt: skip
+KIND = JobKind(DRIFT, run, preview_job=preview_job)

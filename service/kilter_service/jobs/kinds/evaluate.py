@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import OptionError
 from kilter_service.contract.fits import with_earlier_names
-from kilter_service.contract.jobs.evaluate import EvaluateOptions
+from kilter_service.contract.jobs.evaluate import EVALUATE, EvaluateOptions
 from kilter_service.ground.core import compare, core_evaluate, core_model, iso9283, predictive
 from kilter_service.jobs.budgets import uncertainty_budget
 from kilter_service.jobs.job_preview import JobPreview, Lack
@@ -99,6 +99,4 @@ def _iso9283(job: JobInput, calibration: Calibration, progress: Progress) -> Job
     return JobOutput({"version_id": job.version_id, "standard": "ISO 9283:1998", "iso9283": reports})
 
 
-EVALUATE = JobKind(
-    "evaluate", EvaluateOptions, check, run, version_option="version", against_fit=True, preview_job=preview_job
-)
+KIND = JobKind(EVALUATE, run, check, preview_job=preview_job)

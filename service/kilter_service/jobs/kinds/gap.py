@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.observations import Observations
+from kilter_core.parameters import display_unit_and_scale
 from kilter_service.campaigns.store import renumber_poses_and_sessions
 from kilter_service.contract.fits import metrics_with_earlier_names
-from kilter_service.contract.jobs.gap import GapOptions
+from kilter_service.contract.gap_details import Detectable, Untestable
+from kilter_service.contract.jobs.check import Testability
+from kilter_service.contract.jobs.gap import GAP, GapOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_check, core_gap, core_wanted, holding_out, next_poses, of_type
 from kilter_service.ground.wire import to_metres
@@ -26,6 +29,7 @@ from kilter_service.versions.store import HELD_OUT
 
 if TYPE_CHECKING:
     from kilter_core.gap import GapReport
+    from kilter_core.gap.check import GapCheck
     from kilter_core.gap.of_type import KnownType
 
 
@@ -198,14 +202,35 @@ def _core(options: GapOptions) -> core_gap.GapOptions:
     return core_gap.GapOptions.from_document(options.model_dump(mode="json", exclude=NOT_OF_THE_CORE))
 
 
-GAP = JobKind(
-    "gap",
-    GapOptions,
-    check,
-    run,
-    version_option="start",
-    takes_folds=False,
-    takes_confirmation=True,
-    long=True,
-    preview_job=preview_job,
-)
+def describe_preview(found: JobPreview) -> dict[str, Any]:
+    """Say what a search could test."""
+    return {"testability": None if found.search is None else _testability(found.search)}
+
+
+def _testability(found: GapCheck) -> Testability:
+    testable = []
+    for one in found.testable:
+        unit, scale = display_unit_and_scale(one.unit)
+        testable.append(
+            Detectable(
+                id=one.id,
+                parameter=one.parameter,
+                unit=unit,
+                smallest_detectable=one.smallest * scale,
+                visibility=one.visibility,
+            )
+        )
+    untestable = [
+        Untestable(
+            id=u.id,
+            joints=None if u.joints is None else [j + 1 for j in u.joints],
+            reason=u.reason,
+            remedy=u.remedy,
+            missing=u.missing or None,
+        )
+        for u in found.not_testable
+    ]
+    return Testability(testable=testable, not_testable=untestable)
+
+
+KIND = JobKind(GAP, run, check, preview_job=preview_job, describe_preview=describe_preview)

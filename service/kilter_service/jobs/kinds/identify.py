@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,8 +11,9 @@ from kilter_core.observations import Observations
 from kilter_core.observations.shared_rows import refuse_shared_rows
 from kilter_core.types import run_sequentially
 from kilter_service.campaigns.store import renumber_poses_and_sessions
-from kilter_service.contract.fits import metrics_with_earlier_names
-from kilter_service.contract.jobs.identify import IdentifyOptions
+from kilter_service.contract.fits import NullDirection, metrics_with_earlier_names
+from kilter_service.contract.jobs.check import Identifiability, UnknownParameter
+from kilter_service.contract.jobs.identify import IDENTIFY, IdentifyOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import (
     belonging,
@@ -22,6 +23,7 @@ from kilter_service.ground.core import (
     holdout,
     measurement_of_rows,
 )
+from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.budgets import add_to_metrics
 from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.inputs.rows_of_campaigns import by_campaign
@@ -33,6 +35,7 @@ from kilter_service.jobs.plotly_figures.identify import identify_figures, uncert
 
 if TYPE_CHECKING:
     from kilter_core.identify import Folds, Identification
+    from kilter_core.identify.check import IdentificationCheck
 
 
 NOT_OF_THE_CORE = {"start", "limits", "sheet_order"}
@@ -146,4 +149,21 @@ def _core(options: IdentifyOptions) -> core_identify.IdentifyOptions:
     return core_identify.IdentifyOptions.from_document(options.model_dump(mode="json", exclude=NOT_OF_THE_CORE))
 
 
-IDENTIFY = JobKind("identify", IdentifyOptions, check, run, version_option="start", preview_job=preview_job)
+def describe_preview(found: JobPreview) -> dict[str, Any]:
+    """Say what the poses tell of the parameters."""
+    return {"identifiability": None if found.identification is None else _identifiability(found.identification)}
+
+
+def _identifiability(found: IdentificationCheck) -> Identifiability:
+    return Identifiability(
+        parameters=len(found.names),
+        rank=found.rank,
+        identifiable=list(found.known),
+        not_identifiable=[UnknownParameter(name=u.name, reason=u.reason, remedy=u.remedy) for u in found.unknown],
+        null_directions=[NullDirection(**direction) for direction in found.directions],
+        noise_mm=to_mm(found.noise),
+        noise_from=found.noise_source,
+    )
+
+
+KIND = JobKind(IDENTIFY, run, check, preview_job=preview_job, describe_preview=describe_preview)

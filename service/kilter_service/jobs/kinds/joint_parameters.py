@@ -10,6 +10,7 @@ import numpy as np
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_service.campaigns.store import renumber_poses_and_sessions
+from kilter_service.contract.jobs.joint_parameters import JOINT_PARAMETERS
 from kilter_service.contract.jobs.joint_parameters import JointParametersOptions as Options
 from kilter_service.ground.core import core_inclinometer_poses, inclinometers, link_encoders
 from kilter_service.ground.wire import joint_scale, joint_scale_back, joint_units, to_deg, to_metres, to_rad
@@ -224,12 +225,4 @@ def _row(p: JointParameter) -> dict[str, Any]:
     return row
 
 
-JOINT_PARAMETERS = JobKind(
-    "joint_parameters",
-    Options,
-    check,
-    run,
-    takes_folds=False,
-    instead_of_campaigns=("readings", "propose"),
-    preview_job=preview_job,
-)
+KIND = JobKind(JOINT_PARAMETERS, run, check, preview_job=preview_job)

@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_service.campaigns.store import renumber_poses_and_sessions
-from kilter_service.contract.jobs.plan import PlanOptions
+from kilter_service.contract.jobs.plan import PLAN, PlanOptions
 from kilter_service.ground.core import (
     core_effects,
     core_gap,
@@ -330,13 +330,4 @@ def _count(job: JobInput) -> int:
     return int(job.options.count or COUNTS[job.options.purpose])
 
 
-PLAN = JobKind(
-    "plan",
-    PlanOptions,
-    check,
-    run,
-    version_option="version",
-    needs_campaigns=False,
-    history=True,
-    preview_job=preview_job,
-)
+KIND = JobKind(PLAN, run, check, preview_job=preview_job)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_service.contract.jobs.rezero import RezeroOptions
+from kilter_service.contract.jobs.rezero import REZERO, RezeroOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_evaluate, core_report, core_watch
 from kilter_service.jobs.budgets import uncertainty_budget
@@ -24,10 +24,6 @@ if TYPE_CHECKING:
 
 STAGES = ("n", "left_out", "nominal", "registration_only", "identified")
 OF_THE_START = ("metrics", "warnings", "figures", "set_aside", "influence", "workspace", "parameters", REZEROED)
-
-
-def check(options: RezeroOptions) -> None:
-    """Nothing is left to refuse: the options go together as they are."""
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
@@ -95,7 +91,4 @@ def _report(job: JobInput, found: Rezeroed) -> dict[str, Any]:
     }  # fmt: skip
 
 
-REZERO = JobKind(
-    "rezero", RezeroOptions, check, run, version_option="version", takes_folds=False, against_fit=True,
-    most_campaigns=1, preview_job=preview_job,
-)  # fmt: skip
+KIND = JobKind(REZERO, run, preview_job=preview_job)

@@ -17,7 +17,7 @@ from kilter_files.formats.reader import DEVICE
 from kilter_files.formats.registry import readers_for
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign, NewCampaign, Parts
-from kilter_service.contract.jobs.job import PlanJob
+from kilter_service.contract.jobs.plan import PLAN
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.page.drop.column_map import (
@@ -62,7 +62,7 @@ def joint_kinds(database: Database, robot: str) -> list[str]:
 def meant_for(database: Database, draft: Draft) -> tuple[str, str]:
     """Return the role that the form proposes, and why where that is not the usual one: a check is fitted by nobody."""
     job = proposing.get_proposing_job(database, draft.robot, draft.job)
-    if isinstance(job, PlanJob) and job.options.purpose == "check":
+    if job is not None and PLAN.is_kind_of(job) and job.options.purpose == "check":
         return "validation", "These poses were planned for a check: no fit takes its rows."
     if (
         draft.facts is None

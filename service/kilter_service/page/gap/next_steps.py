@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from kilter_service.contract.jobs.job import GapJob, Job, NewGapJob, NewPlanJob
-from kilter_service.contract.jobs.plan import PlanOptions
+from kilter_service.contract.jobs.gap import GAP, GapJob
+from kilter_service.contract.jobs.plan import PLAN, PlanOptions
+from kilter_service.contract.jobs.registry import Job
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs import service as jobs
@@ -23,7 +24,7 @@ def plan(database: Database, job: GapJob) -> Job:
     else:
         asked = {"purpose": "identify", "version": result.version_id, "effects": _effects(job)}
         options = PlanOptions.model_validate(asked)
-    return jobs.submit(database, NewPlanJob(kind="plan", robot=job.robot, campaigns=job.campaigns, options=options))
+    return jobs.submit(database, PLAN.request(kind="plan", robot=job.robot, campaigns=job.campaigns, options=options))
 
 
 def _effects(job: GapJob) -> list[str]:
@@ -40,4 +41,4 @@ def search_again(database: Database, job: GapJob, campaign: str, use: Use) -> Jo
         "kind": "gap", "robot": job.robot, "campaigns": job.campaigns, "validation": job.validation,
         "confirmation": job.confirmation, "options": job.options.model_dump(mode="json", exclude_unset=True), **more,
     }  # fmt: skip
-    return jobs.submit(database, NewGapJob.model_validate(asked))
+    return jobs.submit(database, GAP.request.model_validate(asked))

@@ -8,8 +8,7 @@ from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.gap_details import GapSize
-from kilter_service.contract.jobs.gap import GapResult
-from kilter_service.contract.jobs.job import GapJob
+from kilter_service.contract.jobs.gap import GAP, GapJob, GapResult
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
@@ -36,7 +35,7 @@ def get_gap_job(database: Database, job: str) -> GapJob:
 
     """
     found = jobs.get(database, job)
-    if not isinstance(found, GapJob):
+    if not GAP.is_kind_of(found):
         raise ServiceError(
             f"Job {job} is not a gap search: it is of kind {found.kind}.", code="option_invalid", job=job
         )

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from kilter_service.contract.jobs.evaluate import EvaluateResult
-from kilter_service.contract.jobs.job import EvaluateJob
+from kilter_service.contract.jobs.evaluate import EvaluateJob, EvaluateResult
 from kilter_service.ground.db import Database
 from kilter_service.page.jobs import stages
 from kilter_service.page.jobs.version_names import version_name

@@ -12,7 +12,8 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import TypeAdapter, ValidationError
 
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.contract.jobs.job import Folds, Job, NewJob
+from kilter_service.contract.jobs.job import Folds
+from kilter_service.contract.jobs.registry import KINDS, Job, NewJob
 from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.refusals import refusal, without_kind
 from kilter_service.jobs.registry import get_job_kind
@@ -24,12 +25,6 @@ FEWEST_ROWS = 10  # of a campaign that is preset, where there are larger ones
 APART = timedelta(days=7)  # between the set-ups of an instrument
 MOST_PRESET = 12  # campaigns of a role
 USES = {"train": "campaigns", "validation": "validation", "confirmation": "confirmation"}
-BY_ROLE: Mapping[str, Mapping[str, str]] = {
-    "identify": {"train": "train", "validation": "validation"},
-    "gap": {"train": "train", "validation": "validation", "confirmation": "confirmation"},
-    "evaluate": {"validation": "train"},
-    "plan": {"train": "train"},
-}  # of a kind of job: what a campaign is used for that is meant for something
 
 
 def parse_new_job(robot: str, typed: Mapping[str, str]) -> NewJob:
@@ -94,7 +89,7 @@ def by_role(kind: str, campaigns: Sequence[Campaign]) -> dict[str, str]:
     Of each role those of the newest set-up: back from the newest until nothing was measured for a week.
     """
     out: dict[str, str] = {}
-    for role, use in BY_ROLE.get(kind, {}).items():
+    for role, use in KINDS[kind].uses.items():
         whole = [one for one in campaigns if one.role == role and one.rows and not one.staged]
         enough = [one for one in whole if one.rows >= FEWEST_ROWS] or whole
         out |= {one.id: use for one in _newest(enough)}

@@ -7,8 +7,7 @@ from typing import Any
 
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.fits import CorrelatedGroup, Covariance, Influence, StageErrors
-from kilter_service.contract.jobs.identify import IdentifyResult
-from kilter_service.contract.jobs.job import IdentifyJob
+from kilter_service.contract.jobs.identify import IdentifyJob, IdentifyResult
 from kilter_service.ground.db import Database
 from kilter_service.page.figures.heat_map import HeatMap
 from kilter_service.page.figures.plot import Plot

@@ -8,32 +8,11 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from pydantic import BaseModel
-
-from kilter_service.contract.jobs.drift import DriftOptions
-from kilter_service.contract.jobs.evaluate import EvaluateOptions
-from kilter_service.contract.jobs.gap import GapOptions
-from kilter_service.contract.jobs.identify import IdentifyOptions
-from kilter_service.contract.jobs.joint_parameters import JointParametersOptions
-from kilter_service.contract.jobs.plan import PlanOptions
-from kilter_service.contract.jobs.rezero import RezeroOptions
+from kilter_service.contract.jobs.registry import KINDS
 from kilter_service.ground.errors import ServiceError
 
 PREFIX = "option."
 EFFECT = "effect."  # an effect that was ticked in the list
-MODELS: Mapping[str, type[BaseModel]] = {
-    "identify": IdentifyOptions, "gap": GapOptions, "evaluate": EvaluateOptions, "plan": PlanOptions,
-    "joint_parameters": JointParametersOptions, "drift": DriftOptions, "rezero": RezeroOptions,
-}  # fmt: skip
-USUAL: Mapping[str, tuple[str, ...]] = {
-    "identify": ("method", "level", "effects", "loss", "start"),
-    "gap": ("effects", "start", "noise_mm", "alpha"),
-    "evaluate": ("version", "refit", "metrics"),
-    "plan": ("purpose", "count", "effects", "version", "payloads_kg"),
-    "joint_parameters": ("propose", "resolution_deg", "count"),
-    "drift": ("version", "new_setup", "setup_mm", "noise_mm"),
-    "rezero": ("version", "causes", "new_setup", "noise_mm"),
-}
 NUMBERS = {"number", "integer"}
 
 
@@ -52,10 +31,9 @@ class Field:
 @cache
 def fields(kind: str) -> tuple[list[Field], list[Field]]:
     """Return the usual options of a kind, and the others."""
-    schema = MODELS[kind].model_json_schema()
+    schema, first = KINDS[kind].options.model_json_schema(), KINDS[kind].usual
     made = {name: _field(name, part, schema) for name, part in schema["properties"].items()}
-    usual = [made[name] for name in USUAL[kind]]
-    return usual, [field for name, field in made.items() if name not in USUAL[kind]]
+    return [made[name] for name in first], [field for name, field in made.items() if name not in first]
 
 
 def parse_typed_values(kind: str, typed: Mapping[str, str]) -> dict[str, Any]:

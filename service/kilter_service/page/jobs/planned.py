@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from kilter_service.contract.jobs.job import GapJob, Job, PlanJob
-from kilter_service.contract.jobs.plan import PlanResult
+from kilter_service.contract.jobs.gap import GAP
+from kilter_service.contract.jobs.plan import PLAN, PlanJob, PlanResult
+from kilter_service.contract.jobs.registry import Job
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.page.words import NONE, number
@@ -53,9 +54,9 @@ def proposed_poses_csv(job: Job) -> str:
 
     """
     poses = None
-    if isinstance(job, PlanJob) and job.result is not None:
+    if PLAN.is_kind_of(job) and job.result is not None:
         poses = job.result.csv
-    elif isinstance(job, GapJob) and job.result is not None:
+    elif GAP.is_kind_of(job) and job.result is not None:
         poses = job.result.next_poses_csv
     if not poses:
         raise ServiceError(

@@ -6,7 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from kilter_service.contract.jobs.job import Job
+from pydantic import BaseModel
+
+from kilter_service.contract.jobs.registry import KINDS, Job
+from kilter_service.contract.jobs.shared import MadeVersion
 from kilter_service.ground.db import Database
 from kilter_service.page.gap import service as story
 from kilter_service.page.jobs import evaluation, identification, planned
@@ -30,11 +33,25 @@ def default_context(database: Database, job: Job) -> dict[str, Any]:
         "remedy": getattr(result, "remedy", None),
         "warnings": getattr(result, "warnings", None) or [],
         "version": getattr(result, "version_id", None),
-        "robot": job.robot if job.kind in CHECKS else "",
+        "facts": _plain_facts(result) if result is not None else {},
+        "robot": job.robot if KINDS[job.kind].watching else "",
     }
 
 
-CHECKS = ("drift", "rezero")  # their result stands beside the other checks of the robot, too
+def _plain_facts(result: BaseModel) -> dict[str, str]:
+    """Return what a result without a sentence says in numbers and words, by name."""
+    given = result.model_dump(mode="json", exclude_unset=True)
+    if "sentence" in given or isinstance(result, MadeVersion):
+        return {}
+    parts = {name: value if isinstance(value, dict) else {"": value} for name, value in given.items()}
+    return {
+        f"{name.replace('_', ' ').capitalize()} {key}".rstrip(): str(value)
+        for name, part in parts.items()
+        for key, value in part.items()
+        if isinstance(value, int | float | str)
+    }
+
+
 PLAIN = Result("jobs/plain.html", default_context)
 RESULTS: dict[str, Result] = {
     "identify": Result("jobs/identify.html", identification.result_context),

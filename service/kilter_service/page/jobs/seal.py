@@ -11,7 +11,7 @@ import hmac
 import json
 
 from kilter_service.campaigns import service as campaigns
-from kilter_service.contract.jobs.job import NewJob
+from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 

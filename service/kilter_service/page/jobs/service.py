@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from kilter_service.campaigns import service as campaigns
-from kilter_service.contract.jobs.check import JobCheck
-from kilter_service.contract.jobs.job import Job, NewJob
+from kilter_service.contract.jobs.registry import KINDS, Job, JobCheck, NewJob
 from kilter_service.contract.jobs.shared import MadeVersion
 from kilter_service.ground.core import registry
 from kilter_service.ground.db import Database
@@ -18,7 +17,8 @@ from kilter_service.jobs.registry import get_job_kind
 from kilter_service.page.jobs import form, options, seal
 from kilter_service.page.jobs.results import get_result_view
 from kilter_service.page.shared import lists
-from kilter_service.page.shared.listed_jobs import KINDS, page_of_jobs
+from kilter_service.page.shared.listed_jobs import KINDS as TITLES
+from kilter_service.page.shared.listed_jobs import page_of_jobs
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 
@@ -45,7 +45,7 @@ def new(database: Database, robot: str, kind: str, chosen: Mapping[str, Sequence
     return {
         "robot": robot,
         "kind": kind,
-        "kinds": KINDS,
+        "kinds": TITLES,
         "usual": usual,
         "others": others,
         "preset": {name: values[0] for name, values in chosen.items() if values and name not in CAMPAIGNS_USED},
@@ -54,7 +54,7 @@ def new(database: Database, robot: str, kind: str, chosen: Mapping[str, Sequence
         "uses": uses,
         "versions": versions.list_versions(database, robot, Page(limit=MOST_VERSIONS)).versions,
         "effects": effects_in_words() if any(one.name == "effects" for one in (*usual, *others)) else {},
-        "confirms": get_job_kind(kind).takes_confirmation,
+        "confirms": KINDS[kind].takes_confirmation,
         "found": page_of_jobs(database, robot, Page(limit=MOST_JOBS)),
     }
 
@@ -67,7 +67,7 @@ def sought(database: Database, robot: str, kind: str, text: str) -> dict[str, An
         found, lists.Asked(search=text), lambda one: f"{one.name} {one.device} {one.notes} {one.id}", {}
     )
     shown = part.shown[:MOST_SOUGHT]
-    return {"campaigns": shown, "found": part.found, "uses": {}, "confirms": get_job_kind(kind).takes_confirmation}
+    return {"campaigns": shown, "found": part.found, "uses": {}, "confirms": KINDS[kind].takes_confirmation}
 
 
 def effects_in_words() -> dict[str, str]:

@@ -13,9 +13,10 @@ from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import Parameter, StageErrors
-from kilter_service.contract.jobs.evaluate import Iso9283
-from kilter_service.contract.jobs.gap import GapResult
-from kilter_service.contract.jobs.job import EvaluateJob, GapJob, IdentifyJob, Job
+from kilter_service.contract.jobs.evaluate import EVALUATE, Iso9283
+from kilter_service.contract.jobs.gap import GAP, GapResult
+from kilter_service.contract.jobs.identify import IDENTIFY
+from kilter_service.contract.jobs.registry import Job
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.versions import Activation, Version
@@ -111,7 +112,7 @@ def of_job(database: Database, job_id: str) -> Sheet:
         raise ServiceError(
             f"Job {job_id} is {job.state}: there is a report when it has succeeded.", code="payload_invalid"
         )
-    made = None if isinstance(job, EvaluateJob) else getattr(job.result, "version_id", None)
+    made = None if EVALUATE.is_kind_of(job) else getattr(job.result, "version_id", None)
     if made is None:
         return _sheet(database, None, job)
     version = versions.get(database, made)
@@ -120,8 +121,8 @@ def of_job(database: Database, job_id: str) -> Sheet:
 
 def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
     robot = robots.get(database, job.robot)
-    search = job.result if isinstance(job, GapJob) else None
-    figures = job.result.figures if isinstance(job, IdentifyJob) and job.result is not None else None
+    search = job.result if GAP.is_kind_of(job) else None
+    figures = job.result.figures if IDENTIFY.is_kind_of(job) and job.result is not None else None
     judged = [] if version is None else list(_iter_error_tables(version, figures))
     named = display_name(version if version is not None else job)
     odd, evaluated = (
@@ -129,9 +130,7 @@ def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
         list(_iter_evaluations(database, job, version)),
     )
     judges = {one.version_id for rows in odd for one in rows.found} | {
-        one.job.result.version_id
-        for one in evaluated
-        if isinstance(one.job, EvaluateJob) and one.job.result is not None
+        one.job.result.version_id for one in evaluated if EVALUATE.is_kind_of(one.job) and one.job.result is not None
     }
     log = [] if version is None else versions.activations(database, job.robot, Page()).activations
     return Sheet(
@@ -270,11 +269,11 @@ def _strip_negative_zero(text: str) -> str:
 
 def _iter_evaluations(database: Database, job: Job, version: Version | None) -> Iterator[Evaluated]:
     """Evaluations of the version, newest first; of a job that is one, itself."""
-    if isinstance(job, EvaluateJob):
+    if EVALUATE.is_kind_of(job):
         found = [job]
     elif version is not None:
         whole = [jobs.get(database, one) for one in jobs.succeeded_evaluations(database, version.id)]
-        found = [one for one in whole if isinstance(one, EvaluateJob)]
+        found = [one for one in whole if EVALUATE.is_kind_of(one)]
     else:
         return
     for one in found:

@@ -6,21 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from kilter_service.contract.jobs.job import JobSummary
+from kilter_service.contract.jobs.registry import KINDS as DECLARED
 from kilter_service.ground.db import Database
 from kilter_service.ground.paging import Page
 from kilter_service.jobs import service as jobs
 from kilter_service.jobs.records import Place, WantedJobs
 from kilter_service.page.shared.lists import AT_ONCE, Asked, Part
 
-KINDS: Mapping[str, str] = {
-    "identify": "Identify parameters",
-    "gap": "Search for what is missing",
-    "evaluate": "Evaluate a version",
-    "plan": "Plan poses",
-    "joint_parameters": "Measure joints",
-    "drift": "Check for drift",
-    "rezero": "Re-zero what moved",
-}
+KINDS: Mapping[str, str] = {name: kind.title for name, kind in DECLARED.items()}
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.contract.jobs.job import GapJob, Job, PlanJob
+from kilter_service.contract.jobs.gap import GAP, GapJob
+from kilter_service.contract.jobs.plan import PLAN
+from kilter_service.contract.jobs.registry import Job
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs import service as jobs
@@ -56,9 +58,9 @@ def proposal(database: Database, campaign: Campaign, job: str) -> Proposing | No
 
 def _search(database: Database, job: Job) -> GapJob | None:
     """Return the job itself, or the search whose version a plan was made for."""
-    if isinstance(job, PlanJob) and job.options.version is not None:
+    if PLAN.is_kind_of(job) and job.options.version is not None:
         job = jobs.get(database, versions.get(database, job.options.version).job_id)
-    return job if isinstance(job, GapJob) and job.state == "succeeded" else None
+    return job if GAP.is_kind_of(job) and job.state == "succeeded" else None
 
 
 def _held_out_campaigns(job: GapJob) -> list[str]:

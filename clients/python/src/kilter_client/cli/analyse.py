@@ -26,6 +26,7 @@ from kilter_client.cli.terminal.arguments import (
     Robot,
     ValidationText,
 )
+from kilter_client.cli.terminal.flags import with_flags
 from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.terminal.output import emit, note
 from kilter_client.cli.terminal.progress import job_bar
@@ -64,6 +65,19 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example: kilter evaluate ur10 --campaign cmp_2a --version ver_7c --refit base,tool")(evaluate)
 
 
+@with_flags(
+    "identify",
+    seldom=(
+        "sheet_order",
+        "limits",
+        "search_mm",
+        "search_deg",
+        "masses",
+        "mass_sigma_percent",
+        "com_sigma_mm",
+        "socket_distances_mm",
+    ),
+)
 def identify(
     robot: Robot,
     campaign: CampaignIds = None,
@@ -123,6 +137,19 @@ def identify(
     run_job("identify", robot, campaign, validation, chosen, no_wait, as_json, files=drawn, name=name, check=check)
 
 
+@with_flags(
+    "gap",
+    seldom=(
+        "max_effects",
+        "bootstraps",
+        "resamples",
+        "permutations",
+        "next_poses",
+        "matters_um",
+        "budget_s",
+        "limits",
+    ),
+)
 def gap(
     robot: Robot,
     campaign: CampaignIds = None,
@@ -183,6 +210,7 @@ def _write_search(poses: Path | None, figures: Path | None, as_json: bool, job: 
     write_figures(figures, as_json, job)
 
 
+@with_flags("evaluate", seldom=("metrics", "criteria"))
 def evaluate(
     robot: Robot,
     campaign: CampaignIds = None,

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from kilter_client.cli.texts.option_texts import KINDS
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -17,7 +19,7 @@ class Entry:
     summary: str
 
 
-CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
+WRITTEN: Mapping[str, Mapping[str, Entry]] = {
     "Measure": {
         "upload": Entry("files.upload", "Send measurements of a robot; they become a campaign."),
         "campaigns": Entry("stored.campaigns", "List, name, retire and purge campaigns."),
@@ -88,4 +90,11 @@ CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
     },
 }
 
+_NAMES = frozenset(name for entries in WRITTEN.values() for name in entries)
+# Kinds of job for which no command is written, by the command that is made of their declaration.
+KINDS_BY_COMMAND: Mapping[str, str] = {name: kind for kind in KINDS if (name := kind.replace("_", "-")) not in _NAMES}
+MADE = {name: Entry("of_kinds", KINDS[kind].summary) for name, kind in KINDS_BY_COMMAND.items()}
+CATALOGUE: Mapping[str, Mapping[str, Entry]] = {
+    heading: {**entries, **(MADE if heading == "Identify" else {})} for heading, entries in WRITTEN.items()
+}
 ENTRIES: Mapping[str, Entry] = {name: entry for listed in CATALOGUE.values() for name, entry in listed.items()}

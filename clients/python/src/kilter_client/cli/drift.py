@@ -15,6 +15,7 @@ from kilter_client.cli.reports.drift_report import EXIT_CODES, show_history, sho
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
+from kilter_client.cli.terminal.flags import with_flags
 from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.progress import job_bar
@@ -41,6 +42,7 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example: kilter rezero ur10 --campaign today.csv --cause zero_1")(rezero)
 
 
+@with_flags("drift")
 def check(
     robot: Robot,
     file: Rows = None,
@@ -145,6 +147,7 @@ def _show_repair(one: dict[str, Any]) -> None:
     )
 
 
+@with_flags("rezero", seldom=("causes", "limits"))
 def rezero(
     robot: Robot,
     campaign: Annotated[

@@ -19,6 +19,7 @@ from kilter_client.cli.terminal.arguments import (
     Robot,
     ValidationText,
 )
+from kilter_client.cli.terminal.flags import with_flags
 from kilter_client.cli.texts.option_texts import JOINT_PARAMETERS
 from kilter_client.errors import UsageError
 from kilter_files.rig.readings import read_readings
@@ -29,6 +30,7 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example: kilter joint-parameters katana --readings joint3.csv")(joint_parameters)
 
 
+@with_flags("joint_parameters", seldom=("payloads_kg",))
 def joint_parameters(
     robot: Robot,
     readings: Annotated[

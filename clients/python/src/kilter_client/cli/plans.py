@@ -13,6 +13,7 @@ from kilter_client.cli.analyse import AT_JOINTS, needs_result, run_job, write_po
 from kilter_client.cli.groups import WithDefault
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
+from kilter_client.cli.terminal.flags import with_flags
 from kilter_client.cli.texts.option_texts import PLAN
 from kilter_client.errors import UsageError
 
@@ -55,6 +56,7 @@ def register(app: typer.Typer) -> None:
     app.add_typer(group, name="plan")
 
 
+@with_flags("plan", seldom=("method", "version", "box_mm", "keep_out_mm", "without_joints", "within", "payloads_kg"))
 def poses(
     robot: Robot,
     campaign: CampaignIds = None,

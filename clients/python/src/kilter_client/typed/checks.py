@@ -99,6 +99,30 @@ class AnyCheck(Record):
     """Whether the job would run through, as far as can be predicted."""
 
 
+class DriftCheck(AnyCheck):
+    """What a check of an arm would do."""
+
+
+class EvaluateCheck(AnyCheck):
+    """What an evaluation would do."""
+
+
+class Testability(Record):
+    """What a gap search could test, judged with the geometry fitted and nothing named."""
+
+    not_testable: Records[Untestable]
+    """Effects that cannot be tested, with what would help."""
+    testable: Records[Detectable]
+    """Parameters that can be tested, with the smallest amplitude seen."""
+
+
+class GapCheck(AnyCheck):
+    """What a gap search would do."""
+
+    testability: Testability | None
+    """What could be tested; None: see `problems`."""
+
+
 class UnknownParameter(Record):
     """A parameter that the poses do not tell."""
 
@@ -136,36 +160,12 @@ class IdentifyCheck(AnyCheck):
     """What the poses tell of the parameters; None: see `problems`."""
 
 
-class Testability(Record):
-    """What a gap search could test, judged with the geometry fitted and nothing named."""
-
-    not_testable: Records[Untestable]
-    """Effects that cannot be tested, with what would help."""
-    testable: Records[Detectable]
-    """Parameters that can be tested, with the smallest amplitude seen."""
-
-
-class GapCheck(AnyCheck):
-    """What a gap search would do."""
-
-    testability: Testability | None
-    """What could be tested; None: see `problems`."""
-
-
-class EvaluateCheck(AnyCheck):
-    """What an evaluation would do."""
-
-
-class PlanCheck(AnyCheck):
-    """What a plan would do."""
-
-
 class JointParametersCheck(AnyCheck):
     """What a measurement of joints would do."""
 
 
-class DriftCheck(AnyCheck):
-    """What a check of an arm would do."""
+class PlanCheck(AnyCheck):
+    """What a plan of poses would do."""
 
 
 class RezeroCheck(AnyCheck):

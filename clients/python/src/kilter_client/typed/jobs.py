@@ -43,7 +43,7 @@ class EvaluateJob(AnyJob):
 
 
 class GapJob(AnyJob):
-    """A gap search with its options and its result."""
+    """A gap search with what was asked and what came out."""
 
     result: GapResult | None
     """What came out; None: it has not succeeded."""

@@ -66,13 +66,13 @@ MODULE_OF = {
             ChangedNumber CheckOfRobot ControlChart DriftCause DriftHistory DriftList DriftMark DriftResult
             DriftSummary Repair RezeroResult
             """,
-        "checks": """
-            CheckedCampaign DriftCheck Duration EvaluateCheck GapCheck HeldOut Identifiability IdentifyCheck
-            JobProblem JointParametersCheck Missing PlanCheck RezeroCheck Testability UnknownParameter
-            """,
         "server": """
             Bridge BridgeList Check ErrorsToday Health JobError JobSummary MeasuredCampaign NamedMissing Progress
             ResolvedReference SearchToday Today
+            """,
+        "checks": """
+            CheckedCampaign DriftCheck Duration EvaluateCheck GapCheck HeldOut Identifiability IdentifyCheck
+            JobProblem JointParametersCheck Missing PlanCheck RezeroCheck Testability UnknownParameter
             """,
         "jobs": """
             DriftJob EvaluateJob GapJob IdentifyJob JointParametersJob PlanJob RezeroJob

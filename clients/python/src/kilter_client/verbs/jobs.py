@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from os import PathLike, fspath
 from pathlib import Path
@@ -154,6 +154,39 @@ def joint_parameters(
         chosen["readings"] = readings.read_readings(Path(fspath(readings_file)))
     wanted = request_body("joint_parameters", robot, campaigns, chosen, validation, name)
     return cast("typed.identifications.JointParametersResult", (yield from run(wanted, progress, timeout_s)))
+
+
+def make_job_verb(kind: str) -> Callable[..., Steps[Record]]:
+    """Return the verb of a kind of job for which none is written here."""
+
+    def verb(
+        robot: ResourceReference,
+        campaigns: ResourceReference | Sequence[ResourceReference] = (),
+        *,
+        validation: HeldOut = None,
+        confirmation: ResourceReference | Sequence[ResourceReference] = (),
+        name: str = "",
+        progress: Watching = True,
+        timeout_s: float | None = None,
+        **options: Any,
+    ) -> Steps[Record]:
+        wanted = request_body(kind, robot, campaigns, options, validation, name, confirmation)
+        return (yield from run(wanted, progress, timeout_s))
+
+    verb.__name__ = kind
+    verb.__doc__ = f"""Ask for a job of kind ``{kind}``, follow it, and return its result; the rest is as in ``identify``.
+
+    Raises:
+        OptionError: an option that does not exist or does not fit.
+        JobFailedError: the job ended without a result; JobTimeoutError: it continues.
+
+    """
+    return verb
+
+
+def make_missing_verbs(client: type) -> dict[str, Callable[..., Steps[Record]]]:
+    """Return a verb for each kind of job that a client has none for, by name."""
+    return {kind: make_job_verb(kind) for kind in JOBS if not hasattr(client, kind)}
 
 
 def submit(
