@@ -11,6 +11,7 @@ from pathlib import Path
 
 from tools.contract.client_types import client_modules
 from tools.contract.effects import effects_data
+from tools.contract.interface import promised_interface
 from tools.contract.methods import methods_module
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -42,7 +43,7 @@ def tables() -> dict[Path, str]:
     client = "clients/python/src/kilter_client/cli"
     texts = {f"{client}/texts/option_texts.py": formatted(command_texts())}
     texts[f"{client}/texts/lists.json"] = lists_text()
-    made = client_modules(REPOSITORY / "tests/contract/openapi.json")
+    made = client_modules(promised_interface())
     texts |= {f"{TYPED}/{module}.py": formatted(text) for module, text in made.items()}
     texts |= {page: with_tables(read(page)) for page in PAGES}
     texts |= {

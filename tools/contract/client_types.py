@@ -8,7 +8,6 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from inspect import get_annotations
-from pathlib import Path
 from typing import Any
 
 Schema = Mapping[str, Any]
@@ -89,9 +88,8 @@ INDENT = " " * 12
 HEAD = '"""{}, made from the interface by `make contract`: change it there."""\n\nfrom __future__ import annotations\n'
 
 
-def client_modules(snapshot: Path) -> dict[str, str]:
+def client_modules(interface: Schema) -> dict[str, str]:
     """Return the text of each module of ``kilter_client.typed``."""
-    interface = json.loads(snapshot.read_text(encoding="utf-8"))
     schemas = interface["components"]["schemas"]
     jobs = _kinds_of_job(interface)
     modules = {**MODULES, "jobs": [*jobs.values()], "others": _answers(interface)}
