@@ -19,8 +19,8 @@ from kilter_client.cli.terminal.arguments import (
     Robot,
     ValidationText,
 )
-from kilter_client.cli.texts.option_texts import JOINT_PARAMETERS
 from kilter_client.errors import UsageError
+from kilter_client.typed.option_texts import JOINT_PARAMETERS
 from kilter_files.rig.readings import read_readings
 
 
