@@ -51,13 +51,13 @@ from kilter_core.gap.report.localization import Place, localize, remains
 from kilter_core.gap.report.next_poses import proposal_rows, separate
 from kilter_core.gap.report.report import GapReport, Remains
 from kilter_core.gap.report.search_warnings import (
-    at_ends,
-    left_out_warnings,
+    held_at_ends,
+    left_out_findings,
     size_warnings,
-    unloaded_warnings,
-    unplanned_warnings,
+    unloaded_findings,
+    unplanned_findings,
 )
-from kilter_core.gap.report.sentences import SENTENCES
+from kilter_core.gap.report.sentences import documents
 from kilter_core.gap.report.stored import Stored, build_stored_version, settled_search
 from kilter_core.gap.report.told_apart import Proposed, are_never_separable, assess_separation
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
@@ -244,11 +244,12 @@ class _Run:
             warnings=(
                 *incomplete_warnings(lacking),
                 *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(),
-                *unloaded_warnings(prepared), *size_warnings(found), *self._worse(of_version, seen, kept),
-                *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
-                *left_out_warnings(effects), *kept.similar_pose_warnings(), *(() if told is None else told.warnings()),
-                *(unplanned_warnings(problem) if effects and self.options.next_poses else ()),
-                *(one.to_document(SENTENCES) for one in event_findings(
+                *documents(unloaded_findings(prepared)), *size_warnings(found), *self._worse(of_version, seen, kept),
+                *far_from_stated(kept.load_model()), *documents(held_at_ends(kept.calibration)),
+                *documents(left_out_findings(effects)), *kept.similar_pose_warnings(),
+                *(() if told is None else told.warnings()),
+                *documents(unplanned_findings(problem) if effects and self.options.next_poses else ()),
+                *documents(event_findings(
                     found, events(found, self.every, moves_mm(found)),
                     {j.evidence.place for j in effects if not j.certain},
                     self.by_views is not None, self.remarks,

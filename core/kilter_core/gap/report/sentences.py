@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from kilter_core.errors import Sentences
+from kilter_core.errors import Finding, Sentences
 
 CALLED = {"base_step": "The station (base or instrument)", "tool_step": "The tool, its marker or its nest"}
 SEEN = {
@@ -57,4 +57,45 @@ def _unseen_stays_nominal(said: Mapping[str, Any]) -> str:
     )
 
 
-SENTENCES: Sentences = {"moved_once": _moved_once, "unseen_stays_nominal": _unseen_stays_nominal}
+def _no_load(said: Mapping[str, Any]) -> str:
+    return (
+        f"{', '.join(said['effects'])} were not looked for: they follow load moments, and neither link masses nor a payload "
+        "are known. Give the robot's links mass_kg and com_mm, or the rows payload_kg, and search again."
+    )
+
+
+def _no_next_poses(said: Mapping[str, Any]) -> str:
+    return (
+        "No poses are proposed: the contact decides which poses the arm can take. To make a name surer, hold the "
+        "ball in more placements, with joint angles and orientations that differ from those measured."
+    )
+
+
+def _at_end_of_range(said: Mapping[str, Any]) -> str:
+    size = f"{said['value']:.3g}" if said["unit"] == "1" else f"{said['value']:.3g} {said['unit']}"
+    return (
+        f"{said['parameter']} would come out beyond what is physical and is held at {size}: something else is in it. "
+        "Check units, masses and payloads, and search again with `effects` that leave it out."
+    )
+
+
+def _not_settled(said: Mapping[str, Any]) -> str:
+    return (
+        f"The version leaves out what is not settled: {', '.join(said['names'])}. To settle it, revisit poses at other "
+        "times, or measure all in random order."
+    )
+
+
+SENTENCES: Sentences = {
+    "moved_once": _moved_once,
+    "unseen_stays_nominal": _unseen_stays_nominal,
+    "no_load": _no_load,
+    "no_next_poses": _no_next_poses,
+    "at_end_of_range": _at_end_of_range,
+    "not_settled": _not_settled,
+}
+
+
+def documents(findings: Iterable[Finding]) -> Iterator[dict[str, Any]]:
+    """Return findings of a search as they are stored and sent."""
+    return (one.to_document(SENTENCES) for one in findings)
