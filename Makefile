@@ -3,6 +3,8 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 BIN := .venv/bin
 READY := .venv/.ready
 KERNELS := .venv/.kernels
+# Text that is made from the contract and that git does not hold: types of the client and pages of the reference.
+MADE := .venv/.made
 IMAGE ?= kilter
 # Processes that share the tests, module by module, in the order of tests/conftest.py: the long ones first. Many wait for another
 # process, or for a clock: with four of them on two cores a quarter of the time of these was idle.
@@ -19,7 +21,7 @@ export PYTHONDONTWRITEBYTECODE :=
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 16
 
-setup: $(READY) $(KERNELS) ## build .venv with pinned dependencies (done once, again when a dependency list changes)
+setup: $(READY) $(KERNELS) $(MADE) ## build .venv with pinned dependencies (done once, again when a dependency list changes)
 
 $(READY): pyproject.toml core/pyproject.toml clients/files/pyproject.toml clients/python/pyproject.toml constraints.txt tools/make_environment.sh
 	sh tools/make_environment.sh "$(PYTHON)"
@@ -27,6 +29,11 @@ $(READY): pyproject.toml core/pyproject.toml clients/files/pyproject.toml client
 
 $(KERNELS): $(READY) $(wildcard core/kilter_core/*/kernels/*.py) service/kilter_service/stream/corrector/fast_path.py service/kilter_service/run/compiling.py
 	$(BIN)/kilterd compile
+	touch $@
+
+MADE_FROM := $(shell find tools/contract clients/python/src docs/reference -name '*.py' -o -name '*.in')
+$(MADE): $(KERNELS) tests/contract/openapi.txt $(MADE_FROM)
+	$(BIN)/python -m tools.contract --made
 	touch $@
 
 demo: $(KERNELS) ## calibrate a simulated Katana 450 from measured poses to corrected setpoints
@@ -45,25 +52,25 @@ CHECK_TESTS := tests/contract/test_layout.py tests/contract/test_docs.py tests/c
 DONE_BY_CHECK := $(addprefix --ignore=,$(CHECK_TESTS)) \
 	--deselect=tests/contract/test_options.py::test_the_contract_of_effects_is_up_to_date
 
-test: $(KERNELS) ## run the tests, the numeric part also under another kind of processor (OTHER_CORE=Sandybridge, LONG=1 for all)
+test: $(MADE) ## run the tests, the numeric part also under another kind of processor (OTHER_CORE=Sandybridge, LONG=1 for all)
 	@$(MAKE) --no-print-directory --jobs=2 test-other-core test-here
 
 # Beside the others: by itself it left a core idle. It says how it ended, and all else where it failed.
-test-other-core: $(KERNELS) ## of make test, the numeric part under another kind of processor (OTHER_CORE=Sandybridge)
+test-other-core: $(MADE) ## of make test, the numeric part under another kind of processor (OTHER_CORE=Sandybridge)
 	@mkdir -p build
 	@OPENBLAS_CORETYPE=$(OTHER_CORE) $(BIN)/python -m pytest -q $(OTHER_CORE_TESTS) >build/other-core.txt 2>&1 \
 		|| { cat build/other-core.txt; exit 1; }
 	@echo "under $(OTHER_CORE): $$(tail -n 1 build/other-core.txt)"
 
-test-here: $(KERNELS) ## of make test, all tests as this machine computes (LONG=1 for the long ones too)
+test-here: $(MADE) ## of make test, all tests as this machine computes (LONG=1 for the long ones too)
 	$(BIN)/python -m pytest $(if $(LONG),-m "not slow and not bench") $(SHARED) $(if $(SLOWEST),--durations=$(SLOWEST)) $(if $(CHECKED),$(DONE_BY_CHECK))
 
-collected: $(KERNELS) ## import all tests once: six testers at once would each compile all that was not compiled yet
+collected: $(MADE) ## import all tests once: six testers at once would each compile all that was not compiled yet
 	@mkdir -p build
 	@$(BIN)/python -m pytest -q --collect-only -m "not bench" >build/collected.txt 2>&1 || { cat build/collected.txt; exit 1; }
 	@tail -n 1 build/collected.txt
 
-test-long: $(KERNELS) ## run the tests that only the gate runs, by make test LONG=1: those that take longest (tests/seconds.txt)
+test-long: $(MADE) ## run the tests that only the gate runs, by make test LONG=1: those that take longest (tests/seconds.txt)
 	$(BIN)/python -m pytest -m "long and not slow and not bench" $(SHARED)
 
 # While one area changes: its own tests. Each folder of tests is in one of these or in test-page.
@@ -72,19 +79,19 @@ SERVER_TESTS := tests/service tests/fuzz
 STREAM_TESTS := tests/corrector
 CLIENTS_TESTS := tests/clients tests/contract
 
-test-core: $(KERNELS) ## of the tests, those of the numeric part
+test-core: $(MADE) ## of the tests, those of the numeric part
 	$(BIN)/python -m pytest -q $(SHARED) $(CORE_TESTS)
 
-test-server: $(KERNELS) ## of the tests, those of the server
+test-server: $(MADE) ## of the tests, those of the server
 	$(BIN)/python -m pytest -q $(SHARED) $(SERVER_TESTS)
 
-test-stream: $(KERNELS) ## of the tests, those of the corrector and what streams through it
+test-stream: $(MADE) ## of the tests, those of the corrector and what streams through it
 	$(BIN)/python -m pytest -q $(SHARED) $(STREAM_TESTS)
 
-test-clients: $(KERNELS) ## of the tests, those of the command, the library, the file readers, the contract and the docs
+test-clients: $(MADE) ## of the tests, those of the command, the library, the file readers, the contract and the docs
 	$(BIN)/python -m pytest -q $(SHARED) $(CLIENTS_TESTS)
 
-test-cpu: $(KERNELS) ## measure the processor time of each test, whatever else the machine does, and write tests/seconds.txt
+test-cpu: $(MADE) ## measure the processor time of each test, whatever else the machine does, and write tests/seconds.txt
 	$(BIN)/python -m pytest -q -m "not slow and not bench" --cpu --write-cpu $(SHARED)
 
 test-processors: $(KERNELS) ## fit N campaigns of every kind of measurement under four kinds of processor and compare (N=1000)
@@ -104,7 +111,7 @@ test-wheels: ## run the suite from the installed wheels (TESTS="tests/core ...")
 KERNEL_TESTS := tests/core/arm/test_chain.py tests/core/arm/test_moments.py tests/core/observations/test_poses.py tests/corrector/test_kernel.py \
 	tests/corrector/test_load_chain.py
 
-coverage: $(KERNELS) ## count the lines that the tests run, those of the kernels without the compiler (slow)
+coverage: $(MADE) ## count the lines that the tests run, those of the kernels without the compiler (slow)
 	$(BIN)/coverage erase
 	$(BIN)/coverage run -m pytest $(SHARED)
 	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest -q -W ignore::RuntimeWarning $(KERNEL_TESTS)
@@ -114,12 +121,13 @@ coverage: $(KERNELS) ## count the lines that the tests run, those of the kernels
 check: check-types check-rest ## style, types, import rules (make --jobs=2 check: both parts at once)
 
 check-types: $(READY) ## the first part of make check: style and types
+	$(BIN)/python -m tools.contract.client
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
 # It imports the core: before its kernels are compiled it would compile them itself.
-check-rest: $(KERNELS) ## the second part of make check: imports, what is generated, the shape of the repository
+check-rest: $(MADE) ## the second part of make check: imports, what is generated, the shape of the repository
 	$(BIN)/lint-imports
 	$(BIN)/python -m tools.contract --check
 	$(BIN)/python -m tools.draw_rooms --check
@@ -153,7 +161,7 @@ rooms: $(READY) ## draw the rooms of the packages and their tables from the impo
 licences: $(READY) ## list the licences of what is needed at run time
 	$(BIN)/python -m tools.licences
 
-contract: $(KERNELS) ## write the effects of the contract, the tables of options and the help of commands anew
+contract: $(KERNELS) ## write anew what repeats the contract: the interface, its types, tables, help and pages
 	$(BIN)/python -m tools.contract
 
 bench: $(KERNELS) ## measure speed against other tools and print the ratios
@@ -268,10 +276,10 @@ kills-stream: $(KERNELS) ## kill every process of a server in turn under a contr
 kills: $(KERNELS) ## kill processes of a server at random while clients work, and look for what is lost (N=500 SEED=...)
 	$(BIN)/python -m tests.service.kill_campaign --n $(or $(N),500) $(if $(SEED),--seed $(SEED))
 
-test-slow: $(KERNELS) ## run the longer tests that make test leaves out and no other target names
+test-slow: $(MADE) ## run the longer tests that make test leaves out and no other target names
 	$(BIN)/python -m pytest -m slow $(SHARED) tests/core tests/contract tests/clients
 
-test-page: $(KERNELS) ## run all tests of the page, the long ones too (needs Chromium; screenshots in build/page-screenshots)
+test-page: $(MADE) ## run all tests of the page, the long ones too (needs Chromium; screenshots in build/page-screenshots)
 	$(BIN)/python -m pytest -m "slow or not slow" -q $(SHARED) tests/page
 
 test-many-jobs: $(KERNELS) ## run 1000 small jobs on four workers and PostgreSQL, kill two of them, and count (JOBS=1000)

@@ -1,8 +1,13 @@
-"""Errors that the core raises: each carries a code, a sentence and a context, and knows nothing of HTTP."""
+"""Errors that the core raises, and findings that it reports: each carries a code and a context, and knows nothing of HTTP."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
+
+Sentences = Mapping[str, Callable[[Mapping[str, Any]], str]]
+"""The sentence of a finding of each code, from what the finding says."""
 
 
 class CoreError(Exception):
@@ -51,3 +56,24 @@ class CancelledError(CoreError):
     """The caller asked a long computation to stop."""
 
     default_code = "cancelled"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A warning, objection or remark: a stable code and what it says, by name. Decisions are made from these.
+
+    ``context`` is stored with it. ``only_said`` are names and numbers that only its sentence has, which the table of its
+    room makes of both at the edge.
+    """
+
+    code: str
+    context: Mapping[str, Any]
+    only_said: Mapping[str, Any] = field(default_factory=dict)
+
+    def message(self, sentences: Sentences) -> str:
+        """Return its sentence."""
+        return sentences[self.code]({**self.context, **self.only_said})
+
+    def to_document(self, sentences: Sentences) -> dict[str, Any]:
+        """Return it as it is stored and sent, with its sentence."""
+        return {"code": self.code, **self.context, "message": self.message(sentences)}

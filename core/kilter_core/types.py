@@ -34,13 +34,17 @@ class Each(Protocol):
 
 
 def run_sequentially(
-    work: Callable[[Task, Progress], Answer], tasks: Sequence[Task], progress: Progress
+    work: Callable[[Task, Progress], Answer],
+    tasks: Sequence[Task],
+    progress: Progress,
+    done: int = 0,
+    total: int | None = None,
 ) -> list[Answer]:
-    """Compute the tasks here, one after the other."""
-    found = []
-    for k, task in enumerate(tasks):
-        progress(k / len(tasks), f"{k + 1} of {len(tasks)}")
-        found.append(work(task, _task_progress(progress, k, len(tasks))))
+    """Compute the tasks here, one after the other: all of them, or those that follow ``done`` others of a ``total``."""
+    found, total = [], total or len(tasks)
+    for k, task in enumerate(tasks, done):
+        progress(k / total, f"{k + 1} of {total}")
+        found.append(work(task, _task_progress(progress, k, total)))
     return found
 
 

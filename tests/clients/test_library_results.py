@@ -24,8 +24,9 @@ from kilter_client.typed.fits import Metrics, Parameter
 from kilter_client.typed.identifications import IdentifyResult
 from kilter_client.typed.names import JOBS, MODULE_OF
 from kilter_client.typed.versions import Version
+from tools.contract.interface import promised_interface
 
-INTERFACE = json.loads((Path(__file__).parents[1] / "contract/openapi.json").read_text())
+INTERFACE = promised_interface()
 NAMED = "<b>bold & \"evil\"</b><script>alert('x')</script>"
 
 

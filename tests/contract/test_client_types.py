@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from importlib import import_module
 from inspect import get_annotations
 from pathlib import Path
@@ -40,7 +39,7 @@ def by_kind(name: str) -> dict[str, Any]:
 
 
 @pytest.fixture
-def interface(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def interface(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     schemas = {
         "IdentifyJob": schema(
             id={"type": "string"}, result=or_null(of("IdentifyResult")), options=of("IdentifyOptions")
@@ -62,12 +61,10 @@ def interface(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     }
     paths = {"/v1/jobs/{job}": {"get": by_kind("IdentifyJob")}}
     monkeypatch.setattr(client_types, "MODULES", {"fits": ("Figure",)})
-    file = tmp_path / "openapi.json"
-    file.write_text(json.dumps({"components": {"schemas": schemas}, "paths": paths}))
-    return file
+    return {"components": {"schemas": schemas}, "paths": paths}
 
 
-def test_what_the_types_of_an_interface_are(interface: Path) -> None:
+def test_what_the_types_of_an_interface_are(interface: dict[str, Any]) -> None:
     made = client_modules(interface)
     jobs = made["jobs"]
     for line in (
@@ -92,14 +89,12 @@ def test_what_the_types_of_an_interface_are(interface: Path) -> None:
     assert "free: Sequence[str]\n" in made["options"]
 
 
-def test_what_all_jobs_have_is_written_once(interface: Path) -> None:
-    document = json.loads(interface.read_text())
-    schemas = document["components"]["schemas"]
+def test_what_all_jobs_have_is_written_once(interface: dict[str, Any]) -> None:
+    schemas = interface["components"]["schemas"]
     schemas["PlanJob"] = schema(id={"type": "string"}, result={"type": "number"}, options=of("PlanOptions"))
     schemas["PlanOptions"] = schema()
-    answer = document["paths"]["/v1/jobs/{job}"]["get"]["responses"]["200"]["content"]["application/json"]["schema"]
+    answer = interface["paths"]["/v1/jobs/{job}"]["get"]["responses"]["200"]["content"]["application/json"]["schema"]
     answer["discriminator"]["mapping"]["plan"] = "#/components/schemas/PlanJob"
-    interface.write_text(json.dumps(document))
     jobs = client_modules(interface)["jobs"]
     base, others = jobs.partition("class AnyJob(Record):")[2].split("class IdentifyJob(AnyJob):")
     assert "id: str\n" in base

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
-SNAPSHOT = json.loads(Path(__file__).with_name("openapi.json").read_text(encoding="utf-8"))
-SCHEMAS: dict[str, Any] = SNAPSHOT["components"]["schemas"]
+from tools.contract.interface import promised_interface
+
+SCHEMAS: dict[str, Any] = promised_interface()["components"]["schemas"]
 # What a name ends in, and what its description must say; the longest ending counts.
 UNITS = {
     "_mm": "mm", "_deg": "degrees", "_kg": "kg", "_s": " s", "_c": "Celsius", "_m": " m", "_nm": "N m", "_um": "um",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import subprocess
@@ -16,6 +15,8 @@ from typing import Any
 import pytest
 import typer
 import yaml
+
+from tools.contract.interface import promised_interface
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCS = REPOSITORY / "docs"
@@ -145,7 +146,7 @@ def test_default_port_is_documented() -> None:
 
 def test_every_route_is_documented() -> None:
     # That this is the interface is held by test_openapi.py.
-    paths = json.loads((Path(__file__).parent / "openapi.json").read_text(encoding="utf-8"))["paths"]
+    paths = promised_interface()["paths"]
     routes = {f"{method.upper()} {path}" for path, methods in paths.items() for method in methods}
     documented = {
         f"{method} {path}"

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import os
-from pathlib import Path
+import copy
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from kilter_service.ground.settings import Settings
-from kilter_service.run.app import create_app
+from kilter_service.ground.errors import PROBLEMS
+from tools.contract.interface import SNAPSHOT, interface_document, interface_text, with_sorted_required
+from tools.contract.served import served_interface
 
-SNAPSHOT = Path(__file__).with_name("openapi.json")
+Change = Callable[[dict[str, Any]], object]
 PROMISED = {
     "POST /v1/robots",
     "POST /v1/robots/{robot}/campaigns",
@@ -32,19 +32,130 @@ PROMISED = {
 
 
 @pytest.fixture(scope="module")
-def document(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    found = create_app(Settings(data=tmp_path_factory.mktemp("nothing"))).openapi()
-    # The version is that of the installed distribution, which is no part of the promise.
-    found["info"]["version"] = "0"
-    return found
+def document() -> dict[str, Any]:
+    return served_interface()
 
 
-def test_the_interface_is_the_snapshot(document: dict[str, Any]) -> None:
-    """Run with KILTER_WRITE_SNAPSHOTS=1 to accept a change, and say it in the changelog."""
-    text = json.dumps(document, indent=1, sort_keys=True) + "\n"
-    if os.environ.get("KILTER_WRITE_SNAPSHOTS"):
-        SNAPSHOT.write_text(text, encoding="utf-8")
+@pytest.fixture(scope="module")
+def text(document: dict[str, Any]) -> str:
+    return interface_text(document, PROBLEMS)
+
+
+def test_the_interface_is_the_snapshot(text: str) -> None:
+    """Run `make contract` to accept a change, and say it in the changelog."""
     assert text == SNAPSHOT.read_text(encoding="utf-8")
+
+
+def test_the_snapshot_loses_nothing_of_the_interface(document: dict[str, Any], text: str) -> None:
+    schemas = document["components"]["schemas"]
+    expected = document | {
+        "components": document["components"] | {"schemas": {n: with_sorted_required(s) for n, s in schemas.items()}}
+    }
+    assert interface_document(text) == expected
+    assert len(text.splitlines()) < 4000
+    assert ": json " not in text  # all of it has the form of a line
+
+
+def model(document: dict[str, Any]) -> Any:
+    return document["components"]["schemas"]["IdentifyOptions"]
+
+
+def fields(document: dict[str, Any]) -> Any:
+    return model(document)["properties"]
+
+
+def options(document: dict[str, Any], name: str) -> Any:
+    return fields(document)[name]
+
+
+def listing(document: dict[str, Any]) -> Any:
+    return document["paths"]["/v1/jobs"]["get"]
+
+
+def submit(document: dict[str, Any]) -> Any:
+    return document["paths"]["/v1/jobs"]["post"]
+
+
+# A change of the document, and what the one line that is new or other must say.
+CHANGES: dict[str, tuple[str, Change]] = {
+    "type": ("tilt_first: integer", lambda d: options(d, "tilt_first").update(type="integer")),
+    "no null": ("com_sigma_mm: (number(", lambda d: options(d, "com_sigma_mm")["anyOf"].pop()),
+    "required": ("IdentifyOptions.base: required", lambda d: model(d).update(required=["base"])),
+    "bound": ("exclusiveMinimum 0.5", lambda d: options(d, "search_mm").update(exclusiveMinimum=0.5)),
+    "length": ("maxItems 9", lambda d: options(d, "free").update(maxItems=9)),
+    "length of a word": ("maxLength 9", lambda d: options(d, "free")["items"].update(maxLength=9)),
+    "pattern": ('pattern "^x"', lambda d: options(d, "free")["items"].update(pattern="^x")),
+    "enum": ('"huber"])', lambda d: options(d, "loss")["enum"].pop()),
+    "order of an enum": ('enum ["tukey"', lambda d: options(d, "loss")["enum"].reverse()),
+    "constant": ('const "flock"', lambda d: options(d, "prior")["anyOf"][0].update(const="flock")),
+    "default": ("= 2", lambda d: options(d, "seed").update(default=2)),
+    "whole default": ("= 0.0", lambda d: options(d, "seed").update(default=0.0)),
+    "no default": ("seed: integer(maximum 2147483648.0, minimum 0.0) --", lambda d: options(d, "seed").pop("default")),
+    "description": (
+        "-- Drawn\\nby \\\\chance.",
+        lambda d: options(d, "seed").update(description="Drawn\nby \\chance."),
+    ),
+    "no description": (
+        "seed: integer(maximum 2147483648.0, minimum 0.0) = 0",
+        lambda d: options(d, "seed").pop("description"),
+    ),
+    "example": ('examples ["a | b"]', lambda d: options(d, "start").update(examples=["a | b"])),
+    "title": ('title "Its seed"', lambda d: options(d, "seed").update(title="Its seed")),
+    "no title": ("title null", lambda d: options(d, "seed").pop("title")),
+    "unit": ('x-unit "um"', lambda d: options(d, "search_mm").update({"x-unit": "um"})),
+    "model of a field": (
+        "limits: Limits |",
+        lambda d: options(d, "limits")["anyOf"][0].update({"$ref": "#/components/schemas/Limits"}),
+    ),
+    "schema that no line has": ("seed: any(allOf", lambda d: fields(d).update(seed={"allOf": [], "title": "Seed"})),
+    "further fields": ("IdentifyOptions: object --", lambda d: model(d).pop("additionalProperties")),
+    "new field": ("IdentifyOptions.new: string", lambda d: fields(d).update(new={"type": "string", "title": "New"})),
+    "new model": (
+        "Empty: object",
+        lambda d: d["components"]["schemas"].update(Empty={"type": "object", "title": "Empty"}),
+    ),
+    "role": ('x-kilter-role "viewer"', lambda d: submit(d).update({"x-kilter-role": "viewer"})),
+    "token": ("security []", lambda d: submit(d).update(security=[])),
+    "parameter": ("query limit: required", lambda d: listing(d)["parameters"][1].update(required=True)),
+    "place of a parameter": ("header limit:", lambda d: listing(d)["parameters"][1].update({"in": "header"})),
+    "body": ("body text/csv", lambda d: submit(d)["requestBody"]["content"].update({"text/csv": {"schema": {}}})),
+    "body may be left out": ("body application/json: <kind", lambda d: submit(d)["requestBody"].pop("required")),
+    "kind of a body": ("| zero NewRezeroJob>", lambda d: rename_kind(d)),
+    "answer": ("GET /v1/jobs 204:", lambda d: listing(d)["responses"].update({"204": {"description": "None"}})),
+    "header of an answer": ('"headers"', lambda d: listing(d)["responses"]["200"].update(headers={"A": {}})),
+    "code of an error": ("error toy: 418 Tea", lambda d: d.update(toy=True)),
+}
+
+
+def rename_kind(document: dict[str, Any]) -> None:
+    mapping = submit(document)["requestBody"]["content"]["application/json"]["schema"]["discriminator"]["mapping"]
+    mapping["zero"] = mapping.pop("rezero")
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_every_change_of_the_interface_is_a_line_that_says_it(document: dict[str, Any], text: str, change: str) -> None:
+    says, apply = CHANGES[change]
+    changed = copy.deepcopy(document)
+    apply(changed)
+    codes = PROBLEMS | ({"toy": (418, "Tea")} if changed.pop("toy", False) else {})
+    before = set(text.splitlines())
+    (line,) = (one for one in interface_text(changed, codes).splitlines() if one not in before)
+    assert says in line
+
+
+def test_what_is_left_out_of_the_interface_is_a_line_less(document: dict[str, Any], text: str) -> None:
+    changed = copy.deepcopy(document)
+    del changed["components"]["schemas"]["IdentifyOptions"]["properties"]["seed"]
+    del changed["paths"]["/v1/jobs"]["get"]["parameters"][1]
+    del changed["paths"]["/v1/whoami"]["get"]
+    before, after = text.splitlines(), interface_text(changed, PROBLEMS).splitlines()
+    gone = [line for line in before if line not in after]
+    assert not set(after) - set(before)
+    assert [line.partition(":")[0] for line in gone if "whoami" not in line] == [
+        "GET /v1/jobs query limit",
+        "IdentifyOptions.seed",
+    ]
+    assert sum(line.startswith("GET /v1/whoami") for line in gone) >= 2
 
 
 def test_what_the_contract_promises_is_there(document: dict[str, Any]) -> None:

@@ -28,7 +28,6 @@ GENERATED = (
     "docs/reference/library.md",
     "docs/reference/library-types.md",
     "clients/python/src/kilter_client/typed/",
-    "clients/python/src/kilter_client/cli/texts/option_texts.py",
     "clients/python/src/kilter_client/cli/texts/lists.json",
     "service/kilter_service/contract/effects.json",
     "service/kilter_service/page/static/",  # bundled from what is in page/sources

@@ -108,7 +108,9 @@ def bridge_that_is(state: str, active: str | None) -> Bridge:
 def test_state_and_tile_agree_on_a_bridge_that_was_told_its_version(
     state: str, active: str | None, word: str, tile: str
 ) -> None:
-    seen = Corrector(True, "alive", [], {"arm": [bridge_that_is(state, active)]}).describe_correction("arm", active)
+    seen = Corrector("alive", "1 alive", [], {"arm": [bridge_that_is(state, active)]}).describe_correction(
+        "arm", active
+    )
     found = assess_robot_state(of_today(version=active), accuracy_today(of_today()), None, seen)
     assert (found.word, seen.word) == (word, tile)
     if word in ("By a bridge", "Other version") or (active and word == "Not corrected"):

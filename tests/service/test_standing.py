@@ -81,7 +81,7 @@ def test_a_good_number_does_not_hide_a_stream_that_is_not_corrected_with_it(
 ) -> None:
     today = Today.model_construct(version_id="ver_1", changed=False, sentences=[])
     told = {"robot": robot, "version_id": version, "stream": "a", "at_ns": time.time_ns() - int(ago_s * 1e9)}
-    seen = Corrector(True, "alive", [told]).describe_correction("arm", "ver_1")
+    seen = Corrector("alive", "1 alive", [told]).describe_correction("arm", "ver_1")
     assert assess_robot_state(today, GOOD, None, seen).word == word
 
 
@@ -93,7 +93,9 @@ def test_the_state_says_when_the_checks_were_that_agree() -> None:
         robot="arm", state="ok", version_id="ver_1", sentence=last.sentence, checks=9, last=last, age_days=200
     )
     today = Today.model_construct(version_id="ver_1", changed=False, sentences=[])
-    found = assess_robot_state(today, GOOD, drift, Corrector(True, "alive", []).describe_correction("arm", "ver_1"))
+    found = assess_robot_state(
+        today, GOOD, drift, Corrector("alive", "1 alive", []).describe_correction("arm", "ver_1")
+    )
     assert found.sentence == "Its checks agree with the active version, last on 2026-05-01, 200 days ago."
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import import_module
-from inspect import get_annotations
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 Schema = Mapping[str, Any]
+
+RESULTS = Path(__file__).resolve().parents[2] / "clients/python/src/kilter_client/results"
 
 # Which module holds what: the answers named here with all they need that no module before holds.
 MODULES: Mapping[str, Sequence[str]] = {
@@ -80,11 +82,10 @@ INDENT = " " * 12
 HEAD = '"""{}, made from the interface by `make contract`: change it there."""\n\nfrom __future__ import annotations\n'
 
 
-def client_modules(snapshot: Path) -> dict[str, str]:
+def client_modules(interface: Schema) -> dict[str, str]:
     """Return the text of each module of ``kilter_client.typed``."""
-    interface = json.loads(snapshot.read_text(encoding="utf-8"))
     schemas = interface["components"]["schemas"]
-    jobs = _kinds_of_job(interface)
+    jobs = kinds_of_job(interface)
     checks = [name for job in jobs.values() if (name := f"{job.removesuffix('Job')}Check") in schemas]
     modules = {**MODULES, "checks": checks, "jobs": [*jobs.values()], "others": _answers(interface)}
     every = _needed(schemas, [root for roots in modules.values() for root in roots], {}, {})
@@ -137,8 +138,8 @@ def _said(schema: Schema) -> dict[str, tuple[str, str]]:
     return {field: (_type(one), _text(_described(one))) for field, one in schema.get("properties", {}).items()}
 
 
-def _kinds_of_job(interface: Schema) -> dict[str, str]:
-    """Schema of the job of each kind."""
+def kinds_of_job(interface: Schema) -> dict[str, str]:
+    """Return the schema of the job of each kind."""
     answer = interface["paths"][JOB]["get"]["responses"]["200"]["content"]["application/json"]["schema"]
     found = answer["discriminator"]["mapping"]
     return {kind: name.removeprefix(REFERENCE) for kind, name in sorted(found.items())}
@@ -188,9 +189,23 @@ def _needed_by_hand(name: str) -> set[str]:
     """Fields that what is written by hand for a type states."""
     if name not in SHOWN:
         return set()
-    shown, where = SHOWN[name]
-    kinds = getattr(import_module(f"kilter_client.results.{where}"), shown).__mro__
-    return {field for kind in kinds for field in get_annotations(kind)}
+    return _stated_fields(SHOWN[name][0])
+
+
+def _stated_fields(name: str) -> set[str]:
+    """Fields that a class written by hand states, itself or by what it derives from."""
+    kind = _classes_by_hand().get(name)
+    if kind is None:
+        return set()
+    own = {one.target.id for one in kind.body if isinstance(one, ast.AnnAssign) and isinstance(one.target, ast.Name)}
+    return own.union(*(_stated_fields(base.id) for base in kind.bases if isinstance(base, ast.Name)))
+
+
+@cache
+def _classes_by_hand() -> dict[str, ast.ClassDef]:
+    """Classes of ``kilter_client.results``, read and not imported: what they need may not be installed."""
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in sorted(RESULTS.glob("*.py"))]
+    return {one.name: one for tree in trees for one in tree.body if isinstance(one, ast.ClassDef)}
 
 
 def _named(types: Mapping[str, str]) -> set[str]:

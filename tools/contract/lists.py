@@ -12,6 +12,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document, preset_names
 from kilter_core.effects import EFFECTS, Effect
 from kilter_core.identify.registry import METHODS
+from kilter_service.contract.jobs.registry import KINDS
 from kilter_service.robots.exporters.registry import FORMATS
 
 COLUMNS_PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "columns.md"
@@ -31,6 +32,7 @@ def lists_text() -> str:
         "presets": _presets(),
         "columns": _columns(),
         "exports": _exports(),
+        "kinds": ({"id": kind, "needs_campaigns": one.needs_campaigns} for kind, one in KINDS.items()),
     }
     entries = {name: ",\n".join(json.dumps(row, ensure_ascii=False) for row in rows) for name, rows in lists.items()}
     return "{\n" + ",\n".join(f'"{name}": [\n{rows}\n]' for name, rows in entries.items()) + "\n}\n"

@@ -13,6 +13,7 @@ from kilter_core.effects import EFFECTS
 from kilter_files.formats.registry import list_formats
 from kilter_service.contract.jobs.registry import KINDS
 from kilter_service.contract.words import describe_schema
+from tools.contract.client import plain_text
 
 MARK = re.compile(r"(<!-- make contract: (?P<name>[\w -]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -20,6 +21,12 @@ MARK = re.compile(r"(<!-- make contract: (?P<name>[\w -]+) -->\n).*?(<!-- end --
 def with_tables(page: str) -> str:
     """Return a page with what stands between its marks made anew."""
     return MARK.sub(lambda found: f"{found[1]}{_table(found['name'])}{found[3]}", page)
+
+
+def made_page(source: str, text: str) -> str:
+    """Return a page of the reference from its text, which has a mark for each table."""
+    title, rest = text.split("\n", 1)
+    return f"{title}\n\n<!-- Made from {source} by `make contract`: change it there. -->\n{with_tables(rest)}"
 
 
 def _table(name: str) -> str:
@@ -94,41 +101,6 @@ def _effect_rows() -> Iterator[str]:
         yield f"| {'all at joints' if name == 'joints' else ', '.join(ids)} | `{name}` | {_cell(text)} |"
 
 
-def command_texts() -> str:
-    """Return the module with the help of the command's options."""
-    lines = ['"""Help of the options of jobs, made from the contract by `make contract`: change it there."""\n']
-    lines.append("from __future__ import annotations\n\nfrom kilter_client.cli.texts.kind import Kind\n")
-    for kind in KINDS:
-        lines.append(f"{kind.upper()} = {{")
-        lines += [f"    {name!r}: {plain(schema)!r}," for name, schema in properties(kind).items()]
-        lines.append("}")
-    lines.append("KINDS = {")
-    for kind, about in KINDS.items():
-        lines.append(f"    {kind!r}: Kind({about.summary!r}, {about.needs_campaigns!r}, {kind.upper()}, {{")
-        lines += [f"        {name!r}: {_form(schema)!r}," for name, schema in properties(kind).items()]
-        lines.append("    }),")
-    return "\n".join([*lines, "}"]) + "\n"
-
-
-def _form(schema: dict[str, Any]) -> str:
-    """What a command takes for an option: a form of ``Kind``, or its choices with bars between."""
-    parts = [part for part in schema.get("anyOf", [schema]) if part.get("type") != "null"]
-    if len(parts) != 1:
-        return "json"
-    kind, values = parts[0].get("type"), parts[0].get("enum", [parts[0]["const"]] if "const" in parts[0] else [])
-    if values:
-        return "|".join(values) if all(isinstance(one, str) for one in values) else "json"
-    items = parts[0].get("items", {})
-    if kind == "array" and items.get("type") == "string":
-        return "names"
-    return {"boolean": "flag", "integer": "integer", "number": "number", "string": "text"}.get(str(kind), "json")
-
-
-def plain(schema: dict[str, Any]) -> str:
-    """Return a description without the marks of a page, for where an option is not given instead of null."""
-    return re.sub(r"\b(null|empty):", "left out:", str(schema["description"]).replace("`", ""))
-
-
 def with_help(kind: str, text: str) -> str:
     """Return a MATLAB function with the options of its job in its help."""
     head, rest = text.split("%   Further pairs are the job's options.", 1)
@@ -140,6 +112,6 @@ def with_help(kind: str, text: str) -> str:
 
 def _help_lines(kind: str) -> Iterator[str]:
     for name, schema in properties(kind).items():
-        wrapped = textwrap.wrap(plain(schema), 90)
+        wrapped = textwrap.wrap(plain_text(schema), 90)
         yield f"%     {name:<20} {wrapped[0]}"
         yield from (f"%     {'':<20} {line}" for line in wrapped[1:])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from kilter_core.effects.base import Effect
 from kilter_core.effects.step import Step
+from kilter_core.errors import Finding, Sentences
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import applicable_time_mask, on_shared_clock
 
@@ -43,7 +44,7 @@ def _carry_over_effect(effect: Effect, shared: bool) -> tuple[Effect, ...]:
     return (effect,) if span is None else ()
 
 
-def carried_warnings(effects: Sequence[Effect], rows: Observations) -> list[dict[str, Any]]:
+def carried_findings(effects: Sequence[Effect], rows: Observations) -> list[Finding]:
     """Say which laws of time the rows of another campaign do without, and why."""
     spans = {effect: span for effect in effects if (span := effect.time_span) is not None}
     known = rows.t is not None and len(rows) > 0 and bool(on_shared_clock(rows.t).all())
@@ -53,24 +54,29 @@ def carried_warnings(effects: Sequence[Effect], rows: Observations) -> list[dict
         for e, span in spans.items()
         if e not in unknown and rows.t is not None and not applicable_time_mask(rows.t, *span).all()
     ]
-    out = []
-    if unknown:
-        said = "Nothing says when these rows were measured, as against those of the fit. " + _describe_laws(unknown)
-        remedy = "Give both files time stamps with a date."
-        out.append({"code": CLOCK_UNKNOWN, "effects": [e.id for e in unknown], "message": f"{said} {remedy}"})
-    if other:
-        said = "These rows were measured on another day than those of the fit. " + _describe_laws(other)
-        out.append({"code": ANOTHER_DAY, "effects": [e.id for e in other], "message": said})
-    return out
+    return [_finding(code, left) for code, left in ((CLOCK_UNKNOWN, unknown), (ANOTHER_DAY, other)) if left]
 
 
-def _describe_laws(effects: Sequence[Effect]) -> str:
-    """What becomes of the laws, in a sentence for each kind."""
+def _finding(code: str, effects: Sequence[Effect]) -> Finding:
     laws = _names([e for e in effects if not isinstance(e, Step)])
     steps = _names([e for e in effects if isinstance(e, Step)])
-    said = [f"Not applied to them: {laws}."] if laws else []
-    return " ".join([*said, f"Counted as having happened before them: {steps}."] if steps else said)
+    return Finding(code, {"effects": [e.id for e in effects]}, {"laws": laws, "steps": steps})
 
 
 def _names(effects: Sequence[Effect]) -> str:
     return ", ".join(dict.fromkeys(e.id.replace("_", " ") for e in effects))
+
+
+def _describe_laws(said: Mapping[str, Any]) -> str:
+    """What becomes of the laws, in a sentence for each kind."""
+    laws = [f"Not applied to them: {said['laws']}."] if said["laws"] else []
+    return " ".join([*laws, f"Counted as having happened before them: {said['steps']}."] if said["steps"] else laws)
+
+
+SENTENCES: Sentences = {
+    CLOCK_UNKNOWN: lambda said: (
+        f"Nothing says when these rows were measured, as against those of the fit. {_describe_laws(said)} "
+        "Give both files time stamps with a date."
+    ),
+    ANOTHER_DAY: lambda said: f"These rows were measured on another day than those of the fit. {_describe_laws(said)}",
+}

@@ -25,7 +25,7 @@ from kilter_core.gap.evidence.held_out.holding_out import held_out, split_held_o
 from kilter_core.gap.evidence.held_out.practical_size import Misfit, floor_mm, misfit, moves_mm, outweighing
 from kilter_core.gap.evidence.held_out.unseen import seen_only
 from kilter_core.gap.evidence.held_out.unseen_fit import unseen_fit
-from kilter_core.gap.evidence.held_out.when import event_warnings, events, refine_event_positions, said_once
+from kilter_core.gap.evidence.held_out.when import event_findings, events, not_said_by, refine_event_positions
 from kilter_core.gap.evidence.local_bump import local_bump_test
 from kilter_core.gap.evidence.rejected import rejected_candidates
 from kilter_core.gap.evidence.replication import Confirmation, Replication, refuse_unfit, replication
@@ -51,12 +51,13 @@ from kilter_core.gap.report.localization import Place, localize, remains
 from kilter_core.gap.report.next_poses import proposal_rows, separate
 from kilter_core.gap.report.report import GapReport, Remains
 from kilter_core.gap.report.search_warnings import (
-    at_ends,
-    left_out_warnings,
+    held_at_ends,
+    left_out_findings,
     size_warnings,
-    unloaded_warnings,
-    unplanned_warnings,
+    unloaded_findings,
+    unplanned_findings,
 )
+from kilter_core.gap.report.sentences import documents
 from kilter_core.gap.report.stored import Stored, build_stored_version, settled_search
 from kilter_core.gap.report.told_apart import Proposed, are_never_separable, assess_separation
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
@@ -133,10 +134,11 @@ def find_gap(
     every, share = observations, validation
     observations, validation = split_held_out_rows(observations, validation, options.seed)
     prepared = prepare_data(begin, observations, options, _map_progress(progress, 0.0, 0.15), budget)
-    report = _Run(robot, begin, prepared, options, validation, confirmation, progress, every, budget, by_views).report()
+    run = _Run(robot, begin, prepared, options, validation, confirmation, progress, every, budget, by_views, remarks)
+    report = run.report()
     if not isinstance(share, Observations):
         report = report.with_row_numbers(*held_out(every, share, options.seed))
-    return replace(report, warnings=(*budget.warnings(), *said_once(report.warnings, remarks)))
+    return replace(report, warnings=(*budget.warnings(), *report.warnings, *not_said_by(report.warnings, remarks)))
 
 
 def _map_progress(progress: Progress, low: float, high: float) -> Progress:
@@ -160,6 +162,7 @@ class _Run:
     every: Observations  # searched and held out, in the order of the file
     budget: Budget
     by_views: PlannedViews | None
+    remarks: tuple[dict[str, Any], ...]  # of the fit before the search
 
     def report(self) -> GapReport:
         prepared, problem = self.prepared, self.prepared.problem
@@ -241,15 +244,16 @@ class _Run:
             warnings=(
                 *incomplete_warnings(lacking),
                 *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(),
-                *unloaded_warnings(prepared), *size_warnings(found), *self._worse(of_version, seen, kept),
-                *far_from_stated(kept.load_model()), *at_ends(kept.calibration),
-                *left_out_warnings(effects), *kept.similar_pose_warnings(), *(() if told is None else told.warnings()),
-                *(unplanned_warnings(problem) if effects and self.options.next_poses else ()),
-                *event_warnings(
+                *documents(unloaded_findings(prepared)), *size_warnings(found), *self._worse(of_version, seen, kept),
+                *far_from_stated(kept.load_model()), *documents(held_at_ends(kept.calibration)),
+                *documents(left_out_findings(effects)), *kept.similar_pose_warnings(),
+                *(() if told is None else told.warnings()),
+                *documents(unplanned_findings(problem) if effects and self.options.next_poses else ()),
+                *documents(event_findings(
                     found, events(found, self.every, moves_mm(found)),
                     {j.evidence.place for j in effects if not j.certain},
-                    self.by_views is not None,
-                ),
+                    self.by_views is not None, self.remarks,
+                )),
             ),
             figures=figures(found, rows, gap, held), effect_curves=effect_curves(found, effects),
             library=prepared.library,

@@ -14,11 +14,12 @@ from kilter_service.contract.jobs.registry import JobCheck, NewJob
 from kilter_service.ground.db import Database, Session
 from kilter_service.jobs import service, store, wire
 from kilter_service.jobs.durations import PastRun, duration
-from kilter_service.jobs.inputs.default_load import unstated_load_warning
+from kilter_service.jobs.inputs.default_load import find_unstated_load
 from kilter_service.jobs.job_preview import JobPreview, Lack, count_poses
 from kilter_service.jobs.kind import JobInput, JobKind
 from kilter_service.jobs.records import JobRequest
 from kilter_service.jobs.registry import get_job_kind
+from kilter_service.jobs.sentences import load_not_stated
 
 MOST_ROWS = 100_000  # read of all campaigns together; what takes more is thinned
 
@@ -101,11 +102,10 @@ def _preview(kind: JobKind, loaded: _Loaded) -> JobPreview:
         found.problems.append(loaded.why)
     elif loaded.given is not None and kind.preview_job is not None:
         kind.preview_job(loaded.given, found)
-        remark = unstated_load_warning(kind.name, loaded.given)
-        if remark is not None:
-            found.missing.append(
-                Lack("payload_kg", remark["message"].split(" Say ")[0], REMEDY.format(whole="campaign"))
-            )
+        load = find_unstated_load(kind.name, loaded.given)
+        if load is not None:
+            why = load.message({load.code: load_not_stated})
+            found.missing.append(Lack("payload_kg", why, REMEDY.format(whole="campaign")))
     elif loaded.given is not None:
         found.count_fitted_rows(*loaded.given.campaigns.values())
     return found

@@ -10,10 +10,11 @@ import pinocchio as pin
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.errors import ObservationError
-from kilter_core.gap.evidence.held_out.when import RENAME, said_once
+from kilter_core.errors import Finding, ObservationError
+from kilter_core.gap.evidence.held_out.when import moved_part, not_said_by
 from kilter_core.gap.find import find_gap
 from kilter_core.gap.options import GapOptions
+from kilter_core.gap.report.sentences import SENTENCES
 from kilter_core.identify import Identification, IdentifyOptions, identify
 from kilter_core.identify.plausibility.views.unrelated_views import far_views, refuse_unrelated_views
 from kilter_core.model import Calibration
@@ -133,19 +134,21 @@ def test_a_search_says_how_far_a_camera_moved() -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "rows", "turn", "one"),
+    ("rows", "turn", "one"),
     [
-        ("moved_once", [30, 32], 0.1, True),
-        ("moved_once", [40, 41], 0.1, False),  # another move
-        ("moved_once", [31, 31], None, False),  # the zero of a joint
-        ("no_load", [31, 31], 0.1, False),
+        ([30, 32], 0.1, True),
+        ([40, 41], 0.1, False),  # another move
+        ([31, 31], None, False),  # the zero of a joint
     ],
 )
-def test_a_move_is_told_once_where_a_search_names_it(code: str, rows: list[int], turn: float | None, one: bool) -> None:
-    step = {"code": code, "rows_95": rows, "rotated_deg": turn, "message": f"It moved. {RENAME}"}
+def test_a_move_is_told_once_where_a_search_names_it(rows: list[int], turn: float | None, one: bool) -> None:
+    step = {"row": 31, "rows_95": rows, "moved_mm": 1.0, "u95_mm": 0.1, "rotated_deg": turn, "u95_deg": 0.01}
     camera = {"code": "camera_moved", "rows_95": [31, 33], "part": "camera", "name": "eye", "message": "It averages."}
     astray = {"code": "views_astray", "message": "Rows."}
-    told = said_once([step], [astray, camera])
-    assert [w["code"] for w in told] == [code, "views_astray", *([] if one else ["camera_moved"])]
-    assert ("If camera eye moved, give it another name" in told[0]["message"]) == one
-    assert told[0].get("name") == ("eye" if one else None)
+    part = moved_part(step, [astray, camera])
+    words = {"effect": "base_step", "joint": 1, "before": 30, "likely": False, "by_views": True}
+    found = Finding("moved_once", {**step, **part}, {**words, "moves_frame": turn is not None}).to_document(SENTENCES)
+    left = [w["code"] for w in not_said_by([found], [astray, camera])]
+    assert left == ["views_astray", *([] if one else ["camera_moved"])]
+    assert ("If camera eye moved, give it another name" in found["message"]) == one
+    assert found.get("name") == ("eye" if one else None)

@@ -16,6 +16,7 @@ from kilter_core.gap.evidence.similarity.aliases import Alias
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.report.localization import Place
 from kilter_core.gap.report.remedies import to_confirm
+from kilter_core.gap.report.sentences import documents
 from kilter_core.gap.report.stored import Stored
 from kilter_core.gap.report.told_apart import ToldApart
 from kilter_core.gap.search.candidates import Library, Untestable
@@ -97,7 +98,7 @@ class GapReport:
         """The report that says at which joints named families stay nominal."""
         return replace(
             self, not_testable=(*self.not_testable, *(u.untestable() for u in unseen)),
-            warnings=(*self.warnings, *(u.warning() for u in unseen)),
+            warnings=(*self.warnings, *documents(u.finding() for u in unseen)),
         )  # fmt: skip
 
     def with_row_numbers(self, searched: Ints, held: Ints) -> GapReport:

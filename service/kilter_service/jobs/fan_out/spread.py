@@ -40,11 +40,9 @@ class FanOut:
         first: list[Answer] = []
         if self._engine.tries_first:
             begun = time.perf_counter()
-            first = run_sequentially(
-                work, tasks[:1], lambda f, stage: progress(f / n, stage.replace("1 of 1", f"1 of {n}", 1))
-            )
+            first = run_sequentially(work, tasks[:1], progress, total=n)
             if not self._engine.pays(n - 1, time.perf_counter() - begun):
-                return first + run_sequentially(work, tasks[1:], _later(progress, n))
+                return first + run_sequentially(work, tasks[1:], progress, 1, n)
         left = tasks[len(first) :]
         found = dict(self.as_completed(work, left, _progress_of_parts(progress, len(first), n)))
         return first + [found[k] for k in range(len(left))]
@@ -119,14 +117,3 @@ def _progress_of_parts(progress: Progress, first: int, n: int) -> Callable[[int,
         progress(done / n, f"{min(done + 1, n)} of {n}" + (f", {state}" if state else ""))
 
     return report_progress
-
-
-def _later(progress: Progress, n: int) -> Progress:
-    """Progress of all tasks but the first as part of all ``n``."""
-
-    def report_shifted_progress(fraction: float, stage: str) -> None:
-        number, _, words = stage.partition(" of ")
-        words = words.partition(", ")[2]
-        progress((1 + fraction * (n - 1)) / n, f"{int(number) + 1} of {n}" + (f", {words}" if words else ""))
-
-    return report_shifted_progress

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
+from kilter_core.errors import Finding
 from kilter_service.contract.jobs.registry import KINDS
 from kilter_service.ground.core import core_effects
 from kilter_service.jobs.kind import JobInput, JobOutput
+from kilter_service.jobs.sentences import SENTENCES
 
 READ = frozenset({"moments", "payload_kg"})
 THESIS = ("clearance_tilt", "backlash_load", "axial_compliance")  # of level 3 without named effects
@@ -15,24 +14,17 @@ THESIS = ("clearance_tilt", "backlash_load", "axial_compliance")  # of level 3 w
 
 def with_load_warning(kind: str, output: JobOutput, job: JobInput) -> JobOutput:
     """Add to result and version that a default load, or none, was taken, and for which campaigns."""
-    remark = _default(job) or unstated_load_warning(kind, job)
-    return output if remark is None else output.with_warnings(remark)
+    found = _default_load(job) or find_unstated_load(kind, job)
+    return output if found is None else output.with_warnings(found.to_document(SENTENCES))
 
 
-def unstated_load_warning(kind: str, job: JobInput) -> dict[str, Any] | None:
+def find_unstated_load(kind: str, job: JobInput) -> Finding | None:
     """Say which campaigns state no payload, where nothing counted and an effect of the job follows the load; else None."""
     following = _following(kind, job) if job.no_load else []
     if not following:
         return None
-    named = ", ".join(job.names.get(c, c) for c in job.no_load)
-    several = len(job.no_load) > 1
-    said = counted_as_nothing(f"{named} {'state' if several else 'states'}", following)
-    return {
-        "code": "load_not_stated",
-        "message": f"{said} {REMEDY.format(whole='campaign')}",
-        "campaigns": list(job.no_load),
-        "effects": following,
-    }
+    names = [job.names.get(c, c) for c in job.no_load]
+    return Finding("load_not_stated", {"campaigns": list(job.no_load), "effects": following}, {"names": names})
 
 
 def _following(kind: str, job: JobInput) -> list[str]:
@@ -52,14 +44,10 @@ def _following(kind: str, job: JobInput) -> list[str]:
     return [name for name in dict.fromkeys(own) if name in reading]
 
 
-def _default(job: JobInput) -> dict[str, Any] | None:
+def _default_load(job: JobInput) -> Finding | None:
     load = job.robot.load
     if load is None or not job.default_load:
         return None
-    at = ", ".join(f"{value * 1e3:.6g}" for value in load.com)
-    return {
-        "code": "default_load_used",
-        "message": f"{', '.join(job.names.get(c, c) for c in job.default_load)}: no payload is stated, so the robot's default "
-        f"load counts, {load.mass:.6g} kg at ({at}) mm in the tool frame. If it carried another, state payload_kg.",
-        "campaigns": list(job.default_load),
-    }
+    names = [job.names.get(c, c) for c in job.default_load]
+    said = {"names": names, "mass_kg": load.mass, "com_m": load.com}
+    return Finding("default_load_used", {"campaigns": list(job.default_load)}, said)

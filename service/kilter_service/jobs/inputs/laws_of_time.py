@@ -8,6 +8,7 @@ from kilter_service.ground.core import core_model, other_campaigns
 from kilter_service.jobs.kind import JobInput, JobOutput
 
 if TYPE_CHECKING:
+    from kilter_core.errors import Finding
     from kilter_core.observations import Observations
 
 
@@ -28,11 +29,16 @@ def clock_remarks(
     calibration: core_model.Calibration, rows: dict[str, Observations], names: dict[str, str]
 ) -> list[dict[str, Any]]:
     """Return which laws of a version each campaign does without, the campaigns of one reason together."""
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[tuple[str, ...], tuple[Finding, list[str]]] = {}
     for campaign, seen in rows.items():
-        for one in other_campaigns.carried_warnings(calibration.model.effects, seen):
-            found.setdefault(one["message"], {**one, "campaigns": []})["campaigns"].append(campaign)
+        for one in other_campaigns.carried_findings(calibration.model.effects, seen):
+            reason = (one.code, one.only_said["laws"], one.only_said["steps"])
+            found.setdefault(reason, (one, []))[1].append(campaign)
     return [
-        {**one, "message": f"{', '.join(names.get(c, c) for c in one['campaigns'])}: {one['message']}"}
-        for one in found.values()
+        {
+            **one.to_document(other_campaigns.SENTENCES),
+            "campaigns": campaigns,
+            "message": f"{', '.join(names.get(c, c) for c in campaigns)}: {one.message(other_campaigns.SENTENCES)}",
+        }
+        for one, campaigns in found.values()
     ]

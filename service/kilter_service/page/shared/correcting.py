@@ -37,7 +37,7 @@ class Correcting:
 class Corrector:
     """The corrector process as the health of the server has it, and what its streams last said."""
 
-    runs: bool
+    state: health.ProcessState
     detail: str
     streams: Sequence[Mapping[str, Any]]
     bridges: Mapping[str, Sequence[Bridge]] = field(default_factory=dict)
@@ -59,9 +59,9 @@ class Corrector:
             return _of_bridge(running[0], active)
         if lost is not None and not any(one["robot"] == robot for one in self.streams):
             return Correcting("bridge gone", "bad", lost.sentence, OFF)
-        if self.detail.startswith(health.STARTING):
+        if self.state == "starting":
             return Correcting("starting", "warn", f"The corrector {self.detail}: setpoints are not corrected yet.", OFF)
-        if not self.runs:
+        if self.state == "stopped":
             return Correcting("corrector stopped", "bad", f"The corrector does not run: {self.detail}.", OFF)
         if active is None:
             return Correcting("bypassed", "warn", "The corrector passes setpoints on as they are.")
@@ -84,9 +84,8 @@ class Corrector:
 def corrector(database: Database, settings: Settings) -> Corrector:
     """Look at the corrector."""
     check = health.report(database, settings).checks.get("corrector")
-    runs = check is not None and check.ok and "alive" in check.detail
     return Corrector(
-        runs,
+        check.state if isinstance(check, health.ProcessCheck) else "stopped",
         "it was not looked at" if check is None else check.detail,
         observability.streams(database),
         known_bridges.of_robots(database),

@@ -8,6 +8,9 @@ import shutil
 import time
 from collections.abc import Callable
 from functools import cache, partial
+from typing import Literal
+
+from pydantic import Field
 
 from kilter_service.contract.health import Check, Health
 from kilter_service.ground.db import Database, revision
@@ -30,6 +33,14 @@ BEGAN = "KILTER_BEGAN"  # when it began, on the system's monotonic clock
 STARTING = "is starting"
 LONGEST_START_S = 300.0  # as `kilterd serve` waits: the first start on a machine compiles the kernels
 REMEDY = "its log says why; start `kilterd {}`"
+
+ProcessState = Literal["alive", "starting", "stopped"]
+
+
+class ProcessCheck(Check):
+    """A look at a process; what it found in a word is for callers in this process, and is not sent."""
+
+    state: ProcessState = Field("stopped", exclude=True)
 
 
 def report(database: Database, settings: Settings) -> Health:
@@ -110,13 +121,13 @@ def _process(database: Database, process: str, expected: bool) -> Check:
     found = _heartbeats(database, process)
     starting = _starting(process, found)
     if starting:
-        return Check(ok=False, detail=starting)
+        return ProcessCheck(ok=False, detail=starting, state="starting")
     if not found:
         said = f"has not spoken yet: {REMEDY.format(process)}" if expected else "none was started"
         return Check(ok=not expected, detail=said)
     silent = [one for one in found if not _alive(one)]
     if not silent:
-        return Check(ok=True, detail=f"{len(found)} alive{_was_set()}")
+        return ProcessCheck(ok=True, detail=f"{len(found)} alive{_was_set()}", state="alive")
     names = ", ".join(one.name for one in silent)
     said = f"{names} last spoke {max(one.age_s for one in silent):.0f} s ago: {REMEDY.format(process)}"
     return Check(ok=False, detail=_ahead(silent) or said)

@@ -31,9 +31,9 @@ from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.terminal.output import emit, note
 from kilter_client.cli.terminal.progress import job_bar
 from kilter_client.cli.terminal.references import resolved_all, resolved_options
-from kilter_client.cli.texts.option_texts import EVALUATE, GAP, IDENTIFY
 from kilter_client.errors import UsageError
 from kilter_client.results.plots import can_draw, save_figures
+from kilter_client.typed.option_texts import EVALUATE, GAP, IDENTIFY
 
 AT_JOINTS = ' One at some joints: \'{"id": "backlash", "joints": [2, 3]}\'; `kilter effects` lists all.'
 Frame = Literal["free", "fixed"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from kilter_client.cli.texts.option_texts import KINDS
+from kilter_client.typed.option_texts import KINDS
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,9 @@ from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.progress import job_bar
 from kilter_client.cli.terminal.references import resolve_reference, resolved_options
-from kilter_client.cli.texts.option_texts import DRIFT, REZERO
 from kilter_client.errors import UsageError
 from kilter_client.requests.calls import robots as calls
+from kilter_client.typed.option_texts import DRIFT, REZERO
 from kilter_client.verbs.inputs import parse_time
 
 Rows = Annotated[

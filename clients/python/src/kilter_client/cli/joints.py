@@ -20,8 +20,8 @@ from kilter_client.cli.terminal.arguments import (
     ValidationText,
 )
 from kilter_client.cli.terminal.flags import with_flags
-from kilter_client.cli.texts.option_texts import JOINT_PARAMETERS
 from kilter_client.errors import UsageError
+from kilter_client.typed.option_texts import JOINT_PARAMETERS
 from kilter_files.rig.readings import read_readings
 
 

@@ -20,7 +20,7 @@ from kilter_client.cli.terminal.arguments import (
     ValidationText,
 )
 from kilter_client.cli.terminal.flags import with_flags
-from kilter_client.cli.texts.option_texts import KINDS
+from kilter_client.typed.option_texts import KINDS
 
 
 def register(app: typer.Typer) -> None:

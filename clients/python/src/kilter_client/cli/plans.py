@@ -14,8 +14,8 @@ from kilter_client.cli.groups import WithDefault
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
 from kilter_client.cli.terminal.flags import with_flags
-from kilter_client.cli.texts.option_texts import PLAN
 from kilter_client.errors import UsageError
+from kilter_client.typed.option_texts import PLAN
 
 Box = Annotated[str | None, typer.Option(metavar="X,Y,Z,X,Y,Z", help=PLAN["box_mm"])]
 KeepOut = Annotated[list[str] | None, typer.Option(metavar="X,Y,Z,X,Y,Z", help=PLAN["keep_out_mm"])]

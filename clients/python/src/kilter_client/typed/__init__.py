@@ -1,11 +1,16 @@
-"""Types of the answers of the server; all modules but this one are made from the interface by `make contract`.
+"""Types of the answers of the server, made from the interface when the client is installed or built.
 
 A module is imported when it is first asked for, as in ``typed.robots.RobotReport``: most commands need none of them.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from kilter_files.ground.later import later
+
+if not Path(__file__).with_name("names.py").exists():
+    raise ImportError("The types of answers are not made yet in this checkout of Kilter: run `make setup`.")
 
 with later(__name__):
     from kilter_client.typed import (

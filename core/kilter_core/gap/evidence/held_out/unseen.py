@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from kilter_core.effects import Effect
+from kilter_core.errors import Finding
 from kilter_core.gap.evidence.fits.intervals import amplitude_significance, are_all_significant
 from kilter_core.gap.search.candidates import FAMILY, JOINT, Candidate, Untestable
 from kilter_core.gap.search.forward_selection import SearchResult
@@ -34,15 +34,10 @@ class Unseen:
         reason = "It is named at other joints; these rows do not show it here: it stays nominal, and nothing is stored."
         return Untestable(c.id, self.joints, reason, c.effects[0].remedy, "poses that show these joints")
 
-    def warning(self) -> dict[str, Any]:
-        """The same as a warning."""
-        joints = [j + 1 for j in self.joints]
-        where = ("joint " if len(joints) == 1 else "joints ") + ", ".join(map(str, joints))
-        return {
-            "code": "unseen_stays_nominal", "effect": self.candidate.id, "joints": joints,
-            "message": f"{self.candidate.id} is not shown at {where}: it stays nominal there, and the version stores nothing "
-            f"of it. To find it there: {_first_lower(self.candidate.effects[0].remedy)}",
-        }  # fmt: skip
+    def finding(self) -> Finding:
+        """The same as a finding of the search."""
+        said = {"effect": self.candidate.id, "joints": [j + 1 for j in self.joints]}
+        return Finding("unseen_stays_nominal", said, {"remedy": self.candidate.effects[0].remedy})
 
 
 def seen_only(found: SearchResult) -> tuple[SearchResult, tuple[Unseen, ...]]:
@@ -144,7 +139,3 @@ def _with_members(found: SearchResult, n: int, left: list[Member]) -> SearchResu
     problem = refit(found.problem.settings, found.problem.values, selector.columns(chosen))
     cut = replace(found, selector=selector, chosen=chosen, problem=problem)
     return replace(cut, steps=cut.extended_steps(problem, chosen))
-
-
-def _first_lower(sentence: str) -> str:
-    return sentence[:1].lower() + sentence[1:]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from kilter_core.effects import Effect
+from kilter_core.errors import Finding
 from kilter_core.gap.evidence.fits.final_fit import final_effect_amounts
 from kilter_core.gap.evidence.held_out.held_out_errors import on_rows
 from kilter_core.gap.evidence.held_out.practical_size import moves_u95_mm
@@ -17,19 +18,6 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.observations import Observations
 from kilter_core.parameters import degrees
 from kilter_core.types import QUANTILE, Floats
-
-CALLED = {"base_step": "The station (base or instrument)", "tool_step": "The tool, its marker or its nest"}
-SEEN = {
-    "base_step": "The base, or the camera or board in the room",
-    "tool_step": "The tool, or the camera or board on the flange",
-}
-SESSION = "Give the rows from there on a session of their own: "
-REMEDIES = {
-    "base_step": f"{SESSION}with --refit base every session has a base of its own.",
-    "tool_step": f"{SESSION}with --refit tool every session has a tool of its own.",
-}
-RENAME = "Give that camera or board another name from there on: each place is then fitted by itself."
-OF_THE_ARM = "It is the arm's from there on: a correction takes the last."
 
 
 @dataclass(frozen=True)
@@ -72,13 +60,6 @@ class Rotated:
         slope = amounts.values[places] / size
         half = QUANTILE * float(np.sqrt(slope @ amounts.covariance[np.ix_(places, places)] @ slope))
         return Rotated(float(degrees(size)), float(degrees(half)))
-
-    @property
-    def words(self) -> str:
-        """What a sentence about the event says of it after how far the tool moved."""
-        if self.rotated_deg is None:
-            return " (one point of it was measured, which shows no rotation)"
-        return f" and {self.rotated_deg:.2g} deg (within {self.u95_deg:.1g} deg)"
 
 
 def events(found: SearchResult, every: Observations, moves_mm: dict[int, float]) -> tuple[When, ...]:
@@ -159,55 +140,57 @@ def _size(found: SearchResult, rows: Observations) -> float:
     return float(np.nansum(source.residual(values)[:, : source.tool_numbers or None] ** 2))
 
 
-def event_warnings(
-    found: SearchResult, whens: tuple[When, ...], likely_only: Collection[int], by_views: bool
-) -> Iterator[dict[str, Any]]:
-    """Say when what happened, and what to do about it; those that are ``likely_only`` may have."""
+def event_findings(
+    found: SearchResult,
+    whens: tuple[When, ...],
+    likely_only: Collection[int],
+    by_views: bool,
+    of_fit: Sequence[dict[str, Any]],
+) -> Iterator[Finding]:
+    """Say when what happened, and what to do about it; those that are ``likely_only`` may have.
+
+    A camera or board that moved half-way was found in a fit that knows one place of it (``camera_moved`` ``of_fit``). Where
+    the search names the same move, its version has both places: the finding takes the name of what moved from the fit.
+    """
     for when in whens:
         candidate = found.selector.scorer.candidates[when.place]
-        verb = "may have moved" if when.place in likely_only else "moved"
-        joint = f"The zero of joint {(candidate.joints or (0,))[0] + 1}"
-        who = (SEEN if by_views else CALLED).get(candidate.id, joint)
-        remedy = OF_THE_ARM if when.rotated is None else RENAME if by_views else REMEDIES[candidate.id]
-        sure = (
-            ""
-            if when.low == when.high == when.after
-            else f" (95 %: the first row after it is {when.low} to {when.high})"
-        )
         rotated = when.rotated
-        yield {
-            "code": "moved_once", "row": when.after, "rows_95": [when.low, when.high],
-            "moved_mm": when.moved_mm, "u95_mm": when.u95_mm,
-            "rotated_deg": rotated and rotated.rotated_deg, "u95_deg": rotated and rotated.u95_deg,
-            "message": f"{who} {verb} between rows {when.before} and {when.after}{sure}, by {when.moved_mm:.3g} mm "
-            f"(95 %: within {when.u95_mm:.1g} mm) at the tool on average{'' if rotated is None else rotated.words}. "
-            f"{remedy}",
-        }  # fmt: skip
+        step = {
+            "row": when.after,
+            "rows_95": [when.low, when.high],
+            "moved_mm": when.moved_mm,
+            "u95_mm": when.u95_mm,
+            "rotated_deg": rotated and rotated.rotated_deg,
+            "u95_deg": rotated and rotated.u95_deg,
+        }
+        yield Finding(
+            "moved_once",
+            step | moved_part(step, of_fit),
+            {
+                "effect": candidate.id,
+                "joint": (candidate.joints or (0,))[0] + 1,
+                "before": when.before,
+                "likely": when.place in likely_only,
+                "by_views": by_views,
+                "moves_frame": rotated is not None,
+            },
+        )
 
 
-def said_once(found: Sequence[dict[str, Any]], before: Sequence[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
-    """All warnings of a search and, of those ``before`` it, the ones that it does not say itself.
-
-    A camera or board that moved half-way was found in a fit that knows one place of it. Where the search named the same
-    move, its version has both places: then it is one finding, which takes the name of what moved from the fit.
-    """
-    out, left = list(found), []
-    for one in before:
-        same = [k for k, w in enumerate(out) if one["code"] == "camera_moved" and _same_move(w, one)]
-        if not same:
-            left.append(one)
-        for k in same:
-            who = f"If {one['part']} {one['name']} moved, give it another name from there on"
-            out[k] = {
-                **out[k], "part": one["part"], "name": one["name"],
-                "message": out[k]["message"].replace(RENAME.partition(":")[0], who),
-            }  # fmt: skip
-    return (*out, *left)
+def moved_part(step: Mapping[str, Any], of_fit: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the camera or board whose move a step of base or tool, which rotates as a frame does, may be; else nothing."""
+    if step["rotated_deg"] is None:
+        return {}
+    low, high = step["rows_95"]
+    for one in of_fit:
+        if one["code"] == "camera_moved" and low <= one["rows_95"][1] and one["rows_95"][0] <= high:
+            return {"part": one["part"], "name": one["name"]}
+    return {}
 
 
-def _same_move(step: dict[str, Any], part: dict[str, Any]) -> bool:
-    """Whether a step of base or tool, which rotates as a frame does, may be the move of a camera or board."""
-    if step["code"] != "moved_once" or step["rotated_deg"] is None:
-        return False
-    (low, high), (first, last) = step["rows_95"], part["rows_95"]
-    return bool(low <= last and first <= high)
+def not_said_by(findings: Sequence[Mapping[str, Any]], of_fit: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Remarks of a fit without those on a camera or board whose move the search names."""
+    named = {(one["part"], one["name"]) for one in findings if one["code"] == "moved_once" and "part" in one}
+    for one in of_fit:
+        if one["code"] != "camera_moved" or (one["part"], one["name"]) not in named:
+            yield one

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, get_type_hints
 import typer
 
 from kilter_client.cli.terminal import arguments
-from kilter_client.cli.texts.option_texts import KINDS
+from kilter_client.typed.option_texts import KINDS
 
 TYPES: Mapping[str, Any] = {"flag": bool, "integer": int, "number": float, "names": list[str]}
 METAVARS = {"names": "A,B", "json": "JSON"}
