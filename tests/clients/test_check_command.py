@@ -8,7 +8,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.cli.reports.job_check import show_check
+from kilter_client.cli.analyse import show_check
 from tests.clients.conftest import WriteCampaign
 
 

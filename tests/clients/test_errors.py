@@ -26,7 +26,7 @@ from kilter_client import (
     ServerUnreachableError,
     TooFewPosesError,
 )
-from kilter_client.requests import retries
+from kilter_client.requests import steps
 
 Answer = Callable[[httpx.Request], httpx.Response]
 
@@ -34,7 +34,7 @@ Answer = Callable[[httpx.Request], httpx.Response]
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """What nobody answers is not asked for again for half a minute."""
-    monkeypatch.setattr(retries, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(steps, "PATIENCE_S", 0.3)
 
 
 def client(answer: Answer) -> Kilter:

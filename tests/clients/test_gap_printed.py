@@ -13,7 +13,7 @@ from kilter_service.contract.gap_details import NamedEffect
 from kilter_service.contract.gap_details import Untestable as Row
 from kilter_service.contract.jobs.gap import GapOptions, GapResult
 from kilter_service.page.gap.claim import claim_from_effect
-from kilter_service.page.gap.tested import candidates, untestable
+from kilter_service.page.gap.service import candidates, untestable
 
 GAP = {"lengths": "at_tool", "before_mm": 0.235, "after_mm": 0.0505, "noise_mm": 0.0304, "noise_rms_mm": 0.0527}
 WALK = {"id": "random_walk", "joints": None, "verdict": "provisional", "gain_mm": -0.006, "p_value": 1e-9}

@@ -13,7 +13,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from kilter_client import Kilter
-from kilter_client.cli.camera.ros_files import write_ros_files
+from kilter_client.cli.camera.hand_eye import write_ros_files
 from kilter_client.errors import FileError
 from tests.clients.test_cli import Command
 from tests.core.pixel_scene import eye_in_hand

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 import pytest
 
 from kilter_client import AsyncKilter, JobCancelledError, Kilter, ServerUnreachableError
-from kilter_client.requests import retries
+from kilter_client.requests import steps
 from tests.clients.cutting_proxy import CuttingProxy
 from tests.clients.test_restart import server_in
 from tests.service.forked import children_of
@@ -89,7 +89,7 @@ def test_what_could_be_done_twice_is_sent_once(proxy: CuttingProxy, kilter: Kilt
 
 
 def test_sending_again_has_an_end(proxy: CuttingProxy, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(retries, "PATIENCE_S", 0.5)
+    monkeypatch.setattr(steps, "PATIENCE_S", 0.5)
     proxy.cut_next("GET", 1000)
     with Kilter(proxy.url) as k, pytest.raises(ServerUnreachableError, match="does not answer"):
         k.robots()
@@ -97,7 +97,7 @@ def test_sending_again_has_an_end(proxy: CuttingProxy, monkeypatch: pytest.Monke
 
 
 def test_where_nobody_ever_answered_is_said_at_once(no_settings: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(retries.RetryPolicy, "_consume_wait_s", lambda self: pytest.fail("it waits"))
+    monkeypatch.setattr(steps.RetryPolicy, "_consume_wait_s", lambda self: pytest.fail("it waits"))
     with Kilter("http://127.0.0.1:1", "secret") as k, pytest.raises(ServerUnreachableError, match="kilterd serve"):
         k.robots()
 
@@ -141,7 +141,7 @@ def test_a_server_that_is_killed_meanwhile(
 ) -> None:
     """The API is killed while it works, then the whole server, which comes back at another port."""
     monkeypatch.setenv("KILTER_DATA", str(tmp_path / "data"))
-    monkeypatch.setattr(retries, "PATIENCE_S", 200.0)  # on a busy machine it starts slowly
+    monkeypatch.setattr(steps, "PATIENCE_S", 200.0)  # on a busy machine it starts slowly
     (tmp_path / "data").mkdir()
     files = [write_campaign(10, f"{seed}.csv", seed) for seed in range(9)]
     done: list[Any] = []

@@ -12,7 +12,7 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.cli.robot.drawing import drawing
+from kilter_client.cli.robot.robots import drawing
 
 Capture = pytest.CaptureFixture[str]
 

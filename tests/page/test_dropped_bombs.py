@@ -20,7 +20,7 @@ from scipy.io import savemat
 
 from kilter_service.ground.processes import sandbox
 from kilter_service.ground.processes.sandbox import Limits
-from kilter_service.page.drop import reading
+from kilter_service.page.drop import routes
 from tests.service.conftest import Katana
 
 CASES = int(os.environ.get("KILTER_FUZZ_FILES", "300"))
@@ -89,7 +89,7 @@ def robot(server: httpx.Client) -> str:
 def test_a_bomb_is_refused_in_words_and_the_server_answers_on(
     server: httpx.Client, robot: str, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reading, "LIMITS", Limits(seconds=5, memory_mb=768, output_mb=64))
+    monkeypatch.setattr(routes, "LIMITS", Limits(seconds=5, memory_mb=768, output_mb=64))
     place = f"/robots/{robot}/campaigns/new/file"
     sent = server.post(place, params={"name": name}, content=BOMBS[name](), timeout=120)
     assert sent.status_code == 201, sent.text
@@ -191,7 +191,7 @@ def test_damaged_files_of_every_kind_are_read_or_refused(tmp_path: Path) -> None
         folder.mkdir()
         (folder / name).write_bytes(mutated(random_, whole[name]))
         (folder / "asked.json").write_text(json.dumps({"file": name, "read_as": "auto"}))
-        ended = sandbox.run(reading.CHILD, folder, [], Limits(30, 1024, 64))
+        ended = sandbox.run(routes.CHILD, folder, [], Limits(30, 1024, 64))
         assert not ended.late, (number, name)
         assert ended.code == 0 or ended.lacked_memory, (number, name, ended)
         if ended.code == 0:

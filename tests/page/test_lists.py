@@ -17,7 +17,7 @@ from sqlalchemy import delete, insert, select
 
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow
-from kilter_service.page.audit.action_words import DONE
+from kilter_service.page.audit.service import DONE
 from kilter_service.page.jobs.form import by_role
 from kilter_service.page.jobs.options import parse_typed_values
 from kilter_service.page.shared.lists import Asked, select_page

@@ -23,7 +23,7 @@ from kilter_service.ground.processes import sandbox
 from kilter_service.ground.settings import Settings
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.kind import VersionContent
-from kilter_service.page.report import pdf
+from kilter_service.page.report import routes
 from kilter_service.run.app import create_app
 from kilter_service.versions import store as versions
 from kilter_service.versions.objections import objections_from_report
@@ -256,7 +256,7 @@ def test_a_server_without_pango_says_what_to_do(tmp_path: Path, monkeypatch: pyt
 
     monkeypatch.setattr(sandbox, "run", without)
     with pytest.raises(ServiceError, match="print the report from the browser") as caught:
-        pdf.pdf(tmp_path, "<p>a</p>", "")
+        routes.pdf(tmp_path, "<p>a</p>", "")
     assert caught.value.code == "pdf_unavailable"
     assert "libpango" in caught.value.message
 

@@ -20,7 +20,7 @@ from kilter_service.ground.db import Database, revision
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.run.app import create_app
-from kilter_service.run.backup import manifest, service, store
+from kilter_service.run.backup import service, store
 from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import Katana, ready, served
 from tests.service.forked import forked_command
@@ -324,7 +324,7 @@ def test_older_and_newer_backups(source: tuple[Settings, httpx.Client], tmp_path
     path.with_name("one.backup.sha256").unlink()
     older = tmp_path / "older.backup"
     shutil.copy(path, older)
-    manifest.remove(older)  # an older Kilter wrote none
+    service.remove(older)  # an older Kilter wrote none
     database = Database(f"sqlite:///{older}")
     command.downgrade(revision.configuration(database.url), "0005")
     database.close()

@@ -7,8 +7,8 @@ import threading
 import pytest
 
 from kilter_core.errors import CancelledError
-from kilter_service.jobs.cancellable import cancellable
 from kilter_service.jobs.kind import Progress
+from kilter_service.jobs.kinds.gap import cancellable
 
 
 def test_the_result_and_the_error_come_through() -> None:

@@ -25,7 +25,8 @@ from kilter_core.twin import thesis_katana
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.fan_out import cluster as engine
-from kilter_service.jobs.fan_out import fan_out, part
+from kilter_service.jobs.fan_out import fan_out
+from kilter_service.jobs.fan_out import spread as part
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.work.runner import Runner
 from tests.blind.generator import cases

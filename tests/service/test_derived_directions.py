@@ -17,8 +17,8 @@ from kilter_core.arm.presets import preset_document
 from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
-from kilter_service.jobs.inputs.approaches import with_direction_warning
 from kilter_service.jobs.registry import get_job_kind
+from kilter_service.jobs.work.runner import with_direction_warning
 from kilter_service.robots import store as robots
 
 Floats = NDArray[np.float64]

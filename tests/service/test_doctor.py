@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from kilter_service.ground.settings import Settings
-from kilter_service.run.doctor import checks
+from kilter_service.run.doctor import commands
 from tests.service.conftest import ready
 from tests.service.forked import forked_command
 
@@ -38,22 +38,22 @@ def doctor(settings: Settings, *arguments: str) -> subprocess.CompletedProcess[s
 
 
 def wrong(settings: Settings) -> dict[str, str]:
-    return {check.name: check.detail for check in checks.run(settings) if not check.ok and check.name != "kernels"}
+    return {check.name: check.detail for check in commands.run(settings) if not check.ok and check.name != "kernels"}
 
 
 def test_it_prints_a_line_for_each_check_and_json(prepared: Settings) -> None:
     shown = doctor(prepared)
     assert [line[:5] for line in shown.stdout.splitlines()][:9] == ["ok   "] * 9, shown.stdout
-    assert len(shown.stdout.splitlines()) == len(checks.CHECKS)
+    assert len(shown.stdout.splitlines()) == len(commands.CHECKS)
     other = json.loads(doctor(prepared, "--json").stdout)
-    assert [check["name"] for check in other["checks"]] == list(checks.CHECKS)
+    assert [check["name"] for check in other["checks"]] == list(commands.CHECKS)
     assert other["ok"] is all(check["ok"] for check in other["checks"]) is (shown.returncode == 0)
 
 
 def test_open_files_a_missing_schema_and_a_newer_one(prepared: Settings) -> None:
     database = prepared.data / "kilter.sqlite"
     database.chmod(0o644)
-    assert f"run `chmod go= {database}`" in checks.permissions(prepared)[1]
+    assert f"run `chmod go= {database}`" in commands.permissions(prepared)[1]
     database.chmod(0o600)
     for found, said in (("0001", "run `kilterd migrate`"), ("9999", "of a newer Kilter")):
         with closing(sqlite3.connect(database)) as file:
@@ -105,7 +105,7 @@ def test_kernels_are_compiled_by_a_command_that_touches_nothing_else(tmp_path: P
     assert (done.returncode, done.stderr) == (0, "")
     assert "Kernels are compiled" in done.stdout
     assert not (tmp_path / "data").exists()
-    assert checks.kernels(Settings(data=tmp_path / "data")) == (True, "compiled")
+    assert commands.kernels(Settings(data=tmp_path / "data")) == (True, "compiled")
 
 
 def test_kernels_of_another_release_do_not_count(tmp_path: Path) -> None:

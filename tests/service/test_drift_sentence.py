@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from kilter_core.watch.check import Check
+from kilter_core.watch.arm_check import Check
 from kilter_service.versions.drift.wire import sentence
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from kilter_core.errors import ObservationError
 from kilter_service.campaigns.facts import meaning
-from kilter_service.correction.formats import read_trajectory
+from kilter_service.correction.service import read_trajectory
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.tables.columns import read_columns
 from tests.core.arm.test_link_loads import TORSO

@@ -20,8 +20,8 @@ from kilter_files import prepare
 from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
-from kilter_service.jobs.inputs.laws_of_time import with_clock_warnings
 from kilter_service.jobs.registry import get_job_kind
+from kilter_service.jobs.work.runner import with_clock_warnings
 from kilter_service.robots import store as robots
 
 Floats = NDArray[np.float64]

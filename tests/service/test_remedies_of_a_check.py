@@ -11,8 +11,8 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.watch import Check, check
+from kilter_core.watch.arm_check import Judged
 from kilter_core.watch.causes import Cause
-from kilter_core.watch.check import Judged
 from kilter_service.versions.drift import wire
 from tests.core.watch.drifting import some_arm, some_poses
 

@@ -14,7 +14,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from kilter_service.ground.db import Database
 from kilter_service.ground.files import backup_folder
 from kilter_service.ground.settings import Settings
-from kilter_service.run.doctor import checks
+from kilter_service.run.doctor import commands
 from kilter_service.versions.metrics import service as metrics
 from tests.service.conftest import ready
 from tests.service.forked import forked_command
@@ -94,38 +94,38 @@ def test_what_was_altered_counts_for_none_and_stays(prepared: Settings) -> None:
 def test_metrics_and_doctor_say_how_old_the_newest_is(prepared: Settings, tmp_path: Path) -> None:
     assert prepared.backups is not None
     assert age_s(prepared) == math.inf
-    ok, said = checks.backup(prepared)
+    ok, said = commands.backup(prepared)
     assert (ok, "none in" in said, "run `kilterd backup`" in said) == (False, True, True)
     backup_of(prepared, timedelta(hours=70))
     assert age_s(prepared) == pytest.approx(70 * 3600, abs=120)
-    ok, said = checks.backup(prepared)
+    ok, said = commands.backup(prepared)
     assert (ok, "is 70 h old: run `kilterd backup`" in said, "journalctl -u kilter-backup" in said) == (
         False,
         True,
         True,
     )
     newest = backup_of(prepared, timedelta(hours=5))
-    ok, said = checks.backup(prepared)
+    ok, said = commands.backup(prepared)
     assert (ok, said) == (True, f"the newest of 2, {newest.name}, is 5 h old")
     assert age_s(prepared) == pytest.approx(5 * 3600, abs=120)
     newest.write_bytes(newest.read_bytes()[:-1])
-    assert "does not have its hash: move it away" in checks.backup(prepared)[1]
+    assert "does not have its hash: move it away" in commands.backup(prepared)[1]
     gone = prepared.model_copy(update={"backups": tmp_path / "gone"})
     assert age_s(gone) == math.inf
-    said = next(check.detail for check in checks.run(gone) if check.name == "backup")
+    said = next(check.detail for check in commands.run(gone) if check.name == "backup")
     assert said.startswith(f"There is no folder {tmp_path / 'gone'}: make it")
 
 
 def test_a_backup_of_tomorrow_is_a_clock_that_is_wrong(prepared: Settings) -> None:
     backup_of(prepared, -timedelta(days=1))
-    assert checks.backup(prepared) == (False, checks.backup(prepared)[1])
-    assert "is of a later time than now: set the clock" in checks.backup(prepared)[1]
+    assert commands.backup(prepared) == (False, commands.backup(prepared)[1])
+    assert "is of a later time than now: set the clock" in commands.backup(prepared)[1]
 
 
 def test_without_a_folder_nothing_is_watched_and_the_command_asks_for_a_path(prepared: Settings) -> None:
     none = prepared.model_copy(update={"backups": None})
     assert age_s(none) is None
-    assert checks.backup(none)[0]
+    assert commands.backup(none)[0]
     done = kilterd(none)
     assert (done.returncode, "set KILTER_BACKUPS" in done.stderr) == (2, True)
 

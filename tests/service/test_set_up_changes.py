@@ -15,7 +15,7 @@ from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.registry import get_job_kind
-from kilter_service.jobs.work.set_up_changes import with_set_up_warning
+from kilter_service.jobs.work.runner import with_set_up_warning
 from kilter_service.robots import store as robots
 from tests.core.truth import ur10, with_hidden_errors
 

@@ -21,7 +21,7 @@ from kilter_service.stream.corrector.queries import QueryError, correct_trajecto
 from kilter_service.stream.corrector.stream import Stream
 from kilter_service.stream.corrector.wire import Answer, Flag, Status, decode_answer, encode_setpoints
 from kilter_service.stream.ros2 import cdr
-from kilter_service.stream.ros2.relay import TrajectoryRelay
+from kilter_service.stream.ros2.process import TrajectoryRelay
 from tests.service.test_versions import Versions
 
 STEP_NS = 20_000_000

@@ -14,7 +14,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from kilter_files.ground.errors import FileError
-from kilter_files.robots.link_meshes import link_meshes
+from kilter_files.robots.mesh_files import link_meshes
 from tests.service.test_urdf import numbers, random_urdf
 
 Floats = NDArray[np.float64]

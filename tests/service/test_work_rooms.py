@@ -16,7 +16,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.files.private_files import Scratch
 from kilter_service.ground.settings import Settings
-from kilter_service.page.drop import reading
+from kilter_service.page.drop import routes
 from kilter_service.page.drop.drafts import Drafts
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.policy import PAGE_RULES, RULES, Kind
@@ -43,8 +43,8 @@ class Gate:
 
 @pytest.fixture
 def gate(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gate]:
-    gate = Gate(reading.read)
-    monkeypatch.setattr(reading, "read", gate)
+    gate = Gate(routes.read)
+    monkeypatch.setattr(routes, "read", gate)
     yield gate
     gate.go.set()
 

@@ -22,9 +22,9 @@ from kilter_service.ground.db.tables import HeartbeatRow, JobRow, VersionRow
 from kilter_service.ground.settings import Settings
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
-from kilter_service.jobs.lease.watch import Watch
 from kilter_service.jobs.work import worker as workers
 from kilter_service.jobs.work.runner import Runner
+from kilter_service.jobs.work.worker import Watch
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.token import admin_token
 from tests.service.conftest import WorkerProcess, served

@@ -13,7 +13,7 @@ from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepare
 
 if TYPE_CHECKING:
     from kilter_files.formats.reader import LogHints
-    from kilter_files.look.draft import Draft
+    from kilter_files.look.drafts import Draft
     from kilter_files.tables.joint_log import JointLog
 
     DEVICES: Mapping[str, Callable[[Path], Table]]
@@ -22,8 +22,7 @@ with later(__name__):
     from kilter_files.formats import opening, reader, registry, tracker_header
     from kilter_files.formats.joints import joint_log
     from kilter_files.ground import units
-    from kilter_files.look import draft as drafts
-    from kilter_files.look import inspection
+    from kilter_files.look import drafts, inspection
     from kilter_files.maps import column_map as column_maps
     from kilter_files.maps import joined as joins
     from kilter_files.maps import mapped

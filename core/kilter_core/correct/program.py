@@ -18,9 +18,9 @@ import numpy as np
 from kilter_core.arm.chain import Axis, Chain, Element
 from kilter_core.arm.loads.deflection import HANGING_ROUNDS, SIDED_ROUNDS
 from kilter_core.arm.loads.slopes import with_masses, with_payload
+from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
 from kilter_core.arm.robot import Joint, Link, Payload, Robot
-from kilter_core.arm.run_time import Conditions
-from kilter_core.correct.at_run_time import at_run_time
+from kilter_core.arm.run_time import Conditions, RunTimeForm
 from kilter_core.correct.collapse import (
     collapse_chains,
     collapse_constants,
@@ -33,10 +33,96 @@ from kilter_core.correct.collapse import (
 )
 from kilter_core.correct.kernels import layout, stream
 from kilter_core.correct.rows import bending_rows, curve_rows, doubt_rows, joint_rows
-from kilter_core.correct.softening import softening
 from kilter_core.errors import OptionError
-from kilter_core.model import Calibration
+from kilter_core.model import Calibration, RobotModel
 from kilter_core.types import Floats, Ints
+
+# Conditions that rows may state, with values that are tried; each as the names of its quantities.
+_STATED = (
+    (("temperature_c",), {"temperature_c": 20.0}),
+    (("base_tilt_x", "base_tilt_y"), {"base_tilt": (0.0, 0.0)}),
+)
+
+
+@dataclass(frozen=True)
+class AtRunTime:
+    """The effects as the correction has them: ids of those ``supported``, names of the ``unsupported`` others.
+
+    ``loaded``: one of them needs loads. ``where_stated`` are the unsupported ones that are made up for where rows state
+    more, by name with the quantities that they must state.
+    """
+
+    form: RunTimeForm
+    supported: tuple[str, ...]
+    unsupported: tuple[str, ...]
+    loaded: bool
+    where_stated: Mapping[str, tuple[str, ...]]
+
+
+def at_run_time(model: RobotModel, values: Floats, conditions: Conditions) -> AtRunTime:
+    """What the effects of a model with these ``values (P,)`` do under these conditions."""
+    form = RunTimeForm.empty(model.load_robot, conditions)
+    supported: list[str] = []
+    unsupported: list[str] = []
+    where_stated: dict[str, tuple[str, ...]] = {}
+    loaded = False
+    for k, (key, where) in enumerate(model.effect_slices().items()):
+        effect = model.effects[k]
+        if effect.at_run_time(form, values[where]):
+            supported.append(effect.id)
+            loaded |= "moments" in effect.needs
+            continue
+        unsupported.append(key)
+        asked = _required_quantities(model, k, values[where], conditions)
+        if asked:
+            where_stated[key] = asked
+    return AtRunTime(form, tuple(dict.fromkeys(supported)), tuple(unsupported), loaded, where_stated)
+
+
+def _required_quantities(model: RobotModel, which: int, values: Floats, conditions: Conditions) -> tuple[str, ...]:
+    """Quantities that must be stated for an effect to be made up for; empty: no statement helps."""
+    effect = model.effects[which]
+    for quantities, tried in _STATED:
+        if effect.needs.issuperset(quantities):
+            form = RunTimeForm.empty(model.load_robot, replace(conditions, **tried))
+            if effect.at_run_time(form, values):
+                return quantities
+    return ()
+
+
+SHARE = 0.005  # of the largest load of a joint
+LEAST_NM = 1e-6
+POSES = 64
+UNBOUNDED_RAD, UNBOUNDED_M = math.pi, 0.5
+
+
+def softening(form: RunTimeForm, robot: Robot, load: Payload, most_nm: float) -> tuple[Floats, Floats]:
+    """Half-widths (n,) N·m of the signs of the load across each joint, and of that about it.
+
+    The effect's own, and at least the smaller of ``most_nm`` and a share of the largest load of the joint over its range.
+    """
+    own = [np.array([getattr(joint, name) for joint in form.joints]) for name in _WIDTHS]
+    if most_nm <= 0.0 or not any(joint.tilt or joint.backlash for joint in form.joints):
+        return own[0], own[1]
+    q = _poses(robot)
+    com = np.tile(np.asarray(load.com, dtype=np.float64), (len(q), 1))
+    loads = joint_loads(robot, q, payload_kg=np.full(len(q), load.mass), payload_com=com)
+    across = np.linalg.norm(loads.joints[:, :, 3:5], axis=2).max(axis=0)
+    about = np.abs(axial_loads(robot, loads)).max(axis=0)
+    least = [np.clip(SHARE * largest, min(LEAST_NM, most_nm), most_nm) for largest in (across, about)]
+    return np.maximum(own[0], least[0]), np.maximum(own[1], least[1])
+
+
+_WIDTHS = ("tilt_softening_nm", "backlash_softening_nm")
+
+
+def _poses(robot: Robot) -> Floats:
+    """Joints (POSES, n) spread evenly over the ranges, the same at every call."""
+    wide = np.array([UNBOUNDED_RAD if joint.kind == "revolute" else UNBOUNDED_M for joint in robot.joints])
+    lower = np.maximum(np.array([joint.lower for joint in robot.joints]), -wide)
+    upper = np.minimum(np.array([joint.upper for joint in robot.joints]), wide)
+    return np.asarray(lower + (upper - lower) * np.random.default_rng(0).uniform(size=(POSES, robot.n_joints)))
+
 
 Task = Literal["auto", "position", "axis", "pose"]
 

@@ -15,7 +15,7 @@ from kilter_core.arm.chain import Element
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.identifiable.identifiability import identifiable
 from kilter_core.identify.scale_gauge import free_scale
-from kilter_core.identify.setups import of_the_arm
+from kilter_core.identify.setup_frames import of_the_arm
 from kilter_core.identify.views.cameras import unknown_rig
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import format_part_name

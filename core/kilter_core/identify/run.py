@@ -43,7 +43,7 @@ from kilter_core.identify.rows.measurement_of_rows import between_rows, measurem
 from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.rows.read_tilt import as_inputs
 from kilter_core.identify.scale_gauge import with_likeliest_scale
-from kilter_core.identify.setups import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
+from kilter_core.identify.setup_frames import Frames, OwnFrame, held_out, marginal, of_the_arm, without_frames
 from kilter_core.identify.start_model import build_start_model, refuse_missing_columns
 from kilter_core.identify.uncertainty.by_views import tool_sigma_from_views
 from kilter_core.identify.uncertainty.considered import beside_drawn_masses

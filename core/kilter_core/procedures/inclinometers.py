@@ -142,7 +142,7 @@ def weightless_joints(robot: Robot) -> list[int]:
     return [int(j) for j in np.flatnonzero(np.max(np.abs(axial), axis=0) < LEAST_MOMENT_NM)]
 
 
-def as_calibration(robot: Robot, found: list[JointParameter]) -> Calibration:
+def calibration_from_inclinations(robot: Robot, found: list[JointParameter]) -> Calibration:
     """The nominal robot with the measured effects: a start for ``tilt_first``. What was not measured stays zero."""
     model = tilting(robot)
     values = model.values0()

@@ -83,7 +83,7 @@ def link_joints(robot: Robot, train: Sequence[Observations], held: Sequence[Obse
     return [_of_joint(robot, j, trained, unseen) for j in range(robot.n_joints)]
 
 
-def as_calibration(robot: Robot, found: Sequence[LinkJoint]) -> Calibration:
+def calibration_from_encoders(robot: Robot, found: Sequence[LinkJoint]) -> Calibration:
     """The nominal robot with compliance and reversal error; the delay is the recording's, and left out."""
     model = RobotModel(robot, tuple(make_effect(e) for e in ("axial_compliance", "backlash")))
     values = model.values0()

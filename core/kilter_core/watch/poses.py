@@ -23,8 +23,8 @@ from kilter_core.observations.directions import last_motion
 from kilter_core.observations.neutral import with_neutral_conditions
 from kilter_core.parameters import degrees, mm
 from kilter_core.types import Floats, Ints, Progress
+from kilter_core.watch.arm_check import Check, check, required_noncentrality
 from kilter_core.watch.causes import Cause, derivatives
-from kilter_core.watch.check import Check, check, required_noncentrality
 
 POOL = 400
 STARTS = 3

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from kilter_core.errors import ObservationError
+from kilter_service.contract.columns import LOAD_PARTS, PAYLOAD_CENTRE
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.correction import load
-from kilter_service.correction.formats import read_trajectory
-from kilter_service.correction.ros2 import joint_trajectory
 from kilter_service.correction.wire import cells, with_verdict
 from kilter_service.ground import correction_outcome as outcome
 from kilter_service.ground.correction_limits import correction_options
+from kilter_service.ground.correction_outcome import OK
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.left_out import where_sentences
-from kilter_service.ground.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_ROWS
+from kilter_service.ground.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_CELLS, MAX_TRAJECTORY_ROWS
+from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.assemble import observations
-from kilter_service.ground.tables.columns import Column
+from kilter_service.ground.tables.columns import Column, read_columns
 from kilter_service.ground.tables.writing import write_table
 from kilter_service.ground.wire import to_mm
 from kilter_service.robots import compensation
@@ -33,6 +36,109 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from kilter_core.correct.program import CorrectionOptions
+    from kilter_service.ground.correction_outcome import Outcome
+
+# What a trajectory may say; whatever else a file of observations has is a measurement.
+QUANTITIES = frozenset(
+    {
+        "q",
+        "qd",
+        "qdd",
+        "dir",
+        "t",
+        "payload",
+        *PAYLOAD_CENTRE,
+        "temperature",
+        "base_tilt_x",
+        "base_tilt_y",
+        *LOAD_PARTS[0],
+        "session",
+        "pose_id",
+        "row",
+    }
+)
+
+
+def read_trajectory(
+    path: Path, media: str, kinds: Sequence[str], most_rows: int = MAX_TRAJECTORY_ROWS
+) -> tuple[pa.Table, tuple[Column, ...]]:
+    """Read a trajectory for joints of these ``kinds``.
+
+    Raises:
+        ObservationError: as for an upload; or a column that does not belong to a trajectory, or an empty cell.
+
+    """
+    columns = read_columns(reading.column_names(path, media), kinds)
+    for column in columns:
+        if column.quantity in ("fx", "mx", "load_fx", "load_mx"):
+            raise ObservationError(
+                f"Column {column.name!r}: a correction does not know forces yet to come, only masses. Leave "
+                "the column out; what the force bends stays uncorrected.",
+                column=column.name,
+            )
+        if column.quantity not in QUANTITIES:
+            raise ObservationError(
+                f"Column {column.name!r} is a measurement: leave it out of a trajectory.", column=column.name
+            )
+    table = reading.whole_table(path, media, min(most_rows, MAX_TRAJECTORY_CELLS // len(columns)))
+    for column in columns:
+        if table.column(column.name).null_count:
+            row = int(table.column(column.name).is_null().to_numpy().argmax()) + 1
+            raise ObservationError(
+                f"Row {row}, column {column.name!r} is empty: give every cell.", row=row, column=column.name
+            )
+    return table, columns
+
+
+NANO = 1_000_000_000
+
+
+def joint_trajectory(
+    names: Sequence[str], t: NDArray[np.float64] | None, found: Outcome, notes: Sequence[str] = ()
+) -> bytes:
+    """Write positions (rad, m) over the time from the first row; comments have the notes, and what is left of rows.
+
+    Raises:
+        ObservationError: no ``t_s``, times that do not rise, or a row that was refused: a trajectory has no gaps.
+
+    """
+    if t is None:
+        raise ObservationError("A JointTrajectory needs the time of each point: add the column 't_s'.", column="t_s")
+    late = np.flatnonzero(np.diff(t) <= 0)
+    if len(late):
+        row = int(late[0]) + 2
+        raise ObservationError(f"Row {row}, column 't_s': the time must rise from row to row.", row=row, column="t_s")
+    _refuse_gaps(found)
+    return "".join((*(f"# {note}\n" for note in notes), *_lines(names, t - t[0], found))).encode()
+
+
+def _refuse_gaps(found: Outcome) -> None:
+    bad = np.flatnonzero(~found.answered_rows)
+    if len(bad):
+        word = found.words[int(bad[0])]
+        raise ObservationError(
+            f"Row {int(bad[0]) + 1} is not corrected ({word}), {len(bad)} rows in all: a JointTrajectory cannot have a "
+            "gap. Take CSV, which marks such rows, or leave them out.",
+            row=int(bad[0]) + 1,
+            status=word,
+        )
+
+
+def _lines(names: Sequence[str], t: NDArray[np.float64], found: Outcome) -> Iterator[str]:
+    yield "header:\n  stamp: {sec: 0, nanosec: 0}\n  frame_id: ''\njoint_names:\n"
+    yield from (f"- '{name.replace(chr(39), chr(39) * 2)}'\n" for name in names)
+    yield "points:\n"
+    times, left = np.round(t * NANO).astype(np.int64).tolist(), to_mm(found.remaining_errors).tolist()
+    for time, row, word, kept in zip(times, found.done.q.tolist(), found.words, left, strict=True):
+        remark = "" if word == OK else f"  # {word}: {kept:.3g} mm left"
+        yield f"- positions: [{', '.join(_yaml(value) for value in row)}]{remark}\n"
+        yield f"  time_from_start: {{sec: {time // NANO}, nanosec: {time % NANO}}}\n"
+
+
+def _yaml(value: float) -> str:
+    """Every digit; YAML takes 1e-05 for text unless it has a point."""
+    text = repr(value)
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
 
 ROS2 = "ros2-yaml"

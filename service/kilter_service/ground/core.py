@@ -9,7 +9,7 @@ from __future__ import annotations
 from kilter_files.ground.later import later
 
 with later(__name__):
-    import kilter_core.watch.check as core_watch_check
+    import kilter_core.watch.arm_check as core_watch_check
     from kilter_core import effects as core_effects
     from kilter_core import evaluate as core_evaluate
     from kilter_core import gap as core_gap
@@ -25,8 +25,8 @@ with later(__name__):
     from kilter_core.arm import robot as core_robot
     from kilter_core.arm.documents import parts as core_parts
     from kilter_core.arm.documents import resolved as core_resolved
-    from kilter_core.correct import levers as core_levers
-    from kilter_core.correct import needs as core_needs
+    from kilter_core.correct import correction_needs as core_needs
+    from kilter_core.correct import leverage as core_levers
     from kilter_core.correct import program, walker
     from kilter_core.correct import stated as core_stated
     from kilter_core.effects import other_campaigns, registry
@@ -38,7 +38,7 @@ with later(__name__):
     from kilter_core.gap.evidence.held_out import holding_out
     from kilter_core.gap.report import next_poses, separation
     from kilter_core.gap.search import requested as core_wanted
-    from kilter_core.identify import bar_length, estimate, holdout, setups
+    from kilter_core.identify import bar_length, estimate, holdout, setup_frames
     from kilter_core.identify import check as core_identify_check
     from kilter_core.identify import report as core_report
     from kilter_core.identify.comparison import compare
@@ -50,14 +50,14 @@ with later(__name__):
     from kilter_core.identify.rows import measurement_of_rows
     from kilter_core.identify.uncertainty import predictive, workspace
     from kilter_core.measurement import contacts, metrics
-    from kilter_core.model import closed_inverse, closest_table, general_inverse
+    from kilter_core.model import closed_inverse, general_inverse, table_fit
+    from kilter_core.model import directions as core_missing_directions
     from kilter_core.model import doubts as core_doubts
     from kilter_core.model import geometry as core_geometry
-    from kilter_core.model import missing_directions as core_missing_directions
     from kilter_core.model import region as core_region
     from kilter_core.observations import clock as core_clock
     from kilter_core.plan import d_optimal, iso9283_poses
-    from kilter_core.plan import inclinometer_poses as core_inclinometer_poses
-    from kilter_core.plan import view_poses as core_view_poses
+    from kilter_core.plan import inclinometers as core_inclinometer_poses
+    from kilter_core.plan import views as core_view_poses
     from kilter_core.procedures import circle_points, inclinometers, link_encoders, reference_frame
     from kilter_core.watch import history as core_history

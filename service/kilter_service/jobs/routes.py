@@ -2,23 +2,187 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import asyncio
+import hashlib
+import logging
+from collections.abc import AsyncGenerator, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import Context
+from typing import Annotated, NamedTuple
 
-from fastapi import APIRouter, Header, Request, Response
+from fastapi import APIRouter, FastAPI, Header, Request, Response
 from fastapi.concurrency import run_in_threadpool
+from fastapi.exceptions import RequestValidationError
 from fastapi.responses import StreamingResponse
 
 from kilter_service.contract.jobs.job import FINAL, JobList
 from kilter_service.contract.jobs.registry import Job, JobCheck, NewJob
-from kilter_service.jobs import checking, service
-from kilter_service.jobs.events import get_job_followers, has_received_end
-from kilter_service.jobs.request import JobRoute
+from kilter_service.ground.db import Database
+from kilter_service.ground.failure_log import Failing
+from kilter_service.jobs import checking, service, store, wire
+from kilter_service.jobs.refusals import refusal, without_kind
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.auth.following import limit_event_stream
-from kilter_service.web.conditional import FOR_GOOD
+from kilter_service.web.conditional import FOR_GOOD, ConditionalRoute
 from kilter_service.web.idempotency.key import OnceOnly
 from kilter_service.web.page_query import PageOfJobs
 from kilter_service.web.state import DatabaseOfApp
+
+log = logging.getLogger("kilter.api")
+
+POLL_S = 0.2
+ALIVE_S = 10.0
+
+
+class News(NamedTuple):
+    """An event: ``progress``, or ``end`` with the whole job when it is over."""
+
+    name: str
+    data: str
+
+    @property
+    def id(self) -> str:
+        """The same for the same news, whoever tells it."""
+        return hashlib.blake2s(f"{self.name} {self.data}".encode(), digest_size=8).hexdigest()
+
+    def text(self) -> str:
+        """Write the event."""
+        return f"id: {self.id}\nevent: {self.name}\ndata: {self.data}\n\n"
+
+
+class Followed:
+    """A job that somebody follows: the latest news of it, and what to wait for."""
+
+    def __init__(self) -> None:
+        self.followers, self.progress = 0, ""
+        self.latest: News | None = None
+        self._told = asyncio.Event()
+
+    def publish_news(self, news: News) -> None:
+        """Wake all that wait."""
+        self.latest = news
+        self._told.set()
+        self._told = asyncio.Event()
+
+    async def wait_for_news(self, known: str | None) -> News | None:
+        """Wait for news with another id than ``known``; None: there were none for some time."""
+        if self.latest is None or self.latest.id == known:
+            try:
+                async with asyncio.timeout(ALIVE_S):
+                    await self._told.wait()
+            except TimeoutError:
+                return None
+        return self.latest
+
+
+class Followers:
+    """All jobs that are followed in this process."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._jobs: dict[str, Followed] = {}
+        self._joined = asyncio.Event()
+        self._task: asyncio.Task[None] | None = None
+        self._looking = Failing(log, "the jobs that are followed cannot be read")
+
+    async def events(self, job_id: str, known: str | None) -> AsyncGenerator[str, None]:
+        """Yield the events of a job from now to its end; ``known`` is the id of the last that was received."""
+        with self._following(job_id) as job:
+            while True:
+                news = await job.wait_for_news(known)
+                if news is None:
+                    yield ": still here\n\n"
+                    continue
+                if news.id != known:
+                    yield news.text()
+                if news.name == "end":
+                    return
+                known = news.id
+
+    @contextmanager
+    def _following(self, job_id: str) -> Iterator[Followed]:
+        job = self._jobs.setdefault(job_id, Followed())
+        job.followers += 1
+        if job.latest is None:
+            self._joined.set()
+        if self._task is None or self._task.done():
+            # In a context of its own: what its first follower may see must not limit what the others are told.
+            self._task = asyncio.get_running_loop().create_task(self._watch(), context=Context())
+        try:
+            yield job
+        finally:
+            job.followers -= 1
+            if not job.followers:
+                self._jobs.pop(job_id, None)
+
+    async def _watch(self) -> None:
+        while self._jobs:
+            self._joined.clear()
+            await self._poll_jobs()
+            try:
+                async with asyncio.timeout(POLL_S):
+                    await self._joined.wait()
+            except TimeoutError:
+                continue
+
+    async def _poll_jobs(self) -> None:
+        known = {job_id: job.progress for job_id, job in self._jobs.items()}
+        try:
+            found = await run_in_threadpool(_load_changed_jobs, self._database, known)
+        except Exception as error:  # the database may be away for a while; the followers stay
+            self._looking.report_failure(error)
+            return
+        self._looking.report_success()
+        for job_id, (progress, news) in found.items():
+            if job_id in self._jobs:
+                self._jobs[job_id].progress = progress
+                self._jobs[job_id].publish_news(news)
+
+
+def _load_changed_jobs(database: Database, known: Mapping[str, str]) -> dict[str, tuple[str, News]]:
+    """Return the progress and the news of the jobs whose progress is another than the one that is known."""
+    with database.reading() as session:
+        found = {job.id: (job.state, wire.progress_json(job)) for job in store.progress(session, list(known))}
+    changed = {job_id: (state, said) for job_id, (state, said) in found.items() if said != known[job_id]}
+    return {job_id: (said, _news(database, job_id, state, said)) for job_id, (state, said) in changed.items()}
+
+
+def _news(database: Database, job_id: str, state: str, said: str) -> News:
+    if state in FINAL:
+        return _end_event(service.get(database, job_id))
+    return News("progress", said)
+
+
+def _end_event(job: Job) -> News:
+    return News("end", job.model_dump_json())
+
+
+def has_received_end(job: Job, known: str | None) -> bool:
+    """Whether a job is over, and whoever knows the event ``known`` was told so."""
+    return known is not None and job.state in FINAL and _end_event(job).id == known
+
+
+def get_job_followers(app: FastAPI) -> Followers:
+    """Return the followers of an application's jobs."""
+    if not hasattr(app.state, "followers"):
+        app.state.followers = Followers(app.state.database)
+    followers: Followers = app.state.followers
+    return followers
+
+
+class JobRoute(ConditionalRoute):
+    """A route that takes jobs."""
+
+    async def _parse_request_body(self, request: Request, body: bytes) -> Request:
+        try:
+            return await super()._parse_request_body(request, body)
+        except RequestValidationError as error:
+            found, document = error.errors(), error.body
+            refused = refusal(found, document)
+            if refused is not None:
+                raise refused from error
+            raise RequestValidationError(without_kind(found, document)) from error
+
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"], route_class=JobRoute)
 

@@ -12,7 +12,7 @@ from kilter_service.versions.predictions.preview import at_poses, drawn
 
 if TYPE_CHECKING:
     from kilter_core.arm.robot import Robot
-    from kilter_core.correct.needs import Needs
+    from kilter_core.correct.correction_needs import Needs
     from kilter_core.identify.uncertainty.predictive import Predictive
     from kilter_core.model import Calibration
 

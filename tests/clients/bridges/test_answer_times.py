@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kilter_client.bridges.answer_times import AnswerTimes
+from kilter_client.bridges.loop import AnswerTimes
 
 
 @pytest.mark.parametrize("part", [0.5, 0.99])

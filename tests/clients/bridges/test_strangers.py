@@ -11,10 +11,10 @@ from re import Pattern
 
 import pytest
 
-from kilter_client.bridges import protobuf, rsi
+from kilter_client.bridges import egm, rsi
 from kilter_client.bridges.correction import Correction
+from kilter_client.bridges.fci import opened_sockets_hear
 from kilter_client.bridges.loop import Request
-from kilter_client.bridges.robot_sockets import opened_sockets_hear
 from kilter_client.bridges.rsi import From, RsiWire
 from tests.clients.bridges.strangers import packets, strangers
 from tests.clients.bridges.test_loop import (
@@ -148,9 +148,9 @@ def test_no_pattern_of_a_message_repeats_without_a_bound(source: From) -> None:
 
 
 def test_a_message_of_more_fields_than_a_robot_sends_is_none() -> None:
-    assert len(list(protobuf.fields(b"\x08\x01" * protobuf.MOST_FIELDS))) == protobuf.MOST_FIELDS
-    many = protobuf.fields(b"\x08\x01" * 740)
-    assert len(list(islice(many, protobuf.MOST_FIELDS))) == protobuf.MOST_FIELDS
+    assert len(list(egm.fields(b"\x08\x01" * egm.MOST_FIELDS))) == egm.MOST_FIELDS
+    many = egm.fields(b"\x08\x01" * 740)
+    assert len(list(islice(many, egm.MOST_FIELDS))) == egm.MOST_FIELDS
     with pytest.raises(ValueError, match="more fields"):
         next(many)
 

@@ -19,8 +19,8 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
-from kilter_core.model.closest_table import closest_table
 from kilter_core.model.geometry import flange_screws
+from kilter_core.model.table_fit import closest_table
 from kilter_core.observations import Observations
 from kilter_core.transforms import xyz_rpy_from_pose
 from kilter_core.twin import Twin, thesis_katana

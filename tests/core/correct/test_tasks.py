@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kilter_core.correct.correction_needs import needs
 from kilter_core.correct.kernels.layout import DAMPED, OK, RESIDUAL, SATURATED, TOO_LARGE
-from kilter_core.correct.needs import needs
 from kilter_core.correct.program import CorrectedRows, CorrectionOptions, Track, compile_program
 from kilter_core.correct.walker import correct_trajectory
 from kilter_core.errors import ObservationError, OptionError

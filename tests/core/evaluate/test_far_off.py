@@ -7,7 +7,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.evaluate import evaluate
-from kilter_core.evaluate.far_off import far_off
+from kilter_core.evaluate.prediction import far_off
 from kilter_core.identify import identify
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.observations import Observations

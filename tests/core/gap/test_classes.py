@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.evidence.similarity.aliases import find_aliases
-from kilter_core.gap.evidence.similarity.cancelling import cancelling_members
+from kilter_core.gap.evidence.similarity.aliases import cancelling_members, find_aliases
 from kilter_core.gap.evidence.similarity.testability import testability as judged
 from kilter_core.gap.evidence.similarity.testability import untestable
 from kilter_core.gap.report.report import effect_row

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from kilter_core.arm.run_time import Conditions
-from kilter_core.correct.at_run_time import at_run_time
+from kilter_core.correct.program import at_run_time
 from kilter_core.effects import make_effect
 from kilter_core.effects.physical import STATION, THERMAL, PhysicalClass, Separator
 from kilter_core.gap import GapOptions, GapReport, find_gap
-from kilter_core.gap.evidence.clocks import Law, shared_clock
 from kilter_core.gap.evidence.separators import Separated
+from kilter_core.gap.evidence.verdict import Law, shared_clock
 from kilter_core.gap.search.candidates import JOINT, WHOLE, Candidate
 from tests.core.gap.time_twins import robot, twin
 

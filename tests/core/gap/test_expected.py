@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from kilter_core.gap import GapOptions, check, expected, find_gap
-from kilter_core.gap.check import check_gap
+from kilter_core.gap import GapOptions, check, find_gap
+from kilter_core.gap.check import Probe, check_gap, run_and_time
 from kilter_core.gap.evidence import stability
-from kilter_core.gap.expected import Probe, run_and_time
 from tests.core.gap.simulated import campaign, katana
 
 QUICK = GapOptions(bootstraps=299, effects=("backlash", "eccentricity", "axial_compliance"))
@@ -22,7 +21,7 @@ ONE = Probe(*PIECES, names=2, numbers=1000.0, settled=True)
 @pytest.fixture
 def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
     """A clock that goes one second at every look: every piece of work takes one."""
-    monkeypatch.setattr(expected, "clock", itertools.count(0.0).__next__)
+    monkeypatch.setattr(check, "clock", itertools.count(0.0).__next__)
 
 
 @pytest.mark.usefixtures("ticking")
@@ -65,10 +64,10 @@ def test_a_search_draws_as_many_resamples_as_are_counted(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(stability, "_make_resampler", counted)
     probes: list[Probe] = []
-    monkeypatch.setattr(check, "probe", lambda *given: probes.append(expected.probe(*given)) or probes[-1])
+    monkeypatch.setattr(check, "probe", lambda *given: probes.append(check.probe(*given)) or probes[-1])
     for poses in (80, 40):
         rows = campaign(katana(), HIDDEN, poses=poses, seed=5)
         check_gap(katana(), rows, QUICK)
         find_gap(katana(), rows, replace(QUICK, permutations=1, next_poses=0))
     assert [p.settled for p in probes] == [True, False]
-    assert drawn == [expected.DECIDING, stability.FEW]
+    assert drawn == [check.DECIDING, stability.FEW]

@@ -11,9 +11,8 @@ import pytest
 
 from kilter_core.effects.physical import Separator
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.evidence.order import assess_visit_order
 from kilter_core.gap.evidence.revisits import number_revisited_poses
-from kilter_core.gap.evidence.separators import Separated
+from kilter_core.gap.evidence.separators import Separated, assess_visit_order
 from kilter_core.observations import Observations
 from tests.core.gap.time_twins import robot, twin
 

@@ -20,7 +20,7 @@ from kilter_core.identify.run import Identification
 from kilter_core.identify.seen_poses import as_seen_poses
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.watch.check import check
+from kilter_core.watch.arm_check import check
 from tests.core.gap.test_pixels_gap import LOOKED_FOR, direction, erring, play
 from tests.core.identify.test_pixels import UNSURE, lengths
 from tests.core.identify.test_pixels_beside_contacts import FEET, PLAY

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from kilter_core.gap.evidence.held_out.predicted import surely_predicted
+from kilter_core.gap.evidence.held_out.held_out_errors import surely_predicted
 
 POSES = np.repeat(np.arange(20), 2)
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from kilter_core.gap.noise.from_repeats import WITHIN, add_approach_noise, repeat_noise
-from kilter_core.gap.noise.unseen_approach import of_approach
+from kilter_core.gap.noise.from_repeats import WITHIN, add_approach_noise, of_approach, repeat_noise
 from kilter_core.gap.noise.visits import average_visits
 from kilter_core.observations import Observations
 from tests.blind.generator import cases

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.plausibility.lagging import lag_warnings
+from kilter_core.identify.plausibility.belonging import lag_warnings
 from kilter_core.observations import Observations
 from tests.core.truth import Arm, Step, ur10
 

@@ -7,7 +7,7 @@ import pytest
 
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.estimate import estimate
-from kilter_core.identify.methods.loads import model_with_updated_loads
+from kilter_core.identify.methods.fit import model_with_updated_loads
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

@@ -17,7 +17,7 @@ from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
-from kilter_core.plan.view_poses import placed_by_views, view_poses
+from kilter_core.plan.views import placed_by_views, view_poses
 from tests.core.measurement.test_pixels import ASKED, free, registered_error
 from tests.core.pixel_scene import HOME, Scene, Sheet, drawn_pixels, eye_in_hand, eye_to_hand
 

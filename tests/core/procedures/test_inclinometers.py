@@ -11,8 +11,8 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.errors import ObservationError, RobotError
-from kilter_core.plan.inclinometer_poses import inclinometer_poses
-from kilter_core.procedures.inclinometers import Log, as_calibration, joint_parameters, weightless_joints
+from kilter_core.plan.inclinometers import inclinometer_poses
+from kilter_core.procedures.inclinometers import Log, calibration_from_inclinations, joint_parameters, weightless_joints
 from tests.core.truth import Arm, Body, ur10
 
 C, B, K = (
@@ -75,7 +75,7 @@ def test_the_planned_readings_give_the_three_parameters_within_their_sigmas() ->
         assert abs(p.value - truth) < 3.5 * p.sigma
         assert p.sigma < 0.15 * truth
     assert not warnings
-    start = as_calibration(robot_from_document(true.document()), found)
+    start = calibration_from_inclinations(robot_from_document(true.document()), found)
     assert dict(zip(start.names, start.values, strict=True))["backlash_load_3"] == pytest.approx(B, rel=0.1)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError, TooFewPosesError
 from kilter_core.observations import Observations
-from kilter_core.procedures.link_encoders import LinkJoint, as_calibration, link_joints
+from kilter_core.procedures.link_encoders import LinkJoint, calibration_from_encoders, link_joints
 from tests.core.truth import Body, ur10
 
 Floats = NDArray[np.float64]
@@ -76,7 +76,7 @@ def test_what_was_fitted_on_one_motion_predicts_another() -> None:
         assert unseen is not None
         assert unseen.left == pytest.approx(2e-5, rel=0.15)
         assert unseen.raw > 5 * unseen.left
-    known = as_calibration(ROBOT, found)
+    known = calibration_from_encoders(ROBOT, found)
     assert dict(zip(known.names, known.values, strict=True))["compliance_2"] == pytest.approx(C, rel=0.02)
     assert not any("delay" in name for name in known.names)
 

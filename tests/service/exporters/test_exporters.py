@@ -22,7 +22,7 @@ from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
 from kilter_core.arm.presets import preset_document
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration
-from kilter_core.model.closest_table import arm_poses
+from kilter_core.model.table_fit import arm_poses
 from kilter_core.observations import Observations
 from kilter_core.transforms import pose_from_xyz_rpy
 from kilter_core.twin import Twin, thesis_katana

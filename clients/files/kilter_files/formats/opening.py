@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_files.formats.reader import MAP, Head, Hints, RecordingReader
-from kilter_files.formats.registry import binary_reader, has_format, readers, readers_for
+from kilter_files.formats.registry import all_readers, binary_reader, has_format, readers_for
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.faults import fault
 from kilter_files.tables.source import Layout, Source
@@ -53,7 +53,7 @@ def open_recording(
         FileError: the file of another device, or a damaged one.
 
     """
-    reader = binary_reader(Head(path)) or readers()["text"]
+    reader = binary_reader(Head(path)) or all_readers()["text"]
     if not isinstance(reader, RecordingReader):
         raise fault(path, f"is {reader.is_a}, not a recording of markers", reader.instead)
     return reader.read(path, Hints(rate_hz, allow_cut, unit=unit))

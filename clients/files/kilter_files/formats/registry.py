@@ -39,7 +39,7 @@ READERS = (
 
 
 @cache
-def readers() -> Mapping[str, Reader[Any]]:
+def all_readers() -> Mapping[str, Reader[Any]]:
     """Return the readers by name, in the order in which they are asked."""
     found = [import_module(f"kilter_files.formats.readers.{module}").READER for module in READERS]
     return {reader.name: reader for reader in found}
@@ -47,7 +47,7 @@ def readers() -> Mapping[str, Reader[Any]]:
 
 def readers_for(use: str) -> Mapping[str, Reader[Any]]:
     """Return the readers whose files a command takes, by name."""
-    return {name: reader for name, reader in sorted(readers().items()) if reader.use == use}
+    return {name: reader for name, reader in sorted(all_readers().items()) if reader.use == use}
 
 
 def find_reader(head: Head) -> Reader[Any]:
@@ -57,7 +57,7 @@ def find_reader(head: Head) -> Reader[Any]:
         FileError: an empty file, or one of a kind that holds no measurements Kilter reads.
 
     """
-    texts = (reader for reader in readers().values() if not reader.is_a and reader.recognises(head))
+    texts = (reader for reader in all_readers().values() if not reader.is_a and reader.recognises(head))
     return binary_reader(head) or next(
         texts
     )  # the last one takes whatever text there is, or says what is wrong with it
@@ -73,7 +73,7 @@ def binary_reader(head: Head) -> Reader[Any] | None:
     if not head.start and not head.path.is_dir():
         raise fault(head.path, "is empty", "Export it again.")
     refuse_stranger(head)
-    return next((reader for reader in readers().values() if reader.is_a and reader.recognises(head)), None)
+    return next((reader for reader in all_readers().values() if reader.is_a and reader.recognises(head)), None)
 
 
 def refuse_stranger(head: Head) -> None:
@@ -84,7 +84,7 @@ def refuse_stranger(head: Head) -> None:
 
     """
     if head.start.startswith(ZIP):
-        if not readers()["xlsx"].recognises(head):
+        if not all_readers()["xlsx"].recognises(head):
             raise of_zip(head.path)
         return
     found = stranger(head.start)
@@ -94,7 +94,7 @@ def refuse_stranger(head: Head) -> None:
 
 def has_format(path: Path, name: str) -> bool:
     """Tell whether a file is of the format with this name."""
-    return readers()[name].recognises(Head(path))
+    return all_readers()[name].recognises(Head(path))
 
 
 def describe(path: Path, hints: Hints) -> Document:

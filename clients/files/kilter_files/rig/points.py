@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kilter_files.formats.joints.joint_log import read_joint_log
 from kilter_files.formats.reader import Hints, LogHints
-from kilter_files.formats.registry import readers
+from kilter_files.formats.registry import all_readers
 from kilter_files.formats.tracker_header import PRESETS
 from kilter_files.ground.errors import UsageError
 from kilter_files.ground.faults import fault
@@ -28,7 +28,7 @@ def read_points(path: Path, preset: str, euler: str | None, joints: Path | None,
         raise UsageError(f"--preset {preset}: is not one of {', '.join(PRESETS)}.")
     log = None if joints is None else read_joint_log(joints, hints or LogHints())
     beside = None if log is None else joint_columns_at_rest(log)
-    table: Table = readers()["tracker-text"].read(path, Hints(preset=preset, euler=euler, joints=beside))
+    table: Table = all_readers()["tracker-text"].read(path, Hints(preset=preset, euler=euler, joints=beside))
     if not any(JOINT.fullmatch(name) for name in table.columns):
         remedy = "Name the file that holds them (--joints), or send the export with a column map (--map)."
         raise fault(path, "holds points, but no joints with a unit", remedy)

@@ -23,8 +23,8 @@ with later(__name__):
     from kilter_files.formats.programs import remedies as files_remedies
     from kilter_files.formats.programs.poses import postures as files_postures
     from kilter_files.formats.programs.poses import track as files_track
-    from kilter_files.look import refusals as files_refusals
-    from kilter_files.look import summary as files_summary
+    from kilter_files.look import refused as files_refusals
+    from kilter_files.look import summaries as files_summary
     from kilter_files.look import unusual as files_unusual
     from kilter_files.match import arm as files_arm
     from kilter_files.match import clock_checks, dwells, frames_by_time, matching, rigid_body
@@ -48,6 +48,6 @@ with later(__name__):
     from kilter_files.rig.see import target as files_target
     from kilter_files.rig.sheet import report as files_report
     from kilter_files.robots import exported as files_exported
-    from kilter_files.robots import link_meshes as files_link_meshes
+    from kilter_files.robots import mesh_files as files_link_meshes
     from kilter_files.robots import read
     from kilter_files.tables import cut_recording

@@ -6,18 +6,53 @@ guessed: without repeats the search goes on with the scatter of the fit itself, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from kilter_core.gap.noise.covariances import SMALLEST, approach, even, second, shrunk, spread
 from kilter_core.gap.noise.drift import Drift, Repeats, estimate_drift_free_noise, scalar_blocks
 from kilter_core.gap.noise.pair_model import PairModel
-from kilter_core.gap.noise.unseen_approach import of_approach
 from kilter_core.gap.noise.visits import Visits, isolate_unused_visits
 from kilter_core.identify.rows.noise import pooled_columns
 from kilter_core.observations.groups import subtract_group_means, unbiased_deviations
 from kilter_core.types import Bools, Floats, Ints
+
+LEAST = 1e-4  # of the variance of the readings: an approach that is smaller changes no weight
+MOST = 1e4  # one that is larger makes all coordinates weigh alike
+SETTLED = 1e-2  # of the logarithm of that ratio
+
+
+def of_approach(readings: Floats, residual: Floats, used: Bools, lost: float, blocks: Sequence[slice]) -> Floats:
+    """Variances (m,) of the approach beside the covariance ``readings (V, m, m)`` of visits: one for each of the ``blocks``.
+
+    It is the likeliest by what a fit leaves, ``residual (V, m)`` of the visits ``used (V,)``, of whose freedom
+    it took the share ``lost``; what a model lacks counts as approach until it is named.
+    """
+    out = np.zeros(readings.shape[-1])
+    for block in blocks:
+        own = readings[:, block, block]
+        width = own.shape[-1]
+        w, V = np.linalg.eigh(own[used] + SMALLEST**2 * np.eye(width))
+        z = np.einsum("vij,vi->vj", V, np.nan_to_num(residual[used][:, block]))
+        typical = float(np.mean(w))
+        out[block] = typical * _ratio(w / typical, z**2 / (typical * (1.0 - lost)))
+    return out
+
+
+def _ratio(w: Floats, square: Floats) -> float:
+    """Likeliest variance of the approach beside those of the readings ``w (V, m)``, by the squares (V, m) of what is left."""
+
+    def loss(log: float) -> float:
+        total = w + np.exp(log)
+        return float(np.sum(np.log(total) + square / total))
+
+    found = minimize_scalar(loss, bounds=(np.log(LEAST), np.log(MOST)), method="bounded", options={"xatol": SETTLED})
+    nothing = float(np.sum(np.log(w) + square / w))
+    return float(np.exp(found.x)) if found.fun < nothing else 0.0
+
 
 FEWEST_DEVIATIONS = 3  # independent deviations below which repeats say too little
 SPIKE = 6.0  # robust standard deviations from its own repeats at which a row is a spike

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import f
 
 from kilter_core.effects import Effect
 from kilter_core.effects.joint_curve import JointCurve
 from kilter_core.effects.law_of_temperature import LawOfTemperature
 from kilter_core.effects.physical import JOINT_CURVE
-from kilter_core.gap.evidence.fits.left_over import left_over
+from kilter_core.gap.evidence.fits.intervals import scale_freedom
 from kilter_core.gap.evidence.fits.posterior import Posterior, posterior
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.options import GapOptions
@@ -28,16 +29,41 @@ from kilter_core.identify.identifiable.load_model import load_rows
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import frame_sources, register_nominal, wanted_frames
 from kilter_core.identify.report import build_parameter_rows, known_parameters, null_rows, unobservable_names
-from kilter_core.identify.uncertainty.predictive import Predictive
+from kilter_core.identify.uncertainty.predictive import CHANCE, EXACT, Predictive
 from kilter_core.identify.uncertainty.workspace_uncertainty import estimate_workspace_spread
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts as held_rows
+from kilter_core.measurement.kind import POINTS
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.doubts import Doubt
 from kilter_core.observations import Observations
 from kilter_core.parameters import indices
 from kilter_core.types import Ints
+
+
+def left_over(found: SearchResult, known: Posterior) -> Predictive | None:
+    """What a version knows of itself; None where its rows are not single points or poses of the tool by an instrument."""
+    settings = found.problem.settings
+    source = settings.source
+    rows = source.observations
+    points = rows.position is not None and rows.markers is None and rows.pose_weight is None
+    if not (points and source.observes_tool and source.observes_places) or settings.inflation > 1.0:
+        return None
+    left = found.problem.gram.condition_on_columns(found.columns)
+    nu, ratio = max(left.nu, 1.0), left.yy / max(left.nu, 1.0)
+    size = float(np.sqrt(np.mean(np.diag(settings.of_row)[:3])))
+    scale = scale_freedom(found)
+    if not settings.trusted:
+        return Predictive(known.names, known.covariance, size * float(np.sqrt(ratio)), 0.0, scale, POINTS)
+    known_by = min(max(scale, 1.0), float(EXACT))
+    if ratio > f.isf(CHANCE, nu, known_by):
+        return Predictive(known.names, known.covariance, size * float(np.sqrt(ratio - 1.0)), size, scale, POINTS)
+    if np.isfinite(scale) and ratio > f.ppf(CHANCE, nu, known_by):
+        # A dozen repeats know the noise to a fifth, and hundreds of rows that a model agrees with to some per cent.
+        size *= float(np.sqrt((known_by + nu * ratio) / (known_by + nu)))
+        scale += nu
+    return Predictive(known.names, known.covariance, 0.0, size, scale, POINTS)
 
 
 @dataclass(frozen=True)

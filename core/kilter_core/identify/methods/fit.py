@@ -2,27 +2,208 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.errors import NotConvergedError
-from kilter_core.identify.estimate import estimate, prepare_problem
-from kilter_core.identify.fit.least_squares import Fit, build_fit
-from kilter_core.identify.fleet.believed import fit_with_fleet_prior
-from kilter_core.identify.methods.kalman import Prior
-from kilter_core.identify.methods.loads import ROUNDS, continue_fit, model_with_updated_loads
-from kilter_core.identify.methods.signs import (
-    SHARPENINGS,
-    likelier,
-    model_with_sharpened_signs,
-    model_with_softened_signs,
+from kilter_core.errors import CoreError, NotConvergedError, TooFewPosesError
+from kilter_core.identify.carried_masses import of_masses
+from kilter_core.identify.estimate import (
+    WEIGHT_PASSES,
+    estimate,
+    estimate_weights,
+    has_sigma_settled,
+    prepare_problem,
+    scatter,
 )
+from kilter_core.identify.fit.least_squares import Fit, Weights, build_fit, solve
+from kilter_core.identify.fit.prior_use import PriorUse
+from kilter_core.identify.fleet.conflict import LOOSE, assess_prior_conflict
+from kilter_core.identify.fleet.limited import required_prior_widening
+from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.registry import METHODS
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.types import Progress
+from kilter_core.model.load_errors import load_sign_blur
+from kilter_core.observations import Observations
+from kilter_core.parameters import TypePrior
+from kilter_core.types import Floats, Progress
+
+SHARPENINGS = 4
+CHANGED = 0.1  # of a width: less moves no sign that matters
+
+
+def model_with_softened_signs(fit: Fit) -> RobotModel | None:
+    """The model of a fit with signs as soft as the priors of the masses leave the loads; None where no sign is in doubt."""
+    problem = fit.problem
+    own = of_masses(problem.model)[problem.free]
+    if not own.any():
+        return None
+    model = problem.model
+    made = _as_soft(model, model, problem.measurement.observations, fit.values, np.diag(problem.prior_sigma[own] ** 2))
+    return made if np.any(_widths(made) > _widths(model)) else None
+
+
+def model_with_sharpened_signs(fit: Fit, sharp: RobotModel, reloaded: RobotModel | None) -> RobotModel | None:
+    """The model of a fit with signs as soft as its posterior of the masses leaves the loads; None where nothing changes.
+
+    ``sharp`` has the effects with widths of their own, below which none goes; ``reloaded`` is the model with its loads on
+    the chain that was fitted, where those differ.
+    """
+    problem = fit.problem
+    own = of_masses(problem.model)[problem.free]
+    known = fit.covariance[np.ix_(own, own)]
+    model = problem.model if reloaded is None else reloaded
+    made = _as_soft(model, sharp, problem.measurement.observations, fit.values, known)
+    before, after = _widths(problem.model), _widths(made)
+    return reloaded if np.all(np.abs(after - before) <= CHANGED * before) else made
+
+
+def likelier(one: Fit, other: Fit) -> bool:
+    """Whether the first fit is likelier than the other: by what each leaves of the rows, and by their priors."""
+    return _surprise(one) < _surprise(other)
+
+
+def _surprise(fit: Fit) -> float:
+    """Minus the logarithm of the posterior density, up to a constant, each noise group with the scatter that it shows."""
+    problem, left = fit.problem, scatter(fit)
+    moved = (fit.values[problem.free] - problem.prior_mean) / problem.prior_sigma
+    seen = sum(
+        float(np.count_nonzero(~np.isnan(block.r))) * math.log(max(left[block.group], TINY))
+        for block in fit.residual.blocks
+    )
+    return seen + 0.5 * float(moved @ moved)
+
+
+TINY = 1e-12
+
+
+def _as_soft(
+    model: RobotModel, sharp: RobotModel, rows: Observations, values: Floats, covariance: Floats
+) -> RobotModel:
+    batch = model.apply_load_errors(model.batch(rows), values)
+    soft = replace(batch, blur=load_sign_blur(model.effects, batch, covariance))
+    return replace(model, effects=tuple(effect.with_softened_signs(soft) for effect in sharp.effects))
+
+
+def _widths(model: RobotModel) -> Floats:
+    """Half-widths of the signs, N m, joint by joint of each effect that has one."""
+    n = model.robot.n_joints
+    found = (np.broadcast_to(effect.softening_nm, len(effect.acting(n)))
+             for effect in model.effects if hasattr(effect, "softening_nm"))  # fmt: skip
+    return np.concatenate([np.zeros(0), *found])
+
+
+def fit_with_fleet_prior(start: Calibration, options: IdentifyOptions, fitted: Callable[[Calibration], Fit]) -> Fit:
+    """Fit from ``start``, whose model has a type, by ``fitted``: without the type, to judge the arm, and then with it.
+
+    Raises:
+        CoreError: ``fleet_conflict``: the arm is not as its type, and these poses are too few without it.
+        NotConvergedError: no minimum found.
+
+    """
+    prior = start.model.of_type
+    assert prior is not None
+    alone = _alone(start, fitted)
+    if alone is None:
+        return _without_a_judge(start, prior, options, fitted)
+    use = assess_prior_conflict(alone, prior, options.noise_mm is not None)
+    if use.widened_by is None:
+        return replace(alone, prior_use=use)
+    use = _limit_prior_use(use, required_prior_widening(alone, _as_used(prior, use), use.noise))
+    return replace(fitted(_with_type_prior(start, _as_used(prior, use))), prior_use=use)
+
+
+def _limit_prior_use(use: PriorUse, by: float) -> PriorUse:
+    """The use of a prior that is taken wider still, so that it moves the arm by little enough."""
+    if use.widened_by is None or by <= 1.0:
+        return use
+    return replace(use, state="widened", widened_by=use.widened_by * by, limited_by=by)
+
+
+def _alone(start: Calibration, fitted: Callable[[Calibration], Fit]) -> Fit | None:
+    """The fit without the type; None where the poses are too few for one."""
+    try:
+        return fitted(_with_type_prior(start, None))
+    except (TooFewPosesError, NotConvergedError):
+        return None
+
+
+def _without_a_judge(
+    start: Calibration, prior: TypePrior, options: IdentifyOptions, fitted: Callable[[Calibration], Fit]
+) -> Fit:
+    """A fit of so few poses that none without the type stands beside it: judged by itself."""
+    fit = fitted(start)
+    use = assess_prior_conflict(fit, prior, options.noise_mm is not None)
+    if use.widened_by is None:
+        raise CoreError(
+            f"This arm is not as its type (chi-square {use.chi_square:.3g} in {use.compared} directions), and these poses "
+            "are too few to identify it without its type: measure more poses, and leave prior fleet out.",
+            code="fleet_conflict",
+            chi_square=use.chi_square,
+            compared=use.compared,
+        )
+    if use.state == "used":
+        return replace(fit, prior_use=use)
+    return replace(fitted(_with_type_prior(start, _as_used(prior, use))), prior_use=use)
+
+
+def _as_used(prior: TypePrior, use: PriorUse) -> TypePrior:
+    return prior.widen_parameters(use.odd, LOOSE).widen_by_factor(use.widened_by or 1.0)
+
+
+def _with_type_prior(start: Calibration, prior: TypePrior | None) -> Calibration:
+    return replace(start, model=replace(start.model, of_type=prior))
+
+
+ROUNDS = 3  # of loads: where the poses tell the chain, each moves it a hundredth as far as the one before
+# Norm of what new loads move of all rows, in sigmas: no parameter, nor any sum of them, moves by more than this share of
+# its own standard deviation.
+SETTLED = 0.1
+
+
+def model_with_updated_loads(fit: Fit) -> RobotModel | None:
+    """The model of a fit with its loads on the chain that was fitted; None where that moves nothing that counts."""
+    problem = fit.problem
+    if not any("moments" in effect.needs for effect in problem.model.effects):
+        return None
+    other = replace(problem, model=problem.model.with_loads_at_values(fit.values))
+    moved = np.linalg.norm(other.whitened_residuals(fit.values) - problem.whitened_residuals(fit.values))
+    return other.model if moved > SETTLED else None
+
+
+def continue_fit(fit: Fit, model: RobotModel, options: IdentifyOptions) -> Fit:
+    """Fit another ``model`` of the same parameters from where a fit ended, its weights following the residuals.
+
+    What that fit held stays held.
+
+    Raises:
+        NotConvergedError: no minimum found.
+
+    """
+    found = solve(replace(fit.problem, model=model), fit.values)
+    walked = found.iterations
+    for _ in range(WEIGHT_PASSES):
+        problem = found.problem
+        weights = estimate_weights(found, options)
+        if _are_weights_settled(weights, problem.weights):
+            break
+        found = solve(problem.with_weights(weights, problem.held), found.values, known=found.residual)
+        walked += found.iterations
+    return replace(found, iterations=walked)
+
+
+def _are_weights_settled(one: Weights, other: Weights) -> bool:
+    sizes = (float(np.mean(one.points)), float(np.mean(other.points)))
+    groups = ((sigma, float(other.group_sigma(group))) for group, sigma in one.others.items())
+    return (
+        has_sigma_settled(*sizes)
+        and has_sigma_settled(one.turns, other.turns)
+        and all(has_sigma_settled(*pair) for pair in groups)
+    )
 
 
 def fit_by_method(

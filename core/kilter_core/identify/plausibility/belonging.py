@@ -2,20 +2,149 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError
 from kilter_core.identify.plausibility.astray_rows import astray_warnings
-from kilter_core.identify.plausibility.lagging import lag_warnings
 from kilter_core.identify.plausibility.link_columns import refuse_foreign_links
-from kilter_core.identify.plausibility.marker_orders import refuse_feigned_turns
 from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.identify.plausibility.views.unrelated_views import refuse_unrelated_views
 from kilter_core.measurement import Measurement
+from kilter_core.measurement.marker_checks import alike_orders, format_exchanged_markers
+from kilter_core.measurement.marker_shape import fit_poses
+from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from kilter_core.observations.clock import read_clock
+from kilter_core.parameters import degrees, mm
+from kilter_core.transforms import rotation_log
+from kilter_core.types import Bools, Floats
+
+NEAR_RAD = np.radians(15.0)  # of the nominal robot; a swap feigns rotations of 60 degrees and more
+LARGE_RAD = np.radians(30.0)
+LEAST_ROWS = 6
+
+
+def refuse_feigned_turns(begin: Calibration, measurement: Measurement) -> None:
+    """Compare the rotation that each row's markers show with the robot's.
+
+    The markers' middle, which no swap moves, gives the base.
+
+    Raises:
+        ObservationError: ``markers_swapped``, with the first row and how many there are.
+
+    """
+    o, shape = measurement.observations, measurement.marker_points
+    if shape is None or o.markers_of_poses is None:
+        return
+    if np.count_nonzero(~np.isnan(o.markers_of_poses).any(axis=(1, 2))) < LEAST_ROWS:
+        return
+    orders = [(order, rotation) for order, rotation in alike_orders(shape) if _angle(rotation[None])[0] > LARGE_RAD]
+    if not orders:
+        return
+    rotations, usable = _tool_rotations(begin, measurement, shape, o.markers_of_poses)
+    reference = rotations[_most_common(rotations)]
+    off = _angle(reference.T @ rotations)
+    feigned = [np.flatnonzero(_angle((reference @ rotation).T @ rotations) < NEAR_RAD) for _, rotation in orders]
+    rows, order = max(
+        ((rows, order) for rows, (order, _) in zip(feigned, orders, strict=True)), key=lambda pair: len(pair[0])
+    )
+    if len(rows) and np.count_nonzero(off < NEAR_RAD) + len(rows) > 0.9 * len(rotations):
+        place = np.flatnonzero(usable)[rows]
+        raise ObservationError(
+            f"In {len(rows)} of {len(rotations)} rows, the first is row {place[0] + 1}, the markers show the tool rotated by "
+            f"{degrees(off[rows[0]]):.0f} degrees against the robot, as if markers {format_exchanged_markers(order)} "
+            "had changed places: "
+            "number them the same in all rows, and space them unevenly so that it is noticed at once.",
+            code="markers_swapped",
+            row=int(place[0]) + 1,
+            rows=len(rows),
+            order=[k + 1 for k in order],
+        )
+
+
+def _tool_rotations(
+    begin: Calibration, measurement: Measurement, shape: Floats, markers: Floats
+) -> tuple[Floats, Bools]:
+    """Rotation (K, 3, 3) of the marker shape on the flange in every usable row, by the robot as it begins."""
+    middle = Measurement.from_observations(_without_rotations(measurement, markers))
+    T_base, _ = register(begin.model, begin.values, middle)
+    _, rotation, usable = fit_poses(shape, markers)
+    bare = begin.model.in_frames(T_base, np.eye(4))
+    flange = bare.predict(measurement.observations, begin.values).rotation
+    return np.asarray(flange[usable].transpose(0, 2, 1) @ rotation[usable]), usable
+
+
+def _without_rotations(measurement: Measurement, markers: Floats) -> Observations:
+    seen = np.asarray(~np.isnan(markers).any(axis=(1, 2)))
+    o = measurement.observations.select(seen)
+    return replace(o, markers=None, tip=None, rotation=None, position=markers[seen].mean(axis=1))
+
+
+def _most_common(rotations: Floats) -> int:
+    """The row whose rotation most others share."""
+    some = np.arange(len(rotations))[:: max(1, len(rotations) // 200)]
+    return int(some[int(np.argmax([np.count_nonzero(_angle(rotations[k].T @ rotations) < NEAR_RAD) for k in some]))])
+
+
+def _angle(rotations: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(rotation_log(rotations), axis=1))
+
+
+EACH_SIDE = 4  # rows from each side that a joint needs
+CERTAIN = 5.0  # standard errors by which the two sides must differ
+LEAST = 2e-5  # rad or m between the two sides that is worth a word
+
+
+def lag_warnings(robot: Robot, rows: Observations) -> list[dict[str, Any]]:
+    """Say of which joints reading less command follows the direction of the motion, and by how much from side to side."""
+    if rows.command is None:
+        return []
+    apart = rows.q - rows.command
+    widths = np.array([_width(apart[:, j], side) for j, side in enumerate(_sides(rows).T)])
+    found = [int(j) for j in np.flatnonzero(np.abs(widths) > LEAST)]
+    if not found:
+        return []
+    shown = [
+        f"{mm(abs(widths[j])):.3g} mm" if robot.joints[j].kind == "prismatic" else f"{degrees(abs(widths[j])):.3g} deg"
+        for j in found
+    ]  # fmt: skip
+    said = ", ".join(f"joint {j + 1} by {size}" for j, size in zip(found, shown, strict=True))
+    return [
+        {
+            "code": "readings_follow_motion", "joints": [j + 1 for j in found],
+            "message": f"Reading less command differs between the two directions of motion: {said}. If the arm had not arrived "
+            "when its joints were read, or the log is late, this comes out as a backlash of those joints: read them at rest, "
+            "or upload the commands as q. If the arm stood still, its servos stop short and the readings are right.",
+        }
+    ]  # fmt: skip
+
+
+def _sides(rows: Observations) -> Floats:
+    """Direction (N, n) in which each joint moved last: as stated, else from the command of the row before."""
+    if rows.direction is not None:
+        return rows.direction
+    assert rows.command is not None
+    out = np.zeros_like(rows.q)
+    order = read_clock(rows).order
+    out[order[1:]] = np.sign(np.diff(rows.command[order], axis=0))
+    return out
+
+
+def _width(apart: Floats, side: Floats) -> float:
+    """Difference between the means of the two sides; 0 where it is not certain."""
+    there = np.isfinite(apart)
+    up, down = apart[there & (side > 0)], apart[there & (side < 0)]
+    if min(len(up), len(down)) < EACH_SIDE:
+        return 0.0
+    error = float(np.sqrt(np.var(up, ddof=1) / len(up) + np.var(down, ddof=1) / len(down)))
+    width = float(np.mean(up) - np.mean(down))
+    return width if abs(width) > CERTAIN * error else 0.0
+
 
 WAY_OUT = "If the rows are right all the same, upload them to a new campaign with --unchecked."
 # Refusals that judge how rows look, and may be wrong about them; all others say what rows are not.

@@ -8,7 +8,7 @@ import numpy as np
 
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.model import Calibration
-from kilter_core.model.closest_table import ClosestTable, zero_names
+from kilter_core.model.table_fit import ClosestTable, zero_names
 from kilter_core.types import QUANTILE, Bools, Floats
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
+from kilter_core.errors import CancelledError
 from kilter_core.observations import Observations
 from kilter_core.parameters import display_unit_and_scale
 from kilter_service.campaigns.store import renumber_poses_and_sessions
@@ -18,7 +20,6 @@ from kilter_service.contract.jobs.gap import GAP, GapOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_check, core_gap, core_wanted, holding_out, next_poses, of_type
 from kilter_service.ground.wire import to_metres
-from kilter_service.jobs.cancellable import cancellable
 from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.inputs.poses import Pose, poses_document
 from kilter_service.jobs.inputs.rows_of_campaigns import by_campaign
@@ -31,6 +32,61 @@ if TYPE_CHECKING:
     from kilter_core.gap import GapReport
     from kilter_core.gap.check import GapCheck
     from kilter_core.gap.of_type import KnownType
+
+T = TypeVar("T")
+
+LOOK_S = 0.25
+
+
+def cancellable(compute: Callable[[Progress], T], progress: Progress) -> T:
+    """Run ``compute(progress)`` in a thread and report its progress several times a second.
+
+    When the job is cancelled this raises at once; the thread ends when it reports progress the next time.
+
+    Raises:
+        CancelledError: the job was cancelled. Whatever ``compute`` raises.
+
+    """
+    work = _Work(compute)
+    thread = threading.Thread(target=work, name="cancellable", daemon=True)
+    thread.start()
+    try:
+        running = True
+        while running:
+            thread.join(LOOK_S)
+            running = thread.is_alive()
+            progress(*work.latest)
+    except BaseException:
+        work.stop.set()
+        raise
+    return work.outcome()
+
+
+class _Work(Generic[T]):
+    """The computation, how far it is, and how it ended."""
+
+    def __init__(self, compute: Callable[[Progress], T]) -> None:
+        self.stop = threading.Event()
+        self.latest = (0.0, "starting")
+        self._compute = compute
+        self._done: list[T] = []
+        self._error: BaseException | None = None
+
+    def __call__(self) -> None:
+        try:
+            self._done.append(self._compute(self._report))
+        except BaseException as error:  # raised again where it is waited for
+            self._error = error
+
+    def outcome(self) -> T:
+        if self._error is not None:
+            raise self._error
+        return self._done[0]
+
+    def _report(self, fraction: float, stage: str) -> None:
+        self.latest = (fraction, stage)
+        if self.stop.is_set():
+            raise CancelledError("The job was cancelled.")
 
 
 NOT_OF_THE_CORE = {"start", "limits", "prior"}

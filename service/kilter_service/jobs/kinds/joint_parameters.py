@@ -102,7 +102,7 @@ def _by_inclinometers(robot: Robot, log: Log) -> JobOutput:
     found, warnings = inclinometers.joint_parameters(robot, log)
     warnings += [_at_the_tool(robot.joints[j].name) for j in inclinometers.weightless_joints(robot)]
     result = {"measured_by": "inclinometer", "parameters": [_row(p) for p in found], "warnings": warnings}
-    return JobOutput(result, _content(inclinometers.as_calibration(robot, found), found, result))
+    return JobOutput(result, _content(inclinometers.calibration_from_inclinations(robot, found), found, result))
 
 
 def _by_encoders(job: JobInput) -> JobOutput:
@@ -117,7 +117,7 @@ def _by_encoders(job: JobInput) -> JobOutput:
         "joints": [_spreads(job.robot, joint, list(job.campaigns), list(held)) for joint in found],
         "warnings": [_dead(job.robot, joint) for joint in found if joint.dead is not None],
     }
-    return JobOutput(result, _content(link_encoders.as_calibration(job.robot, found), rows, result))
+    return JobOutput(result, _content(link_encoders.calibration_from_encoders(job.robot, found), rows, result))
 
 
 def _content(calibration: Calibration, found: list[JointParameter], result: dict[str, Any]) -> VersionContent:

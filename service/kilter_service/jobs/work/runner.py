@@ -8,39 +8,218 @@ import logging
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
 
 from kilter_core.errors import CancelledError, CoreError
+from kilter_core.observations.spread import evenly
 from kilter_service.ground.caller import on_behalf
+from kilter_service.ground.core import core_doubts, core_model, other_campaigns, predictive, set_up_changes
 from kilter_service.ground.db import Database, DatabaseAwayError, Session
 from kilter_service.ground.db.failures import in_words
+from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.failure_log import log_failure
 from kilter_service.ground.webhook import Webhook
+from kilter_service.ground.wire import to_mm
 from kilter_service.jobs import store
 from kilter_service.jobs.fan_out import FanOut, fan_out
 from kilter_service.jobs.fleet import store as fleet
 from kilter_service.jobs.fleet.comparison import compare_with_previous
 from kilter_service.jobs.foreign import store as foreign_rows
-from kilter_service.jobs.inputs.approaches import with_direction_warning
 from kilter_service.jobs.inputs.default_load import with_load_warning
-from kilter_service.jobs.inputs.laws_of_time import with_clock_warnings
-from kilter_service.jobs.inputs.limits_of_version import with_limits
+from kilter_service.jobs.inputs.plain import to_json_types
+from kilter_service.jobs.inputs.setups import LAID_AGAIN
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.claim import Claim
 from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import get_job_kind
-from kilter_service.jobs.work.can_correct import with_ability_warning
-from kilter_service.jobs.work.certificates import with_certificate_warnings
 from kilter_service.jobs.work.creeping import CreepingPosts
-from kilter_service.jobs.work.doubts import with_doubts
-from kilter_service.jobs.work.set_up_changes import with_set_up_warning
-from kilter_service.jobs.work.verdicts import verdict_message
+from kilter_service.versions import ability
+from kilter_service.versions.ability import CODE as CANNOT_CORRECT
 from kilter_service.versions.objections import objections_from_report
+from kilter_service.versions.predictions import preview
+from kilter_service.versions.suggested import WORKSPACE, suggest_limits
 from kilter_service.web.observability import logs, tracing
+
+if TYPE_CHECKING:
+    from kilter_core.errors import Finding
+    from kilter_core.observations import Observations
+    from kilter_service.jobs.kind import JobInput, JobOutput
+
+KINDS = ("identify", "gap")
+
+
+def with_set_up_warning(kind: str, output: JobOutput, job: JobInput) -> JobOutput:
+    """Add to result and version that tool or base differ between campaigns, and the option that gives each its own."""
+    if kind not in KINDS or output.version is None or job.options.refit:
+        return output
+    calibration = core_model.Calibration.from_document(job.robot, output.version.calibration)
+    campaigns = {
+        c: rows for c, rows in job.campaigns.items() if job.devices.get(c, "").strip().lower() not in LAID_AGAIN
+    }
+    sessions = {(c, s): part for c, rows in campaigns.items() for s, part in _sessions(rows).items()}
+    for parts, words in ((campaigns, "campaign"), (sessions, "session")):
+        change = set_up_changes.set_up_change(calibration, list(parts.values()))
+        if change is not None:
+            said = _sentence(change, words, ", ".join(job.names.get(c, c) for c in campaigns))
+            remark: dict[str, Any] = {"code": "set_up_changed", "message": said, "campaigns": list(campaigns)}
+            return output.with_warnings({**remark, "refit": list(change.which), "moved_mm": to_mm(change.moved)})
+    return output
+
+
+def _sessions(rows: Observations) -> dict[int, Observations]:
+    """The rows of each session, in ascending order; all of them where none is stated."""
+    if rows.session is None:
+        return {0: rows}
+    return {int(code): rows.select(rows.session == code) for code in np.unique(rows.session)}
+
+
+def _sentence(change: set_up_changes.SetUpChange, part: str, names: str) -> str:
+    which = " and ".join(change.which)
+    apart, left = f"{to_mm(change.moved):.2g} mm", f"{to_mm(change.apart):.2g} mm"
+    verb, own = ("lies", f"a {which}") if len(change.which) == 1 else ("lie", which)
+    return (
+        f"{names}: the {which} {verb} {apart} apart between {part}s. With {own} for each {part} {left} are left, "
+        f"{to_mm(change.together):.2g} mm with one for all. Identify with --refit {','.join(change.which)}."
+    )
+
+
+def with_clock_warnings(output: JobOutput, job: JobInput) -> JobOutput:
+    """Add to result and version which laws of time were not applied to which campaigns: those held out, or all of a check."""
+    held = {c: rows for c, rows in job.rows_by_campaign.items() if c not in job.campaigns}
+    if output.version is not None and held:
+        made = core_model.Calibration.from_document(job.robot, output.version.calibration)
+        output = output.with_warnings(*clock_remarks(made, held, job.names))
+    anew = {c: rows for c, rows in job.campaigns.items() if c not in job.made_from}
+    continued = output.version is not None and len(anew) < len(job.campaigns)
+    if job.calibration is None or continued:
+        return output
+    return output.with_warnings(*clock_remarks(job.calibration, anew, job.names))
+
+
+def clock_remarks(
+    calibration: core_model.Calibration, rows: dict[str, Observations], names: dict[str, str]
+) -> list[dict[str, Any]]:
+    """Return which laws of a version each campaign does without, the campaigns of one reason together."""
+    found: dict[tuple[str, ...], tuple[Finding, list[str]]] = {}
+    for campaign, seen in rows.items():
+        for one in other_campaigns.carried_findings(calibration.model.effects, seen):
+            reason = (one.code, one.only_said["laws"], one.only_said["steps"])
+            found.setdefault(reason, (one, []))[1].append(campaign)
+    return [
+        {
+            **one.to_document(other_campaigns.SENTENCES),
+            "campaigns": campaigns,
+            "message": f"{', '.join(names.get(c, c) for c in campaigns)}: {one.message(other_campaigns.SENTENCES)}",
+        }
+        for one, campaigns in found.values()
+    ]
+
+
+CAUSES = {"board_scale_differs", "camera_moved"}  # that wider limits or zeros entered in the controller do not mend
+MOST_POSES = 500  # looked at, evenly chosen
+
+
+def with_ability_warning(output: JobOutput, job: JobInput) -> JobOutput:
+    """Add to result and version that it refuses too many poses, with what helps; activation looks again."""
+    version = output.version
+    if version is None or not job.campaigns:
+        return output
+    if any(one.get("code") in CAUSES for one in version.report.get("warnings") or ()):
+        return output
+    q = np.concatenate([rows.q for rows in job.campaigns.values()])
+    q = q[evenly(len(q), MOST_POSES)]
+    calibration = core_model.Calibration.from_document(job.robot, version.calibration)
+    try:
+        found = preview.at_poses(calibration, None, version.limits, q)
+        objection = ability.of_poses(calibration, found, version.limits)
+    except (CoreError, ArithmeticError, ValueError):  # activation says so
+        return output
+    return output if objection is None else output.with_warnings(objection.model_dump())
+
+
+NEEDED = "direction"
+
+
+def with_direction_warning(kind: str, output: JobOutput, job: JobInput) -> JobOutput:
+    """Add to result and version that directions were derived, where the job looked at directions."""
+    derived = [campaign for campaign, rows in job.rows_by_campaign.items() if rows.directions_derived]
+    if not derived or not (kind == "gap" or _follows_directions(output, job)):
+        return output
+    names = ", ".join(job.names.get(campaign, campaign) for campaign in derived)
+    said = (
+        f"{names}: directions were derived from the order of the rows. State dir1 ... where another order was driven."
+    )
+    return output.with_warnings({"code": "directions_derived", "message": said, "campaigns": derived})
+
+
+def _follows_directions(output: JobOutput, job: JobInput) -> bool:
+    """Whether an effect of the version made, else of the version used, depends on the side a joint came from."""
+    if output.version is None:
+        return job.calibration is not None and NEEDED in job.calibration.model.needs
+    return NEEDED in core_model.Calibration.from_document(job.robot, output.version.calibration).model.needs
+
+
+def with_limits(output: JobOutput, job: JobInput) -> JobOutput:
+    """Set the limits of the version, and say in its report what it does within them."""
+    version = output.version
+    if version is None:
+        return output
+    calibration = core_model.Calibration.from_document(job.robot, version.calibration)
+    known = predictive.Predictive.from_document(version.covariance, version.report)
+    limits, workspace = suggest_limits(calibration, known, version.limits)
+    report = {**version.report, WORKSPACE: to_json_types(workspace)}
+    return replace(output, version=replace(version, limits=limits, report=report))
+
+
+SAID = ("version_id", "verdict", "sentence", "remedy", "p_value", "false_alarm")
+
+
+def verdict_message(
+    job: str, robot: str, used: Sequence[UsedRecord], result: Mapping[str, Any]
+) -> dict[str, Any] | None:
+    """Return what to post; None: all is well."""
+    if result.get("verdict") in (None, "ok"):
+        return None
+    causes = [{"name": one["name"], "words": one["words"]} for one in result.get("causes") or []]
+    return {
+        "event": "check", "job_id": job, "robot": robot, "campaigns": [one.id for one in used],
+        "at": utc_now().isoformat(), **{name: result.get(name) for name in SAID}, "causes": causes,
+    }  # fmt: skip
+
+
+def with_doubts(output: JobOutput, job: JobInput) -> JobOutput:
+    """Add to the version what its own report says against it, but for limits that are too small: its rows say that."""
+    version = output.version
+    if version is None:
+        return output
+    against = [one for one in objections_from_report(version.report, version.limits) if one.code != CANNOT_CORRECT]
+    doubts = [core_doubts.Doubt.everywhere(job.robot.n_joints, 0.0, one.message).to_document() for one in against]
+    if not doubts:
+        return output
+    document = {**version.calibration, "doubts": [*version.calibration.get("doubts", ()), *doubts]}
+    return replace(output, version=replace(version, calibration=document))
+
+
+def with_certificate_warnings(output: JobOutput, job: JobInput) -> JobOutput:
+    """Add to result and version what the certificates of the instruments have against the campaigns."""
+    return output.with_warnings(
+        *(
+            {
+                "code": one.code,
+                "message": f"{job.names.get(campaign, campaign)}: {one.message}",
+                "campaigns": [campaign],
+            }
+            for campaign, remarks in job.certificates.items()
+            for one in remarks
+        )
+    )
+
 
 log = logging.getLogger("kilter.worker")
 

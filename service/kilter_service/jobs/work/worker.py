@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import os
 import signal
@@ -9,7 +10,9 @@ import socket
 import threading
 import time
 import uuid
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +26,67 @@ from kilter_service.ground.settings import Settings
 from kilter_service.ground.webhook import Webhook
 from kilter_service.jobs.fan_out import fan_out
 from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.lease.single_worker_lock import single_worker_lock
-from kilter_service.jobs.lease.watch import Watch
 from kilter_service.jobs.registry import KINDS
 from kilter_service.jobs.retention.service import Retention
 from kilter_service.jobs.work.creeping import CreepingPosts
 from kilter_service.jobs.work.queue_consumer import QueueConsumer
 from kilter_service.jobs.work.runner import Runner
 from kilter_service.web.health import store as health
+
+LOOK_S = 0.1
+
+
+@contextmanager
+def single_worker_lock(database_file: Path, wait_s: float) -> Iterator[None]:
+    """Hold the lock beside the database file.
+
+    Raises:
+        ServiceError: another process still holds it after ``wait_s``; one that was asked to stop needs a moment.
+
+    """
+    database_file.parent.mkdir(parents=True, exist_ok=True)
+    deadline = time.monotonic() + wait_s
+    with database_file.with_name(f"{database_file.name}.worker.lock").open("w", encoding="ascii") as file:
+        while not _try_lock(file.fileno()):
+            if time.monotonic() > deadline:
+                raise ServiceError(
+                    f"Another process runs the jobs of {database_file} (a `kilterd worker`, or the one of `kilterd "
+                    "serve`), and a SQLite database has one only. Stop it first; for several workers set "
+                    "KILTER_DATABASE_URL to a PostgreSQL database.",
+                    code="jobs_taken",
+                )
+            time.sleep(LOOK_S)
+        yield
+
+
+def _try_lock(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+class Watch:
+    """Sees heartbeats change, or not."""
+
+    def __init__(self, silent_after_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._after, self._clock = silent_after_s, clock
+        self._seen: dict[str, tuple[datetime, float]] = {}
+
+    def silent(self, beats: Mapping[str, datetime]) -> dict[str, datetime]:
+        """Return the workers whose heartbeat has not changed for long, and that heartbeat."""
+        time_s = self._clock()
+        for name, at in beats.items():
+            if name not in self._seen or self._seen[name][0] != at:
+                self._seen[name] = (at, time_s)
+        self._seen = {name: seen for name, seen in self._seen.items() if name in beats}
+        return {name: at for name, (at, since) in self._seen.items() if time_s - since > self._after}
+
+    def forget(self) -> None:
+        """Begin anew: nobody could write a heartbeat while the database was away."""
+        self._seen = {}
+
 
 log = logging.getLogger("kilter.worker")
 

@@ -15,11 +15,11 @@ from pyarrow import parquet
 
 from kilter_files import prepare
 from kilter_files.formats.reader import Head
-from kilter_files.formats.registry import readers, refuse_stranger
+from kilter_files.formats.registry import all_readers, refuse_stranger
 from kilter_files.formats.unknown.guess import Columns
 from kilter_files.formats.unknown.table_shape import detect_table_shape
 from kilter_files.ground.errors import FileError, KilterError, MissingPackageError
-from kilter_files.look.draft import draft
+from kilter_files.look.drafts import draft
 from kilter_files.look.inspection import inspect
 from kilter_service.ground.processes.sandbox import confine
 
@@ -139,7 +139,7 @@ def _inspect_file(path: Path) -> Document:
 
 def _describe_kind(seen: Document) -> Document:
     """What a file that is read as it is looks like, in words. A reader of a device states units and columns itself."""
-    known = readers().get(seen["kind"])
+    known = all_readers().get(seen["kind"])
     return ({} if known is None else {"kind": known.title}) | ({"remarks": []} if seen["device"] else {})
 
 
@@ -187,7 +187,7 @@ def _describe_source_columns(path: Path) -> Document:
     columns = Columns(detect_table_shape(path))
     rows = len(columns.shape.source.lines)
     return {
-        "kind": readers()[columns.shape.form].title,
+        "kind": all_readers()[columns.shape.form].title,
         "source": [_describe_column(columns, name, rows) for name in columns.names[:MOST_COLUMNS]],
         "more": max(0, len(columns.names) - MOST_COLUMNS),
     }

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse
 
+from kilter_core.errors import CoreError
+from kilter_service.campaigns import looking
+from kilter_service.campaigns.facts import facts
+from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.page.drop import reading, rig, service
+from kilter_service.ground.processes import sandbox
+from kilter_service.ground.processes.sandbox import Ended, Limits
+from kilter_service.ground.tables.columns import has
+from kilter_service.page.drop import rig, service
 from kilter_service.page.drop.drafts import Draft, Drafts, plain_name
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import proposing
@@ -26,6 +34,84 @@ from kilter_service.web.concurrency import compute
 from kilter_service.web.logins import service as logins
 from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
 from kilter_service.web.tokens.service import hash_secret
+
+CHILD = "kilter_service.page.drop.child"
+LIMITS = Limits(seconds=60, memory_mb=2048, output_mb=512)
+MOST_SAID = 32 << 20
+MOST_REFUSAL = 2000
+WRITTEN = ("understood.json", "rows")
+NOTHING: dict[str, Any] = {
+    "kind": "", "reader": "", "map": "", "more": 0, "open": [], "guessed": [], "unused": [], "notes": [], "warnings": [],
+    "remarks": [], "source": [], "lines": [],
+}  # fmt: skip
+ELSEWHERE = "`kilter upload` reads it on your own machine, without these limits."
+
+
+def read(database: Database, draft: Draft) -> None:
+    """Read a draft as it says; what is wrong with it is kept as its refusal."""
+    with draft.turn:
+        draft.facts, draft.refusal, draft.pixels = None, "", False
+        draft.understood = NOTHING | _understood(draft, _joints(database, draft.robot))
+        draft.refusal = str(draft.understood.get("refusal") or "")[:MOST_REFUSAL]
+        if "sha256" in draft.understood and not draft.refusal:
+            _assess_rows(database, draft)
+
+
+def _joints(database: Database, robot: str) -> list[str]:
+    """Return the robot's joint names; the prismatic ones end in ``:m``, as the readers of files take them."""
+    return [one.name + (":m" if one.kind == "prismatic" else "") for one in robots.get(database, robot).joints]
+
+
+def _understood(draft: Draft, joints: list[str]) -> dict[str, Any]:
+    for name in WRITTEN:
+        (draft.folder / name).unlink(missing_ok=True)
+    asked = json.dumps({"file": draft.name, "read_as": draft.read_as, "joints": joints})
+    (draft.folder / "asked.json").write_text(asked, encoding="utf-8")
+    ended = sandbox.run(CHILD, draft.folder, [], LIMITS)
+    said = draft.folder / "understood.json"
+    if ended.code != 0 or not said.exists() or said.stat().st_size > MOST_SAID:
+        return {"refusal": f"{draft.name} {_describe_reader_failure(ended)}", "map": _kept_map(draft)}
+    found: dict[str, Any] = json.loads(said.read_bytes())
+    return {"map": _kept_map(draft)} | found
+
+
+def _kept_map(draft: Draft) -> str:
+    return draft.map.read_text(encoding="utf-8") if draft.map.exists() else ""
+
+
+def _describe_reader_failure(ended: Ended) -> str:
+    if ended.late:
+        return f"took longer than {LIMITS.seconds} s to read: leave out what was not measured, or split it. {ELSEWHERE}"
+    if ended.lacked_memory:
+        return (
+            f"takes more than {LIMITS.memory_mb >> 10} GB of memory to read: leave out what was not measured, or split it. "
+            + ELSEWHERE
+        )
+    return "cannot be read: its reader ended before it was done. The file is damaged; export it again."
+
+
+def reassess_rows(database: Database, draft: Draft) -> None:
+    """Look at the rows of a draft with the cameras and boards that were given since."""
+    with draft.turn:
+        if "sha256" in draft.understood:
+            _assess_rows(database, draft)
+
+
+def _assess_rows(database: Database, draft: Draft) -> None:
+    try:
+        rows, refused, belong = looking.of_file(
+            database, draft.robot, draft.rows, draft.understood["media"], draft.rig or None
+        )
+    except CoreError as error:
+        draft.refusal = error.message
+        return
+    draft.pixels = has(rows.columns, "pixel_u")
+    draft.refusal = refused or (rig.MISSING if draft.pixels and not draft.rig else "")
+    try:
+        draft.facts = facts(rows, belong)
+    except CoreError as error:
+        draft.refusal = error.message
+
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 BODY = {"requestBody": {"required": True}}  # the endpoint receives the file itself
@@ -60,7 +146,7 @@ async def drop_file(
     with drafts.in_use(draft):
         try:
             draft.file_sha256 = await spool_upload(request, draft.file, settings.max_upload_mb)
-            await compute(request, reading.read, database, draft)
+            await compute(request, read, database, draft)
         except BaseException:
             drafts.discard(draft)
             raise
@@ -111,7 +197,7 @@ async def cameras(
     body = await parse_json(await read_document(request, settings.max_document_mb))
     with _drafts(request).in_use(found):
         await run_in_threadpool(rig.add_to_draft, found, plain_name(name[:500]), body)
-        await compute(request, reading.reassess_rows, database, found)
+        await compute(request, reassess_rows, database, found)
     return JSONResponse({"address": f"{_place(request, found)}{_job_query(found)}"})
 
 
@@ -167,7 +253,7 @@ async def _reread_and_render(
             choose()
         except ServiceError as error:
             return await run_in_threadpool(_render_draft, request, database, draft, UNDERSTOOD, error.message)
-        await compute(request, reading.read, database, draft)
+        await compute(request, read, database, draft)
     return await run_in_threadpool(_render_draft, request, database, draft, UNDERSTOOD)
 
 

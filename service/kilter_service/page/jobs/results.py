@@ -8,11 +8,30 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from kilter_service.contract.jobs.evaluate import EvaluateJob, EvaluateResult
 from kilter_service.contract.jobs.registry import KINDS, Job
 from kilter_service.contract.jobs.shared import MadeVersion
 from kilter_service.ground.db import Database
 from kilter_service.page.gap import service as story
-from kilter_service.page.jobs import evaluation, identification, planned
+from kilter_service.page.jobs import identification, planned, stages
+from kilter_service.page.jobs.version_names import version_name
+
+EVALUATED = {"After": "Evaluated"}  # it may be older than the rows, or the nominal robot itself
+
+
+def result_context(database: Database, job: EvaluateJob) -> dict[str, Any]:
+    """Return what ``jobs/evaluate.html`` shows."""
+    result = job.result or EvaluateResult()
+    return {
+        "result": result,
+        "version": result.version_id,
+        "called": version_name(database, result.version_id),
+        "campaigns": [
+            (name, errors, stages.bars(errors, f"campaign {name}", EVALUATED))
+            for name, errors in (result.metrics or {}).items()
+        ],
+    }
+
 
 Shown = Callable[[Database, Any], dict[str, Any]]
 
@@ -56,7 +75,7 @@ PLAIN = Result("jobs/plain.html", default_context)
 RESULTS: dict[str, Result] = {
     "identify": Result("jobs/identify.html", identification.result_context),
     "gap": Result("gap/result.html", story.result_context),
-    "evaluate": Result("jobs/evaluate.html", evaluation.result_context),
+    "evaluate": Result("jobs/evaluate.html", result_context),
     "plan": Result("jobs/plan.html", planned.result_context),
 }
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import hmac
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,17 +13,42 @@ from kilter_service.contract.jobs.registry import KINDS, Job, JobCheck, NewJob
 from kilter_service.contract.jobs.shared import MadeVersion
 from kilter_service.ground.core import registry
 from kilter_service.ground.db import Database
+from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.jobs import checking
 from kilter_service.jobs import service as jobs
 from kilter_service.jobs.registry import get_job_kind
-from kilter_service.page.jobs import form, options, seal
+from kilter_service.page.jobs import form, options
 from kilter_service.page.jobs.results import get_result_view
 from kilter_service.page.shared import lists
 from kilter_service.page.shared.listed_jobs import KINDS as TITLES
 from kilter_service.page.shared.listed_jobs import page_of_jobs
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
+
+
+def compute_job_seal(database: Database, key: str, job: NewJob) -> str:
+    """Return the seal of a job and its campaigns as they are now."""
+    held = job.validation if isinstance(job.validation, list) else []
+    used = [*job.campaigns, *held, *job.confirmation]
+    state = [campaigns.get(database, campaign).model_dump(mode="json") for campaign in used]
+    text = json.dumps([job.model_dump(mode="json"), state], sort_keys=True)
+    return hmac.new(key.encode(), b"check of a job\n" + text.encode(), hashlib.sha256).hexdigest()
+
+
+def demand(database: Database, key: str, job: NewJob, given: str) -> None:
+    """Refuse a job that was not checked as it is.
+
+    Raises:
+        ServiceError: no check passed for these inputs, or a campaign has changed since.
+
+    """
+    if not hmac.compare_digest(compute_job_seal(database, key, job).encode(), given.encode()):
+        raise ServiceError(
+            "No check has passed for exactly these inputs, or a campaign has changed since: press Check, then Run.",
+            code="option_invalid",
+        )
+
 
 MOST_JOBS = 50
 MOST_OFFERED, MOST_SOUGHT = 8, 20  # campaigns beside those that are preset, and of a search
@@ -77,7 +105,7 @@ def effects_in_words() -> dict[str, str]:
 
 def check_and_seal(database: Database, key: str, job: NewJob) -> tuple[JobCheck, str]:
     """Return the check of a job, and its seal if it would run, else an empty one."""
-    given = seal.compute_job_seal(database, key, job)  # of the campaigns as they were before the check read them
+    given = compute_job_seal(database, key, job)  # of the campaigns as they were before the check read them
     found = checking.check(database, job)
     return found, given if found.would_run else ""
 
@@ -89,7 +117,7 @@ def run(database: Database, key: str, job: NewJob, given: str) -> Job:
         ServiceError: it was not checked as it is.
 
     """
-    seal.demand(database, key, job, given)
+    demand(database, key, job, given)
     return jobs.submit(database, job)
 
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import Annotated
 
 from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse
 
+from kilter_service.contract.drift import NewRepair
 from kilter_service.contract.meshes import MeshUnit
 from kilter_service.contract.references import RobotChange
 from kilter_service.contract.units import ControllerCompensation
+from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.limits import MAX_MESH_MB
 from kilter_service.page.robot import pose as asked_pose
-from kilter_service.page.robot import repairs as stated_repairs
 from kilter_service.page.robot import scene, service
 from kilter_service.page.robot import settings as settled
 from kilter_service.page.route import PageRoute
@@ -25,6 +27,36 @@ from kilter_service.web.auth.access import Admin
 from kilter_service.web.bodies import MESH, spool_upload
 from kilter_service.web.concurrency import compute
 from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
+
+LONGEST = 200  # letters of what was done
+LONGEST_DATE = 40
+
+
+def parse_repair(what: str, at: str) -> NewRepair:
+    """Read what was done, and when, in UTC; an empty ``at`` is now.
+
+    Raises:
+        ServiceError: it does not say what was done, or the date is none.
+
+    """
+    if not what.strip():
+        raise ServiceError("Say what was done, as: gear of joint 3 replaced.", code="payload_invalid", field="what")
+    return NewRepair(what=what.strip(), at=_moment(at.strip()))
+
+
+def _moment(text: str) -> datetime | None:
+    if not text:
+        return None
+    try:
+        found = datetime.fromisoformat(text)
+    except ValueError:
+        raise ServiceError(
+            f"{text!r} is not a date and a time: give it as 2026-11-18T14:30, in UTC, or leave it empty for now.",
+            code="payload_invalid",
+            field="at",
+        ) from None
+    return found.replace(tzinfo=UTC) if found.tzinfo is None else found
+
 
 router = APIRouter(include_in_schema=False, route_class=PageRoute)
 BODY = {"requestBody": {"required": True}}  # the endpoint receives the file itself
@@ -80,11 +112,11 @@ def compensation(
 @router.post("/robots/{robot}/repairs")
 def add_repair(
     robot: str, database: DatabaseOfApp, actor: Admin,
-    what: Annotated[str, Form(max_length=stated_repairs.LONGEST)] = "",
-    at: Annotated[str, Form(max_length=stated_repairs.LONGEST_DATE)] = "",
+    what: Annotated[str, Form(max_length=LONGEST)] = "",
+    at: Annotated[str, Form(max_length=LONGEST_DATE)] = "",
 ) -> Response:  # fmt: skip
     """Record what was done to an arm."""
-    repairs.add(database, robot, stated_repairs.parse_repair(what, at), actor)
+    repairs.add(database, robot, parse_repair(what, at), actor)
     return Response(status_code=204, headers=ANEW)
 
 

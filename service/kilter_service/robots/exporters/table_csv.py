@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,17 +15,137 @@ from kilter_core.arm.conversions.tables import angles_and_lengths
 from kilter_core.arm.robot import STANDARD_GRAVITY
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.uncertainty.zero_offsets import known_zeros
-from kilter_core.model.closest_table import ClosestTable, closest_table
-from kilter_core.transforms import xyz_rpy_from_pose
+from kilter_core.model.table_fit import ClosestTable, closest_table
+from kilter_core.transforms import rotation_between, xyz_rpy_from_pose
 from kilter_service.ground.texts import text_cell
-from kilter_service.robots.exporters.changes import change_comments
 from kilter_service.robots.exporters.exportable import Exportable, Written
 from kilter_service.robots.exporters.omissions import distance, left_out, masses_as_stated
 from kilter_service.robots.exporters.urdf_words import away_from_the_cut
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from kilter_core.arm.conventions import Row
     from kilter_core.arm.robot import Joint, Link
+    from kilter_core.identify.uncertainty.zero_offsets import KnownZeros
+    from kilter_core.model.table_fit import ClosestTable
+
+ZERO_SIGN = (
+    "Zero offsets: what a joint really has beyond its reading (real = reading + offset). A controller that adds its offset "
+    "takes the number as it is, one that subtracts it the negative. Enter either these and the table's nominal "
+    "theta_offset_deg (d_mm of a prismatic joint), or the table as it is, never both."
+)
+
+
+ZERO_STATES = (
+    "States of zeros: known, the 95 % interval leaves 0 out; uncertain, it does not; held, the zero was not identified "
+    "or is shared with base or tool; unstated, the version does not say how well it is known; shared, it goes with other "
+    "numbers of the table, and a nominal arm with it entered is farther from the real one: take the table as it is."
+)
+
+
+class Change(NamedTuple):
+    """A number of the table: nominal, as exported, and the difference; None of an angle that says one rotation with others."""
+
+    where: str
+    name: str
+    nominal: float
+    exported: float
+    difference: float | None
+
+
+def changes(table: ClosestTable, joints: Sequence[Joint]) -> Iterator[Change]:
+    """Every number of base, rows and tool."""
+    yield from _of_frame("base", table.nominal_base, table.base)
+    for joint, nominal, row in zip(joints, table.nominal, table.rows, strict=True):
+        before = dict(angles_and_lengths(nominal))
+        for name, value in angles_and_lengths(row):
+            if value is not None:
+                apart = value - (before[name] or 0.0)
+                turns = name.endswith("_deg")
+                yield Change(
+                    joint.name, name, before[name] or 0.0, value, math.remainder(apart, 360.0) if turns else apart
+                )
+    yield from _of_frame("tool", table.nominal_tool, table.tool)
+
+
+class ZeroOffset(NamedTuple):
+    """How far a joint's zero is off, in ``unit``, with the half width of its 95 % interval; NaN where nobody knows it."""
+
+    joint: str
+    unit: str
+    offset: float
+    half_width: float
+    held: bool
+    shared: bool = False
+
+    @property
+    def state(self) -> str:
+        """``known``: the interval leaves 0 out; ``uncertain``; ``held``: not identified; ``unstated``; ``shared``: keep out."""
+        if self.shared:
+            return "shared"
+        if self.held:
+            return "held"
+        if math.isnan(self.half_width):
+            return "unstated"
+        return "known" if abs(self.offset) > self.half_width else "uncertain"
+
+
+def zero_offsets(table: ClosestTable, joints: Sequence[Joint], known: KnownZeros | None) -> Iterator[ZeroOffset]:
+    """How far each joint's zero is off, and how well that is known."""
+    numbers = {joint.name: k for k, joint in enumerate(joints)}
+    wanted = {joint.name: "d_mm" if joint.kind == "prismatic" else "theta_offset_deg" for joint in joints}
+    for change in changes(table, joints):
+        if wanted.get(change.where) == change.name and change.difference is not None:
+            k, unit = numbers[change.where], change.name.rpartition("_")[2]
+            half = math.nan if known is None else float(known.half_width[k])
+            half = 1e3 * half if unit == "mm" else math.degrees(half)
+            held, shared = known is not None and bool(known.held[k]), table.shared is not None and bool(table.shared[k])
+            yield ZeroOffset(change.where, unit, change.difference, half, held, shared)
+
+
+def change_comments(table: ClosestTable, joints: Sequence[Joint], known: KnownZeros | None) -> Iterator[str]:
+    """Both as comments of a table."""
+    if table.zeros is None:
+        yield (
+            "Numbers, nominal and exported. The rows have another form than the nominal ones: what lies between two of their "
+            "numbers says nothing of the arm, only the poses of all of them do."
+        )
+    else:
+        yield "Numbers, nominal and exported; what the measurements do not tell is as the version has it, which is nominal."
+    for change in changes(table, joints):
+        numbers = f"nominal={_format_rounded(change.nominal)} exported={_format_rounded(change.exported)}"
+        apart = "" if change.difference is None else f" difference={_format_rounded(change.difference)}"
+        yield f"number {_word(change.where)} {change.name} {numbers}{apart}"
+    yield ZERO_SIGN
+    yield ZERO_STATES
+    for one in zero_offsets(table, joints, known):
+        half = "" if math.isnan(one.half_width) else f" half_width_{one.unit}={_format_rounded(one.half_width)}"
+        yield f"zero_offset {_word(one.joint)} {one.unit}={_format_rounded(one.offset)}{half} state={one.state}"
+
+
+def _of_frame(where: str, nominal: NDArray[np.float64], exported: NDArray[np.float64]) -> Iterator[Change]:
+    """The numbers of a frame, of its angles those next to the nominal ones, and by how much it is rotated."""
+    xyz, rpy = xyz_rpy_from_pose(nominal)
+    rpy = away_from_the_cut(rpy)
+    moved, turned = xyz_rpy_from_pose(exported, rpy)
+    for axis, before, now in zip("xyz", 1e3 * xyz, 1e3 * moved, strict=True):
+        yield Change(where, f"{axis}_mm", float(before), float(now), float(now - before))
+    for axis, before, now in zip("xyz", np.degrees(rpy), np.degrees(turned), strict=True):
+        yield Change(where, f"r{axis}_deg", float(before), float(now), None)
+    angle = math.degrees(rotation_between(nominal, exported))
+    yield Change(where, "rotation_deg", 0.0, angle, angle)
+
+
+def _format_rounded(value: float) -> str:
+    """A number for a person: a millionth of a millimetre or degree is rounding."""
+    return f"{round(value, 6) + 0.0:.6f}".rstrip("0").rstrip(".")
+
+
+def _word(name: str) -> str:
+    """A name without blanks or line ends: the comment stays one line of words."""
+    return "_".join(name.split())
+
 
 MASSES = ("mass_kg", "com_x_mm", "com_y_mm", "com_z_mm")
 INERTIA = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}

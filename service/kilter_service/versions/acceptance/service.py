@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from kilter_core.errors import TooFewPosesError
@@ -19,7 +19,6 @@ from kilter_service.robots import store as robots
 from kilter_service.robots.instruments import store as instruments
 from kilter_service.robots.instruments.validity import remarks
 from kilter_service.versions import store as versions
-from kilter_service.versions.acceptance import words
 from kilter_service.versions.acceptance.rows import judge_rows, of_another_arm, sample_places_and_errors, span
 from kilter_service.versions.as_it_was import AsItWas
 from kilter_service.versions.predictions.unfitted_rows import Archive
@@ -33,6 +32,69 @@ if TYPE_CHECKING:
     from kilter_service.contract.instruments import Instrument
     from kilter_service.versions.acceptance.rows import Judged
     from kilter_service.versions.predictions.unfitted_rows import Unseen
+
+RULE = (
+    "ISO 14253-1: accepted where every measured error and its guard band are within the tolerance, rejected where one is "
+    "beyond it by its guard band, else neither is proved. The guard band is the expanded uncertainty of the measured error, "
+    "k = 2."
+)
+WHY = {
+    "repeatability": "no pose was visited twice among the rows that were fitted, or, where a camera or a contact measured "
+    "those, among these rows, so the scatter of readings is not part of the guard band",
+    "temperature": "the temperature was not measured, so growth is not part of the guard band",
+}
+
+
+def sentence(
+    decision: Decision, tolerance_mm: float, rows: int, worst: JudgedCampaign, provable_mm: float, lacking: list[Remark]
+) -> str:
+    """Say what was decided and by which row."""
+    row = (
+        f"row {worst.row} of {worst.name} has {worst.error_mm:.3g} mm with a guard band of {worst.guard_band_mm:.3g} mm"
+    )
+    if decision == "accepted":
+        return f"Accepted: all {rows} held-out rows prove {tolerance_mm:g} mm; the worst, {row}."
+    if decision == "rejected":
+        return f"Rejected: {row}, beyond {tolerance_mm:g} mm by more than that."
+    if lacking:
+        return f"Neither is proved: {lacking[0].message}"
+    return f"Neither is proved: {row}; {tolerance_mm:g} mm is within that band. These rows prove {provable_mm:.3g} mm."
+
+
+def missing_evidence_remarks(campaign: JudgedCampaign, certificate: list[Remark]) -> Iterator[Remark]:
+    """Say why rows prove nothing, whatever their numbers."""
+    if campaign.instrument is None:
+        message = (
+            f"campaign {campaign.name} names no instrument, so the guard band lacks its error. Add it "
+            "(`kilter instrument add`) and name it: `kilter accept --instrument NAME`."
+        )
+        yield Remark(code="instrument_not_named", message=message, campaigns=[campaign.id])
+    yield from (one.model_copy(update={"campaigns": [campaign.id]}) for one in certificate)
+
+
+def guard_band_warnings(campaign: JudgedCampaign) -> Iterator[Remark]:
+    """Say what the guard band lacks."""
+    for source in campaign.budget.not_assessed:
+        if source in WHY:
+            message = f"Campaign {campaign.name}: {WHY[source]}."
+            yield Remark(code=f"{source}_not_assessed", message=message, campaigns=[campaign.id])
+
+
+def too_few(campaign: str) -> str:
+    """Say that a campaign has too few poses to be judged, and what helps."""
+    return (
+        f"Campaign {campaign} has too few distinct poses to be judged: before and after are compared with base and tool "
+        "fitted to it, which takes three, better ten all over the room. Measure more, or name other campaigns (--campaign)."
+    )
+
+
+def another_arm(campaign: str) -> str:
+    """Say that rows may be of another arm, and what helps."""
+    return (
+        f"campaign {campaign} misses the version by more than 2 % of the arm's reach, and no one cause explains it: its rows "
+        f"are of another arm or set-up, or the arm is far off. Where they are not of this arm, take it out of use (`kilter "
+        f"campaigns retire {campaign}`); else name it, and it is judged (`kilter accept --campaign {campaign}`)."
+    )
 
 
 class Wish(NamedTuple):
@@ -76,11 +138,11 @@ def of_robot(database: Database, robot: str, wish: Wish) -> Acceptance:
     low, high = _span(parts)
     return Acceptance(
         robot=robot, robot_sha256=stored.sha256, version_id=version_id, version_name=version.name,
-        version_sha256=version.sha256, tolerance_mm=wish.tolerance_mm, decision=decision, rule=words.RULE,
-        sentence=words.sentence(decision, wish.tolerance_mm, rows, worst, provable, lacking), rows=rows,
+        version_sha256=version.sha256, tolerance_mm=wish.tolerance_mm, decision=decision, rule=RULE,
+        sentence=sentence(decision, wish.tolerance_mm, rows, worst, provable, lacking), rows=rows,
         provable_mm=provable, span_mm={axis: (low[k], high[k]) for k, axis in enumerate("xyz")},
         campaigns=[one.campaign for one in parts], lacking=lacking,
-        warnings=[*left_out, *(said for one in parts for said in words.guard_band_warnings(one.campaign))],
+        warnings=[*left_out, *(said for one in parts for said in guard_band_warnings(one.campaign))],
     )  # fmt: skip
 
 
@@ -150,13 +212,13 @@ def _judge_campaigns(
             found = _judge_campaign_rows((calibration, known, key in own), rows, unseen.places[key], used, wish)
         except TooFewPosesError as error:
             if wish.campaigns:
-                raise TooFewPosesError(words.too_few(key), campaign=key) from error
-            left_out.append(Remark(code="campaign_not_judged", message=words.too_few(key), campaigns=[key]))
+                raise TooFewPosesError(too_few(key), campaign=key) from error
+            left_out.append(Remark(code="campaign_not_judged", message=too_few(key), campaigns=[key]))
             continue
         if found is None:
             continue
         if not wish.campaigns and of_another_arm(calibration, known, rows, found):
-            foreign.append(Remark(code=core_watch_check.ANOTHER_ARM, message=words.another_arm(key), campaigns=[key]))
+            foreign.append(Remark(code=core_watch_check.ANOTHER_ARM, message=another_arm(key), campaigns=[key]))
             continue
         parts.append(_build_part(session, key, found, used, wish.refit or ()))
     return parts, left_out, foreign
@@ -209,7 +271,7 @@ def _decision(parts: Sequence[Part], foreign: Sequence[Remark]) -> tuple[Decisio
     """
     lacking = [
         *foreign,
-        *(said for one in parts for said in words.missing_evidence_remarks(one.campaign, one.certificate)),
+        *(said for one in parts for said in missing_evidence_remarks(one.campaign, one.certificate)),
     ]
     if lacking:
         return "not_proved", parts[0].campaign, lacking

@@ -15,6 +15,7 @@ from kilter_service.contract.drift import (
     DriftList,
     DriftMark,
     DriftSummary,
+    Mark,
     Repair,
     State,
 )
@@ -23,9 +24,40 @@ from kilter_service.ground.db.row import days_since
 from kilter_service.robots import store as robots
 from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions.drift import store
-from kilter_service.versions.drift import wire_history as wire
 from kilter_service.versions.drift.charts import FALSE_ALARM, RUN_LENGTH, KeptCharts, height
 from kilter_service.versions.drift.records import Activated, StoredCheck
+
+
+def check(one: StoredCheck) -> CheckOfRobot:
+    """Say what a check said."""
+    return CheckOfRobot(
+        job_id=one.job_id,
+        campaign_id=one.campaign_id,
+        version_id=str(one.result["version_id"]),
+        at=one.at,
+        verdict=one.result["verdict"],
+        sentence=str(one.result["sentence"]),
+        p_value=float(one.result["p_value"]),
+        temperature_c=one.result.get("temperature_c"),
+        whole=one.whole,
+    )
+
+
+def mark(one: Activated) -> DriftMark:
+    """Say what was done to a robot's version."""
+    what: Mark = "rolled back" if one.action == "rollback" else "re-zeroed" if one.rezeroed else "activated"
+    return DriftMark(at=one.at, what=what, version_id=one.version_id)
+
+
+def repair(one: Repair) -> DriftMark:
+    """Say what somebody did to the arm."""
+    return DriftMark(at=one.at, what="repair", version_id="", note=one.what, repair_id=one.id)
+
+
+def valid_again_mark(first: StoredCheck) -> DriftMark:
+    """Say that a version holds again since a check."""
+    return DriftMark(at=first.at, what="repaired", version_id=str(first.result["version_id"]))
+
 
 KEPT = KeptCharts()
 MOST_SUMMED, SUMMED_S = 20, 600.0  # robots whose sums one scrape computes, and how long they hold without a check
@@ -43,11 +75,11 @@ def of_robot(database: Database, robot: str) -> DriftHistory:
         log = store.activations(session, [key]).get(key, [])
         repaired = repairs.of_robots(session, [key]).get(key, [])
         own, charts = _checks_and_charts(session, made, log, repaired)
-    marks = [*map(wire.mark, log), *_agreeing_again(made), *map(wire.repair, repaired)]
+    marks = [*map(mark, log), *_agreeing_again(made), *map(repair, repaired)]
     return DriftHistory(
         **_summary(name, _describe_start_of_checks(made, log, repaired), log, own, charts).model_dump(),
         repaired_at=repaired[-1].at if repaired else None,
-        history=[wire.check(one) for one in made],
+        history=[check(one) for one in made],
         marks=sorted(marks, key=lambda one: one.at),
         charts=charts,
         run_length=RUN_LENGTH,
@@ -78,7 +110,7 @@ def last_checks(session: Session) -> dict[str, CheckOfRobot]:
     made, log = store.checks(session, names, MOST_OF_LAST), store.activations(session, names)
     repaired = repairs.of_robots(session, names)
     own = {key: _of_active(found, log.get(key, []), repaired.get(key, [])) for key, found in made.items()}
-    return {names[key]: wire.check(found[-1]) for key, found in own.items() if found}
+    return {names[key]: check(found[-1]) for key, found in own.items() if found}
 
 
 class Creeping:
@@ -115,7 +147,7 @@ class Creeping:
 def _agreeing_again(made: Sequence[StoredCheck]) -> list[DriftMark]:
     """Checks that agree again with a version that the one before missed; not by frames that took up what it said."""
     return [
-        wire.valid_again_mark(after)
+        valid_again_mark(after)
         for before, after in pairwise([one for one in made if one.whole])
         if before.result.get("version_id") == after.result.get("version_id")
         and before.result["verdict"] != "ok"
@@ -159,7 +191,7 @@ def _summary(
         version_id=_active(log),
         sentence=sentence,
         checks=len(own),
-        last=None if last is None else wire.check(last),
+        last=None if last is None else check(last),
         age_days=None if last is None else days_since(last.at),
     )
 

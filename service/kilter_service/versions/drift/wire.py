@@ -13,8 +13,8 @@ from kilter_service.ground.wire import DEG, MM, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.watch import Check, Rezeroed
+    from kilter_core.watch.arm_check import Judged
     from kilter_core.watch.causes import Cause
-    from kilter_core.watch.check import Judged
     from kilter_core.watch.poses import Faint
 
 PPM = 1e6

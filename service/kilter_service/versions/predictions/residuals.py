@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.types import Bools
 from kilter_files.ground.later import pa
 from kilter_service.campaigns import store as campaigns
-from kilter_service.ground.core import core_evaluate, core_measurement, setups, tukey
+from kilter_service.ground.core import core_evaluate, core_measurement, setup_frames, tukey
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.tables.writing import write_table
@@ -151,4 +151,4 @@ def iter_frame_groups(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bool
 
 def refit_frames(calibration: Calibration, measurement: Any, frames: Sequence[str]) -> Calibration:
     """Return a calibration with the frames in which it predicts these rows best."""
-    return setups.with_own_frames(calibration, measurement, "huber", frames)
+    return setup_frames.with_own_frames(calibration, measurement, "huber", frames)

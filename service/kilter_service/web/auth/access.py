@@ -3,19 +3,35 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Callable, Mapping
 from typing import Annotated, NamedTuple
 
 from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
 
 from kilter_service.ground.caller import ADMIN, ANYBODY, CALLER, RANK, Caller
+from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.web.auth.forwarded import client_address, is_direct
 from kilter_service.web.auth.policy import Rule, rule_for_route
-from kilter_service.web.auth.scope import check_path
 from kilter_service.web.logins import service as logins
 from kilter_service.web.tokens import service as tokens
+
+LookUp = Callable[[Session, str, str], None]
+
+
+def check_path(database: Database, look_up: LookUp, named: Mapping[str, object]) -> None:
+    """Look up what a path names, each by its name in paths and its value.
+
+    Raises:
+        ServiceError: it does not exist, or the caller may not see it.
+
+    """
+    with database.reading() as session:
+        for name, value in named.items():
+            look_up(session, name, str(value))
+
 
 PLAIN_READS = frozenset({"GET", "HEAD"})
 

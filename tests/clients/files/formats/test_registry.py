@@ -12,7 +12,7 @@ import pytest
 from kilter_client import FileError, prepare
 from kilter_files.formats import registry
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
-from kilter_files.look.draft import draft
+from kilter_files.look.drafts import draft
 from kilter_files.look.inspection import inspect
 from kilter_files.tables.source import Source
 from kilter_files.tables.text_source import TextSource
@@ -74,7 +74,7 @@ def test_a_new_reader_is_a_module_and_a_line(tmp_path: Path, toy: None) -> None:
 
 
 def test_every_reader_states_what_it_is() -> None:
-    found = registry.readers()
+    found = registry.all_readers()
     assert len(found) == len(registry.READERS)  # no name twice
     for reader in found.values():
         assert reader.title, reader.name

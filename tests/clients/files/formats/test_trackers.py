@@ -11,8 +11,8 @@ from openpyxl import Workbook
 from scipy.spatial.transform import Rotation
 
 from kilter_client import FileError
-from kilter_files.formats.points.tracker_text import read_tracker
 from kilter_files.formats.reader import Hints
+from kilter_files.formats.readers.tracker_text import read_tracker
 from kilter_files.look.inspection import inspect
 
 EXPORTS = [
@@ -93,7 +93,7 @@ def test_rows_without_a_measurement_are_left_out_and_named(tmp_path: Path) -> No
 
 
 def test_ipa_by_the_leica_preset_agrees_with_its_own_importer(shared_data: Path) -> None:
-    from kilter_files.formats.points.ipa_lasertracker import read_ipa_lasertracker
+    from kilter_files.formats.readers.ipa_lasertracker import read_ipa_lasertracker
 
     path = shared_data / "ipa-ur10-lasertracker/Series_B/measurements_joint_configurations.csv"
     got, wanted = read_tracker(path, "leica"), read_ipa_lasertracker(path)

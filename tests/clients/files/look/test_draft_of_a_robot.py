@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from kilter_client import Kilter
-from kilter_files.look.draft import Draft, draft
+from kilter_files.look.drafts import Draft, draft
 from tests.clients.answered import document
 
 A = [f"A{k}" for k in range(1, 8)]

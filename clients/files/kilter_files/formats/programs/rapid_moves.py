@@ -2,14 +2,197 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Callable, Sequence
 
 from kilter_files.formats.programs.found import EXTERNAL_AXES, NUMBER, Program, line_number
 from kilter_files.formats.programs.keyed import Keyed
-from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Use
+from kilter_files.formats.programs.notations import RAPID
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Use, WrittenOut
+from kilter_files.formats.programs.poses.in_force import InForce
 from kilter_files.formats.programs.poses.rapid import TARGET, UNUSED_AXIS, RapidFrames, arguments, parse_pose_target
-from kilter_files.formats.programs.poses.rapid_computed import CALL, Computed
-from kilter_files.formats.programs.poses.rapid_flow import RapidFlow
+from kilter_files.formats.programs.rigid import Rigid
+from kilter_files.ground.orientation import from_euler
+
+SWITCHED = Keyed("conf", r"\bConf([JL])\s*+\\\s*+(On|Off)\b")
+ROUTINE = Keyed("proc func trap", r"\b(?:PROC|FUNC\s+\w{1,64}|TRAP)\s+(\w{1,64})")
+STARTS = re.compile(r"^[ \t]*+(?:LOCAL\s+)?(?:PROC|FUNC|TRAP|ERROR|UNDO|BACKWARD|END(?:PROC|FUNC|TRAP))\b", re.I | re.M)
+STATEMENT = re.compile(r"(?:^[ \t]*+|(?:;|\b(?:THEN|ELSE|DO)\b|(?<=\w):(?!=))\s*+)([A-Za-z]\w{0,63})", re.I | re.M)
+WAYS = {
+    **dict.fromkeys(("IF", "WHILE", "FOR", "TEST"), 1),
+    **dict.fromkeys(("ENDIF", "ENDWHILE", "ENDFOR", "ENDTEST"), -1),
+    **dict.fromkeys(("ELSE", "ELSEIF", "CASE", "DEFAULT", "RETURN", "RAISE", "RETRY", "TRYNEXT", "EXITCYCLE"), 0),
+    "GOTO": None,
+}
+LABEL = re.compile(r"^[ \t]*+(?!(?:CASE|DEFAULT)\b)[A-Za-z]\w{0,63}[ \t]*+:(?!=)", re.I | re.M)
+# instructions, and words that begin a statement, after which the arm stands where it stood
+STAYS = re.compile(
+    r"(?:END)?(?:MODULE|RECORD|PROC|FUNC|TRAP)|LOCAL|TASK|VAR|PERS|CONST|ALIAS|ERROR|UNDO|BACKWARD|THEN|DO|TO|STEP|FROM"
+    r"|AND|OR|XOR|NOT|DIV|MOD|TRUE|FALSE|CONNECT|WITH|NOSTEPIN|SYSMODULE|Conf[JL]|AccSet|VelSet|(?:Set|Pulse|Invert)[ADG]O"
+    r"|Set|Reset|Wait(?:Time|DI|DO|GI|GO|AI|AO|Until|Rob|TestAndSet)|TP(?:Write|Erase|Read\w+|Show)|UIMsgBox|Incr|Decr|Add"
+    r"|Clear|Clk(?:Start|Stop|Reset)|Err(?:Write|Log|Raise)|Open|Close|Write(?:Bin|StrBin)?|Rewind|SingArea|PathAccLim"
+    r"|WorldAccLim|Soft(?:Act|Deact)|CirPathMode|CornerPathWarning|Trigg(?:IO|Equip|Int|Speed|CheckIO|RampAO)"
+    r"|I(?:Enable|Disable|Watch|Sleep|Delete|Signal[DAG][IO]|Timer)|Socket(?:Create|Connect|Close|Send|Receive)|GripLoad|Stop"
+    r"|Break|BookErrNo|SetSysData|MotionSup|Corr(?:Con|Write|Clear|Discon)|(?:Act|Deact)Unit"
+    r"|EGM(?:GetId|Reset|Setup\w+|Act\w+|Stop)"
+    r"|Move(?:Abs)?[JLC]?\w*|Arc[LC]\w*|Trigg[LJC]|Search[LC]",  # moves say themselves where they go
+    re.I,
+)
+ASSIGNED = re.compile(r"\s*+(?:[.{][^;:]{0,200})?:=")
+THEN = re.compile(r"\bTHEN\b", re.I)
+LONGEST = 500  # characters of a short IF
+UNKNOWN = "UNKNOWN"
+Place = tuple[int, int | None]
+
+
+class RapidFlow:
+    """Ask what is known of a place; ``text`` has its comments blanked."""
+
+    def __init__(self, text: str) -> None:
+        """Find branches, routines, calls and settings."""
+        self._ever_off = {match[1].upper() for match in SWITCHED.finditer(text) if match[2].upper() == "OFF"}
+        starts = [match.start() for match in STARTS.finditer(text)]
+        control, calls = _control(text)
+        self._way = InForce(sorted({*control, *((at, 0) for at, _ in calls)}, key=lambda one: one[0]), starts)
+        self._switched: dict[str, InForce] = {}
+        for kind in self._ever_off:
+            settings: list[tuple[int, object]] = [
+                (match.start(), match[2].upper()) for match in SWITCHED.finditer(text) if match[1].upper() == kind
+            ]
+            settings += [(at, UNKNOWN) for at in starts]  # a routine begins with what its caller left
+            settings += _set_by_calls(text, _in_force(control, starts, settings), calls)
+            self._switched[kind] = _in_force(control, starts, settings)
+
+    def has_unbranched_path(self, first: int, second: int) -> bool:
+        """Say whether the program always comes from one place to the other."""
+        return self._way.has_unbranched_path(first, second)
+
+    def off(self, kind: str, at: int) -> tuple[bool, ...]:
+        """Return whether ConfL or ConfJ (``kind``) is off at a place: one answer, or both where the text does not say."""
+        if kind not in self._ever_off:
+            return (False,)
+        known, value = self._switched[kind].value_in_effect(at)
+        return (value == "OFF",) if known and value in ("ON", "OFF") else (False, True)
+
+
+def _in_force(control: Sequence[Place], starts: Sequence[int], settings: Sequence[tuple[int, object]]) -> InForce:
+    force = InForce(control, starts)
+    for at, value in sorted(settings, key=lambda one: one[0]):
+        force.set(at, value)
+    return force
+
+
+def _set_by_calls(text: str, own: InForce, calls: Sequence[tuple[int, str]]) -> list[tuple[int, object]]:
+    """What calls set: the value with which a routine ends that calls no other one that sets it, else one not known."""
+    names = {own.owner(match.end()): match[1].upper() for match in ROUTINE.finditer(text)}
+    ends = {name: (own.starts[number] - 1 if number < len(own.starts) else len(text)) for number, name in names.items()}
+    setting = {names.get(own.owner(at), "") for at, value in own.settings if value != UNKNOWN}
+    plain = set(setting)
+    while more := {names.get(own.owner(at), "") for at, name in calls if name in setting} - setting:
+        setting |= more
+    plain -= {names.get(own.owner(at), "") for at, name in calls if name in setting}
+    found: list[tuple[int, object]] = []
+    for at, name in calls:
+        if name in setting:
+            known, value = own.value_in_effect(ends[name]) if name in plain and name in ends else (False, UNKNOWN)
+            found.append((at, value if known else UNKNOWN))
+    return found
+
+
+def _control(text: str) -> tuple[list[Place], list[tuple[int, str]]]:
+    """The places at which a program branches, and the calls of routines that may move the arm, with their names."""
+    control: list[Place] = [(match.start(), None) for match in LABEL.finditer(text)]
+    calls: list[tuple[int, str]] = []
+    for match in STATEMENT.finditer(text):
+        at, word = match.start(1), match[1].upper()
+        if word in WAYS:
+            statement = text[at : at + LONGEST].partition(";")[0]
+            end = at + len(statement)
+            short = word == "IF" and THEN.search(statement) is None  # IF on one line, without ENDIF
+            control += [(at, 0), (end, 0)] if short else [(at, WAYS[word])]
+            calls += [(at, one.upper()) for one in re.findall(r"[A-Za-z]\w*", statement)] if short else []
+        elif STAYS.fullmatch(word) is None and ASSIGNED.match(text, match.end()) is None:
+            calls.append((at, word))
+    return sorted(control, key=lambda one: one[0]), calls
+
+
+CALL = re.compile(r"(Offs|RelTool)\s*+\((.*)\)\s*+", re.I | re.S)
+VALUE = rf"(?:{NUMBER}|[-+]?[A-Za-z]\w*)"
+SHIFT = re.compile(
+    rf"\s*+({VALUE})\s*+,\s*+({VALUE})\s*+,\s*+({VALUE})\s*+((?:,?\s*+\\\s*+R[xyz]\s*+:=\s*+{VALUE}\s*+){{0,3}})", re.I
+)
+TURN = re.compile(rf"R([xyz])\s*+:=\s*+({VALUE})", re.I)
+CONSTANT = Keyed("const", rf"\bCONST\s+num\s+(\w+)\s*+:=\s*+({NUMBER})\s*+;")
+NUM = Keyed("num", r"\bnum\s+(\w+)")
+LOOP = Keyed("for", r"\bFOR\s+(\w+)\s+FROM\b")  # which declares its variable
+
+
+class Computed:
+    """Targets that moves compute, and the places of the names of those from which they do."""
+
+    def __init__(self, program: Program, text: str, declared: Callable[[str], PoseTarget | None]) -> None:
+        """Take a program, its text with comments blanked, and what finds a declared target by what a move says."""
+        self._program, self._text, self._declared = program, text, declared
+        several = [match[1].lower() for pattern in (NUM, LOOP) for match in pattern.finditer(text)]
+        constants = {match[1].lower(): float(match[2]) for match in CONSTANT.finditer(text)}
+        self._constants = {name: value for name, value in constants.items() if several.count(name) == 1}
+        self.named: set[int] = set()
+
+    def add_computed_target(self, at: int, said: str) -> PoseTarget | None:
+        """Take what a move says as its goal at a place: a target, if it is computed from a declared one by numbers alone."""
+        end = at + len(said)
+        if self._program.text[at:end] != self._text[at:end]:  # a comment stands within
+            return None
+        found = self._resolve_computed_pose(at, said)
+        if found is None:
+            return None
+        of, pose, name_at = found
+        self.named.add(name_at)
+        numbers = tuple(RAPID.nearest_numbers(pose, of.numbers))
+        start, stop = of.whole
+        ends = "".join(re.findall(r"\r\n|\r|\n", said))
+        target = PoseTarget(said[:40], line_number(self._text, at), RAPID, numbers, of.spans, of.configuration)
+        target.root = of.root
+        target.computed = WrittenOut(of, (at, end), ends, self._text[start:stop], start)
+        return self._program.add_pose(target, counted=False)
+
+    def _resolve_computed_pose(self, at: int, said: str) -> tuple[PoseTarget, Rigid, int] | None:
+        """The declared target, the pose that is computed from it, and where it is named."""
+        call = CALL.fullmatch(said)
+        if call is None:
+            of = self._declared(said)
+            return None if of is None else (of, RAPID.pose(of.numbers), at)
+        place, first = next(arguments(call[2]))
+        start = call.start(2)
+        inner = self._resolve_computed_pose(at + start + place, first)
+        comma = call[2].find(",", place + len(first))
+        shift = SHIFT.fullmatch(call[2], comma + 1) if comma > 0 else None
+        if inner is None or shift is None:
+            return None
+        by = [self._value(shift[k]) for k in (1, 2, 3)]
+        turns = {axis.lower(): self._value(value) for axis, value in TURN.findall(shift[4])}
+        of, pose, name_at = inner
+        moved = _displace_pose(pose, by, turns, call[1].lower() == "reltool")
+        return None if moved is None else (of, moved, name_at)
+
+    def _value(self, said: str) -> float | None:
+        if re.fullmatch(NUMBER, said):
+            return float(said)
+        value = self._constants.get(said.lstrip("+-").lower())
+        return -value if value is not None and said[0] == "-" else value
+
+
+def _displace_pose(pose: Rigid, by: list[float | None], turns: dict[str, float | None], in_tool: bool) -> Rigid | None:
+    """A pose displaced by mm, and in its own axes then also rotated, deg, about x, the new y and the new z."""
+    if None in by or None in turns.values() or (turns and not in_tool):
+        return None
+    x, y, z = (value or 0.0 for value in by)
+    if not in_tool:
+        return Rigid((pose.place[0] + x, pose.place[1] + y, pose.place[2] + z), pose.turn)
+    a, b, c = (math.radians(turns.get(axis) or 0.0) for axis in "xyz")
+    return pose.compose_frames(Rigid((x, y, z), from_euler((a, b, c), "XYZ")))
+
 
 SIX = r"\[\s*+" + r"\s*+,\s*+".join([f"({NUMBER})"] * 6) + r"\s*+\]"
 PAIR = re.compile(rf"\[\s*+{SIX}\s*+,\s*+{SIX}\s*+\]")

@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from kilter_files.formats.joints.described import describe_log
 from kilter_files.formats.joints.joint_log import log_of_targets
-from kilter_files.formats.programs.targets import detect_dialect
+from kilter_files.formats.programs.targets import detect_dialect, read_targets
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
-from kilter_files.formats.tables.program import read_program
-from kilter_files.tables.source import Source
+from kilter_files.tables.source import Layout, Source
+from kilter_files.tables.text_source import TextSource
+
+
+def read_program(path: Path, layout: Layout) -> TextSource:
+    """Read the joint targets of a program; the column ``name`` holds what the program calls them.
+
+    Raises:
+        FileError: no joint targets, or damaged ones.
+
+    """
+    found = read_targets(path)
+    names = ["name", *(f"q{k}" for k in range(1, len(found.joints_deg[0]) + 1))]
+    rows = zip(found.names, found.joints_deg, strict=True)
+    cells = [[name, *map(repr, joints)] for name, joints in rows]
+    return TextSource(path, replace(layout, decimal="."), names, cells, found.lines)
 
 
 class Program(Reader[Source]):

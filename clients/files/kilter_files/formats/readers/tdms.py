@@ -2,12 +2,67 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
-from kilter_files.formats.tables.tdms import channels, read_channel
-from kilter_files.formats.tables.tdms_columns import read_tdms
+from kilter_files.formats.tables.tdms import Channel, channels, read_channel
+from kilter_files.ground.faults import fault
 from kilter_files.tables.source import Source
+
+
+@dataclass
+class TdmsSource:
+    """A TDMS file whose columns are its channels, ``group/channel``. Samples are numbered from 1."""
+
+    path: Path
+    found: list[Channel]
+    missing: tuple[float, ...] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """The channels."""
+        return [channel.name for channel in self.found]
+
+    @property
+    def lines(self) -> list[int]:
+        """Samples have no lines; the rows are numbered by whoever asks."""
+        return []
+
+    @property
+    def choices(self) -> list[str]:
+        """What ``from`` may name."""
+        return self.names
+
+    def texts(self, name: str | int) -> list[str]:
+        """Return a channel as text, for row filters."""
+        return [repr(value) for value in self.numbers(name)]
+
+    def numbers(self, name: str | int) -> list[float]:
+        """Return a channel's scaled values, NaN for those that stand for "missing".
+
+        Raises:
+            FileError: no such channel, or one of text.
+
+        """
+        if isinstance(name, int):
+            if not 0 <= name < len(self.found):
+                raise fault(self.path, f"has no channel {name}", f"It has {', '.join(self.names)}.")
+            name = self.names[name]
+        gone = set(self.missing)
+        values = read_channel(self.path, name)[1].tolist()
+        return [float("nan") if value in gone else value for value in values]
+
+
+def read_tdms(path: Path, missing: tuple[float, ...] = ()) -> TdmsSource:
+    """Read a TDMS file with npTDMS.
+
+    Raises:
+        FileError: no TDMS file, or a damaged one.
+
+    """
+    return TdmsSource(path, channels(path), missing)
+
 
 MOST_CHANNELS, MOST_SAMPLES = 64, 5_000_000  # of which the range is looked for
 

@@ -80,20 +80,20 @@ class Sight:
 
 
 @dataclass(frozen=True)
-class Seen:
+class SeenBoard:
     """What a camera saw of a board: which ``views`` (K,) of those given, their ``pixels`` (K, m, 2), and where both stand."""
 
     sight: Sight
     views: Sequence[int]
     pixels: Floats
 
-    def exactly(self, flange: Floats) -> Seen:
+    def exactly(self, flange: Floats) -> SeenBoard:
         """Camera and board where all corners together fit best, with the flange at (N, 4, 4) in all views given."""
-        return Seen(_refine_poses(self.sight, flange[self.views], self.pixels, np.inf), self.views, self.pixels)
+        return SeenBoard(_refine_poses(self.sight, flange[self.views], self.pixels, np.inf), self.views, self.pixels)
 
-    def apply_pose_step(self, step: Floats) -> Seen:
+    def apply_pose_step(self, step: Floats) -> SeenBoard:
         """Camera and board moved by ``step`` (12,): rotation (rad) and shift (mm) of what is on the tool, then of the other."""
-        return Seen(_apply_pose_step(self.sight, step), self.views, self.pixels)
+        return SeenBoard(_apply_pose_step(self.sight, step), self.views, self.pixels)
 
 
 def sights(views: Sequence[Mapping[str, Any]], flange: Floats, rig: Mapping[str, Any]) -> list[Sight]:
@@ -101,7 +101,7 @@ def sights(views: Sequence[Mapping[str, Any]], flange: Floats, rig: Mapping[str,
     return [one.sight for one in find_seen_boards(views, flange, rig)]
 
 
-def find_seen_boards(views: Sequence[Mapping[str, Any]], flange: Floats, rig: Mapping[str, Any]) -> list[Seen]:
+def find_seen_boards(views: Sequence[Mapping[str, Any]], flange: Floats, rig: Mapping[str, Any]) -> list[SeenBoard]:
     """Cameras and boards of ``rig`` where views show them, one of them on the flange; none of which the views tell too little.
 
     ``views`` have ``u1_px``, ``v1_px`` ..., and ``camera`` and ``board`` where there are several; ``flange`` (N, 4, 4), mm.
@@ -127,7 +127,7 @@ def _is_view_of_pair(row: Mapping[str, Any], named: Mapping[str, tuple[Any, int]
 def _fit_seen_board(
     camera: Mapping[str, Any], board: Mapping[str, Any], views: Sequence[Mapping[str, Any]], own: Sequence[int],
     flange: Floats,
-) -> Seen | None:  # fmt: skip
+) -> SeenBoard | None:  # fmt: skip
     corners = np.array(board["corners_mm"], dtype=float)
     if corners.ndim != 2 or np.ptp(corners[:, 2]) > FLAT * np.ptp(corners):
         return None
@@ -145,7 +145,7 @@ def _fit_seen_board(
     if sides is None:
         return None
     sight = _sight_with_margins(_refine_poses(Sight(camera, corners, *sides), flange, pixels, FAR_PX), flange, pixels)
-    return None if sight is None else Seen(sight, which, pixels)
+    return None if sight is None else SeenBoard(sight, which, pixels)
 
 
 def _sight_with_margins(sight: Sight, flange: Floats, pixels: Floats) -> Sight | None:

@@ -6,12 +6,117 @@ Joint guidance (``EGMRunJoint``): the controller has no plan of its own and goes
 from __future__ import annotations
 
 import math
+import struct
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
-from kilter_client.bridges import protobuf
 from kilter_client.bridges.loop import Request, radians
 from kilter_client.bridges.plan import Setpoints
+
+VARINT, DOUBLE, TEXT, FLOAT = 0, 1, 2, 5
+_DOUBLE = struct.Struct("<d")
+_FIXED = {DOUBLE: 8, FLOAT: 4}
+MOST_FIELDS = 64  # of a message; a robot's has some twenty
+
+
+def fields(data: bytes) -> Iterator[tuple[int, int, int | bytes]]:
+    """Yield number, wire type and value of each field.
+
+    Raises:
+        ValueError: the bytes are not a message, or one of more than ``MOST_FIELDS`` fields.
+
+    """
+    at = 0
+    for _ in range(MOST_FIELDS):
+        if at >= len(data):
+            return
+        key, at = _varint(data, at)
+        number, kind = key >> 3, key & 7
+        if kind == VARINT:
+            value, at = _varint(data, at)
+            yield number, kind, value
+            continue
+        if kind == TEXT:
+            size, at = _varint(data, at)
+        elif kind in _FIXED:
+            size = _FIXED[kind]
+        else:
+            raise ValueError(f"wire type {kind}")
+        if at + size > len(data):
+            raise ValueError("cut off")
+        yield number, kind, data[at : at + size]
+        at += size
+    if at < len(data):
+        raise ValueError("more fields than a robot's message has")
+
+
+def _varint(data: bytes, at: int) -> tuple[int, int]:
+    value = 0
+    for shift in range(0, 70, 7):
+        if at >= len(data):
+            raise ValueError("cut off")
+        byte = data[at]
+        at += 1
+        value |= (byte & 127) << shift
+        if byte < 128:
+            return value, at
+    raise ValueError("a number without an end")
+
+
+def read_message(data: bytes, *path: int) -> bytes | None:
+    """Return the message within a message that a path of field numbers leads to; None where it is not there."""
+    for wanted in path:
+        found = [value for number, kind, value in fields(data) if number == wanted and kind == TEXT]
+        if not found:
+            return None
+        data = bytes(found[-1])
+    return data
+
+
+def read_number(data: bytes, wanted: int) -> int | None:
+    """Return a whole number of a message; None where it is not there."""
+    found = [value for number, kind, value in fields(data) if number == wanted and kind == VARINT]
+    return int(found[-1]) if found else None
+
+
+def read_doubles(data: bytes, wanted: int) -> list[float]:
+    """Return repeated doubles, packed or not."""
+    found: list[float] = []
+    for number, kind, value in fields(data):
+        if number != wanted or kind not in (DOUBLE, TEXT):
+            continue
+        content = bytes(value)
+        if len(content) % _DOUBLE.size:
+            raise ValueError("not whole doubles")
+        found += [one for (one,) in _DOUBLE.iter_unpack(content)]
+    return found
+
+
+def varint(value: int) -> bytes:
+    """A whole number, not negative."""
+    out = bytearray()
+    while value > 127:
+        out.append(value & 127 | 128)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def number(field: int, value: int) -> bytes:
+    """A field with a whole number."""
+    return varint(field << 3 | VARINT) + varint(value)
+
+
+def message(field: int, content: bytes) -> bytes:
+    """A field with a message."""
+    return varint(field << 3 | TEXT) + varint(len(content)) + content
+
+
+def doubles(field: int, values: Sequence[float]) -> bytes:
+    """A repeated field of doubles, not packed: as proto2 has it."""
+    key = varint(field << 3 | DOUBLE)
+    return b"".join(key + _DOUBLE.pack(value) for value in values)
+
 
 PORT = 6510
 AXES = 6
@@ -35,19 +140,19 @@ class EgmWire:
     def read(self, data: bytes) -> Request | None:
         """Return a request; None when it is not the message of a robot."""
         try:
-            header = protobuf.read_message(data, HEADER)
-            stamp = None if header is None else protobuf.read_number(header, SEQUENCE)
+            header = read_message(data, HEADER)
+            stamp = None if header is None else read_number(header, SEQUENCE)
             if header is None or stamp is None:
                 return None
-            state = protobuf.read_message(data, MCI)
-            moving = state is None or protobuf.read_number(state, STATE) == RUNNING
-            return Request(stamp, self._joints(data), None, moving, protobuf.read_number(header, TIME) or 0)
+            state = read_message(data, MCI)
+            moving = state is None or read_number(state, STATE) == RUNNING
+            return Request(stamp, self._joints(data), None, moving, read_number(header, TIME) or 0)
         except ValueError:
             return None
 
     def _joints(self, data: bytes) -> tuple[float, ...] | None:
-        joints = protobuf.read_message(data, FEEDBACK, JOINTS)
-        degrees = [] if joints is None else protobuf.read_doubles(joints, JOINTS)
+        joints = read_message(data, FEEDBACK, JOINTS)
+        degrees = [] if joints is None else read_doubles(joints, JOINTS)
         good = len(degrees) == len(self._signs) and all(map(math.isfinite, degrees))
         if not good:  # the plan goes on: it needs the arm's joints at its beginning only
             self._setpoints.counts["joints_unusable"] += 1
@@ -78,10 +183,6 @@ class EgmWire:
             return b""
         self._told = tuple(q + one for q, one in zip(self._setpoints.at, offset, strict=True))
         degrees = [math.degrees(sign * q) for sign, q in zip(self._signs, self._told, strict=True)]
-        header = (
-            protobuf.number(SEQUENCE, request.stamp)
-            + protobuf.number(TIME, request.clock)
-            + protobuf.number(KIND, CORRECTION)
-        )
-        joints = protobuf.message(JOINTS, protobuf.doubles(JOINTS, degrees))
-        return protobuf.message(HEADER, header) + protobuf.message(PLANNED, joints)
+        header = number(SEQUENCE, request.stamp) + number(TIME, request.clock) + number(KIND, CORRECTION)
+        joints = message(JOINTS, doubles(JOINTS, degrees))
+        return message(HEADER, header) + message(PLANNED, joints)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from kilter_client.errors import UsageError
 from kilter_files.ground.later import np
 from kilter_files.match.arm import rotations
-from kilter_files.rig.kit.sight import FEWEST_CORNERS, FEWEST_VIEWS, Seen, find_seen_boards
+from kilter_files.rig.kit.sight import FEWEST_CORNERS, FEWEST_VIEWS, SeenBoard, find_seen_boards
 
 if TYPE_CHECKING:
     from kilter_files.ground.arrays import Floats
@@ -64,7 +64,7 @@ def errors_of_views(
     return ViewErrors(np.asarray(tool), float(np.sqrt(square / corners)), noise)
 
 
-def _fit_camera_and_board(one: Seen, tools: Floats) -> Seen:
+def _fit_camera_and_board(one: SeenBoard, tools: Floats) -> SeenBoard:
     """Camera and board beside a model that need not be right: each view counts as far as views scatter.
 
     Corners alone hardly care how far away a board is, and would take a model for several times as far off as it is.
@@ -80,7 +80,7 @@ def _fit_camera_and_board(one: Seen, tools: Floats) -> Seen:
     return one
 
 
-def _fit_tool_motions(one: Seen, tools: Floats) -> tuple[Floats, Floats, float, int, float]:
+def _fit_tool_motions(one: SeenBoard, tools: Floats) -> tuple[Floats, Floats, float, int, float]:
     """Motions (K, 6) mm, rad of the tool that explain what is left of the views, their covariance for corners of 1 px.
 
     Then px² that they leave, how many numbers the corners are, and px² that were left.

@@ -8,13 +8,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom
+from scipy.stats import binom, norm, t
 
 from kilter_core.gap.evidence.fits.final_fit import inflation, widening
 from kilter_core.gap.evidence.fits.intervals import interval_width
 from kilter_core.gap.evidence.fits.posterior import Posterior
 from kilter_core.gap.evidence.held_out.adequacy import gain, left_out_errors, left_out_floor
-from kilter_core.gap.evidence.held_out.predicted import surely_predicted
 from kilter_core.gap.noise.motion import blocks, motion_blocks
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.in_space import cholesky_root, fit_rms, noise_rms, rms_error_at_values
@@ -28,6 +27,38 @@ from kilter_core.observations import Observations
 from kilter_core.observations.motions import is_trajectory
 from kilter_core.parameters import DEG, display_unit_and_scale
 from kilter_core.types import Bools, Floats, Ints
+
+MOST_LEVERAGE = 0.99
+
+
+def surely_predicted(without: Floats, with_: Floats, group: Ints) -> float:
+    """Slope of the errors without an effect on the change that it predicts, in standard normal deviations.
+
+    Args:
+        without: whitened errors (V, m) of held-out rows by the fit without the effect.
+        with_: the same by the fit with it.
+        group: pose (V,) of each row; poses are independent, rows of one are not.
+
+    The standard error is the jackknife's over poses (HC3; MacKinnon and White 1985, J. Econometrics 29), its tail
+    Student's with one degree per pose.
+
+    """
+    change = without - with_
+    number = np.unique(group, return_inverse=True)[1].reshape(-1)
+    along = np.bincount(number, np.sum(change * without, axis=1))
+    size = np.bincount(number, np.sum(change**2, axis=1))
+    whole = float(size.sum())
+    if len(along) < 2 or whole <= 0.0:
+        return 0.0
+    slope = float(along.sum()) / whole
+    left = (along - slope * size) / (1.0 - np.minimum(size / whole, MOST_LEVERAGE))
+    error = float(np.sqrt(np.sum(left**2))) / whole
+    if error <= 0.0:
+        return float("inf") if slope > 0.0 else 0.0
+    freedom = len(along) - 1
+    deviations = float(norm.isf(t.sf(abs(slope) / error, freedom))) if slope / error < 1e3 else slope / error
+    return float(np.copysign(deviations, slope))
+
 
 SPIKE = 8.0  # noise standard deviations, under the model before and after, at which a held-out row is not a measurement
 SPIKES = 0.02  # share of such rows, or that of the search, above which the model cannot predict them: all then count

@@ -6,13 +6,50 @@ import numpy as np
 from scipy.stats import norm
 
 from kilter_core.effects.unknown_smooth_curve import UnknownSmoothCurve
-from kilter_core.gap.evidence.similarity.cancelling import cancelling_members
 from kilter_core.gap.evidence.similarity.similarity import HELD, SAME, Alias, correlation
-from kilter_core.gap.evidence.similarity.smooth import is_curve, own_curve, smooth_members
+from kilter_core.gap.evidence.similarity.smooth import EVEN, is_curve, own_curve, smooth_members
 from kilter_core.gap.search.candidates import FAMILY, Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.select import MARGIN
 from kilter_core.types import Floats
+
+SEVERAL = 2.0  # times the whole gap, after geometry, that each of two effects must move the arm
+
+
+def cancelling_members(search: SearchResult, place: int) -> tuple[Alias, ...]:
+    """The chosen effects that a chosen one cancels against, under the name of their sum; none where it does not cancel.
+
+    Compared after geometry: an effect that geometry undoes in part is no larger than what is left of it.
+    """
+    problem, selector = search.problem, search.selector
+    columns = search.columns
+    fitted = dict(zip(columns, problem.gram.solve(columns), strict=True))
+    candidates = selector.scorer.candidates
+
+    def contribution_norm(*places: int) -> float:
+        own = selector.columns(places)
+        beta = np.array([fitted[k] for k in own])
+        return float(np.sqrt(max(beta @ problem.A[np.ix_(own, own)] @ beta, 0.0)))
+
+    gap = contribution_norm(*search.chosen)
+    if contribution_norm(place) < SEVERAL * gap:
+        return ()
+    against = [
+        k
+        for k in search.chosen
+        if k != place
+        and contribution_norm(k) > SEVERAL * gap
+        and contribution_norm(place, k) < max(contribution_norm(place), contribution_norm(k)) / SEVERAL
+    ]
+    if not against:
+        return ()
+    own = candidates[place].columns
+    names = " and ".join(candidates[k].label for k in sorted((place, *against)))
+    name = f"sum of {names}"
+    return tuple(
+        Alias(k, candidates[k], 0.0, correlation(problem.A, own, candidates[k].columns), EVEN, name) for k in against
+    )
+
 
 __all__ = ["SAME", "Alias", "correlation", "find_aliases"]
 

@@ -14,11 +14,9 @@ from functools import cached_property
 import numpy as np
 
 from kilter_core.effects import Batch
-from kilter_core.gap.search.linear.bases import lengths, orthonormal
+from kilter_core.gap.search.linear.bases import lengths, orthonormal, split_geometry_directions
 from kilter_core.gap.search.linear.derivatives import Derivatives
-from kilter_core.gap.search.linear.firm import Firm
 from kilter_core.gap.search.linear.gram import Gram
-from kilter_core.gap.search.linear.less_geometry import less_geometry
 from kilter_core.gap.search.linear.projection import Projection, Stacked
 from kilter_core.gap.search.linear.ranges import ends, exactly_within
 from kilter_core.gap.search.linear.settings import ProblemSettings
@@ -26,7 +24,57 @@ from kilter_core.gap.search.linear.soft import Soft
 from kilter_core.identify.fit.problem import ByCovariance, LeastSquares, Whitened
 from kilter_core.identify.fit.solver import minimise
 from kilter_core.parameters import Prior
-from kilter_core.types import Floats, Ints
+from kilter_core.types import Bools, Floats, Ints
+
+
+def less_geometry(
+    settings: ProblemSettings, values: Floats, G: Floats, y: Floats, carried: Bools
+) -> tuple[Soft, Floats, Floats]:
+    """Whitening by what priors know, an orthonormal basis (R, p) of what data know after it, and ``y (R,)`` less both.
+
+    ``G (R, P)`` are the whitened derivatives by the geometry at ``values``; of those held by priors ``carried (P,)`` move.
+    """
+    source, hard = settings.source, settings.hard
+    prior, away = source.prior.select_parameters(carried), source.prior.standardized_deviation(source.geometry(values))
+    held, free = prior.columns(G[:, carried]), (G * source.prior_sigma)[:, hard]
+    firm, weak = split_geometry_directions(Soft.from_columns(held)(free))
+    B = np.hstack([held, free @ weak])
+    soft = Soft.from_columns(B)
+    U = np.linalg.qr(soft(free @ firm))[0]
+    # Taken back into the data: a prior is about what was stated, not about the last fit.
+    y = soft(y + B @ np.concatenate([prior.whiten_deviation(away[carried]), weak.T @ away[hard]]))
+    return soft, U, y - U @ (U.T @ y)
+
+
+@dataclass(frozen=True)
+class Firm:
+    """Columns of a problem whose load errors are geometry that does not move; what a type tells may.
+
+    It has the derivatives and not the problem, whose inner products refer to it: that circle kept problems of thousands of
+    poses, 100 MB each, until the interpreter looked for circles.
+    """
+
+    settings: ProblemSettings
+    values: Floats
+    derivatives: Derivatives
+    raw: Floats
+    size: Floats
+    nu: float
+    directions: int
+
+    def gram(self) -> Gram:
+        """Return the inner products."""
+        return self._gram_with_held_loads
+
+    @cached_property
+    def _gram_with_held_loads(self) -> Gram:
+        source = self.settings.source
+        y = self.raw + self.derivatives.W @ (source.library(self.values) * self.size)
+        told = source.soft & ~source.of_loads
+        soft, U, y = less_geometry(self.settings, self.values, self.derivatives.G, y, told)
+        products = Projection.from_columns(soft, U, self.derivatives.W).products(y)
+        return Gram(*products, float(y @ y), self.nu + self.directions - U.shape[1])
+
 
 Tick = Callable[[], None]
 

@@ -16,7 +16,7 @@ from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import FileError
 from kilter_files import prepare
-from kilter_files.robots.plain_name import checked_name, plain_name
+from kilter_files.robots.names import checked_name, plain_name
 from kilter_files.robots.text import read_text
 
 FEATURES = ("plane", "line", "origin")

@@ -13,7 +13,7 @@ import typer
 from kilter_client.cli.terminal.arguments import PayloadCentre, three
 from kilter_client.errors import UsageError
 from kilter_files.robots import Described, read_robot
-from kilter_files.robots.plain_name import checked_name, plain_name
+from kilter_files.robots.names import checked_name, plain_name
 
 ROBOT_FILE = "robot.json, .urdf, a DH table (.csv, .xlsx), a UR calibration (.yaml, .conf), or a KNI .cfg."
 

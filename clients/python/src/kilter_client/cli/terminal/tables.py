@@ -4,10 +4,50 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 from typing import Any
 
-from kilter_client.cli.terminal.plain_table import table
+GAP, NARROWEST = 3, 8
+
+
+def table(
+    head: Sequence[str], rows: Sequence[Sequence[str]], screen: int, title: str = "", numbers: bool = False
+) -> str:
+    """Return a table; ``numbers`` sets all columns but the first to the right."""
+    widths = _fitting([max(map(len, column)) for column in zip(head, *rows, strict=True)], screen)
+    rule = "─" * (sum(widths) + GAP * (len(widths) - 1))
+    lines = [*_lines(head, widths, numbers), rule]
+    for row in rows:
+        lines += _lines(row, widths, numbers)
+    return "\n".join(["", *([title] if title else []), *(f" {line}" for line in lines), ""])
+
+
+def _fitting(widths: list[int], screen: int) -> list[int]:
+    """Make the widest columns narrower until all fit."""
+    room = max(screen - 2 - GAP * (len(widths) - 1), NARROWEST * len(widths))
+    while sum(widths) > room:
+        widest = max(range(len(widths)), key=widths.__getitem__)
+        if widths[widest] <= NARROWEST:
+            break
+        widths[widest] -= 1
+    return widths
+
+
+def _lines(cells: Sequence[str], widths: Sequence[int], numbers: bool) -> Iterator[str]:
+    folded = [_wrap_cell(cell, width) for cell, width in zip(cells, widths, strict=True)]
+    for parts in zip_longest(*folded, fillvalue=""):
+        set_ = [
+            part.rjust(width) if numbers and k else part.ljust(width)
+            for k, (part, width) in enumerate(zip(parts, widths, strict=True))
+        ]
+        yield (" " * GAP).join(set_).rstrip()
+
+
+def _wrap_cell(cell: str, width: int) -> list[str]:
+    return textwrap.wrap(cell, width) or [""] if len(cell) > width else [cell]
+
 
 WIDE = 200  # columns when nobody's terminal says otherwise
 

@@ -24,9 +24,53 @@ from kilter_core.parameters import mm
 from kilter_core.types import QUANTILE, Floats
 from kilter_core.watch.causes import Cause, Column, apply_cause, cause_columns
 from kilter_core.watch.conditions import STATED, Conditions
-from kilter_core.watch.day_noise import CHANCE, DayNoise
 from kilter_core.watch.innovation import Innovation
 from kilter_core.watch.sockets import Measured, held_by_sockets, noise_of_seating, place_rows_in_sockets
+
+MOST = 9.0  # times the variance of the version's noise that a day's may have: three times the noise
+CHANCE = 0.01  # of an alarm where the noise of the day is larger
+FEWEST = 6.0  # numbers of repeated shots that tell the noise better than what a cause leaves
+
+
+@dataclass(frozen=True)
+class DayNoise:
+    """Variance of the rows in units of the one that was expected, 1 to ``MOST``, with its ``freedom``.
+
+    ``within`` is the part of chi-square that repeated shots have alone, of ``shots`` numbers; 0 where they do not tell it.
+    """
+
+    ratio: float
+    freedom: float
+    within: float = 0.0
+    shots: float = 0.0
+
+    @staticmethod
+    def from_innovation(innovation: Innovation, chi_square: float, numbers: int, gain: float, rank: int) -> DayNoise:
+        """Of rows with so much chi-square in so many numbers, of which the best cause takes ``gain`` by ``rank``."""
+        within, shots = innovation.within_pose_scatter()
+        if shots >= FEWEST:
+            return DayNoise(float(np.clip(within / shots, 1.0, MOST)), shots, within, shots)
+        # Numbers that the version, the temperature or the set-up may move scatter by no more where the noise is larger.
+        freedom = max(innovation.numbers_of_noise - rank, 1.0)
+        more = (chi_square - gain - (numbers - rank)) / freedom
+        return DayNoise(float(np.clip(1.0 + more, 1.0, MOST)), freedom)
+
+    def p_value(self, chi_square: float, numbers: int, gains: Floats, ranks: Floats) -> float:
+        """Chance of the chi-square, or of the largest of the causes' ``gains (K,)``, by rows that scatter as these do."""
+        singles = min((self._chance(g, r) for g, r in zip(gains, ranks, strict=True)), default=1.0)
+        if self.shots:
+            whole = self._chance(max(chi_square - self.within, 0.0), max(numbers - self.shots, 1.0))
+        else:  # what is left of all causes says nothing of itself, unless no noise is so large
+            whole = float(chdtrc(max(numbers, 1), chi_square / MOST))
+        return min(1.0, 2.0 * whole, 2.0 * len(gains) * singles)
+
+    def _chance(self, gain: float, rank: float) -> float:
+        """By F against what the rows scatter, or by the largest noise there may be: what that leaves is a change anyway."""
+        largest = float(chdtrc(rank, gain / MOST))
+        if self.ratio >= MOST:
+            return largest
+        return min(largest, float(fdtrc(rank, self.freedom, gain / rank / self.ratio)))
+
 
 FALSE_ALARM = 1e-3  # chance that an arm that has not moved is said to have
 POWER = 0.95  # with which the smallest change is seen

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_files.look.summary import Columns, in_shown_unit
+from kilter_files.look.summaries import Columns, in_shown_unit
 from kilter_files.tables.table import CSV_TYPE, Prepared
 
 LIMIT_TOLERANCE = {"deg": 10.0, "mm": 20.0}  # the server's, which warns about less: see docs/reference/columns.md
