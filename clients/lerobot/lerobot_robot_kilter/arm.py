@@ -18,10 +18,9 @@ import numpy as np
 from kilter_client.bridges.correction import Correction
 from kilter_client.bridges.guard import Guard
 from kilter_client.errors import ConflictError, UsageError
-from kilter_core.correct.kernels import layout
-from kilter_files.formats.joints.lerobot.calibration import BY_RANGE, DEGREES, read_calibration, servo_name_for_joint
-from kilter_files.formats.joints.lerobot.homing import TICK_DEG
-from kilter_files.ground.arrays import Floats
+from kilter_core.correct import LARGEST, OK
+from kilter_files.formats import BY_RANGE, DEGREES, TICK_DEG, read_calibration, servo_name_for_joint
+from kilter_files.ground import Floats
 from lerobot_robot_kilter.version import Used, refuse_other_calibration
 
 POSITION = ".pos"
@@ -70,7 +69,7 @@ class CorrectedArm:
         self._program = found.stored.program
         n = self._program.n_joints
         rows = slice(self._program.moves + 1, self._program.moves + 1 + n)
-        largest = float(self._program.array[rows, layout.LARGEST].max())
+        largest = float(self._program.array[rows, LARGEST].max())
         self._cycle_s, self._clock = 1.0 / pace.fps, clock
         guard = Guard(n, largest, math.radians(pace.rate_deg_s), pace.ramp_s, self._cycle_s)
         self._correction = Correction(found.stored, found.robot, guard, self._cycle_s)
@@ -117,7 +116,7 @@ class CorrectedArm:
         q = reading - self._known
         for _ in range(ROUNDS):
             told = self._program.correct_rows(q[None], direction=side[None])
-            if told.status[0] != layout.OK:  # outside the joint limits: the last offset goes on
+            if told.status[0] != OK:  # outside the joint limits: the last offset goes on
                 return dict(observation) | self._numbers(reading - self._known, 0.0)
             left = reading - told.q[0]
             q = q + left

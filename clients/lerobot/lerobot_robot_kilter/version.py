@@ -10,7 +10,7 @@ from pathlib import Path
 from kilter_client import Kilter
 from kilter_client.bridges import versions
 from kilter_client.errors import ConflictError, FileError, UsageError
-from kilter_core.correct.file import Stored, from_bytes
+from kilter_core.correct import Stored, from_bytes
 
 CONDITION = "calibration_sha256"
 

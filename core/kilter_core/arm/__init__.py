@@ -1,1 +1,8 @@
-"""The arm as it is made: chain, robot, loads, and the documents and conventions it is written in."""
+"""The arm as it is made: chain, robot, loads, and the documents and conventions it is written in.
+
+What others may use is named in ``__init__.pyi``; a module is imported when a name of it is first asked for.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,7 +1,8 @@
-"""Physical error sources, one per file, each giving only local corrections; the model does the rest."""
+"""Physical error sources, one per file, each giving only local corrections; the model does the rest.
 
-from kilter_core.effects.base import BASE, TOOL, Derivative, Effect, Local
-from kilter_core.effects.batch import Batch
-from kilter_core.effects.registry import EFFECTS, effect_from_document, make_effect
+What others may use is named in ``__init__.pyi``; a module is imported when a name of it is first asked for.
+"""
 
-__all__ = ["BASE", "EFFECTS", "TOOL", "Batch", "Derivative", "Effect", "Local", "effect_from_document", "make_effect"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

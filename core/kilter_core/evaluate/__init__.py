@@ -1,5 +1,8 @@
-"""How well a calibration predicts measurements, and ISO 9283's criteria."""
+"""How well a calibration predicts measurements, and ISO 9283's criteria.
 
-from kilter_core.evaluate.prediction import errors_by_row, evaluate, expected_error_half_widths, mean_errors
+What others may use is named in ``__init__.pyi``; a module is imported when a name of it is first asked for.
+"""
 
-__all__ = ["errors_by_row", "evaluate", "expected_error_half_widths", "mean_errors"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

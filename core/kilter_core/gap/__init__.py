@@ -1,8 +1,8 @@
-"""The gap finder: where simulation and measurement disagree, which effect is missing, and how sure that is."""
+"""The gap finder: where simulation and measurement disagree, which effect is missing, and how sure that is.
 
-from kilter_core.gap.find import find_gap
-from kilter_core.gap.options import GapOptions
-from kilter_core.gap.report.report import GapReport
-from kilter_core.gap.report.separation import plan_separation
+What others may use is named in ``__init__.pyi``; a module is imported when a name of it is first asked for.
+"""
 
-__all__ = ["GapOptions", "GapReport", "find_gap", "plan_separation"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,6 +1,8 @@
-"""What can be measured of an arm, one kind per file: residuals against a prediction, their Jacobian, unit and noise."""
+"""What can be measured of an arm, one kind per file: residuals against a prediction, their Jacobian, unit and noise.
 
-from kilter_core.measurement.kind import Block, Residual
-from kilter_core.measurement.rows import Measurement
+What others may use is named in ``__init__.pyi``; a module is imported when a name of it is first asked for.
+"""
 
-__all__ = ["Block", "Measurement", "Residual"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

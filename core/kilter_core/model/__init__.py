@@ -1,7 +1,8 @@
-"""The robot model: chain, effects and frames together; poses, exact Jacobian, calibrations."""
+"""The robot model: chain, effects and frames together; poses, exact Jacobian, calibrations.
 
-from kilter_core.model.calibration import Calibration
-from kilter_core.model.prediction import Prediction
-from kilter_core.model.robot_model import RobotModel
+What others may use is named in ``__init__.pyi``; a module is imported when a name of it is first asked for.
+"""
 
-__all__ = ["Calibration", "Prediction", "RobotModel"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

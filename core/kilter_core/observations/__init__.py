@@ -1,5 +1,8 @@
-"""What was measured, as arrays, and which rows are repeats of one pose."""
+"""What was measured, as arrays, and which rows are repeats of one pose.
 
-from kilter_core.observations.rows import CONDITIONS, Conditions, Observations
+What others may use is named in ``__init__.pyi``; a module is imported when a name of it is first asked for.
+"""
 
-__all__ = ["CONDITIONS", "Conditions", "Observations"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,8 @@
-"""Choosing poses: ISO 9283's cube and diagonal planes, D-optimal poses, poses for cameras and for inclinometers."""
+"""Choosing poses: ISO 9283's cube and diagonal planes, D-optimal poses, poses for cameras and for inclinometers.
+
+What others may use is named in ``__init__.pyi``; a module is imported when a name of it is first asked for.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

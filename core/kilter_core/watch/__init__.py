@@ -1,23 +1,8 @@
-"""Whether an arm is still as its version says: a few poses measured again, and the one cause that explains them."""
+"""Whether an arm is still as its version says: a few poses measured again, and the one cause that explains them.
 
-from kilter_core.watch.arm_check import Check, check
-from kilter_core.watch.conditions import UNSTATED_K, Conditions
-from kilter_core.watch.history import Chart, chart, cusum_limit
-from kilter_core.watch.poses import CheckPlan, check_poses
-from kilter_core.watch.setup_scatter import learned_setup
-from kilter_core.watch.zero_offsets import Rezeroed, rezero
+What others may use is named in ``__init__.pyi``; a module is imported when a name of it is first asked for.
+"""
 
-__all__ = [
-    "UNSTATED_K",
-    "Chart",
-    "Check",
-    "CheckPlan",
-    "Conditions",
-    "Rezeroed",
-    "chart",
-    "check",
-    "check_poses",
-    "cusum_limit",
-    "learned_setup",
-    "rezero",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

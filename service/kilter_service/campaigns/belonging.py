@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_core.errors import CoreError, ObservationError
 from kilter_files.ground.later import np, pa
-from kilter_service.ground.core import astray_rows, belonging, compare, core_clock, core_model
+from kilter_service.ground.core import core_identify, core_model, core_observations
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.tables.columns import Column, has
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
     from kilter_core.observations import Observations
 
 MOST_ROWS = 50_000  # that are looked at: of more, every second block of rows, every fourth, ...
@@ -72,8 +72,8 @@ class Belonging:
         index = np.concatenate([np.arange(first, first + block.num_rows) for first, block in blocks])
         rows = observations(pa.concat_tables([block for _, block in blocks]), self._columns, self._unchecked)
         found = check_rows_match_robot(self._robot, rows)
-        clock = core_clock.clock_warnings(rows) if self._every == 1 else ()
-        return replace(found, warnings=(*astray_rows.renumber_warnings(found.warnings, index), *clock))
+        clock = core_observations.clock_warnings(rows) if self._every == 1 else ()
+        return replace(found, warnings=(*core_identify.renumber_warnings(found.warnings, index), *clock))
 
 
 def check_rows_match_robot(robot: Robot, rows: Observations) -> Judged:
@@ -83,11 +83,11 @@ def check_rows_match_robot(robot: Robot, rows: Observations) -> Judged:
     """
     begin = core_model.Calibration.nominal(robot)
     warnings: list[dict[str, Any]] = []
-    for part in compare.setups(rows):
+    for part in core_identify.setups(rows):
         code = None if part.session is None else part.session[0]
         index = np.arange(len(rows)) if code is None else np.flatnonzero(rows.session == code)
         try:
-            found = astray_rows.renumber_warnings(belonging.refuse_mixed_up(begin, part), index)
+            found = core_identify.renumber_warnings(core_identify.refuse_mixed_up(begin, part), index)
             warnings += [one for one in found if one not in warnings]
         except ObservationError as error:
             if error.code in MIXED_UP:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.observations.copies import identical_repeats
-from kilter_core.observations.directions import with_directions
+from kilter_core.observations import identical_repeats, with_directions
 from kilter_files.ground.later import pc
 from kilter_service.campaigns.belonging import Judged, judged_whole
 from kilter_service.campaigns.looking import Rows
@@ -19,7 +18,7 @@ from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Joint
+    from kilter_core.arm import Joint
     from kilter_core.observations import Observations
     from kilter_core.types import Floats
     from kilter_service.ground.tables.columns import Column

@@ -18,7 +18,7 @@ from kilter_service.ground.wire import joint_scale
 from kilter_service.robots import store as robots
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ from kilter_service.robots.instruments import store as instruments
 from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_document
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
 
 STAGED_FOR = timedelta(days=7)
 AHEAD = timedelta(hours=1)  # by which the clock of whoever measured may be fast

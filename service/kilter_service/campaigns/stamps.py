@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from kilter_core.observations.clock import SINCE_1970_S
+from kilter_core.observations import SINCE_1970_S
 from kilter_files.ground.later import pc
 from kilter_service.campaigns import store
 from kilter_service.ground.db import Session

@@ -13,9 +13,9 @@ import numpy as np
 from sqlalchemy import and_, delete, func, or_, select
 
 from kilter_core.errors import ObservationError
-from kilter_core.observations.directions import with_directions
+from kilter_core.observations import with_directions
+from kilter_files.ground import NAMED_SESSIONS
 from kilter_files.ground.later import pa
-from kilter_files.ground.session_names import NAMED_SESSIONS
 from kilter_service.campaigns.chunks import Chunk, read_chunk
 from kilter_service.campaigns.records import CampaignRecord, UploadRecord
 from kilter_service.contract.campaigns import NewCampaign
@@ -39,7 +39,7 @@ from kilter_service.robots.instruments.validity import remarks
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
     from kilter_core.observations import Observations
 
 MOST_NAMED = 500  # ids in one query

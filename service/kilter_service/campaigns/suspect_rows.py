@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from kilter_core.errors import CoreError
 from kilter_core.observations import Observations as Seen
 from kilter_service.campaigns.repeats import MAD, Repeats
-from kilter_service.ground.core import core_model, core_views, transforms
+from kilter_service.ground.core import core_identify, core_model, transforms
 from kilter_service.ground.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
     from kilter_core.observations import Observations
     from kilter_core.types import Floats
 
@@ -113,7 +113,7 @@ def _of_other_pictures(robot: Robot, seen: Observations) -> list[tuple[int, floa
     if seen.pixels is None:
         return []
     try:
-        return core_views.far_views(core_model.Calibration.nominal(robot), seen)[:MOST]
+        return core_identify.far_views(core_model.Calibration.nominal(robot), seen)[:MOST]
     except CoreError:
         return []  # what is wrong with all of them a job says
 

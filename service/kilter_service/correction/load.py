@@ -13,7 +13,7 @@ from kilter_service.ground.tables.assemble import with_default_load
 from kilter_service.ground.wire import to_metres, to_mm
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
 

@@ -35,7 +35,7 @@ from kilter_service.versions.records import VersionRecord
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from kilter_core.correct.program import CorrectionOptions
+    from kilter_core.correct import CorrectionOptions
     from kilter_service.ground.correction_outcome import Outcome
 
 # What a trajectory may say; whatever else a file of observations has is a measurement.

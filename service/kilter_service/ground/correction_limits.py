@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.core import program
+from kilter_service.ground.core import core_correct
 from kilter_service.ground.wire import to_metres, to_rad
 
 # What the limits of a version and the conditions of the rows say. All else is a rule: how this release corrects.
@@ -22,7 +22,7 @@ Rules = Mapping[str, Any]
 
 def rules_today() -> dict[str, Any]:
     """Return the task and the rules by which this release corrects."""
-    options = asdict(program.CorrectionOptions(task=program.DEFAULT_TASK))
+    options = asdict(core_correct.CorrectionOptions(task=core_correct.DEFAULT_TASK))
     return {name: value for name, value in options.items() if name not in NO_RULES}
 
 
@@ -33,7 +33,7 @@ def correction_options(
     at_limit: str | None = None,
     hold: Sequence[int] | None = None,
     rules: Rules | None = None,
-) -> program.CorrectionOptions:
+) -> core_correct.CorrectionOptions:
     """Return how to correct within the limits of a version, the arm at this temperature.
 
     ``rules`` are those that the version was activated under, None today's. ``task`` None is theirs, ``at_limit`` and
@@ -41,7 +41,7 @@ def correction_options(
     """
     known = rules_today() if rules else {}
     kept = {name: value for name, value in (rules or {}).items() if name in known}
-    options = program.CorrectionOptions(
+    options = core_correct.CorrectionOptions(
         **kept,
         largest_rad=to_rad(limits.max_joint_deg),
         largest_m=to_metres(limits.max_position_mm),

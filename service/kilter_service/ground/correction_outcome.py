@@ -13,15 +13,13 @@ import numpy as np
 from kilter_core.types import Bools, Floats, Ints
 from kilter_files.ground.later import interpolate, special
 from kilter_service.contract.stream_messages import Flag, Status
-from kilter_service.ground.core import core_doubts, walker
+from kilter_service.ground.core import core_correct, core_model
 from kilter_service.ground.wire import to_mm
 
 if TYPE_CHECKING:
-    from kilter_core.correct.program import CorrectionOptions
-    from kilter_core.correct.walker import CorrectedTrajectory
-    from kilter_core.identify.uncertainty.predictive import Predictive
-    from kilter_core.model import Calibration
-    from kilter_core.model.doubts import Doubt
+    from kilter_core.correct import CorrectedTrajectory, CorrectionOptions
+    from kilter_core.identify import Predictive
+    from kilter_core.model import Calibration, Doubt
     from kilter_core.observations import Observations
 
 LEVEL, TWO_SIDED, ONE_SIDED = 0.95, 1.959963984540054, 1.6448536269514722  # of the standard normal
@@ -197,10 +195,10 @@ def correct(
         ObservationError: times that go back, or load and temperature that change too often.
 
     """
-    done = walker.correct_trajectory(calibration, rows, options)
+    done = core_correct.correct_trajectory(calibration, rows, options)
     stated = from_parameters(calibration, done, known, options.temperature_c)
     sides = from_unknown_sides(calibration, done, options.temperature_c)
-    unexplained = core_doubts.unexplained_error(calibration.doubts, done.wanted.q)
+    unexplained = core_model.unexplained_error(calibration.doubts, done.wanted.q)
     u95 = about(done.left, stated) + sides + unexplained[:, None]
     return Outcome(done, stated, u95, sides, calibration.doubts, options.task == "pose")
 

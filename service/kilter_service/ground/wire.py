@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
 
 T = TypeVar("T", float, "NDArray[np.float64]")
 

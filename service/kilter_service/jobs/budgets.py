@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.observations.spread import evenly
-from kilter_service.ground.core import core_measurement, core_uncertainty
+from kilter_core.observations import evenly
+from kilter_service.ground.core import core_evaluate, core_measurement
 from kilter_service.robots.instruments.permissible import permissible
 
 if TYPE_CHECKING:
-    from kilter_core.identify import Identification
-    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.identify import Identification, Predictive
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_service.contract.instruments import Instrument
@@ -35,7 +34,7 @@ def uncertainty_budget(
     if len(rows) > MOST_ROWS and not refit:  # frames are known by all rows that they were fitted to
         rows = rows.select(evenly(len(rows), MOST_ROWS))
     measurement = core_measurement.Measurement.from_observations(rows, calibration.marker_points, held=True)
-    found = core_uncertainty.Budget.from_measurement(calibration, known, measurement, permissible(instrument), refit)
+    found = core_evaluate.Budget.from_measurement(calibration, known, measurement, permissible(instrument), refit)
     return None if found is None else {"instrument": instrument and instrument.name, **found.to_document()}
 
 

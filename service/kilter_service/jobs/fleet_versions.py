@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
 
-from kilter_service.ground.core import core_versions
+from kilter_service.ground.core import core_identify
 from kilter_service.ground.db import Session
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def fleet_versions(
     session: Session, robot_id: int, allowed: Collection[str] | None
-) -> tuple[core_versions.FleetVersion, ...]:
+) -> tuple[core_identify.FleetVersion, ...]:
     """Return a version of every other robot in use with the same nominal chain: the active one, else the newest.
 
     Of robots only those ``allowed`` to whoever asked, None: all. Versions that were identified with a prior of the type, or
@@ -27,12 +27,12 @@ def fleet_versions(
     for other in robots.others_in_use(session, robot_id):
         if other.chain is None or (allowed is not None and other.name not in allowed):
             continue
-        if not core_versions.same_type(robot, other.robot()):
+        if not core_identify.same_type(robot, other.robot()):
             continue
         made = _of_robot(session, other.id)
         if made is not None:
             calibration, covariance = versions.calibration(session, made.id), versions.covariance(session, made.id)
-            found.append(core_versions.FleetVersion.from_calibration(other.name, made.id, calibration, covariance))
+            found.append(core_identify.FleetVersion.from_calibration(other.name, made.id, calibration, covariance))
     return tuple(found)
 
 

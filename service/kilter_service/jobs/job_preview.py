@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal
 from kilter_core.errors import CoreError
 
 if TYPE_CHECKING:
-    from kilter_core.gap.check import GapCheck
-    from kilter_core.identify.check import IdentificationCheck
+    from kilter_core.gap import GapCheck
+    from kilter_core.identify import IdentificationCheck
     from kilter_core.observations import Observations
 
 How = Literal["campaigns", "fraction", "folds", "unasked", "none"]

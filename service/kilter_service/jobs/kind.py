@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from kilter_core.arm.robot import Robot
-    from kilter_core.identify.fleet.versions import FleetVersion
+    from kilter_core.arm import Robot
+    from kilter_core.identify import FleetVersion
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_core.types import Each

@@ -10,7 +10,7 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
-from kilter_files.look.unusual import why_unusual
+from kilter_files.look import why_unusual
 from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths, unit_of_length
 from kilter_service.contract.fits import Parameter, split_nominal_and_moved
 from kilter_service.ground.called import display_name

@@ -11,7 +11,7 @@ from kilter_core.types import Floats
 from kilter_service.contract.robot_reports import AxisReport, RobotCheck, Zero
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.contract.units import Pose
-from kilter_service.ground.core import core_conversions, core_documents, core_geometry, core_model, transforms
+from kilter_service.ground.core import core_arm, core_model, transforms
 from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.robots.directions import notes_on_missing_directions
 from kilter_service.robots.documents import core_document
@@ -20,8 +20,7 @@ from kilter_service.robots.plausibility import implausible
 from kilter_service.robots.wire import joint_summary
 
 if TYPE_CHECKING:
-    from kilter_core.arm.conversions import Screws
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot, Screws
 
 
 SAMPLES = 4000
@@ -37,8 +36,8 @@ def check(document: RobotDocument) -> RobotCheck:
     """
     posted = document.model_dump(mode="json", exclude_none=True)
     understood = core_document(posted)
-    robot = core_documents.robot_from_document(understood.document)
-    screws = core_geometry.arm_screws(core_model.Calibration.nominal(robot))
+    robot = core_arm.robot_from_document(understood.document)
+    screws = core_model.arm_screws(core_model.Calibration.nominal(robot))
     base = robot.T_base
     placed = screws.compose_with_poses(base, np.eye(4))
     reach = _reach(robot, placed)
@@ -85,7 +84,7 @@ def _angle_and_distance(screws: Screws, k: int) -> tuple[float, float]:
 
 def _zero(robot: Robot, screws: Screws) -> Zero:
     """Points of the arm at zero: base, the frames on the axes, and the tool."""
-    flange = robot.T_base @ core_conversions.screws_of_chain(robot.chain).home
+    flange = robot.T_base @ core_arm.screws_of_chain(robot.chain).home
     points = [robot.T_base[:3, 3], *screws.point, flange[:3, 3], screws.home[:3, 3]]
     xyz, rpy = transforms.xyz_rpy_from_pose(screws.home)
     millimetres, degrees = _mm(xyz), _round_vector(to_deg(rpy))

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from kilter_service.ground.core import core_missing_directions
+from kilter_service.ground.core import core_model
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
 
 
 def notes_on_missing_directions(robot: Robot) -> list[str]:
     """Return which joints lack a direction of their axis' error, and how to get it; empty where none does."""
-    missing = core_missing_directions.missing_directions(robot)
+    missing = core_model.missing_directions(robot)
     lacking = [f"{joint.name} ({count})" for joint, count in zip(robot.joints, missing.tolist(), strict=True) if count]
     if not lacking:
         return []

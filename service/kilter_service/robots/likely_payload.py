@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from kilter_service.robots.reach import longest_reach
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
 
 # Of public data sheets no arm carries more than it weighs, or more than 50 kg per m3 of its reach's cube; the smallest
 # SCARAs carry some kg at 0.2 m. Lengths of the links add up to more than the reach of a data sheet.

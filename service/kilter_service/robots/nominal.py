@@ -7,7 +7,7 @@ import numpy as np
 from kilter_core.errors import OptionError
 from kilter_service.contract.kinematics import Flanges, JointRows, Posture, Postures
 from kilter_service.contract.units import Pose
-from kilter_service.ground.core import closed_inverse, core_conversions, core_parts, general_inverse
+from kilter_service.ground.core import core_arm, core_model
 from kilter_service.ground.db import Database
 from kilter_service.ground.wire import to_deg, to_rad
 from kilter_service.robots import service
@@ -29,8 +29,8 @@ def forward(database: Database, name: str, rows: JointRows) -> Flanges:
     if wrong is not None:
         said = f"Row {wrong + 1} has {len(rows.joints_deg[wrong])} joints, {name!r} has {arm.n_joints}."
         raise OptionError(said, option="joints_deg")
-    poses = (closed_inverse.flange(arm, q) for q in to_rad(np.array(rows.joints_deg, dtype=np.float64)))
-    return Flanges(flanges=[Pose.model_validate(core_conversions.pose_document(T)) for T in poses])
+    poses = (core_model.flange(arm, q) for q in to_rad(np.array(rows.joints_deg, dtype=np.float64)))
+    return Flanges(flanges=[Pose.model_validate(core_arm.pose_document(T)) for T in poses])
 
 
 def inverse(database: Database, name: str, wanted: Flanges) -> Postures:
@@ -41,14 +41,14 @@ def inverse(database: Database, name: str, wanted: Flanges) -> Postures:
         OptionError: more poses than one request computes of an arm without a closed form.
 
     """
-    axes = closed_inverse.read_six_axes(service.arm(database, name))
-    if closed_inverse.closed_form_kind(axes) is None and len(wanted.flanges) > MOST_WITHOUT_FORM:
+    axes = core_model.read_six_axes(service.arm(database, name))
+    if core_model.closed_form_kind(axes) is None and len(wanted.flanges) > MOST_WITHOUT_FORM:
         raise OptionError(
             f"{name!r} has no closed form, and its joints are found for {MOST_WITHOUT_FORM} poses at a time, "
             f"not {len(wanted.flanges)}. Send them in parts.",
             option="flanges",
         )
-    rows = [general_inverse.reaching(axes, core_parts.parse_pose(pose.model_dump())) for pose in wanted.flanges]
+    rows = [core_model.reaching(axes, core_arm.parse_pose(pose.model_dump())) for pose in wanted.flanges]
     return Postures(
         postures=[
             [

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_service.ground.core import core_conventions
+from kilter_service.ground.core import core_arm
 from kilter_service.ground.wire import to_deg, to_mm, to_rad
 from kilter_service.robots.drives import unsaid_drives
 from kilter_service.robots.likely_payload import heaviest_likely_payload
 
 if TYPE_CHECKING:
-    from kilter_core.arm.conversions import Screws
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot, Screws
 
 SMALL_M, LARGE_M = 0.02, 20.0
 RADIANS = (math.pi / 2, math.pi)  # numbers that are seldom degrees
@@ -85,7 +84,7 @@ def _axes(robot: Robot, screws: Screws) -> Iterator[str]:
         coupled = any(np.count_nonzero(screws.joint == screws.joint[i]) > 1 for i in (k - 1, k))
         if sine < 1e-9 and aside < 1e-9 and not coupled:
             yield f"{names} rotate about the same axis: their offsets cannot be told apart, and one of them looks missing."
-        elif 1e-6 < sine < math.sin(core_conventions.PARALLEL_RAD):
+        elif 1e-6 < sine < math.sin(core_arm.PARALLEL_RAD):
             yield f"The axes of {names} are {to_deg(math.asin(sine)):.4f} deg from parallel: nominal axes are exact."
 
 

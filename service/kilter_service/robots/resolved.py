@@ -6,7 +6,7 @@ import hashlib
 import json
 from typing import Any, NamedTuple
 
-from kilter_service.ground.core import core_documents, core_resolved
+from kilter_service.ground.core import core_arm
 from kilter_service.robots.documents import core_document
 
 
@@ -27,7 +27,7 @@ def resolve(posted: dict[str, Any]) -> Resolved:
 
     """
     understood = core_document(posted)
-    chain = core_resolved.resolved_document(core_documents.robot_from_document(understood.document))
+    chain = core_arm.resolved_document(core_arm.robot_from_document(understood.document))
     return Resolved(chain, hash_canonical_json(chain), source_sha256(posted), understood.notes)
 
 

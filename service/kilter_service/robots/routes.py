@@ -16,7 +16,7 @@ from kilter_service.contract.references import RobotChange, Tombstone
 from kilter_service.contract.robot_reports import CircleAxis, FoundRobot, RobotCheck, RobotList, RobotReport
 from kilter_service.contract.robots import RobotDocument, Target
 from kilter_service.contract.units import MAX_JOINTS, Name
-from kilter_service.ground.core import circle_points
+from kilter_service.ground.core import core_procedures
 from kilter_service.ground.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_MB, MAX_CIRCLE_ROWS
 from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.assemble import observations
@@ -34,7 +34,7 @@ from kilter_service.web.page_query import PageOfList
 from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
 
 if TYPE_CHECKING:
-    from kilter_core.procedures.circle_points import AxisFit
+    from kilter_core.procedures import AxisFit
 
 JOINT = re.compile(r"q([1-9][0-9]?)_(deg|rad|mm|m)")
 
@@ -62,7 +62,7 @@ def found_robot(
     if points is None:
         raise ObservationError("Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ... .")
     slides = np.array([kind == "prismatic" for kind in kinds])
-    found = circle_points.robot_from_circles(
+    found = core_procedures.robot_from_circles(
         rows.q,
         slides,
         points.reshape(len(rows), -1, 3),

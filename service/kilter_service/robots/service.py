@@ -18,7 +18,7 @@ from kilter_service.robots.documents import without_settings
 from kilter_service.robots.resolved import resolve
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
 
 
 def add(database: Database, document: RobotDocument) -> tuple[RobotReport, bool]:

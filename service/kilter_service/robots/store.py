@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from sqlalchemy import Select, delete, func, select
 
 from kilter_service.ground.caller import allowed_robots, may_see
-from kilter_service.ground.core import core_resolved
+from kilter_service.ground.core import core_arm
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
 from kilter_service.ground.errors import ServiceError
@@ -19,7 +19,7 @@ from kilter_service.robots.records import RobotRecord
 from kilter_service.robots.resolved import Resolved
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
 
 
 Query = TypeVar("Query", bound="Select[*tuple[Any, ...]]")
@@ -54,7 +54,7 @@ class StoredRobot(NamedTuple):
                 code="robot_invalid",
                 robot=self.name,
             )
-        return core_resolved.robot_from_resolved(self.name, self.chain)
+        return core_arm.robot_from_resolved(self.name, self.chain)
 
 
 def add(

@@ -16,7 +16,7 @@ from kilter_service.robots.drives import said_of_drives
 from kilter_service.robots.records import RobotRecord
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Joint, Robot
+    from kilter_core.arm import Joint, Robot
 
 DOCUMENT: TypeAdapter[RobotDocument] = TypeAdapter(RobotDocument)
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.correct.program import warm_up
-from kilter_core.gap.search import scan
+from kilter_core import gap as core_gap
+from kilter_core.correct import warm_up
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.observations.repeats import numbered_poses
-from kilter_core.plan.iso9283_poses import iso_poses
+from kilter_core.observations import numbered_poses
+from kilter_core.plan import iso_poses
 from kilter_core.twin import thesis_katana
 from kilter_service.stream.corrector import fast_path
 
@@ -34,7 +34,7 @@ def compile_kernels() -> None:
     print("Compiling the kernels: a minute or two, once after each change of them.", flush=True)
     warm_up()
     fast_path.warm_up()
-    scan.warm_up()
+    core_gap.warm_up()
     twin = thesis_katana()
     seen = twin.observe(iso_poses(twin.robot, POSES), noise_m=1e-5)
     identify(twin.robot, seen, None, IdentifyOptions(level=3, base="fixed", tool="fixed"))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.errors import CoreError
-from kilter_core.observations.spread import evenly
+from kilter_core.observations import evenly
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import CorrectionLimits, Objection
 from kilter_service.ground.db import Database
@@ -18,7 +18,7 @@ from kilter_service.versions import store, wire
 from kilter_service.versions.predictions import preview
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
     from kilter_core.model import Calibration
     from kilter_service.versions.records import PreviewedPoses
 

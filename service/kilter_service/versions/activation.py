@@ -8,7 +8,7 @@ from typing import Any
 
 from kilter_service.contract.versions import ActivatedVersion, ActivationWish, VersionSummary
 from kilter_service.ground import left_out
-from kilter_service.ground.core import program
+from kilter_service.ground.core import core_correct
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
@@ -111,7 +111,7 @@ def _left_out(database: Database, version_id: str, temperature_c: float | None) 
     """Effects of a version that setpoints are not corrected for, as fields of the answer."""
     with database.reading() as session:
         calibration = store.calibration(session, version_id)
-    made = program.compile_program(calibration, program.CorrectionOptions(temperature_c=temperature_c))
+    made = core_correct.compile_program(calibration, core_correct.CorrectionOptions(temperature_c=temperature_c))
     return left_out.fields(made.unsupported, made.where_stated)
 
 

@@ -18,7 +18,7 @@ from kilter_core.errors import CoreError
 from kilter_core.types import Floats
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.versions import Comparison, CorrectionLimits, Objection, Rival
-from kilter_service.ground.core import compare, core_model
+from kilter_service.ground.core import core_identify, core_model
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.wire import to_mm
 from kilter_service.robots import store as robots
@@ -191,13 +191,17 @@ class Case:
         if not found:
             self.warn("nothing_to_compare", NOTHING_SINCE.format(since=self.since) if self.since else NOTHING)
             return Verdict(self.active, tuple(own), None, tuple(self.warnings))
-        new, plain = (compare.pool_setup_errors([getattr(part, name) for part in found]) for name in ("new", "plain"))
+        new, plain = (
+            core_identify.pool_setup_errors([getattr(part, name) for part in found]) for name in ("new", "plain")
+        )
         with_rival = [part for part in found if part.rival is not None]
-        rival = compare.pool_setup_errors([part.rival for part in with_rival if part.rival is not None])
-        against_plain = compare.Difference.from_paired_errors(new, plain)
+        rival = core_identify.pool_setup_errors([part.rival for part in with_rival if part.rival is not None])
+        against_plain = core_identify.Difference.from_paired_errors(new, plain)
         used = sorted({part.campaign for part in found})
         against_rival = (
-            compare.Difference.from_paired_errors(compare.pool_setup_errors([part.new for part in with_rival]), rival)
+            core_identify.Difference.from_paired_errors(
+                core_identify.pool_setup_errors([part.new for part in with_rival]), rival
+            )
             if with_rival
             else None
         )
@@ -221,14 +225,14 @@ class Case:
         found = [part for part in self._compare_campaigns() if part is not None and part.rival is not None]
         if not found:
             return [], []
-        new = compare.pool_setup_errors([part.new for part in found])
-        rival = compare.pool_setup_errors([part.rival for part in found if part.rival is not None])
+        new = core_identify.pool_setup_errors([part.new for part in found])
+        rival = core_identify.pool_setup_errors([part.rival for part in found if part.rival is not None])
         names = ", ".join(sorted({self.campaign_label(part.campaign) for part in found}))
         message = (
             f"Version {self.active}, active now, and this one were both fitted to {len(new)} poses of {names}: this one "
             f"leaves {to_mm(float(new.mean())):.4g} mm there, version {self.active} {to_mm(float(rival.mean())):.4g} mm."
         )
-        if compare.Difference.from_paired_errors(new, rival).worse:
+        if core_identify.Difference.from_paired_errors(new, rival).worse:
             return [Objection(code=own_errors.CODE, message=message + own_errors.REMEDY)], []
         return [], [{"code": own_errors.COMPARED, "message": message}]
 
@@ -236,25 +240,27 @@ class Case:
         for message in self.unseen.left_out.values():
             self.warn("campaign_not_compared", message)
         usable = {c: rows for c, rows in self.unseen.rows.items() if self._usable(c, rows)}
-        total = sum(compare.count_poses(rows) for rows in usable.values())
+        total = sum(core_identify.count_poses(rows) for rows in usable.values())
         share = min(1.0, MOST_POSES / max(total, 1))
         if share < 1.0:
             self.warn("poses_thinned", f"{MOST_POSES} of {total} poses were compared, evenly chosen.")
         out: list[Part | None] = []
         for campaign, rows in usable.items():
-            missing = [] if self.rival is None else compare.lacking(self.rival, rows)
+            missing = [] if self.rival is None else core_identify.lacking(self.rival, rows)
             if missing:
                 self.warn(
                     "active_not_compared",
                     f"Version {self.active} needs {', '.join(missing)}; {self.campaign_label(campaign)} has none.",
                 )
-            for setup in compare.setups(rows):
-                chosen = compare.thin_poses(setup, max(compare.FEWEST_POSES, round(share * compare.count_poses(setup))))
+            for setup in core_identify.setups(rows):
+                chosen = core_identify.thin_poses(
+                    setup, max(core_identify.FEWEST_POSES, round(share * core_identify.count_poses(setup)))
+                )
                 out.append(self._compare_setup(campaign, chosen, None if missing else self.rival))
         return out
 
     def _usable(self, campaign: str, rows: Observations) -> bool:
-        missing = compare.lacking(self.new, rows)
+        missing = core_identify.lacking(self.new, rows)
         if rows.position is None and rows.markers is None:
             self.warn(
                 "campaign_not_compared",
@@ -270,10 +276,11 @@ class Case:
 
     def _compare_setup(self, campaign: str, rows: Observations, rival: core_model.Calibration | None) -> Part | None:
         """The errors at one set-up of a campaign; None, and a warning, when it cannot be compared."""
-        if compare.count_poses(rows) < compare.FEWEST_POSES:
+        if core_identify.count_poses(rows) < core_identify.FEWEST_POSES:
             message = (
-                f"{compare.count_poses(rows)} poses of campaign {self.campaign_label(campaign)} have a set-up of their own: "
-                f"fewer than {compare.FEWEST_POSES} tell nothing."
+                f"{core_identify.count_poses(rows)} poses of campaign {self.campaign_label(campaign)} have a set-up "
+                "of their own: "
+                f"fewer than {core_identify.FEWEST_POSES} tell nothing."
             )
             self.warn("campaign_not_compared", message)
             return None
@@ -305,7 +312,7 @@ class Case:
     def _fits_nothing(self, campaign: str, rows: Observations, errors: Sequence[Floats]) -> bool:
         """Whether no model explains the rows, which then say nothing about any; a warning names them."""
         best = min(float(np.mean(found)) for found in errors)
-        said = compare.said_of_misfit(self.new.robot, rows, best)
+        said = core_identify.said_of_misfit(self.new.robot, rows, best)
         if said is not None:
             name = self.campaign_label(campaign)
             message = (
@@ -320,7 +327,7 @@ class Case:
         """Errors by pose, or why there are none: what a fit of nonsense raises is of many kinds."""
         try:
             with np.errstate(all="ignore"):
-                found = compare.errors_by_pose(calibration, rows)
+                found = core_identify.errors_by_pose(calibration, rows)
         except CoreError as error:
             return error.message
         except (ArithmeticError, ValueError):  # also of linear algebra without a solution

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from kilter_service.contract.versions import CorrectionLimits, Objection
-from kilter_service.ground.core import core_another_arm
+from kilter_service.ground.core import core_identify
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
@@ -50,7 +50,7 @@ def objections_from_report(report: Mapping[str, Any], limits: CorrectionLimits) 
 def of_calibration(calibration: Calibration, said: Sequence[Objection]) -> list[Objection]:
     """Return what the arm of a version says against it, where its report has not: earlier releases did not look."""
     codes = {one.code for one in said}
-    found = [Objection(code=w["code"], message=w["message"]) for w in core_another_arm.another_arm(calibration)]
+    found = [Objection(code=w["code"], message=w["message"]) for w in core_identify.another_arm(calibration)]
     return [one for one in found if one.code not in codes]
 
 

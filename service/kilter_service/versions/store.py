@@ -11,7 +11,7 @@ from sqlalchemy import Select, and_, func, or_, select
 
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.core import core_model, predictive
+from kilter_service.ground.core import core_identify, core_model
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.audited import note
 from kilter_service.ground.db.tables import ActivationRow, JobRow, ReplayRow, RobotRow, VersionRow
@@ -233,10 +233,10 @@ def covariance(session: Session, version_id: str) -> dict[str, Any]:
     return dict(_row(session, version_id).covariance)
 
 
-def load_predictive(session: Session, version_id: str) -> predictive.Predictive | None:
+def load_predictive(session: Session, version_id: str) -> core_identify.Predictive | None:
     """Return how far a version says the arm may be from it; None when it has no covariance."""
     row = _row(session, version_id)
-    return predictive.Predictive.from_document(row.covariance, row.report)
+    return core_identify.Predictive.from_document(row.covariance, row.report)
 
 
 def query_for_active_stamp() -> Select[int]:

@@ -6,14 +6,14 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.core import believable, core_needs
+from kilter_service.ground.core import core_correct, core_identify
 from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.versions.predictions.preview import at_poses, drawn
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
-    from kilter_core.correct.correction_needs import Needs
-    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.arm import Robot
+    from kilter_core.correct import Needs
+    from kilter_core.identify import Predictive
     from kilter_core.model import Calibration
 
 STEP_DEG, STEP_MM = 0.5, 1.0  # to which limits are rounded up
@@ -28,7 +28,7 @@ def suggest_limits(
 ) -> tuple[CorrectionLimits, dict[str, Any]]:
     """Return the limits for a version, and what its report says of them (mm, degrees). What was ``asked`` for stays."""
     q = drawn(calibration.robot)
-    found = core_needs.needs(calibration, q)
+    found = core_correct.needs(calibration, q)
     shift = to_mm(max(found.largest_m, found.farthest_m))
     own = {
         "max_joint_deg": _rounded_up(to_deg(found.largest_rad), STEP_DEG),
@@ -40,7 +40,7 @@ def suggest_limits(
     there = at_poses(calibration, known, limits, q)
     return limits, {
         "poses": len(q),
-        "reach_mm": to_mm(believable.reach(calibration.robot)),
+        "reach_mm": to_mm(core_identify.reach(calibration.robot)),
         "needed_deg": turn_deg,
         "needed_mm": shift_mm,
         "ok": there.counts.get("OK", 0) + there.counts.get("UNSURE", 0),

@@ -30,8 +30,8 @@ from kilter_service.versions.objections import objections_from_report
 from kilter_service.versions.records import ActivationRecord, ListedVersion, PreviewedPoses, VersionRecord
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
-    from kilter_core.identify.comparison.compare import Difference
+    from kilter_core.arm import Robot
+    from kilter_core.identify import Difference
 
 
 READ_OUT = ("effects", "metrics")  # of a summary, what no field of the record holds

@@ -1,1 +1,8 @@
-"""What a file holds, before anything is sent: inspection, the draft of a map, a dry run."""
+"""What a file holds, before anything is sent: inspection, the draft of a map, a dry run.
+
+What others may use is named in ``__init__.pyi``; a module is imported when a name of it is first asked for.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

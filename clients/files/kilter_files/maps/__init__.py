@@ -1,1 +1,8 @@
-"""Column maps: which columns of a lab's file are which contract columns, and joins with a second file."""
+"""Column maps: which columns of a lab's file are which contract columns, and joins with a second file.
+
+What others may use is named in ``__init__.pyi``; a module is imported when a name of it is first asked for.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,8 @@
-"""Two devices joined: clocks, jumps, knocked markers, and which joints go with which rows."""
+"""Two devices joined: clocks, jumps, knocked markers, and which joints go with which rows.
+
+What others may use is named in ``__init__.pyi``; a module is imported when a name of it is first asked for.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,8 @@
-"""Measuring rigs: the drawn circle, ball bars and inclinometers with the joint log, the printed sheet and boards."""
+"""Measuring rigs: the drawn circle, ball bars and inclinometers with the joint log, the printed sheet and boards.
+
+What others may use is named in ``__init__.pyi``; a module is imported when a name of it is first asked for.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

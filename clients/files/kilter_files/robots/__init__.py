@@ -1,5 +1,8 @@
-"""Robot files of other tools as robot documents."""
+"""Robot files of other tools as robot documents.
 
-from kilter_files.robots.read import Described, read_robot
+What others may use is named in ``__init__.pyi``; a module is imported when a name of it is first asked for.
+"""
 
-__all__ = ["Described", "read_robot"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

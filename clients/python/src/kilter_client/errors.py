@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from kilter_files.ground.errors import FileError, KilterError, MissingPackageError, UsageError
+from kilter_files.ground import FileError, KilterError, MissingPackageError, UsageError
 
 __all__ = [
     "ApiError",

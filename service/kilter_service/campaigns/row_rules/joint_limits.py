@@ -13,7 +13,7 @@ from kilter_core.types import Floats
 from kilter_service.ground.tables.columns import Column
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Joint
+    from kilter_core.arm import Joint
 
 
 # Many URDFs round limits to two decimals of a radian (2.09 for 120 deg), and to a mm for a prismatic joint.

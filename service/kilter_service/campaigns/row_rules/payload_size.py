@@ -11,7 +11,7 @@ from kilter_service.ground.tables.columns import Column
 from kilter_service.robots.likely_payload import heaviest_likely_payload
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
 
 UNLIKELY = "payload_unlikely"
 

@@ -15,14 +15,14 @@ from kilter_service.campaigns.row_rules.joint_limits import JointLimits
 from kilter_service.campaigns.row_rules.payload_size import PayloadSize
 from kilter_service.campaigns.row_rules.view_rules import ViewRules
 from kilter_service.contract.columns import BASE, CONTACTS, NAMED, PLACE, TILTS
-from kilter_service.ground.core import belonging, units
+from kilter_service.ground.core import core_identify
 from kilter_service.ground.tables.columns import Column
 from kilter_service.robots.reach import longest_reach
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
 
 
 QUATERNION_TOLERANCE = 1e-3
@@ -111,7 +111,7 @@ class RowRules:
             why = f"the values are not in {column.name.rpartition('_')[2]}, or not of this robot."
             raise ObservationError(
                 f"Column {column.name!r} spreads over {spreads[column]:.3g} m, but the arm reaches {reach:.3g} m: "
-                f"{astray['message'] if astray else why} {belonging.WAY_OUT}",
+                f"{astray['message'] if astray else why} {core_identify.WAY_OUT}",
                 column=column.name, spread_m=spreads[column], **({"rows": astray["rows"]} if astray else {}),
             )  # fmt: skip
 
@@ -221,7 +221,7 @@ class RowRules:
 
     def _check_unit(self, column: Column) -> None:
         """Refuse points that fit the robot in another unit only."""
-        factor = units.unit_factor(self.robot, *self._sample[0])
+        factor = core_identify.unit_factor(self.robot, *self._sample[0])
         if factor is None:
             return
         stated = column.name.rpartition("_")[2]

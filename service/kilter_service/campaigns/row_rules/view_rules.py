@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError
-from kilter_core.observations.rig import Rig
+from kilter_core.observations import Rig
 from kilter_core.types import Bools, Floats
 from kilter_service.contract.columns import NAMED, PIXELS
 from kilter_service.ground.tables.columns import Column, has

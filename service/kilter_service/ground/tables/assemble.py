@@ -18,7 +18,7 @@ from kilter_service.ground.tables.views import views
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
 
 
 MM = 1e-3

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.observations.rig import Board, Camera, Rig
+from kilter_core.observations import Board, Camera, Rig
 from kilter_core.types import Floats
 from kilter_service.ground.wire import to_metres
 

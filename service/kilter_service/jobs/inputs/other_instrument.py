@@ -10,7 +10,7 @@ from kilter_service.ground.wire import to_metres_if_known, to_mm
 from kilter_service.robots.instruments.permissible import permissible
 
 if TYPE_CHECKING:
-    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.identify import Predictive
     from kilter_service.jobs.kind import JobInput
 
 

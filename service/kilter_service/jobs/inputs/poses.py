@@ -12,7 +12,7 @@ from kilter_core.types import Floats
 from kilter_service.ground.wire import joint_scale, joint_units, to_mm
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
     from kilter_core.observations import Observations
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_files.ground.session_names import NAMED_SESSIONS
+from kilter_files.ground import NAMED_SESSIONS
 
 if TYPE_CHECKING:
     from kilter_core.observations import Observations

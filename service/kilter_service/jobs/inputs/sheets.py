@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_service.ground.core import bar_length, core_model, sheet_order
+from kilter_service.ground.core import core_identify, core_model
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.inputs.setups import LAID_AGAIN
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
-    from kilter_core.identify import Identification
-    from kilter_core.identify.plausibility.sheet_order import SheetOrder
+    from kilter_core.arm import Robot
+    from kilter_core.identify import Identification, SheetOrder
     from kilter_core.observations import Observations
 
     Again = Callable[[str, Observations], Identification | None]
@@ -49,14 +48,14 @@ def bar_lengths(
     ``again(campaign, rows)`` is the same identification with other rows of a campaign, None of one that was not fitted.
     """
     nominal = core_model.Calibration.nominal(robot)
-    asked = [(name, rows, *one) for name, rows in campaigns for one in bar_length.other_lengths(nominal, rows)]
+    asked = [(name, rows, *one) for name, rows in campaigns for one in core_identify.other_lengths(nominal, rows)]
     out = []
     for campaign, rows, bar, read, length in asked:
-        other = again(campaign, bar_length.scale_bar_readings(rows, bar, length / read))
+        other = again(campaign, core_identify.scale_bar_readings(rows, bar, length / read))
         if other is None:
-            wrong = bar in {number for number, _, _ in bar_length.other_lengths(found.calibration, rows)}
+            wrong = bar in {number for number, _, _ in core_identify.other_lengths(found.calibration, rows)}
         else:
-            wrong = bar_length.explains_better(other.fit, found.fit)
+            wrong = core_identify.explains_better(other.fit, found.fit)
         if wrong:
             out.append(_other_length(campaign, bar, read, length))
     return out
@@ -82,7 +81,7 @@ def _sheets(rows: Observations) -> Iterator[tuple[int | None, Observations]]:
 
 def _check_sheet_orders(robot: Robot, drawn: list[tuple[str, Observations]]) -> Iterator[dict[str, Any]]:
     """Judge all sheets together: they are of one arm, and an order that helps one of them must not spoil another."""
-    for (name, _), found in zip(drawn, sheet_order.sheet_orders(robot, [sheet for _, sheet in drawn]), strict=True):
+    for (name, _), found in zip(drawn, core_identify.sheet_orders(robot, [sheet for _, sheet in drawn]), strict=True):
         if found is None:
             continue
         if found.wrong:

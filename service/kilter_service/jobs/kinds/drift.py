@@ -8,7 +8,7 @@ import numpy as np
 
 from kilter_core.errors import CoreError, ObservationError, OptionError
 from kilter_service.contract.jobs.drift import DRIFT, DriftOptions
-from kilter_service.ground.core import core_measurement, core_watch_check, estimate, metrics, predictive
+from kilter_service.ground.core import core_identify, core_measurement, core_watch
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.budgets import uncertainty_budget
 from kilter_service.jobs.inputs.conditions import build_check_conditions
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.identify import Predictive
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_core.watch import Check
@@ -68,7 +68,7 @@ def run_drift_check(job: JobInput, rows: Observations, known: Predictive) -> Che
     options: DriftOptions = job.options
     calibration = applied_calibration(job)
     noise = counted_noise(job, known)
-    return core_watch_check.check(
+    return core_watch.check(
         calibration, rows, known, noise=noise, new_setup=options.new_setup, fitted_c=job.fit.temperatures_c,
         conditions=build_check_conditions(job, noise),
     )  # fmt: skip
@@ -108,7 +108,7 @@ def applied_calibration(job: JobInput) -> Calibration:
     return found
 
 
-def get_predictive(job: JobInput) -> predictive.Predictive:
+def get_predictive(job: JobInput) -> core_identify.Predictive:
     """What the version knows of itself.
 
     Raises:
@@ -120,7 +120,7 @@ def get_predictive(job: JobInput) -> predictive.Predictive:
             "The robot has no active version to check against: activate one, or name it in options.version.",
             option="version",
         )
-    known = predictive.Predictive.from_document(job.covariance or {}, job.report)
+    known = core_identify.Predictive.from_document(job.covariance or {}, job.report)
     if known is None:
         raise OptionError(
             f"Version {job.version_id} does not say how well it is known: identify one from measurements of the tool, and "
@@ -140,7 +140,7 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
         "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, since),
         "agreed_at": None if since is None else since.isoformat(),
         "remedy": wire.remedy(found, applied_calibration(job).names), "causes": causes,
-        "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": core_watch_check.FALSE_ALARM,
+        "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": core_watch.FALSE_ALARM,
         "chi_square": found.chi_square, "numbers": found.numbers, "poses": found.poses,
         "lengths": "by_views" if found.by_views else "at_tool", "misfit_mm": to_mm(found.misfit),
         "noise_mm": to_mm(found.noise),
@@ -183,8 +183,8 @@ def _errors(job: JobInput, rows: Observations, known: Predictive, found: Check) 
     """
     calibration = applied_calibration(job)
     measurement = core_measurement.Measurement.from_observations(rows, calibration.marker_points, held=True)
-    errors = metrics.Errors.from_calibration(
-        estimate.refit_frames(calibration, measurement, found.new_setup), measurement
+    errors = core_measurement.Errors.from_calibration(
+        core_identify.refit_frames(calibration, measurement, found.new_setup), measurement
     )
     ((campaign, _),) = job.campaigns.items()
     budget = uncertainty_budget(calibration, known, rows, job.instruments.get(campaign), found.new_setup)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from kilter_core.errors import OptionError
 from kilter_service.contract.fits import with_earlier_names
 from kilter_service.contract.jobs.evaluate import EVALUATE, EvaluateOptions
-from kilter_service.ground.core import compare, core_evaluate, core_model, iso9283, predictive
+from kilter_service.ground.core import core_evaluate, core_identify, core_model
 from kilter_service.jobs.budgets import uncertainty_budget
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
@@ -36,7 +36,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     options: EvaluateOptions = job.options
     if options.metrics == "iso9283":
         return _iso9283(job, _calibration(job), progress)
-    known = predictive.Predictive.from_document(job.covariance or {}, job.report)
+    known = core_identify.Predictive.from_document(job.covariance or {}, job.report)
     metrics, rows, warnings = {}, {}, []
     for number, (campaign, seen) in enumerate(job.campaigns.items()):
         progress(number / len(job.campaigns), f"campaign {number + 1} of {len(job.campaigns)}")
@@ -61,7 +61,7 @@ def _calibration(job: JobInput, campaign: str | None = None) -> core_model.Calib
 
 
 def _criteria(commanded: Calibration, rows: Observations, asked: Any) -> dict[str, Any]:
-    return iso9283.criteria(iso9283.Trial.from_observations(commanded.predict(rows), rows), asked)
+    return core_evaluate.criteria(core_evaluate.Trial.from_observations(commanded.predict(rows), rows), asked)
 
 
 def _flattering(fitted: int, rows: int) -> list[dict[str, Any]]:
@@ -83,7 +83,10 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
         with found.noting_refusals():
             if options.metrics == "errors":
                 core_evaluate.evaluate(
-                    job.applied_to(campaign) or calibration, compare.thin_poses(rows, MOST_CHECKED), options.refit, None
+                    job.applied_to(campaign) or calibration,
+                    core_identify.thin_poses(rows, MOST_CHECKED),
+                    options.refit,
+                    None,
                 )
                 continue
             refused = _criteria(calibration.nominal_in_wanted_frames(), rows, options.criteria)["refused"]

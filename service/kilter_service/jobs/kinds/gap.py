@@ -18,7 +18,7 @@ from kilter_service.contract.gap_details import Detectable, Untestable
 from kilter_service.contract.jobs.check import Testability
 from kilter_service.contract.jobs.gap import GAP, GapOptions
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.core import core_check, core_gap, core_wanted, holding_out, next_poses, of_type
+from kilter_service.ground.core import core_gap
 from kilter_service.ground.wire import to_metres
 from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.inputs.poses import Pose, poses_document
@@ -29,9 +29,7 @@ from kilter_service.jobs.plotly_figures.gap import gap_figures
 from kilter_service.versions.store import HELD_OUT
 
 if TYPE_CHECKING:
-    from kilter_core.gap import GapReport
-    from kilter_core.gap.check import GapCheck
-    from kilter_core.gap.of_type import KnownType
+    from kilter_core.gap import GapCheck, GapReport, KnownType
 
 T = TypeVar("T")
 
@@ -99,7 +97,7 @@ def check(options: GapOptions) -> None:
         OptionError: an effect that is not searched for, or an option of one that the gap search chooses itself.
 
     """
-    core_wanted.joints_by_effect(_core(options).effects)
+    core_gap.joints_by_effect(_core(options).effects)
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
@@ -112,13 +110,13 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
     options = _core(job.options)
     rows, validation, confirmation = _rows(job)
     progress(0.0, "fitting the geometry")
-    train, held = holding_out.split_held_out_rows(rows, validation, options.seed)
+    train, held = core_gap.split_held_out_rows(rows, validation, options.seed)
     known = _of_type(job, train)
     start = job.start if known is None else known.start
     report = core_gap.find_gap(job.robot, rows, options, start, validation, progress, confirmation)
     if known is not None:
         report = replace(report, warnings=(*known.warnings(), *report.warnings))
-    share = holding_out.held_out_share(rows, None) if validation is None and held is not None else None
+    share = core_gap.held_out_share(rows, None) if validation is None and held is not None else None
     found = report.to_document()
     aside = _set_aside(job, found.pop("set_aside"), found.pop("held_aside"))
     result = to_json_types(
@@ -141,7 +139,7 @@ def _of_type(job: JobInput, rows: Observations) -> KnownType | None:
     """The prior of the type, judged by the rows that are searched; None where it was not asked for."""
     if job.options.prior is None:
         return None
-    return of_type.known_type(job.robot, rows, _core(job.options), job.start, job.fleet)
+    return core_gap.known_type(job.robot, rows, _core(job.options), job.start, job.fleet)
 
 
 def _set_aside(
@@ -160,14 +158,14 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
     with found.noting_refusals():
         rows, validation, confirmation = _rows(job)
         found.count_fitted_rows(rows)
-        train, held = holding_out.split_held_out_rows(rows, validation, options.seed)
+        train, held = core_gap.split_held_out_rows(rows, validation, options.seed)
         known = _of_type(job, train)
         start = job.start if known is None else known.start
         if isinstance(validation, Observations):
             found.hold("campaigns", validation)
         elif held is not None:
             found.hold("unasked" if validation is None else "fraction", held)
-        found.search = core_check.check_gap(job.robot, rows, options, start, validation, confirmation)
+        found.search = core_gap.check_gap(job.robot, rows, options, start, validation, confirmation)
         found.seconds = found.search.seconds
         if found.search.poses < found.search.of:
             found.limited.append(
@@ -183,7 +181,7 @@ def _label(effect: str, joints: tuple[int, ...] | None) -> str:
 
 def _file(job: JobInput, poses: list[dict[str, Any]]) -> str | None:
     """The poses to measure next as a file, None without any."""
-    scale = next_poses.wire_scale(job.robot)
+    scale = core_gap.wire_scale(job.robot)
     made = [
         Pose(
             q=np.array(row["q_deg"]) / scale,

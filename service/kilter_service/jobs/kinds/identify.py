@@ -7,22 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.observations import Observations
-from kilter_core.observations.shared_rows import refuse_shared_rows
+from kilter_core.observations import Observations, refuse_shared_rows
 from kilter_core.types import run_sequentially
 from kilter_service.campaigns.store import renumber_poses_and_sessions
 from kilter_service.contract.fits import NullDirection, metrics_with_earlier_names
 from kilter_service.contract.jobs.check import Identifiability, UnknownParameter
 from kilter_service.contract.jobs.identify import IDENTIFY, IdentifyOptions
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.core import (
-    belonging,
-    core_identify,
-    core_identify_check,
-    core_model,
-    holdout,
-    measurement_of_rows,
-)
+from kilter_service.ground.core import core_identify, core_model
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.budgets import add_to_metrics
 from kilter_service.jobs.inputs.plain import to_json_types
@@ -34,8 +26,7 @@ from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, Ver
 from kilter_service.jobs.plotly_figures.identify import identify_figures, uncertainty_figure
 
 if TYPE_CHECKING:
-    from kilter_core.identify import Folds, Identification
-    from kilter_core.identify.check import IdentificationCheck
+    from kilter_core.identify import Folds, Identification, IdentificationCheck
 
 
 NOT_OF_THE_CORE = {"start", "limits", "sheet_order"}
@@ -105,14 +96,14 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
             found.hold("campaigns", validation)
         elif isinstance(validation, core_identify.Folds):
             found.hold("folds", train)
-            next(holdout.fold_splits(train, validation.folds, options.seed))
+            next(core_identify.fold_splits(train, validation.folds, options.seed))
         elif validation is not None:
-            measurement_of_rows.measurement_for(train, options)
-            inside, outside = holdout.split(train, validation, options.seed)
+            core_identify.measurement_for(train, options)
+            inside, outside = core_identify.split(train, validation, options.seed)
             found.hold("fraction", train.select(outside))
             train = train.select(inside)
-            options = measurement_of_rows.between_rows(options, train)
-        found.identification = core_identify_check.check_identification(job.robot, train, options, job.start, job.fleet)
+            options = core_identify.between_rows(options, train)
+        found.identification = core_identify.check_identification(job.robot, train, options, job.start, job.fleet)
         found.missing += [Lack(u.name, u.reason, u.remedy) for u in found.identification.unknown]
 
 
@@ -120,7 +111,7 @@ def _refuse_mixed_up(job: JobInput, train: Observations, validation: Observation
     begin = job.start or core_model.Calibration.nominal(job.robot)
     for rows in (train, validation):
         if isinstance(rows, Observations):
-            belonging.refuse_mixed_up(begin, rows)
+            core_identify.refuse_mixed_up(begin, rows)
 
 
 def _campaigns_with_validation(job: JobInput) -> list[tuple[str, Observations]]:

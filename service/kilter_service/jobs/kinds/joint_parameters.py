@@ -12,17 +12,15 @@ from kilter_core.observations import Observations
 from kilter_service.campaigns.store import renumber_poses_and_sessions
 from kilter_service.contract.jobs.joint_parameters import JOINT_PARAMETERS
 from kilter_service.contract.jobs.joint_parameters import JointParametersOptions as Options
-from kilter_service.ground.core import core_inclinometer_poses, inclinometers, link_encoders
+from kilter_service.ground.core import core_plan, core_procedures
 from kilter_service.ground.wire import joint_scale, joint_scale_back, joint_units, to_deg, to_metres, to_rad
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
     from kilter_core.model import Calibration
-    from kilter_core.procedures.inclinometers import Log
-    from kilter_core.procedures.joint_fit import JointParameter
-    from kilter_core.procedures.link_encoders import LinkJoint
+    from kilter_core.procedures import JointParameter, LinkJoint, Log
 
 AXES = "xyz"
 REMEDY = (
@@ -79,7 +77,7 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
         found.missing += [Lack(w.get("joint", w["code"]), w["message"], REMEDY) for w in measured.result["warnings"]]
 
 
-def _log_of_campaigns(job: JobInput) -> inclinometers.Log:
+def _log_of_campaigns(job: JobInput) -> core_procedures.Log:
     """Readings of all campaigns, mountings numbered apart."""
     encoders = [name for name, rows in job.campaigns.items() if rows.link_q is not None or rows.tilt is None]
     if encoders:
@@ -93,23 +91,23 @@ def _log_of_campaigns(job: JobInput) -> inclinometers.Log:
         rows if rows.session is not None else replace(rows, session=np.zeros(len(rows), dtype=np.int64))
         for rows in job.campaigns.values()
     ]
-    return inclinometers.Log.from_observations(
+    return core_procedures.Log.from_observations(
         Observations.concatenate(renumber_poses_and_sessions(parts)), to_rad(job.options.resolution_deg)
     )
 
 
 def _by_inclinometers(robot: Robot, log: Log) -> JobOutput:
-    found, warnings = inclinometers.joint_parameters(robot, log)
-    warnings += [_at_the_tool(robot.joints[j].name) for j in inclinometers.weightless_joints(robot)]
+    found, warnings = core_procedures.joint_parameters(robot, log)
+    warnings += [_at_the_tool(robot.joints[j].name) for j in core_procedures.weightless_joints(robot)]
     result = {"measured_by": "inclinometer", "parameters": [_row(p) for p in found], "warnings": warnings}
-    return JobOutput(result, _content(inclinometers.calibration_from_inclinations(robot, found), found, result))
+    return JobOutput(result, _content(core_procedures.calibration_from_inclinations(robot, found), found, result))
 
 
 def _by_encoders(job: JobInput) -> JobOutput:
     if job.validation is not None and not isinstance(job.validation, dict):
         raise OptionError("Name campaigns in validation: motions are held out whole.", option="validation")
     held = job.validation or {}
-    found = link_encoders.link_joints(job.robot, list(job.campaigns.values()), list(held.values()))
+    found = core_procedures.link_joints(job.robot, list(job.campaigns.values()), list(held.values()))
     rows = [p for joint in found for p in joint.parameters]
     result: dict[str, Any] = {
         "measured_by": "link-side encoder",
@@ -117,7 +115,7 @@ def _by_encoders(job: JobInput) -> JobOutput:
         "joints": [_spreads(job.robot, joint, list(job.campaigns), list(held)) for joint in found],
         "warnings": [_dead(job.robot, joint) for joint in found if joint.dead is not None],
     }
-    return JobOutput(result, _content(link_encoders.calibration_from_encoders(job.robot, found), rows, result))
+    return JobOutput(result, _content(core_procedures.calibration_from_encoders(job.robot, found), rows, result))
 
 
 def _content(calibration: Calibration, found: list[JointParameter], result: dict[str, Any]) -> VersionContent:
@@ -169,14 +167,14 @@ def _joint(robot: Robot, name: str) -> int:
     return names.index(name)
 
 
-def _log(robot: Robot, options: Options) -> inclinometers.Log:
+def _log(robot: Robot, options: Options) -> core_procedures.Log:
     for number, reading in enumerate(options.readings):
         if len(reading.q_deg) != robot.n_joints:
             raise OptionError(
                 f"Reading {number + 1} has {len(reading.q_deg)} joint values, the robot {robot.n_joints}.",
                 option="q_deg",
             )
-    return inclinometers.Log(
+    return core_procedures.Log(
         q=np.array([r.q_deg for r in options.readings]) * joint_scale_back(robot),
         joint=np.array([_joint(robot, r.joint) for r in options.readings], dtype=np.int64),
         axis=np.array([AXES.index(r.axis) for r in options.readings], dtype=np.int64),
@@ -198,9 +196,7 @@ def _propose_configurations(robot: Robot, options: Options) -> dict[str, Any]:
     joints = [f"q{i}_{unit}" for i, unit in enumerate(joint_units(robot), 1)]
     lines = [",".join(["joint", "axis", *joints, "payload_kg", *centre, "series", "reading_deg"])]
     at = [to_metres(value) for value in com]
-    for c in core_inclinometer_poses.inclinometer_poses(
-        robot, joint, options.count, options.payloads_kg, options.seed, at
-    ):
+    for c in core_plan.inclinometer_poses(robot, joint, options.count, options.payloads_kg, options.seed, at):
         q = [float(v) * k for v, k in zip(c.q, scale, strict=True)]
         axis = AXES[c.axis]
         configurations.append({"joint": options.propose, "axis": axis, "payload_kg": c.payload_kg, "q_deg": q})

@@ -12,19 +12,7 @@ from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_service.campaigns.store import renumber_poses_and_sessions
 from kilter_service.contract.jobs.plan import PLAN, PlanOptions
-from kilter_service.ground.core import (
-    core_effects,
-    core_gap,
-    core_model,
-    core_region,
-    core_view_poses,
-    core_watch,
-    core_watch_check,
-    d_optimal,
-    iso9283_poses,
-    predictive,
-    separation,
-)
+from kilter_service.ground.core import core_effects, core_gap, core_identify, core_model, core_plan, core_watch
 from kilter_service.ground.wire import to_metres, to_metres_if_known
 from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.inputs.poses import Pose, poses_document, poses_from_rows
@@ -34,9 +22,8 @@ from kilter_service.versions.drift import wire
 
 if TYPE_CHECKING:
     from kilter_core.effects import Effect
-    from kilter_core.gap.report.next_poses import Proposal
-    from kilter_core.model import Calibration
-    from kilter_core.model.region import Region
+    from kilter_core.gap import Proposal
+    from kilter_core.model import Calibration, Region
     from kilter_core.types import Floats
 
 
@@ -135,9 +122,9 @@ def _check(job: JobInput, progress: Progress) -> dict[str, Any]:
             f"options.without_joints has joint {beyond[0]}: the robot has {job.robot.n_joints}.",
             option="without_joints",
         )
-    known = predictive.Predictive.from_document(job.covariance or {}, job.report)
+    known = core_identify.Predictive.from_document(job.covariance or {}, job.report)
     if known is None:
-        known = predictive.Predictive((), np.zeros((0, 0)), 0.0, to_metres(NOISE_MM))
+        known = core_identify.Predictive((), np.zeros((0, 0)), 0.0, to_metres(NOISE_MM))
     noise = to_metres_if_known(options.noise_mm)
     if noise is None and known.noise == 0.0 and known.inadequacy == 0.0:
         noise = to_metres(NOISE_MM)
@@ -152,7 +139,7 @@ def _check(job: JobInput, progress: Progress) -> dict[str, Any]:
         progress=progress,
     )
     shown = {
-        "false_alarm": core_watch_check.FALSE_ALARM, "smallest": wire.smallest_documents(plan.found),
+        "false_alarm": core_watch.FALSE_ALARM, "smallest": wire.smallest_documents(plan.found),
         "unseen": [wire.cause_words(one) for one in plan.found.unseen],
         "faint": [wire.faint_sentence(one) for one in plan.faint],
     }  # fmt: skip
@@ -184,13 +171,13 @@ def named_effects(options: PlanOptions) -> list[tuple[str, tuple[int, ...] | Non
 def _iso(job: JobInput, progress: Progress) -> dict[str, Any]:
     if job.options.method in CYCLES:
         return _cycles(job, CYCLES[job.options.method])
-    q = iso9283_poses.iso_poses(job.robot, _count(job), job.options.seed, _room(job))
+    q = core_plan.iso_poses(job.robot, _count(job), job.options.seed, _room(job))
     return poses_document(job.robot, [Pose(row) for row in q])
 
 
 def _cycles(job: JobInput, order: tuple[int, ...]) -> dict[str, Any]:
     """The same poses again and again; ``count`` cycles, pose_id the standard's number, session the cycle."""
-    q = iso9283_poses.five_poses(job.robot, seed=job.options.seed, region=_room(job))
+    q = core_plan.five_poses(job.robot, seed=job.options.seed, region=_room(job))
     cycles = range(1, (job.options.count or CYCLES_DEMANDED) + 1)
     poses = [Pose(q[number - 1], pose_id=number, session=cycle) for cycle in cycles for number in order]
     return {**poses_document(job.robot, poses), "cycles": len(cycles), "cycles_demanded": CYCLES_DEMANDED}
@@ -210,9 +197,9 @@ def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
         "payload_com": [to_metres(value) for value in job.options.payload_com_mm or ()],
     }
     if job.options.method == "views":
-        rows = core_view_poses.view_poses(_with_cameras(job), driven=job.driven, **given)
+        rows = core_plan.view_poses(_with_cameras(job), driven=job.driven, **given)
     else:
-        rows = d_optimal.d_optimal_poses(
+        rows = core_plan.d_optimal_poses(
             _starting_calibration(job), fleet=None if job.options.prior is None else job.fleet, **given
         )
     return poses_document(job.robot, poses_from_rows(rows))
@@ -221,7 +208,7 @@ def _identify(job: JobInput, progress: Progress) -> dict[str, Any]:
 def _with_cameras(job: JobInput) -> Calibration:
     """What is planned with, and where its cameras and boards stand."""
     seen = [rows for rows in renumber_poses_and_sessions(job.campaigns.values()) if rows.pixels is not None]
-    return core_view_poses.placed_by_views(_starting_calibration(job), Observations.concatenate(seen) if seen else None)
+    return core_plan.placed_by_views(_starting_calibration(job), Observations.concatenate(seen) if seen else None)
 
 
 def _starting_calibration(job: JobInput) -> core_model.Calibration:
@@ -235,9 +222,9 @@ def _pose_region_name(job: JobInput) -> str:
     return "limits" if standard or job.driven is None else options.within
 
 
-def _region(job: JobInput) -> core_region.Region:
+def _region(job: JobInput) -> core_model.Region:
     """Where poses may be: as far as the arm was driven before unless ``within`` says limits, above floor, in the box."""
-    region = core_region.Region.from_calibration(
+    region = core_model.Region.from_calibration(
         _starting_calibration(job), job.driven if _pose_region_name(job) == "campaigns" else None
     )
     region = region.above(to_metres_if_known(job.options.floor_mm)).restrict_to_box(_box(job.options))
@@ -284,7 +271,7 @@ def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
     """Poses that tell the two effects named apart, or what the gap search that made the version left undecided."""
     wanted: list[Any] = list(named_effects(job.options))
     if not wanted:
-        open_ = separation.undecided_effect_pair(job.origin or {})
+        open_ = core_gap.undecided_effect_pair(job.origin or {})
         if open_ is None:
             raise OptionError(
                 "There is nothing to tell apart: name two effects, or a version of a gap search that left something undecided.",

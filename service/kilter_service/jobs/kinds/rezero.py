@@ -8,7 +8,7 @@ import numpy as np
 
 from kilter_service.contract.jobs.rezero import REZERO, RezeroOptions
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.core import core_evaluate, core_report, core_watch
+from kilter_service.ground.core import core_evaluate, core_identify, core_watch
 from kilter_service.jobs.budgets import uncertainty_budget
 from kilter_service.jobs.inputs.conditions import build_check_conditions
 from kilter_service.jobs.inputs.other_instrument import counted_noise
@@ -86,7 +86,7 @@ def _report(job: JobInput, found: Rezeroed) -> dict[str, Any]:
         found.calibration, found.known, rows, job.instruments.get(campaign), found.before.new_setup
     )
     return start | {
-        "parameters": core_report.build_parameter_rows(found.calibration, names, sigma, told),
+        "parameters": core_identify.build_parameter_rows(found.calibration, names, sigma, told),
         "metrics": {"train": {stage: errors[stage] for stage in STAGES} | {"budget": budget}},
     }  # fmt: skip
 

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.observations.spread import evenly
+from kilter_core.observations import evenly
 from kilter_core.types import Floats
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.plotly_figures.layout import BLUE, GREY, LEGEND, RED, Document
 
 if TYPE_CHECKING:
-    from kilter_core.identify.fit.row_errors import RowErrors
+    from kilter_core.identify import RowErrors
 
 MOST_ARROWS, REDDEST = 250, 10
 SHARE = 0.12  # of the workspace that a large residual is drawn as

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.observations.spread import evenly
-from kilter_service.ground.core import workspace
+from kilter_core.observations import evenly
+from kilter_service.ground.core import core_identify
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.plotly_figures.arrows import arrows
 from kilter_service.jobs.plotly_figures.layout import (
@@ -30,8 +30,7 @@ from kilter_service.jobs.plotly_figures.layout import (
 from kilter_service.jobs.plotly_figures.parameters import changes
 
 if TYPE_CHECKING:
-    from kilter_core.identify import Identification
-    from kilter_core.identify.fit.row_errors import RowErrors
+    from kilter_core.identify import Identification, RowErrors
     from kilter_core.observations import Observations
     from kilter_service.jobs.kind import JobInput
 
@@ -146,7 +145,7 @@ def identify_figures(found: Identification, report: Mapping[str, Any], job: JobI
 
 def uncertainty_figure(found: Identification, rows: Observations, seed: int) -> dict[str, Document]:
     """Draw the uncertainty of the fit at poses within the limits, from the side and from above."""
-    space = workspace.Workspace.from_calibration(found.calibration, found.predictive, rows, seed).worst_last()
+    space = core_identify.Workspace.from_calibration(found.calibration, found.predictive, rows, seed).worst_last()
     some = evenly(len(space.measured), MOST_MEASURED)
     low, high = to_mm(float(space.u95.min())), to_mm(float(space.u95.max()))
     data: list[Document] = []

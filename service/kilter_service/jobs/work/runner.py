@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from kilter_core.errors import CancelledError, CoreError
-from kilter_core.observations.spread import evenly
+from kilter_core.observations import evenly
 from kilter_service.ground.caller import on_behalf
-from kilter_service.ground.core import core_doubts, core_model, other_campaigns, predictive, set_up_changes
+from kilter_service.ground.core import core_effects, core_identify, core_model
 from kilter_service.ground.db import Database, DatabaseAwayError, Session
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.db.row import utc_now
@@ -64,7 +64,7 @@ def with_set_up_warning(kind: str, output: JobOutput, job: JobInput) -> JobOutpu
     }
     sessions = {(c, s): part for c, rows in campaigns.items() for s, part in _sessions(rows).items()}
     for parts, words in ((campaigns, "campaign"), (sessions, "session")):
-        change = set_up_changes.set_up_change(calibration, list(parts.values()))
+        change = core_identify.set_up_change(calibration, list(parts.values()))
         if change is not None:
             said = _sentence(change, words, ", ".join(job.names.get(c, c) for c in campaigns))
             remark: dict[str, Any] = {"code": "set_up_changed", "message": said, "campaigns": list(campaigns)}
@@ -79,7 +79,7 @@ def _sessions(rows: Observations) -> dict[int, Observations]:
     return {int(code): rows.select(rows.session == code) for code in np.unique(rows.session)}
 
 
-def _sentence(change: set_up_changes.SetUpChange, part: str, names: str) -> str:
+def _sentence(change: core_identify.SetUpChange, part: str, names: str) -> str:
     which = " and ".join(change.which)
     apart, left = f"{to_mm(change.moved):.2g} mm", f"{to_mm(change.apart):.2g} mm"
     verb, own = ("lies", f"a {which}") if len(change.which) == 1 else ("lie", which)
@@ -108,14 +108,14 @@ def clock_remarks(
     """Return which laws of a version each campaign does without, the campaigns of one reason together."""
     found: dict[tuple[str, ...], tuple[Finding, list[str]]] = {}
     for campaign, seen in rows.items():
-        for one in other_campaigns.carried_findings(calibration.model.effects, seen):
+        for one in core_effects.carried_findings(calibration.model.effects, seen):
             reason = (one.code, one.only_said["laws"], one.only_said["steps"])
             found.setdefault(reason, (one, []))[1].append(campaign)
     return [
         {
-            **one.to_document(other_campaigns.SENTENCES),
+            **one.to_document(core_effects.SENTENCES),
             "campaigns": campaigns,
-            "message": f"{', '.join(names.get(c, c) for c in campaigns)}: {one.message(other_campaigns.SENTENCES)}",
+            "message": f"{', '.join(names.get(c, c) for c in campaigns)}: {one.message(core_effects.SENTENCES)}",
         }
         for one, campaigns in found.values()
     ]
@@ -171,7 +171,7 @@ def with_limits(output: JobOutput, job: JobInput) -> JobOutput:
     if version is None:
         return output
     calibration = core_model.Calibration.from_document(job.robot, version.calibration)
-    known = predictive.Predictive.from_document(version.covariance, version.report)
+    known = core_identify.Predictive.from_document(version.covariance, version.report)
     limits, workspace = suggest_limits(calibration, known, version.limits)
     report = {**version.report, WORKSPACE: to_json_types(workspace)}
     return replace(output, version=replace(version, limits=limits, report=report))
@@ -199,7 +199,7 @@ def with_doubts(output: JobOutput, job: JobInput) -> JobOutput:
     if version is None:
         return output
     against = [one for one in objections_from_report(version.report, version.limits) if one.code != CANNOT_CORRECT]
-    doubts = [core_doubts.Doubt.everywhere(job.robot.n_joints, 0.0, one.message).to_document() for one in against]
+    doubts = [core_model.Doubt.everywhere(job.robot.n_joints, 0.0, one.message).to_document() for one in against]
     if not doubts:
         return output
     document = {**version.calibration, "doubts": [*version.calibration.get("doubts", ()), *doubts]}

@@ -14,13 +14,9 @@ from typing import Any
 from pyarrow import parquet
 
 from kilter_files import prepare
-from kilter_files.formats.reader import Head
-from kilter_files.formats.registry import all_readers, refuse_stranger
-from kilter_files.formats.unknown.guess import Columns
-from kilter_files.formats.unknown.table_shape import detect_table_shape
-from kilter_files.ground.errors import FileError, KilterError, MissingPackageError
-from kilter_files.look.drafts import draft
-from kilter_files.look.inspection import inspect
+from kilter_files.formats import Columns, Head, all_readers, detect_table_shape, refuse_stranger
+from kilter_files.ground import FileError, KilterError, MissingPackageError
+from kilter_files.look import draft, inspect
 from kilter_service.ground.processes.sandbox import confine
 
 MOST_ROWS = 2_000_000

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from kilter_core.errors import CoreError
-from kilter_core.observations.rig import format_part_name
+from kilter_core.observations import format_part_name
 from kilter_service.contract.campaigns import Board, Camera, Conditions
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.tables.views import rig_from_conditions

@@ -16,10 +16,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from kilter_core.errors import CoreError
-from kilter_files.formats.reader import DEVICE
-from kilter_files.formats.registry import readers_for
-from kilter_files.ground.units import TIMESTAMP, UNKNOWN, column_unit, converter, units_like
-from kilter_files.maps.column_map import BARE_PATTERN
+from kilter_files.formats import DEVICE, readers_for
+from kilter_files.ground import TIMESTAMP, UNKNOWN, column_unit, converter, units_like
+from kilter_files.maps import BARE_PATTERN
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign, NewCampaign, Parts
 from kilter_service.contract.columns import JOINT_UNITS, PLAIN_UNITS, TILT_UNITS

@@ -11,7 +11,7 @@ from typing import Any
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.jobs.registry import KINDS, Job, JobCheck, NewJob
 from kilter_service.contract.jobs.shared import MadeVersion
-from kilter_service.ground.core import registry
+from kilter_service.ground.core import core_effects
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
@@ -100,7 +100,7 @@ def sought(database: Database, robot: str, kind: str, text: str) -> dict[str, An
 
 def effects_in_words() -> dict[str, str]:
     """Return the effects that a person may add to a model, by id, with what each is."""
-    return {name: effect.summary for name, effect in sorted(registry.EFFECTS.items()) if not effect.nuisance}
+    return {name: effect.summary for name, effect in sorted(core_effects.EFFECTS.items()) if not effect.nuisance}
 
 
 def check_and_seal(database: Database, key: str, job: NewJob) -> tuple[JobCheck, str]:

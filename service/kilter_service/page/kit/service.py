@@ -8,7 +8,17 @@ from functools import partial
 from typing import Any
 
 from kilter_core.errors import RobotError
-from kilter_files.rig.kit import coverage, words
+from kilter_files import rig as files_rig
+from kilter_files.rig import (
+    NOTHING,
+    Capture,
+    Rig,
+    Row,
+    coverage_columns,
+    describe_tool_error,
+    describe_views,
+    result_summary,
+)
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.kept_facts import campaign_cache_key
@@ -27,11 +37,11 @@ NEWEST = Page(limit=20)
 CORNER = "u1_px"  # a column that only views have
 BACKLASH = "backlash_load_"
 # A page that is open asks every few seconds, and neither the rows of a campaign nor a version change.
-_rows = Recent[list[coverage.Row]](40)
+_rows = Recent[list[Row]](40)
 _tables = Recent[bytes](40)
 _chains = Recent[dict[str, Any]](40)
-_captures = Recent[coverage.Capture](40)
-Views = Mapping[str, Sequence[coverage.Row]]  # by the id of their campaign
+_captures = Recent[Capture](40)
+Views = Mapping[str, Sequence[Row]]  # by the id of their campaign
 
 
 @dataclass(frozen=True)
@@ -42,14 +52,14 @@ class _Arm:
     joints: Sequence[Mapping[str, Any]]
     chain: Mapping[str, Any]
 
-    def capture(self, views: Views, used: Sequence[Campaign]) -> coverage.Capture:
+    def capture(self, views: Views, used: Sequence[Campaign]) -> Capture:
         """What the views of some campaigns cover."""
         key = (self.sha256, *map(campaign_cache_key, used))
         return _captures.get(key, partial(self._capture, views, used))
 
-    def _capture(self, views: Views, used: Sequence[Campaign]) -> coverage.Capture:
+    def _capture(self, views: Views, used: Sequence[Campaign]) -> Capture:
         rows = [row for one in used for row in views[one.id]]
-        return coverage.coverage(rows, self.joints, self.chain, _rig(used))
+        return files_rig.coverage(rows, self.joints, self.chain, _rig(used))
 
 
 @dataclass(frozen=True)
@@ -68,26 +78,26 @@ class Kit:
 
     robot: RobotReport
     campaigns: Sequence[Campaign]
-    capture: coverage.Capture | None
+    capture: Capture | None
     found: Found | None
 
     @property
     def steps(self) -> Sequence[str]:
         """What to do, one command or sentence each."""
-        return words.steps(self.robot.name)
+        return files_rig.steps(self.robot.name)
 
     @property
     def seen(self) -> str:
         """How much was photographed."""
         some = self.capture
-        return "" if some is None else words.describe_views(some.views, some.poses, some.payloads_kg)
+        return "" if some is None else describe_views(some.views, some.poses, some.payloads_kg)
 
 
 def shown_kit(database: Database, name: str) -> Kit:
     """Return what the kit shows of a robot."""
     robot = robots.get(database, name)
     joints = [joint.model_dump() for joint in robot.joints]
-    used, rows = [], dict[str, list[coverage.Row]]()
+    used, rows = [], dict[str, list[Row]]()
     for campaign in campaigns.list_campaigns(database, name, NEWEST).campaigns:
         views = _rows.get(campaign_cache_key(campaign), partial(_views, database, campaign, len(joints)))
         if views:
@@ -98,13 +108,13 @@ def shown_kit(database: Database, name: str) -> Kit:
     return Kit(robot, used, capture, _find_newest_result(database, name, rows, used, arm))
 
 
-def _views(database: Database, campaign: Campaign, joints: int) -> list[coverage.Row]:
+def _views(database: Database, campaign: Campaign, joints: int) -> list[Row]:
     """The rows of a campaign of views; nothing of another one."""
     if all(column.name != CORNER for column in looking.columns(database, campaign.id)):
         return []
     table = looking.load_campaign_rows(database, campaign.id).table
     columns: dict[str, Sequence[float | None]] = {}
-    for name in coverage.coverage_columns(joints, _rig([campaign])):
+    for name in coverage_columns(joints, _rig([campaign])):
         in_rad = name.replace("_deg", "_rad")
         if name in table.column_names:
             columns[name] = table[name].to_pylist()
@@ -113,7 +123,7 @@ def _views(database: Database, campaign: Campaign, joints: int) -> list[coverage
     return [{name: values[k] for name, values in columns.items()} for k in range(table.num_rows)]
 
 
-def _rig(used: Sequence[Campaign]) -> coverage.Rig:
+def _rig(used: Sequence[Campaign]) -> Rig:
     """Cameras and boards of some campaigns: those of the newest, where they differ."""
     some = next((one.conditions for one in reversed(used) if one.conditions.cameras), None)
     parts = {"cameras": some and some.cameras, "boards": some and some.boards}
@@ -137,9 +147,9 @@ def _found_from_version(
     database: Database, version: Version, joints: Sequence[Mapping[str, Any]], untold: Mapping[int, str]
 ) -> Found:
     table = _tables.get(version.id, lambda: _table(database, version.id))
-    told = words.result_summary(version.model_dump(), joints, table, untold)
-    off_by = words.describe_tool_error(told["before_mm"], told["after_mm"])
-    return Found(version, told["lines"] or [words.NOTHING], told["warnings"], off_by)
+    told = result_summary(version.model_dump(), joints, table, untold)
+    off_by = describe_tool_error(told["before_mm"], told["after_mm"])
+    return Found(version, told["lines"] or [NOTHING], told["warnings"], off_by)
 
 
 def _table(database: Database, version_id: str) -> bytes:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from kilter_core.arm.presets import preset_names
-from kilter_files.ground.errors import KilterError, UsageError
-from kilter_files.robots.read import Described, read_robot
+from kilter_core.arm import preset_names
+from kilter_files.ground import KilterError, UsageError
+from kilter_files.robots import Described, read_robot
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.ground.errors import ServiceError
 from kilter_service.page.drop.drafts import plain_name

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.versions import Version
-from kilter_service.ground.core import registry
+from kilter_service.ground.core import core_effects
 from kilter_service.ground.db import Database
 from kilter_service.page import words
 from kilter_service.page.figures.plot import Plot
@@ -49,7 +49,7 @@ def effect_contributions(database: Database, version: Version, search: GapResult
     for effect, (rms, largest, here) in zip(own, columns, strict=True):
         found = named.get(effect)
         joints = words.of_joints(found.joints) if found is not None and found.joints else ""
-        kind = registry.EFFECTS.get(effect)
+        kind = core_effects.EFFECTS.get(effect)
         what = kind.summary if kind is not None else ""
         shown.append(Effect(effect, joints, what, rms, largest, here))
     return Contributions(moved.poses, unit, shown, moved.plot(SHADES[1:], 620.0) if moved.effects else None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from kilter_files.look.unusual import why_unusual
+from kilter_files.look import why_unusual
 from kilter_service.contract.fits import Parameter, split_nominal_and_moved
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.versions import Version

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from kilter_core.errors import CoreError
-from kilter_files.look.unusual import why_unusual
+from kilter_files.look import why_unusual
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.suspicious import service as suspicious

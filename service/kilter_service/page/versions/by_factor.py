@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.observations.directions import with_directions
+from kilter_core.observations import with_directions
 from kilter_service.campaigns import looking
 from kilter_service.ground.db import Database
 from kilter_service.ground.tables.assemble import observations

@@ -11,7 +11,7 @@ from kilter_service.contract.versions import Version
 from kilter_service.ground.core import core_model
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
 
 
 class Arm(Protocol):

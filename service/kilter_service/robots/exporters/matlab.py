@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kilter_core.arm.conversions import joint_frames
-from kilter_core.model.geometry import flange_screws, wanted_tool
+from kilter_core.arm import joint_frames
+from kilter_core.model import flange_screws, wanted_tool
 from kilter_core.types import Floats
 from kilter_service.robots.exporters.exportable import Exportable, Written
 from kilter_service.robots.exporters.omissions import omissions
 from kilter_service.robots.exporters.registry import program_name
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Joint
+    from kilter_core.arm import Joint
 
 
 def matlab(version: Exportable) -> Written:

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kilter_core.arm.conversions.screws import Screws
-from kilter_core.model.table_fit import Loss, acts_at_rest, geometry_loss, workspace
+from kilter_core.arm import Screws
+from kilter_core.model import Loss, acts_at_rest, geometry_loss, workspace
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
     from kilter_core.effects import Effect
     from kilter_core.model import Calibration
 

@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.arm.conversions.tables import angles_and_lengths
-from kilter_core.arm.robot import STANDARD_GRAVITY
-from kilter_core.identify.uncertainty.predictive import Predictive
-from kilter_core.identify.uncertainty.zero_offsets import known_zeros
-from kilter_core.model.table_fit import ClosestTable, closest_table
+from kilter_core.arm import STANDARD_GRAVITY, angles_and_lengths
+from kilter_core.identify import Predictive, known_zeros
+from kilter_core.model import ClosestTable, closest_table
 from kilter_core.transforms import rotation_between, xyz_rpy_from_pose
 from kilter_service.ground.texts import text_cell
 from kilter_service.robots.exporters.exportable import Exportable, Written
@@ -25,10 +23,9 @@ from kilter_service.robots.exporters.urdf_words import away_from_the_cut
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from kilter_core.arm.conventions import Row
-    from kilter_core.arm.robot import Joint, Link
-    from kilter_core.identify.uncertainty.zero_offsets import KnownZeros
-    from kilter_core.model.table_fit import ClosestTable
+    from kilter_core.arm import Joint, Link, Row
+    from kilter_core.identify import KnownZeros
+    from kilter_core.model import ClosestTable
 
 ZERO_SIGN = (
     "Zero offsets: what a joint really has beyond its reading (real = reading + offset). A controller that adds its offset "

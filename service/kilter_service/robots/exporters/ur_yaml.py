@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.arm.conversions import JointFrames, Screws, joint_frames
+from kilter_core.arm import JointFrames, Screws, joint_frames
 from kilter_core.errors import RobotError
-from kilter_core.model.geometry import arm_screws, flange_screws, wanted_tool
+from kilter_core.model import arm_screws, flange_screws, wanted_tool
 from kilter_core.transforms import inverse, xyz_rpy_from_pose
 from kilter_core.types import Floats
 from kilter_service.robots.exporters.exportable import Exportable, Written

@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kilter_core.model.geometry import FlangeFrames, flange_frames
+from kilter_core.model import FlangeFrames, flange_frames
 from kilter_core.transforms import inverse
 from kilter_core.types import Floats
 from kilter_service.robots.exporters.exportable import Exportable, Written

@@ -11,12 +11,11 @@ import numpy as np
 
 from kilter_core.errors import RobotError
 from kilter_core.types import Floats
-from kilter_service.ground.core import core_conversions, core_geometry
+from kilter_service.ground.core import core_arm, core_model
 from kilter_service.robots.exporters.urdf_words import numbers, set_origin
 
 if TYPE_CHECKING:
-    from kilter_core.arm.conversions import JointFrames, Screws
-    from kilter_core.arm.robot import Joint, Link, Robot
+    from kilter_core.arm import Joint, JointFrames, Link, Robot, Screws
     from kilter_core.model import Calibration
 
 
@@ -32,10 +31,10 @@ def new_urdf(name: str, calibration: Calibration) -> Element:
         RobotError: no axis of a joint has ratio 1 or -1.
 
     """
-    robot, screws = calibration.robot, core_geometry.flange_screws(calibration)
+    robot, screws = calibration.robot, core_model.flange_screws(calibration)
     leader = _leaders(robot, screws)
     turned = _normalise_leading_axes(screws, leader)
-    frames = core_conversions.joint_frames(turned)
+    frames = core_arm.joint_frames(turned)
     root = Element("robot", name=name)
     SubElement(root, "link", name="base_link")
     parent = "base_link"
@@ -52,7 +51,7 @@ def new_urdf(name: str, calibration: Calibration) -> Element:
     if robot.has_masses:
         _add_masses(root, robot, calibration, frames, leader)
     _add_fixed_joint(root, parent, "flange", frames.end)
-    _add_fixed_joint(root, "flange", "tool", core_geometry.wanted_tool(calibration))
+    _add_fixed_joint(root, "flange", "tool", core_model.wanted_tool(calibration))
     return root
 
 
@@ -75,7 +74,7 @@ def _normalise_leading_axes(screws: Screws, leader: dict[int, int]) -> Screws:
     for k in leader.values():
         direction[k] *= ratio[k]
         ratio[k] = 1.0
-    return core_conversions.Screws(direction, screws.point, screws.prismatic, screws.joint, ratio, screws.home)
+    return core_arm.Screws(direction, screws.point, screws.prismatic, screws.joint, ratio, screws.home)
 
 
 def _axis(root: Element, parent: str, joint: Joint, name: str, origin: Floats) -> str:
@@ -114,7 +113,7 @@ def _add_masses(
     root: Element, robot: Robot, calibration: Calibration, frames: JointFrames, leader: dict[int, int]
 ) -> None:
     """Give the links of the axes their masses, rotated from the chain's frames into the links'."""
-    elements = core_geometry.flange_frames(calibration).elements
+    elements = core_model.flange_frames(calibration).elements
     at, T = [], np.eye(4)
     for origin in frames.origin:
         T = T @ origin

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from kilter_core.errors import ObservationError
 from kilter_service.contract.frames import Frame, NewFrame
-from kilter_service.ground.core import reference_frame
+from kilter_service.ground.core import core_procedures
 from kilter_service.robots.frames import wire
 
 
@@ -19,14 +19,14 @@ def find_frame(frame: NewFrame) -> Frame:
         raise ObservationError("Give points (known and measured) or features (plane, line, origin), one of the two.")
     if frame.points is not None:
         names = [point.name or str(k) for k, point in enumerate(frame.points, 1)]
-        made = reference_frame.frame_of_points(
+        made = core_procedures.frame_of_points(
             wire.metres([p.known_mm for p in frame.points]), wire.metres([p.measured_mm for p in frame.points])
         )
     else:
         assert frame.features is not None
         f = frame.features
         names = [f"plane {k}" for k in range(1, len(f.plane_mm) + 1)]
-        made = reference_frame.frame_of_features(
+        made = core_procedures.frame_of_features(
             wire.metres(f.plane_mm), wire.metres(f.line_mm), wire.metres([f.origin_mm])[0]
         )
     return wire.frame(made, names)

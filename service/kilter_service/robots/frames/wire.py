@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from kilter_service.contract.frames import Frame, OffPoint
 from kilter_service.contract.units import PointMm, Pose
-from kilter_service.ground.core import core_conversions
+from kilter_service.ground.core import core_arm
 
 if TYPE_CHECKING:
-    from kilter_core.procedures.reference_frame import ReferenceFrame
+    from kilter_core.procedures import ReferenceFrame
 
 MM = 1e-3
 
@@ -26,4 +26,4 @@ def metres(points: Sequence[PointMm]) -> NDArray[np.float64]:
 def frame(made: ReferenceFrame, names: Sequence[str]) -> Frame:
     """Say where a frame is, and how well its points fit."""
     left = [OffPoint(name=name, left_mm=float(off) / MM) for name, off in zip(names, made.left, strict=True)]
-    return Frame(pose=Pose.model_validate(core_conversions.pose_document(made.pose)), rms_mm=made.rms / MM, points=left)
+    return Frame(pose=Pose.model_validate(core_arm.pose_document(made.pose)), rms_mm=made.rms / MM, points=left)

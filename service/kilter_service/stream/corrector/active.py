@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
-from kilter_service.ground.core import core_levers, core_stated
+from kilter_service.ground.core import core_correct
 from kilter_service.ground.wire import to_deg, to_mm
 
 if TYPE_CHECKING:
-    from kilter_core.correct.program import CorrectionProgram
+    from kilter_core.correct import CorrectionProgram
     from kilter_core.types import Floats
 
 
@@ -37,14 +37,14 @@ class Active:
     @cached_property
     def levers_mm(self) -> list[float | None]:
         """How far each joint moves the tool at most, mm per rad or per mm; None where nothing bounds it."""
-        found = zip(core_levers.levers(self.program).tolist(), self.joint_kinds, strict=True)
+        found = zip(core_correct.levers(self.program).tolist(), self.joint_kinds, strict=True)
         per_unit = (m if kind == "prismatic" else to_mm(m) for m, kind in found)
         return [round(size, 3) if size < math.inf else None for size in per_unit]
 
     @cached_property
     def correction_settings(self) -> dict[str, Any]:
         """Task of the correction, what it does at its limits, how fast it changes at most; null for kinds without a joint."""
-        found = core_stated.read_program_limits(self.program)
+        found = core_correct.read_program_limits(self.program)
         kinds = self.joint_kinds or ("revolute",) * self.program.n_joints
 
         def most(values: Floats, kind: str, shown: Callable[[float], float]) -> float | None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from kilter_core.errors import CoreError
 from kilter_files.ground.later import later
-from kilter_service.ground.core import program
+from kilter_service.ground.core import core_correct
 from kilter_service.ground.files.migration_lock import is_migrating
 from kilter_service.stream.corrector.active import Active, version_number, workspace_counts
 
@@ -89,7 +89,7 @@ def _compile_active(version: store.ActiveVersion, temperature_c: float | None) -
         version_id=version.id,
         number=version_number(version.sha256),
         epoch=version.epoch,
-        program=program.compile_program(version.calibration, options),
+        program=core_correct.compile_program(version.calibration, options),
         largest_deg=version.limits.max_joint_deg,
         largest_mm=version.limits.max_position_mm,
         ramp_s=options.ramp_s,

@@ -19,11 +19,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kilter_core.arm.kernels.compiled import EXACT, KernelCache, compile_kernel
-from kilter_core.correct.kernels import layout
-from kilter_core.correct.kernels.layout import COLUMNS
-from kilter_core.correct.kernels.stream import correct_setpoint
-from kilter_core.correct.program import Track
+from kilter_core import correct as core_correct
+from kilter_core.arm import EXACT, KernelCache, compile_kernel
+from kilter_core.correct import COLUMNS, REMOVED, Track, correct_setpoint
 from kilter_service.stream.corrector import wire
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.admission import Clock
@@ -46,10 +44,10 @@ MOST_BINS = 40
 WORDS = BINS + MOST_BINS
 PERIOD_BITS = 30  # a period is 2^30 ns, about a second
 TOOL, LEFT = (
-    slice(layout.REMOVED, layout.REMOVED + 3),
-    slice(layout.LEFT, layout.LEFT + 3),
+    slice(REMOVED, REMOVED + 3),
+    slice(core_correct.LEFT, core_correct.LEFT + 3),
 )  # of the info of a correction
-LEFT_X, LEFT_Y, LEFT_Z = layout.LEFT, layout.LEFT + 1, layout.LEFT + 2
+LEFT_X, LEFT_Y, LEFT_Z = core_correct.LEFT, core_correct.LEFT + 1, core_correct.LEFT + 2
 MOST_LEFT_NM = wire.MOST_LEFT_NM
 MOST = 2**63 - 1  # what is larger than this takes the full path, where integers are unbounded
 MOST_NS = 0xFFFFFFFF  # of the time that fits into an answer

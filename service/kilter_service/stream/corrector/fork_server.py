@@ -24,7 +24,7 @@ from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import recv_handle, send_handle
 from typing import Any, NamedTuple, NoReturn
 
-from kilter_service.ground.core import program
+from kilter_service.ground.core import core_correct
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.processes.child import Child, running
 from kilter_service.stream.corrector.orphan import Found
@@ -175,7 +175,7 @@ def fork_server_main(orders: Connection) -> None:
     gc.disable()  # all that is made now lasts: a fifth of the time to import it was looking for garbage
     from kilter_service.stream.corrector import fast_path, loop, queries  # noqa: F401  # the forked need not import them
 
-    program.warm_up()
+    core_correct.warm_up()
     fast_path.warm_up()
     gc.collect()
     gc.freeze()  # what is never looked at stays shared

@@ -21,7 +21,7 @@ from typing import Any
 
 import zenoh
 
-from kilter_core.correct.program import warm_up
+from kilter_core.correct import warm_up
 from kilter_service.ground.errors import ServiceError
 from kilter_service.stream.corrector import fast_path, keys, wire
 from kilter_service.stream.corrector.active import Active, nothing_active

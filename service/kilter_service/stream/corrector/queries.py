@@ -14,8 +14,7 @@ from multiprocessing.connection import Connection
 import numpy as np
 import zenoh
 
-from kilter_core.correct.program import warm_up
-from kilter_core.correct.walker import walk_from_rest
+from kilter_core.correct import walk_from_rest, warm_up
 from kilter_core.errors import ObservationError
 from kilter_core.types import Floats
 from kilter_service.stream.corrector import keys, wire

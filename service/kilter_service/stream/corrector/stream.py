@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kilter_core.correct.program import Track
-from kilter_core.correct.walker import walk_whole
+from kilter_core.correct import Track, walk_whole
 from kilter_service.stream.corrector import wire
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.admission import Clock

@@ -20,8 +20,7 @@ from types import FrameType
 import numpy as np
 import zenoh
 
-from kilter_core.correct.program import warm_up
-from kilter_core.correct.walker import side_by_side, walk_from_rest
+from kilter_core.correct import side_by_side, walk_from_rest, warm_up
 from kilter_core.errors import ObservationError
 from kilter_core.types import Floats
 from kilter_service.ground.errors import ServiceError

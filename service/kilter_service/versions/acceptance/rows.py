@@ -9,25 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.errors import CoreError
-from kilter_core.observations import Observations
-from kilter_core.observations.spread import evenly
+from kilter_core.observations import Observations, evenly
 from kilter_core.types import Floats, Ints
 from kilter_service.contract.instruments import Instrument
-from kilter_service.ground.core import (
-    core_budget,
-    core_evaluate,
-    core_measurement,
-    core_model,
-    core_uncertainty,
-    core_watch_check,
-    estimate,
-    metrics,
-)
+from kilter_service.ground.core import core_evaluate, core_identify, core_measurement, core_model, core_watch
 from kilter_service.robots.instruments.permissible import permissible
 
 if TYPE_CHECKING:
-    from kilter_core.evaluate.uncertainty import Conformity
-    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.evaluate import Conformity
+    from kilter_core.identify import Predictive
     from kilter_core.model import Calibration
 
 
@@ -68,8 +58,8 @@ def judge_rows(
     if rows.position is None and rows.markers is None:
         return None
     measurement = core_measurement.Measurement.from_observations(rows, calibration.marker_points, held=True)
-    fitted = estimate.refit_frames(calibration, measurement, tuple(refit))
-    budget = core_uncertainty.Budget.from_measurement(fitted, known, measurement, permissible(instrument), refit)
+    fitted = core_identify.refit_frames(calibration, measurement, tuple(refit))
+    budget = core_evaluate.Budget.from_measurement(fitted, known, measurement, permissible(instrument), refit)
     if budget is None:
         return None
     error = core_evaluate.errors_by_row(fitted, measurement).error
@@ -77,9 +67,13 @@ def judge_rows(
     if not seen.any():
         return None
     sizes = np.linalg.norm(error[seen], axis=1)
-    conformity = core_uncertainty.judge(sizes, core_budget.K * budget.along(np.nan_to_num(error))[seen], tolerance_m)
-    nominal = estimate.refit_frames(core_model.Calibration.nominal(calibration.robot), measurement, ("base", "tool"))
-    before, after = (metrics.Errors.from_calibration(one, measurement).to_document() for one in (nominal, fitted))
+    conformity = core_evaluate.judge(sizes, core_evaluate.K * budget.along(np.nan_to_num(error))[seen], tolerance_m)
+    nominal = core_identify.refit_frames(
+        core_model.Calibration.nominal(calibration.robot), measurement, ("base", "tool")
+    )
+    before, after = (
+        core_measurement.Errors.from_calibration(one, measurement).to_document() for one in (nominal, fitted)
+    )
     document = {"instrument": instrument and instrument.name, **budget.to_document()}
     return Judged(conformity, before, after, document, _places(rows)[seen], sizes, numbers[seen])
 
@@ -87,12 +81,12 @@ def judge_rows(
 def of_another_arm(calibration: Calibration, known: Predictive, rows: Observations, found: Judged) -> bool:
     """Whether a check of these rows would refuse them as another arm's: they are far off, and no one cause explains it."""
     misfit = float(np.sqrt(np.mean(found.sizes**2)))
-    if not core_watch_check.far_off(calibration, misfit):
+    if not core_watch.far_off(calibration, misfit):
         return False
     try:
-        core_watch_check.check(calibration, rows, known)
+        core_watch.check(calibration, rows, known)
     except CoreError as error:
-        return error.code == core_watch_check.ANOTHER_ARM
+        return error.code == core_watch.ANOTHER_ARM
     return False
 
 

@@ -10,7 +10,7 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.acceptance import Acceptance, Decision, JudgedCampaign
 from kilter_service.contract.fits import Errors
 from kilter_service.contract.remarks import Remark
-from kilter_service.ground.core import core_watch_check, predictive
+from kilter_service.ground.core import core_identify, core_watch
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
 from kilter_service.ground.errors import ServiceError
@@ -192,7 +192,7 @@ def _judge_campaigns(
     """
     calibration, own = versions.calibration(session, version_id), versions.training_campaign_ids(session, version_id)
     report = versions.get(session, version_id).report
-    known = predictive.Predictive.from_document(versions.covariance(session, version_id), report)
+    known = core_identify.Predictive.from_document(versions.covariance(session, version_id), report)
     if known is None:
         raise ServiceError(
             f"Version {version_id} does not say how well it is known: identify again.", code="nothing_held_out"
@@ -218,14 +218,14 @@ def _judge_campaigns(
         if found is None:
             continue
         if not wish.campaigns and of_another_arm(calibration, known, rows, found):
-            foreign.append(Remark(code=core_watch_check.ANOTHER_ARM, message=another_arm(key), campaigns=[key]))
+            foreign.append(Remark(code=core_watch.ANOTHER_ARM, message=another_arm(key), campaigns=[key]))
             continue
         parts.append(_build_part(session, key, found, used, wish.refit or ()))
     return parts, left_out, foreign
 
 
 def _judge_campaign_rows(
-    version: tuple[Calibration, predictive.Predictive, bool],
+    version: tuple[Calibration, core_identify.Predictive, bool],
     rows: Observations,
     places: Ints,
     used: Instrument | None,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kilter_service.contract.drift import ControlChart
-from kilter_service.ground.core import core_history
+from kilter_service.ground.core import core_watch
 from kilter_service.ground.recent import Recent
 from kilter_service.versions.drift.records import StoredCheck
 
@@ -44,7 +44,7 @@ def control_charts(made: Sequence[StoredCheck]) -> list[ControlChart]:
     numbers = [_numbers(one, summed_by) for one in made]
     told = Counter(name for one in numbers for name in one)
     names = sorted(name for name, count in told.items() if 2 * count > len(made))
-    limit = core_history.alarm_limit(len(names), RUN_LENGTH) if names else 0.0
+    limit = core_watch.alarm_limit(len(names), RUN_LENGTH) if names else 0.0
     counted = _comparable(made)
     return [_chart(name, made, numbers, counted, limit) for name in names]
 
@@ -64,7 +64,7 @@ def _chart(
     known = None if not felt or any(value is None for value in felt) else np.array(felt, dtype=np.float64)
     own = np.array([numbers[k][name].value for k in summed], dtype=np.float64)
     sure = np.array([numbers[k][name].u95 for k in summed], dtype=np.float64)
-    found = core_history.chart(own, limit, known, sure)
+    found = core_watch.chart(own, limit, known, sure)
     first = next(one[name] for one in numbers if name in one)
     return ControlChart(
         name=name,

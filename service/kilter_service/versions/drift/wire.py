@@ -12,10 +12,7 @@ import numpy as np
 from kilter_service.ground.wire import DEG, MM, to_mm
 
 if TYPE_CHECKING:
-    from kilter_core.watch import Check, Rezeroed
-    from kilter_core.watch.arm_check import Judged
-    from kilter_core.watch.causes import Cause
-    from kilter_core.watch.poses import Faint
+    from kilter_core.watch import Cause, Check, Faint, Judged, Rezeroed
 
 PPM = 1e6
 QUANTILE = 1.959963984540054  # of a 95 % interval (kilter_core.types, which loads numpy)

@@ -14,7 +14,7 @@ from kilter_core.types import QUANTILE, Floats
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.core import predictive, transforms, walker
+from kilter_service.ground.core import core_correct, core_identify, transforms
 from kilter_service.ground.correction_limits import correction_options
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
@@ -22,8 +22,8 @@ from kilter_service.ground.tables.assemble import with_default_load
 from kilter_service.versions import store
 
 if TYPE_CHECKING:
-    from kilter_core.correct.program import CorrectionOptions
-    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.correct import CorrectionOptions
+    from kilter_core.identify import Predictive
     from kilter_core.model import Calibration
 
 
@@ -92,10 +92,10 @@ def _predict_at_pose(
     rows: Observations,
     options: CorrectionOptions,
 ) -> AtPose:
-    arm, wanted = predictive.acting(calibration, rows), calibration.nominal_in_wanted_frames()
+    arm, wanted = core_identify.acting(calibration, rows), calibration.nominal_in_wanted_frames()
     to_base = transforms.inverse(np.asarray(wanted.model.T_base))
     tool, expected = arm.predict(rows).position[0], wanted.predict(rows).position[0]
-    done = walker.correct_trajectory(arm, rows, options)
+    done = core_correct.correct_trajectory(arm, rows, options)
     there = {effect.id for effect in arm.model.effects}
     missing = [one.id for one in calibration.model.effects if one.stage != "measurement" and one.id not in there]
     sigma = None if known is None else float(known.of_the_tool(calibration, rows).max()) / QUANTILE

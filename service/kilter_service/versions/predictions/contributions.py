@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kilter_service.ground.core import table_fit
+from kilter_service.ground.core import core_model
 from kilter_service.ground.db import Database
 from kilter_service.ground.wire import to_mm
 from kilter_service.versions import store
@@ -25,8 +25,8 @@ def contributions(database: Database, version_id: str) -> tuple[int, list[Contri
     with database.reading() as session:
         calibration = store.calibration(session, version_id)
     arm = [effect for effect in calibration.model.effects if effect.stage != "measurement"]
-    kept = calibration.with_effects([effect for effect in arm if table_fit.acts_at_rest(effect)])
-    rows = table_fit.workspace(calibration.robot)
+    kept = calibration.with_effects([effect for effect in arm if core_model.acts_at_rest(effect)])
+    rows = core_model.workspace(calibration.robot)
     moved = {}
     for name, shift in kept.model.contribution(rows, kept.values).items():
         size = to_mm(np.linalg.norm(shift, axis=1))

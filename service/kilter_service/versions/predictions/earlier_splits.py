@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.observations.motions import is_trajectory, segments
+from kilter_core.observations import is_trajectory, segments
 from kilter_core.types import Ints
-from kilter_service.ground.core import contacts
+from kilter_service.ground.core import core_measurement
 from kilter_service.versions.store import Training
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def fitted_by_order(rows: Observations, fraction: float, training: Training) -> Ints:
     """Indices of the rows that a job of an earlier release fitted when a fraction was held out."""
-    search, placed = training.kind == "gap", contacts.placements(rows)
+    search, placed = training.kind == "gap", core_measurement.placements(rows)
     if search and is_trajectory(rows):
         held = _of_motions(rows, fraction, training.seed)
     elif search and training.unasked and placed is None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from kilter_core.types import Floats
 from kilter_service.campaigns import store as campaigns
-from kilter_service.ground.core import core_frames
+from kilter_service.ground.core import core_arm
 from kilter_service.ground.db import Database
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
@@ -44,5 +44,5 @@ def least_motion(jacobian: Floats, error: Floats) -> Floats:
 
 def _in_base(calibration: Calibration, jacobian: Floats) -> Floats:
     """Derivatives (N, 3, n) of measured positions in the axes of the robot's base."""
-    turn = (calibration.model.T_base @ core_frames.increment(calibration.values[:6]))[:3, :3]
+    turn = (calibration.model.T_base @ core_arm.increment(calibration.values[:6]))[:3, :3]
     return np.asarray(turn.T @ jacobian)

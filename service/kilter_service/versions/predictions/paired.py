@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.observations.repeats import numbered_poses
+from kilter_core.observations import numbered_poses
 from kilter_files.ground.later import stats
 from kilter_service.campaigns import looking
 from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths

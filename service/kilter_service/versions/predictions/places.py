@@ -13,16 +13,7 @@ from kilter_core.types import QUANTILE, Bools, Floats, Ints
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.core import (
-    core_frames,
-    core_measurement,
-    core_model,
-    estimate,
-    predictive,
-    row_errors,
-    transforms,
-    walker,
-)
+from kilter_service.ground.core import core_arm, core_correct, core_identify, core_measurement, core_model, transforms
 from kilter_service.ground.correction_limits import correction_options
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
@@ -31,7 +22,7 @@ from kilter_service.versions.predictions.preview import drawn
 from kilter_service.versions.predictions.residuals import Part, iter_frame_groups, load_parts, refit_frames
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
     from kilter_core.model import Calibration
 
 
@@ -162,7 +153,7 @@ def _sizes(part: Part, here: Calibration, rows: Ints) -> tuple[Floats, Floats] |
     if not measurement.observes_places:
         return None
     predicted = here.predict(measurement.observations)
-    size = np.linalg.norm(row_errors.mean_marker_error(measurement.residual(predicted).points), axis=1)
+    size = np.linalg.norm(core_identify.mean_marker_error(measurement.residual(predicted).points), axis=1)
     return in_base(here, predicted.position), size
 
 
@@ -170,7 +161,7 @@ def _stages(part: Part, frame: _Frame, chosen: Bools) -> Floats:
     """Errors (n, 3, 3) m of the rows chosen, by stage; registration is fitted to some rows, evenly chosen."""
     nominal = core_model.Calibration.nominal(frame.here.robot)
     some = frame.rows[np.linspace(0, len(frame.rows) - 1, min(len(frame.rows), FITTED_ROWS)).astype(np.int64)]
-    fitted = estimate.registration_only(
+    fitted = core_identify.registration_only(
         nominal,
         core_measurement.Measurement.from_observations(part.rows.select(some), frame.here.marker_points, held=True),
     )
@@ -184,7 +175,9 @@ def _errors(part: Part, stages: dict[str, Calibration], rows: Ints) -> Floats:
     )
     if measurement.tool.places_itself:
         return np.stack([measurement.tool.row_errors(stage)[0] for stage in stages.values()], axis=1)
-    return np.stack([row_errors.RowErrors.from_stages(stages, measurement, rows).left[name] for name in stages], axis=1)
+    return np.stack(
+        [core_identify.RowErrors.from_stages(stages, measurement, rows).left[name] for name in stages], axis=1
+    )
 
 
 def spread(at: Floats, size: Floats, most: int = MOST_ROWS) -> Ints:
@@ -204,16 +197,16 @@ def reach(database: Database, version: str) -> Reach:
         limits, rules = CorrectionLimits(**store.get(session, version).limits), store.rules_of(session, version)
         calibration, known = store.calibration(session, version), store.load_predictive(session, version)
     rows = Observations(q=drawn(calibration.robot, DRAWN))
-    done = walker.correct_trajectory(calibration, rows, correction_options(limits, None, rules=rules))
+    done = core_correct.correct_trajectory(calibration, rows, correction_options(limits, None, rules=rules))
     good = done.status == Status.OK
     rows = rows.select(good)
     before = np.linalg.norm(done.error_removed[good], axis=1)
     after = None if known is None else known.of_the_tool(calibration, rows).max(axis=1) / QUANTILE
-    points = predictive.acting(calibration, rows).predict(rows).position
+    points = core_identify.acting(calibration, rows).predict(rows).position
     return Reach(in_base(calibration, points), before, after)
 
 
 def in_base(calibration: Calibration, points: Floats) -> Floats:
     """Points (N, 3) m of the measurements in the frame of the robot's base."""
-    base = transforms.inverse(calibration.model.T_base @ core_frames.increment(calibration.values[:6]))
+    base = transforms.inverse(calibration.model.T_base @ core_arm.increment(calibration.values[:6]))
     return np.asarray(points @ base[:3, :3].T + base[:3, 3])

@@ -22,8 +22,8 @@ from kilter_service.versions import store, wire
 from kilter_service.versions.records import PreviewedPoses
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
-    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.arm import Robot
+    from kilter_core.identify import Predictive
     from kilter_core.model import Calibration
 
 Within = Literal["campaigns", "limits"]

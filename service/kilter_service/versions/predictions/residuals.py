@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.types import Bools
 from kilter_files.ground.later import pa
 from kilter_service.campaigns import store as campaigns
-from kilter_service.ground.core import core_evaluate, core_measurement, setup_frames, tukey
+from kilter_service.ground.core import core_evaluate, core_identify, core_measurement
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.tables.writing import write_table
@@ -20,7 +20,7 @@ from kilter_service.versions.predictions.unfitted_rows import Archive
 from kilter_service.versions.records import VersionRecord
 
 if TYPE_CHECKING:
-    from kilter_core.identify.uncertainty.predictive import Predictive
+    from kilter_core.identify import Predictive
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
 
@@ -126,7 +126,7 @@ def _row_errors(part: Part, calibration: Calibration, known: Predictive | None, 
         u95[where] = np.nan if half is None else half
         if np.isnan(turn_noise):
             left = left.of_points()
-        size[where] = tukey.whitened_row_sizes(left, point_noise or np.nan, turn_noise or np.nan)
+        size[where] = core_identify.whitened_row_sizes(left, point_noise or np.nan, turn_noise or np.nan)
         if left.turns is not None:
             turn[where] = np.linalg.norm(left.turns, axis=1)
     return wire.residual_columns(error, u95, turn, size)
@@ -151,4 +151,4 @@ def iter_frame_groups(part: Part, report: dict[str, Any]) -> Iterator[tuple[Bool
 
 def refit_frames(calibration: Calibration, measurement: Any, frames: Sequence[str]) -> Calibration:
     """Return a calibration with the frames in which it predicts these rows best."""
-    return setup_frames.with_own_frames(calibration, measurement, "huber", frames)
+    return core_identify.with_own_frames(calibration, measurement, "huber", frames)

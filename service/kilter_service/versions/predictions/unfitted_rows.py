@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kilter_core.errors import CoreError
-from kilter_core.observations import Observations
-from kilter_core.observations.repeats import numbered_poses, rounded_poses
-from kilter_core.observations.shared_rows import rows_beyond_chance
+from kilter_core.observations import Observations, numbered_poses, rounded_poses, rows_beyond_chance
 from kilter_core.types import Bools, Floats, Ints
 from kilter_service.campaigns import store as campaigns
-from kilter_service.ground.core import holdout
+from kilter_service.ground.core import core_identify
 from kilter_service.ground.db import Session
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
@@ -22,7 +20,7 @@ from kilter_service.versions.predictions.earlier_splits import fitted_by_order
 from kilter_service.versions.store import Training
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
 
 
 NUMBERS_EACH = 6  # coordinates for each parameter of a re-zeroing, from which on it took little of their errors
@@ -210,7 +208,7 @@ class _Trained:
 def _draw(training: Training, rows: Observations, fraction: float) -> Ints:
     """Indices of the rows that a job fits when a fraction is held out."""
     if training.by_content:
-        return holdout.split(rows, fraction, training.seed)[0]
+        return core_identify.split(rows, fraction, training.seed)[0]
     return fitted_by_order(rows, fraction, training)
 
 

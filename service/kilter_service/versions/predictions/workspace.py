@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.core import predictive
+from kilter_service.ground.core import core_identify
 from kilter_service.ground.db import Database
 from kilter_service.versions import store
 from kilter_service.versions.predictions.places import in_base
@@ -16,7 +16,7 @@ from kilter_service.versions.predictions.preview import at_poses, drawn
 from kilter_service.versions.records import PreviewedPoses
 
 if TYPE_CHECKING:
-    from kilter_core.arm.robot import Robot
+    from kilter_core.arm import Robot
 
 
 @dataclass(frozen=True)
@@ -41,5 +41,5 @@ def workspace(database: Database, version_id: str, temperature_c: float | None) 
         calibration, known = store.calibration(session, version_id), store.load_predictive(session, version_id)
     q = drawn(calibration.robot)
     rows = Observations(q=q)
-    points = in_base(calibration, predictive.acting(calibration, rows).predict(rows).position)
+    points = in_base(calibration, core_identify.acting(calibration, rows).predict(rows).position)
     return Workspace(calibration.robot, limits, at_poses(calibration, known, limits, q, temperature_c), points)

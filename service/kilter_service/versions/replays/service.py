@@ -13,7 +13,7 @@ from kilter_core.observations import Observations
 from kilter_core.types import Floats
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.core import program
+from kilter_service.ground.core import core_correct
 from kilter_service.ground.correction_limits import Rules, correction_options, rules_today
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.wire import to_deg, to_mm
@@ -49,7 +49,7 @@ class Change:
 
 def correct_setpoints(calibration: Calibration, limits: dict[str, Any], rules: Rules, q: Floats) -> Floats:
     """Return the joints (N, n) that answer setpoints ``q (N, n)``, rad or m; NaN where one is refused."""
-    made = program.compile_program(calibration, correction_options(CorrectionLimits(**limits), None, rules=rules))
+    made = core_correct.compile_program(calibration, correction_options(CorrectionLimits(**limits), None, rules=rules))
     done = made.correct_rows(q)
     return np.where((done.status == Status.OK)[:, None], done.q, np.nan)
 

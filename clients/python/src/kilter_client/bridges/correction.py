@@ -10,14 +10,12 @@ import numpy as np
 
 from kilter_client.bridges.guard import Guard
 from kilter_client.bridges.news import Kind
-from kilter_core.correct.file import Stored, from_bytes
-from kilter_core.correct.kernels import layout
-from kilter_core.correct.program import Track, warm_up
+from kilter_core.correct import JOINT_LIMIT, NOT_FINITE, OK, RATE_LIMIT, TOO_LARGE, Stored, Track, from_bytes, warm_up
 from kilter_core.errors import OptionError
 
 REFUSED = {
-    layout.NOT_FINITE: "NOT_FINITE", layout.JOINT_LIMIT: "JOINT_LIMIT", layout.TOO_LARGE: "CORRECTION_TOO_LARGE",
-    layout.RATE_LIMIT: "RATE_LIMIT",
+    NOT_FINITE: "NOT_FINITE", JOINT_LIMIT: "JOINT_LIMIT", TOO_LARGE: "CORRECTION_TOO_LARGE",
+    RATE_LIMIT: "RATE_LIMIT",
 }  # fmt: skip
 ROBOT_BYTES = 48  # of a robot's name in a program
 
@@ -112,9 +110,9 @@ class Correction:
             self._note("BAD_FRAME")
             return self._guard.follow(None, passed, taken)
         status = self._track.step(np.array(q, dtype=np.float64), 1, self._since_s)
-        if status != layout.OK:
+        if status != OK:
             self._note(REFUSED.get(status, str(status)))
-            if status == layout.RATE_LIMIT:  # its past is the reason: begin anew, at the guard's pace
+            if status == RATE_LIMIT:  # its past is the reason: begin anew, at the guard's pace
                 self._track.restart(settled=True)
             return self._guard.follow(None, passed, taken)
         self._since_s, self.last = 0.0, "OK"

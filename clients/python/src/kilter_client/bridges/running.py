@@ -24,7 +24,7 @@ from kilter_client.bridges.news import Kind, Line, pair
 from kilter_client.bridges.plan import Setpoints
 from kilter_client.errors import FileError, MissingPackageError, UsageError
 from kilter_client.verbs.inputs import parse_signs
-from kilter_core.correct.file import from_bytes
+from kilter_core.correct import from_bytes
 from kilter_core.errors import OptionError
 
 COMPANION = "kilter_client.bridges.companion"

@@ -22,7 +22,7 @@ from kilter_client.cli.terminal.arguments import (
 from kilter_client.cli.terminal.flags import with_flags
 from kilter_client.errors import UsageError
 from kilter_client.typed.option_texts import JOINT_PARAMETERS
-from kilter_files.rig.readings import read_readings
+from kilter_files.rig import read_readings
 
 
 def register(app: typer.Typer) -> None:

@@ -12,9 +12,9 @@ import typer
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import Document, emit, note
 from kilter_client.cli.terminal.tables import show_rows
-from kilter_files.formats.registry import list_formats
-from kilter_files.ground.units import column_unit
-from kilter_files.robots.read import KATANA, TABLES, UR, URDF
+from kilter_files.formats import list_formats
+from kilter_files.ground import column_unit
+from kilter_files.robots import KATANA, TABLES, UR, URDF
 
 LISTS: dict[str, list[dict[str, str]]] = json.loads(
     Path(__file__).with_name("texts").joinpath("lists.json").read_text(encoding="utf-8")

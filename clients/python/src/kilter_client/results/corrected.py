@@ -12,7 +12,7 @@ from kilter_client.errors import UsageError
 from kilter_client.results.rows import Rows, write_file
 from kilter_client.results.tables import html_table
 from kilter_files.ground.later import need
-from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE
+from kilter_files.tables import CSV_TYPE, JSON_TYPE, PARQUET_TYPE
 
 if TYPE_CHECKING:
     import numpy as np

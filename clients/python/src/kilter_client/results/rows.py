@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import FileError
 from kilter_client.results.tables import Tabular, column_array, numpy_for
-from kilter_files.ground.names import did_you_mean
+from kilter_files.ground import did_you_mean
 
 if TYPE_CHECKING:
     import numpy as np

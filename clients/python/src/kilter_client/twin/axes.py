@@ -10,7 +10,7 @@ from kilter_client.errors import FileError
 from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
-    from kilter_files.ground.arrays import Floats
+    from kilter_files.ground import Floats
 
 NEAR_M, NEAR_RAD = 1e-3, 5e-3  # between an axis of the model and that of the robot, at zero joints
 ROUNDS = 60

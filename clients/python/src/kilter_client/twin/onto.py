@@ -18,7 +18,7 @@ from kilter_client.twin.step import TABLE
 from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
-    from kilter_files.ground.arrays import Floats
+    from kilter_files.ground import Floats
 
 NOMINAL, TOOL, BACKLASH = "kilter_nominal", "kilter_tool", "_backlash"
 

@@ -16,10 +16,10 @@ from kilter_client.errors import FileError, MissingPackageError, UsageError
 from kilter_client.twin.step import apply
 from kilter_client.twin.views import ViewErrors, errors_of_views
 from kilter_files.ground.later import mujoco, np
-from kilter_files.rig.kit.sight import FEWEST_CORNERS
+from kilter_files.rig import FEWEST_CORNERS
 
 if TYPE_CHECKING:
-    from kilter_files.ground.arrays import Floats
+    from kilter_files.ground import Floats
 
 UNITS = {"deg": 0.017453292519943295, "rad": 1.0, "mm": 1e-3, "m": 1.0}
 REACH = 0.02  # rad (m) before a pose from which its joints come

@@ -15,7 +15,7 @@ from kilter_client.errors import UsageError
 from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
-    from kilter_files.ground.arrays import Floats
+    from kilter_files.ground import Floats
 
 TABLE, FORMAT = "kilter", 1
 NO_LOAD = 1e-9  # N m (N): below it a sign would be that of rounding noise

@@ -15,10 +15,10 @@ from kilter_client.errors import FileError
 from kilter_client.twin.axes import base_in_model
 from kilter_client.twin.onto import Laid
 from kilter_files.ground.later import np
-from kilter_files.robots.usd_poses import NOMINAL, TOOL, local_pose, pose_matrix, split, usd_package
+from kilter_files.robots import NOMINAL, TOOL, local_pose, pose_matrix, split, usd_package
 
 if TYPE_CHECKING:
-    from kilter_files.ground.arrays import Floats
+    from kilter_files.ground import Floats
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc")
 SCALED = 1e-6

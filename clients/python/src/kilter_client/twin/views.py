@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import UsageError
 from kilter_files.ground.later import np
-from kilter_files.match.arm import rotations
-from kilter_files.rig.kit.sight import FEWEST_CORNERS, FEWEST_VIEWS, SeenBoard, find_seen_boards
+from kilter_files.match import rotations
+from kilter_files.rig import FEWEST_CORNERS, FEWEST_VIEWS, SeenBoard, find_seen_boards
 
 if TYPE_CHECKING:
-    from kilter_files.ground.arrays import Floats
+    from kilter_files.ground import Floats
 
 STEP_MM, STEP_RAD = 1e-3, 1e-6
 ROUNDS = 80

@@ -8,7 +8,7 @@ from os import PathLike, fspath
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import ApiError, CalibrationError, ConflictError, KilterError, NotFoundError, PayloadError
-from kilter_client.files import files_refusals, files_summary
+from kilter_client.files import files_look
 from kilter_client.requests.calls import campaigns, robots
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.dry_run import DryRun
@@ -123,7 +123,7 @@ def _knows_rows_alone(error: ApiError) -> bool:
 def _left_to_upload(prepared: Prepared, into: str | None) -> str:
     """What such a server looks at in an upload only."""
     parts = ["name", "conditions", "instrument"] if into is None else ["columns of the campaign"]
-    if any(map(PIXEL.fullmatch, files_summary.numeric_columns(prepared))):
+    if any(map(PIXEL.fullmatch, files_look.numeric_columns(prepared))):
         parts.append("what its cameras and boards can show")
     listed = ", ".join(parts[:-1]) + " and " if len(parts) > 1 else ""
     return f"{listed}{parts[-1]}, which this server looks at in an upload only, for it is older than this program"
@@ -136,10 +136,10 @@ def checked_here(
     unknown = (
         f"joints and their limits, and whether the rows belong to the robot ({why.detail.rstrip('.')})" if why else ""
     )
-    return files_summary.summary(prepared, conditions) | {
+    return files_look.summary(prepared, conditions) | {
         "left_out": [text for text in prepared.warnings if "left out" in text],
-        "refused": files_refusals.otherwise_separated(prepared)
-        or files_refusals.refusals(files_summary.numeric_columns(prepared), joints, prepared.lines),
+        "refused": files_look.otherwise_separated(prepared)
+        or files_look.refusals(files_look.numeric_columns(prepared), joints, prepared.lines),
         "odd": [],
         "not_checked": unknown,
     }

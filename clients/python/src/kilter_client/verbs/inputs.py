@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 from kilter_client.errors import UsageError
 from kilter_files import prepare
-from kilter_files.tables.table import CSV_TYPE, WHOLE_NUMBERS, Prepared
+from kilter_files.tables import CSV_TYPE, WHOLE_NUMBERS, Prepared
 
 # A path, what `prepare` made, columns by name, a structured array, a 2-D array with `columns`, or a DataFrame.
 Data: TypeAlias = "str | PathLike[str] | Prepared | Mapping[str, Any] | Any"

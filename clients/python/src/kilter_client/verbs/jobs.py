@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeAlias, Unpack, cast
 
 from kilter_client import typed
-from kilter_client.files import readings
+from kilter_client.files import files_rig
 from kilter_client.requests.calls import jobs as calls
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.record import Record, Records
@@ -151,7 +151,7 @@ def joint_parameters(
     """
     chosen: dict[str, Any] = dict(options)
     if readings_file is not None:
-        chosen["readings"] = readings.read_readings(Path(fspath(readings_file)))
+        chosen["readings"] = files_rig.read_readings(Path(fspath(readings_file)))
     wanted = request_body("joint_parameters", robot, campaigns, chosen, validation, name)
     return cast("typed.identifications.JointParametersResult", (yield from run(wanted, progress, timeout_s)))
 

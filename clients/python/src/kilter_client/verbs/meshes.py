@@ -9,7 +9,7 @@ from typing import Literal
 
 from kilter_client import typed
 from kilter_client.errors import UsageError
-from kilter_client.files import files_link_meshes
+from kilter_client.files import files_robots
 from kilter_client.requests.calls import meshes as calls
 from kilter_client.requests.steps import Steps
 from kilter_client.results.record import Records
@@ -73,7 +73,7 @@ def set_urdf_meshes(
     folders = {package: Path(fspath(folder)) for package, folder in (packages or {}).items()}
     asked = yield from calls.of_urdf(name)
     made = []
-    for one in files_link_meshes.link_meshes(asked["shapes"], Path(fspath(urdf)), folders):
+    for one in files_robots.link_meshes(asked["shapes"], Path(fspath(urdf)), folders):
         put = yield from calls.put(name, one.link, one.content, "stl", "mm")
         made.append(typed.robots.Mesh.read(put))
     return Records(typed.robots.Mesh, made)

@@ -8,15 +8,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from kilter_client.errors import RobotError
-from kilter_client.files import files_found, files_postures, one_target, rigid
+from kilter_client.files import files_formats
 from kilter_client.requests.calls import robots
 from kilter_client.requests.steps import Document, Steps
 
 if TYPE_CHECKING:
-    from kilter_files.formats.programs.found import Program
-    from kilter_files.formats.programs.one_target import Branch, JointTarget, PoseTarget, Span, Use
-    from kilter_files.formats.programs.poses.postures import Found
-    from kilter_files.formats.programs.rigid import Rigid
+    from kilter_files.formats import Branch, Found, JointTarget, PoseTarget, Program, Rigid, Span, Use
 
 ALL_ROUND = (-720.0, 720.0)  # of a joint without limits
 BEFORE = "the target before it is left too"
@@ -69,7 +66,7 @@ def understand(programs: Sequence[Program], robot: Document, joints: ProgramJoin
     name = str(robot["name"])
     try:
         known = (yield from robots.forward(name, rows)) if rows else []
-        found = yield from robots.inverse(name, [*known, *(rigid.to_document(_flange(pose)) for pose in poses)])
+        found = yield from robots.inverse(name, [*known, *(files_formats.to_document(_flange(pose)) for pose in poses)])
     except RobotError as error:
         return Understood({}, dict.fromkeys(poses, error.detail.rstrip(".")))
     return _chosen(poses, found, dict(zip(before, rows, strict=True)), _limits(robot), joints.signs)
@@ -77,13 +74,13 @@ def understand(programs: Sequence[Program], robot: Document, joints: ProgramJoin
 
 def _in_order(programs: Sequence[Program]) -> list[PoseTarget]:
     """The poses whose frames are known, in the order of the moves to them where it is known."""
-    visits = [one for program in programs for one in program.visits if isinstance(one, one_target.PoseTarget)]
+    visits = [one for program in programs for one in program.visits if isinstance(one, files_formats.PoseTarget)]
     rest = [pose for program in programs for pose in program.cartesian]
     return [pose for pose in dict.fromkeys([*visits, *rest]) if not pose.reason_left_unresolved()]
 
 
 def _is_joints(near: JointTarget | PoseTarget | None) -> bool:
-    return isinstance(near, one_target.JointTarget)
+    return isinstance(near, files_formats.JointTarget)
 
 
 def _limits(robot: Document) -> list[tuple[float, float]]:
@@ -95,7 +92,7 @@ def _limits(robot: Document) -> list[tuple[float, float]]:
 def _flange(pose: PoseTarget) -> Rigid:
     """The flange in the frame of the robot's root."""
     bases, tool = pose.frames()
-    placed = rigid.Rigid()
+    placed = files_formats.Rigid()
     for base in bases:
         placed = placed.compose_frames(base.pose())
     return placed.compose_frames(pose.notation.pose(pose.numbers)).compose_frames(tool.pose().inverse())
@@ -111,15 +108,15 @@ def _chosen(
     known: dict[int, Found | str] = {}
     for (near, joints), reaching in zip(before.items(), found, strict=False):
         known[near] = (
-            files_postures.find_posture_with_joints(joints, reaching.postures)
+            files_formats.find_posture_with_joints(joints, reaching.postures)
             or "the target before it is at a singularity"
         )
     following: dict[PoseTarget, Sequence[Document]] = {}
     for pose, (postures, certain) in zip(poses, found[len(before) :], strict=True):
         if not certain:
-            known[id(pose)] = files_postures.NOT_CERTAIN
+            known[id(pose)] = files_formats.NOT_CERTAIN
         elif pose.active_configuration is not None and not any(use.follows for use in pose.uses):
-            known[id(pose)] = files_postures.by_configuration(pose.active_configuration, postures, limits, signs)
+            known[id(pose)] = files_formats.by_configuration(pose.active_configuration, postures, limits, signs)
         else:
             following[pose] = postures
     _follow(following, known, limits, signs)
@@ -145,7 +142,7 @@ def _suspicion(
 ) -> str:
     """Say that most stated configurations fit no posture of the arm, and by which signs they would; empty: they do."""
     stated = [pose for pose in poses if pose.active_configuration is not None]
-    misfits = [pose for pose in stated if left.get(pose) == files_postures.NO_SUCH]
+    misfits = [pose for pose in stated if left.get(pose) == files_formats.NO_SUCH]
     if len(misfits) < 2 or 2 * len(misfits) < len(stated):
         return ""
     sample = [
@@ -153,7 +150,7 @@ def _suspicion(
         for pose in misfits[:MOST_TRIED]
         if pose.active_configuration is not None
     ]
-    other = files_postures.fitting_signs(sample, limits, signs)
+    other = files_formats.fitting_signs(sample, limits, signs)
     said = f"{len(misfits)} of {len(stated)} stated configurations fit no posture of the robot. "
     if other is not None:
         return (
@@ -208,14 +205,14 @@ def _by_use(
 ) -> Found | str:
     """The posture that a controller takes by one move."""
     if pose.configuration is not None and not use.follows:
-        return files_postures.by_configuration(pose.configuration, postures, limits, signs)
+        return files_formats.by_configuration(pose.configuration, postures, limits, signs)
     near = known.get(id(use.near), BEFORE)
     if use.near is None:
-        return files_postures.not_followed(use.follows)
+        return files_formats.not_followed(use.follows)
     return (
         BEFORE
         if isinstance(near, str)
-        else files_postures.select_following_posture(near, postures, limits, straight=use.straight)
+        else files_formats.select_following_posture(near, postures, limits, straight=use.straight)
     )
 
 
@@ -234,7 +231,7 @@ def _by_all_uses(
             return one
         chosen.append(one)
     apart = max(math.dist(one.joints_deg, chosen[0].joints_deg) for one in chosen)
-    return chosen[0] if apart < SAME_DEG else files_postures.DIFFERENT
+    return chosen[0] if apart < SAME_DEG else files_formats.DIFFERENT
 
 
 def not_kept(
@@ -245,7 +242,7 @@ def not_kept(
     found = (yield from robots.inverse(robot, flanges)) if flanges else []
     out: dict[PoseTarget, str] = {}
     for (pose, q), reaching in zip(corrected, found, strict=True):
-        one, stated = files_postures.find_posture_with_joints(q, reaching.postures), pose.active_configuration
+        one, stated = files_formats.find_posture_with_joints(q, reaching.postures), pose.active_configuration
         if one is None:
             out[pose] = "the correction takes it to a singularity"
         elif not (
@@ -268,14 +265,14 @@ def rewritten(
     out: list[dict[Span, str]] = []
     for (program, pose), flange, q in zip(places, flanges, joints_deg, strict=True):
         bases, tool = pose.frames()
-        placed = rigid.of_document(flange).compose_frames(tool.pose())
+        placed = files_formats.of_document(flange).compose_frames(tool.pose())
         for base in bases:
             placed = base.pose().inverse().compose_frames(placed)
         numbers = pose.notation.nearest_numbers(placed, pose.numbers)
         moved = [pose.notation.is_number_changed(k, old, numbers[k]) for k, old in enumerate(pose.numbers)]
         decimals = pose.notation.decimals
         new = {
-            span: files_found.written(program.text[slice(*span)], numbers[k], decimals[k])
+            span: files_formats.written(program.text[slice(*span)], numbers[k], decimals[k])
             for k, span in enumerate(pose.spans)
             if moved[k] or (pose.computed is not None and any(moved))
         }

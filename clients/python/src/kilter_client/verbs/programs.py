@@ -11,15 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 from kilter_client.errors import FileError, UsageError
-from kilter_client.files import (
-    files_found,
-    files_marks,
-    files_postures,
-    files_reading,
-    files_remedies,
-    files_track,
-    one_target,
-)
+from kilter_client.files import files_formats
 from kilter_client.requests.calls import robots, versions
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.program import FilteredProgram
@@ -31,8 +23,7 @@ from kilter_client.verbs.versions import correct
 
 if TYPE_CHECKING:
     from kilter_client.results.program import FilteredProgram
-    from kilter_files.formats.programs.found import Program, Stated, Track
-    from kilter_files.formats.programs.one_target import JointTarget, PoseTarget
+    from kilter_files.formats import JointTarget, PoseTarget, Program, Stated, Track
 
 Frames: TypeAlias = "Mapping[str, Sequence[float] | str] | Sequence[float] | str"
 
@@ -104,7 +95,7 @@ def filter(  # noqa: A001 - a verb, as the command is called
 
 
 def _stated_frames(bases: Frames | None, tools: Frames | None, tracks: Mapping[str, str] | None) -> Stated:
-    return files_found.Stated(_frames(bases, "base"), _frames(tools, "tool"), _tracks(tracks or {}))
+    return files_formats.Stated(_frames(bases, "base"), _frames(tools, "tool"), _tracks(tracks or {}))
 
 
 def _tracks(given: Mapping[str, str]) -> dict[str, Track]:
@@ -116,7 +107,7 @@ def _tracks(given: Mapping[str, str]) -> dict[str, Track]:
     """
     out = {}
     for name, said in given.items():
-        track = files_track.parse_track(said)
+        track = files_formats.parse_track(said)
         if track is None or not name:
             raise UsageError(
                 f"--track {name}={said}: give a direction of the arm's root, as --track eax_a=x or E1=-y,1000."
@@ -126,9 +117,9 @@ def _tracks(given: Mapping[str, str]) -> dict[str, Track]:
 
 
 def _programs(path: str | PathLike[str], stated: Stated, again: bool) -> list[Program]:
-    programs = files_reading.read_programs(Path(fspath(path)), stated)
+    programs = files_formats.read_programs(Path(fspath(path)), stated)
     if not again:
-        files_marks.refuse_corrected(programs)
+        files_formats.refuse_corrected(programs)
     _refuse_other_numbers(stated, programs[0].dialect)
     return programs
 
@@ -227,12 +218,12 @@ def _correct_targets(
     """Correct all targets in one call."""
     places = [
         place
-        for place in files_reading.targets_in_visit_order(programs)
+        for place in files_formats.targets_in_visit_order(programs)
         if place[1] not in understood.left and _has_known_joints(place[1], understood)
     ]
     rows = [
         [*understood.joints_deg[target]]
-        if isinstance(target, one_target.PoseTarget)
+        if isinstance(target, files_formats.PoseTarget)
         else joints.of_robot(target.joints_deg)
         for _, target in places
     ]
@@ -281,7 +272,7 @@ def _drop_unreachable_poses(
 
 
 def _is_pose(target: JointTarget | PoseTarget) -> TypeGuard[PoseTarget]:
-    return isinstance(target, one_target.PoseTarget)
+    return isinstance(target, files_formats.PoseTarget)
 
 
 def _has_known_joints(target: JointTarget | PoseTarget, understood: Understood) -> bool:
@@ -308,7 +299,9 @@ def _texts(
         )
         for one in programs
     }
-    return {one.path.name: files_marks.add_correction_mark(one, texts[one.path.name], str(version)) for one in programs}
+    return {
+        one.path.name: files_formats.add_correction_mark(one, texts[one.path.name], str(version)) for one in programs
+    }
 
 
 def _skipped_targets(programs: Sequence[Program]) -> list[tuple[Program, int, str]]:
@@ -335,8 +328,8 @@ def _refuse(
             f"{f'{one.path.name}, ' if several else ''}line {line}: {said}" for one, line, said in places[:SHOWN]
         )
         more = f" and {len(places) - SHOWN} more" if len(places) > SHOWN else ""
-        fits = [said for _, _, said in places if not (suspicion and files_postures.NO_SUCH in said)]
-        helps = " ".join(["Nothing is written.", *([suspicion] if suspicion else []), *files_remedies.remedies(fits)])
+        fits = [said for _, _, said in places if not (suspicion and files_formats.NO_SUCH in said)]
+        helps = " ".join(["Nothing is written.", *([suspicion] if suspicion else []), *files_formats.remedies(fits)])
         remedy = f"{helps} Or leave --strict out." if strict else helps
         path = programs[0].path
         at = [{"file": str(one.path), "line": line} for one, line, _ in places]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from kilter_client import typed
 from kilter_client.errors import UsageError
-from kilter_client.files import read
+from kilter_client.files import files_robots
 from kilter_client.requests.calls import robots as calls
 from kilter_client.requests.steps import Steps
 from kilter_client.results.record import Records
@@ -280,12 +280,12 @@ def _document(
                 "document (k.convert_robot) to change it."
             )
         return {"name": name or preset, "convention": "preset", "preset": preset}
-    described = read.Described(
+    described = files_robots.Described(
         name, given.base_link, given.tip_link, given.convention, given.model, given.turned, given.follows
     )
     if isinstance(source, Mapping):
-        return read.described_document(source, described)
-    return read.read_robot(Path(fspath(source or "")), described)
+        return files_robots.described_document(source, described)
+    return files_robots.read_robot(Path(fspath(source or "")), described)
 
 
 def robot(name: ResourceReference) -> Steps[typed.robots.RobotReport]:

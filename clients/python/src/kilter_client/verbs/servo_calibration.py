@@ -7,13 +7,13 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kilter_client.files import files_beside_rows, files_summary
+from kilter_client.files import files_formats, files_look
 from kilter_client.requests.calls import robots
 from kilter_client.requests.steps import Document, Steps
 
 if TYPE_CHECKING:
     from kilter_files import Prepared
-    from kilter_files.formats.joints.lerobot.calibration import Calibration
+    from kilter_files.formats import Calibration
 
 CONDITION = "calibration_sha256"
 
@@ -29,9 +29,7 @@ def compare_calibration_file(
     """
     if calibration is None:
         return {}, prepared
-    return (
-        yield from compare_calibration(robot, files_beside_rows.of_follower(Path(fspath(calibration))), prepared, file)
-    )
+    return (yield from compare_calibration(robot, files_formats.of_follower(Path(fspath(calibration))), prepared, file))
 
 
 def compare_calibration(
@@ -44,15 +42,15 @@ def compare_calibration(
 
     """
     joints = [str(joint["name"]) for joint in (yield from robots.fetch_document(robot))["joints"]]
-    servos = files_beside_rows.servo_by_joint(found, joints)
+    servos = files_formats.servo_by_joint(found, joints)
     shown = {
         f"{name.partition('_')[0]}_{unit}": values
-        for name, given in files_summary.numeric_columns(prepared).items()
-        for unit, values in [files_summary.in_shown_unit(name, given)]
+        for name, given in files_look.numeric_columns(prepared).items()
+        for unit, values in [files_look.in_shown_unit(name, given)]
     }
-    files_beside_rows.refuse_unreached(found, Path(file), shown, servos, prepared.lines)
+    files_formats.refuse_unreached(found, Path(file), shown, servos, prepared.lines)
     told = found.seam_warnings(servos.values())
     if not servos:
-        told.append(files_beside_rows.NOT_COMPARED.format(file=found.path, joints=", ".join(joints)))
+        told.append(files_formats.NOT_COMPARED.format(file=found.path, joints=", ".join(joints)))
     prepared = replace(prepared, warnings=(*prepared.warnings, *told))
     return {CONDITION: found.sha256}, prepared

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
-from kilter_core.arm.robot import Robot
-from kilter_core.arm.run_time import JointForm
-from kilter_core.model.table_fit import workspace
+from kilter_core.arm import JointForm, Robot, axial_loads, joint_loads
+from kilter_core.model import workspace
 from kilter_core.types import Floats
 
 RIGID = 1e-8  # rad (m): what a joint without compliance sags by under its largest load

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from kilter_core.arm.loads.slopes import with_masses, with_payload
-from kilter_core.arm.robot import Payload, Robot
-from kilter_core.arm.run_time import Conditions, JointForm, RunTimeForm, Shape
+from kilter_core.arm import Conditions, JointForm, Payload, Robot, RunTimeForm, Shape, with_masses, with_payload
 from kilter_core.effects import Effect
 from kilter_service.robots.exporters.mjcf.drives import largest_loads
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kilter_core.model.table_fit import acts_at_rest, workspace
+from kilter_core.model import acts_at_rest, workspace
 from kilter_service.contract.fits import Errors, StageErrors
 from kilter_service.contract.versions import Version
 from kilter_service.robots.exporters.mjcf.effects import ExportedEffects

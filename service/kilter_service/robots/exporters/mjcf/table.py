@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from kilter_core.arm.run_time import BendingRow, Curve, JointForm, RunTimeForm, Shape
+from kilter_core.arm import BendingRow, Curve, JointForm, RunTimeForm, Shape
 from kilter_service.robots.exporters.mjcf.effects import BY_THE_STEP, passive_joint_part
 
 FORMAT = 1

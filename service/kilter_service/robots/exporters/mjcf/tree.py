@@ -9,8 +9,8 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kilter_core.arm.robot import Link, moved_link
-from kilter_core.model.geometry import flange_frames, flange_screws, wanted_tool
+from kilter_core.arm import Link, moved_link
+from kilter_core.model import flange_frames, flange_screws, wanted_tool
 from kilter_core.transforms import inverse, pose_from_twist, rotation_along
 from kilter_service.robots.exporters.mjcf.drives import BACKLASH_RATE, FRICTION, LIMITS, Drive
 from kilter_service.robots.exporters.mjcf.effects import ExportedEffects

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.arm.robot import Link, moved_link
-from kilter_core.model.geometry import wanted_tool
+from kilter_core.arm import Link, moved_link
+from kilter_core.model import wanted_tool
 from kilter_core.transforms import inverse, pose_from_twist
-from kilter_files.robots.usd_poses import NOMINAL, STEP_TABLE, TOOL, local_pose, single, split, usd_package
+from kilter_files.robots import NOMINAL, STEP_TABLE, TOOL, local_pose, single, split, usd_package
 from kilter_service.robots.exporters.mjcf.drives import Drive
 from kilter_service.robots.exporters.mjcf.effects import ExportedEffects
 from kilter_service.robots.exporters.mjcf.table import table

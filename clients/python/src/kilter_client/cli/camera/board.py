@@ -10,9 +10,7 @@ import typer
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.errors import UsageError
-from kilter_files.rig.board.cube import check_cube, save_cube
-from kilter_files.rig.board.drawing import save_board
-from kilter_files.rig.board.layout import USUAL, Board, check_board
+from kilter_files.rig import USUAL, Board, check_board, check_cube, save_board, save_cube
 
 
 def register(app: typer.Typer) -> None:

@@ -20,7 +20,7 @@ from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.progress import job_bar
 from kilter_client.errors import NotFoundError, UsageError
-from kilter_client.files import kit_coverage, kit_loads, kit_words
+from kilter_client.files import files_rig
 from kilter_files import prepare
 
 LIMITS = {"max_joint_deg": 10.0, "max_position_mm": 60.0}  # a hobby servo is off by what would be a crash elsewhere
@@ -69,7 +69,7 @@ def kit(
     with Kilter() as kilter:
         arm = _arm(kilter, robot, as_json)
         if not views:
-            emit({"robot": robot, "steps": kit_words.steps(robot)}, as_json, _show_steps)
+            emit({"robot": robot, "steps": files_rig.steps(robot)}, as_json, _show_steps)
             return
         if cameras is None or calibration is None:
             raise UsageError(
@@ -78,9 +78,7 @@ def kit(
         names = [joint["name"] for joint in arm["joints"]]
         refuse_other_servos(calibration, names)
         rig = rig_conditions(cameras)
-        seen = kit_coverage.capture_from_files(
-            views, arm["joints"], kilter.robots.convert(arm["document"], "chain"), rig
-        )
+        seen = files_rig.capture_from_files(views, arm["joints"], kilter.robots.convert(arm["document"], "chain"), rig)
         refuse_readings_outside(calibration, views, names)
         document = {"robot": robot, "views": seen.views, "poses": seen.poses, "payloads_kg": list(seen.payloads_kg),
                     "missing": list(seen.missing), "loads": [asdict(one) for one in seen.pulled]}  # fmt: skip
@@ -117,7 +115,7 @@ def _page(
     untold: Mapping[int, str], as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
     """Identify, and say what came of it."""
-    loaded = [*kit_loads.gravity_loaded_joints(len(arm["joints"]))]
+    loaded = [*files_rig.gravity_loaded_joints(len(arm["joints"]))]
     effects = [
         {"id": "axial_compliance", "joints": loaded},
         {"id": "backlash_load", "joints": loaded, "softening_nm": SOFTENING_NM, "prior_sigma_rad": BACKLASH_RAD},
@@ -129,7 +127,7 @@ def _page(
         result = kilter.jobs.wait(job["id"], progress)["result"]
     version = str(result["version_id"])
     table = kilter.versions.export(version, "mdh-csv")
-    return {"version_id": version, **kit_words.result_summary(result, arm["joints"], table, untold)}
+    return {"version_id": version, **files_rig.result_summary(result, arm["joints"], table, untold)}
 
 
 def _show_steps(document: Mapping[str, Any]) -> None:
@@ -138,13 +136,13 @@ def _show_steps(document: Mapping[str, Any]) -> None:
 
 
 def _show(document: Mapping[str, Any]) -> None:
-    print_line(kit_words.describe_views(document["views"], document["poses"], document["payloads_kg"]))
+    print_line(files_rig.describe_views(document["views"], document["poses"], document["payloads_kg"]))
     for line in document["missing"]:
         print_line(f"still missing: {line}")
     if "version_id" not in document:
         return
-    print_line(kit_words.describe_tool_error(document["before_mm"], document["after_mm"]))
-    for line in document["lines"] or [kit_words.NOTHING]:
+    print_line(files_rig.describe_tool_error(document["before_mm"], document["after_mm"]))
+    for line in document["lines"] or [files_rig.NOTHING]:
         print_line(f"  {line}")
     for line in document["warnings"]:
         print_line(f"warning: {line}")

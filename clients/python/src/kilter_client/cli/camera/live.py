@@ -13,15 +13,7 @@ from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.errors import UsageError
-from kilter_client.files import (
-    files_feeds,
-    files_newest,
-    files_run,
-    files_server,
-    files_session,
-    files_taken,
-    files_target,
-)
+from kilter_client.files import files_rig
 
 
 def register(app: typer.Typer) -> None:
@@ -56,21 +48,19 @@ def live(
 ) -> None:
     """Show a camera's picture on a page of this machine, with corners and what is missing, and take views at rest."""
     check_numpy()
-    targets = [files_target.read_target(path) for path in board]
-    files_target.check_apart(targets)
-    feed, stop = files_feeds.open_feed(source), Event()
-    if output is None and not isinstance(feed, files_feeds.Folder):
+    targets = [files_rig.read_target(path) for path in board]
+    files_rig.check_apart(targets)
+    feed, stop = files_rig.open_feed(source), Event()
+    if output is None and not isinstance(feed, files_rig.Folder):
         raise UsageError("Say where pictures go: -o DIR.")
     if joints is not None and output is None:
         raise UsageError("--joints writes a table beside the pictures: say where they go, -o DIR.")
-    session = files_session.Session(
-        files_run.Looker(targets), files_taken.Taken(output, joints), feed.name, wanted=views
-    )
-    with files_server.serve_live_page(session, port) as address:
+    session = files_rig.Session(files_rig.Looker(targets), files_rig.Taken(output, joints), feed.name, wanted=views)
+    with files_rig.serve_live_page(session, port) as address:
         # Told at once, for the document comes when the page has gone; stdout keeps to that one document.
         note(json.dumps({"address": address}) if as_json else f"{address}  (end with Ctrl-C)")
         try:
-            files_session.follow(session, files_newest.newest(feed, stop))
+            files_rig.follow(session, files_rig.newest(feed, stop))
         except KeyboardInterrupt:
             pass  # the usual end
         finally:

@@ -13,24 +13,13 @@ from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.cli.terminal.progress import upload_bar
 from kilter_client.errors import FileError, UsageError
-from kilter_client.files import (
-    bag_pictures,
-    files_poses,
-    files_run,
-    files_second,
-    files_sources,
-    files_target,
-    joint_log,
-)
+from kilter_client.files import files_formats, files_rig
 from kilter_client.results.rows import write_file
-from kilter_files.formats.reader import LogHints
-from kilter_files.rig.see.as_parquet import check_pyarrow, write_parquet
-from kilter_files.rig.see.optics.intrinsics_file import read_camera
+from kilter_files.formats import LogHints
+from kilter_files.rig import check_pyarrow, read_camera, write_parquet
 
 if TYPE_CHECKING:
-    from kilter_files.rig.see.poses import Poses
-    from kilter_files.rig.see.run import Looker, Seen
-    from kilter_files.rig.see.sources import Pictures
+    from kilter_files.rig import Looker, Pictures, Poses, Seen
 
 CONVENTION = "the centre of the upper left pixel is (0, 0), u to the right, v down"
 PARQUET = ".parquet"
@@ -112,14 +101,14 @@ def see(
     _check_output(output)
     if camera is not None and intrinsics is not None:
         raise UsageError("Give --camera, or --intrinsics to find them, not both.")
-    targets = [files_target.read_target(path) for path in board]
-    files_target.check_apart(targets)
+    targets = [files_rig.read_target(path) for path in board]
+    files_rig.check_apart(targets)
     known = None if camera is None else read_camera(camera, camera_name)
     order = tuple(joint_order.split(",")) if joint_order else ()
     bag = _bag(pictures, joints, every, topic, joints_topic, order)
     source, poses = bag or _files(pictures, joints, every, starts_s)
-    looker = files_run.Looker(
-        targets, poses, known, intrinsics, files_second.create_second_detector(targets) if cross_check else None
+    looker = files_rig.Looker(
+        targets, poses, known, intrinsics, files_rig.create_second_detector(targets) if cross_check else None
     )
     seen = _write_views_file(looker, source, output, camera_name, as_json)
     document = views_document(seen, looker, mount, camera_name)
@@ -129,8 +118,8 @@ def see(
 
 
 def _files(pictures: list[Path], joints: Path | None, every: int, starts_s: float) -> tuple[Pictures, Poses | None]:
-    source = files_sources.gather_source(pictures, every)
-    return source, None if joints is None else files_poses.read_poses(
+    source = files_rig.gather_source(pictures, every)
+    return source, None if joints is None else files_rig.read_poses(
         joints, source.count(), bool(source.videos), starts_s
     )
 
@@ -140,7 +129,7 @@ def _bag(
     order: tuple[str, ...],
 ) -> tuple[Pictures, Poses] | None:  # fmt: skip
     """The pictures and joints of a bag; None of files."""
-    if not any(map(bag_pictures.is_bag, pictures)):
+    if not any(map(files_rig.is_bag, pictures)):
         if topic or joints_topic or order:
             raise UsageError("--topic, --joints-topic and --joint-order are of a bag: name its folder or file.")
         return None
@@ -148,8 +137,8 @@ def _bag(
         raise UsageError(f"{pictures[0]}: give one bag at a time, and nothing beside it.")
     if joints is not None:
         raise UsageError(f"{pictures[0]}: joints of a bag are its own (--joints-topic); leave --joints out.")
-    found = bag_pictures.pictures_of_bag(
-        pictures[0], topic, joint_log.log_of_bag(pictures[0], LogHints(joints_topic, order)), every
+    found = files_rig.pictures_of_bag(
+        pictures[0], topic, files_formats.log_of_bag(pictures[0], LogHints(joints_topic, order)), every
     )
     return found, found.poses()
 

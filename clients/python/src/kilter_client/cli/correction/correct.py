@@ -23,7 +23,7 @@ from kilter_client.cli.terminal.interrupt import on_interrupt
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.errors import UsageError
 from kilter_files import prepare
-from kilter_files.tables.table import CSV_TYPE, JSON_TYPE
+from kilter_files.tables import CSV_TYPE, JSON_TYPE
 
 if TYPE_CHECKING:
     from kilter_client.results.corrected import Corrected

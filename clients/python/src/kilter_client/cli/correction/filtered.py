@@ -12,7 +12,7 @@ from kilter_client import Kilter
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.errors import UsageError
-from kilter_client.files import files_reading, files_remedies
+from kilter_client.files import files_formats
 
 if TYPE_CHECKING:
     from kilter_client.results.program import FilteredProgram
@@ -113,7 +113,7 @@ def filter_program(
 
 def _refuse_output(program: Path, output: Path | None, diff: bool, overwrite: bool) -> None:
     """Refuse to write nowhere or over the program; before that a program of an unknown dialect, which no output helps."""
-    files_reading.dialect_of_file(program)
+    files_formats.dialect_of_file(program)
     if output is None and not diff:
         raise UsageError("Name the file to write with -o, or ask for --diff.")
     if output is not None and output.resolve() == program.resolve() and not overwrite:
@@ -124,7 +124,7 @@ def _note(done: FilteredProgram, as_json: bool) -> None:
     for line in done.left:
         place = f"{line['file']}, line {line['line']}" if len(done.texts) > 1 else f"line {line['line']}"
         note(f"Warning: {place} is left as it is: {line['what']}.", as_json)
-    for remedy in files_remedies.remedies(str(line["what"]) for line in done.left):
+    for remedy in files_formats.remedies(str(line["what"]) for line in done.left):
         note(f"What helps: {remedy}", as_json)
     for remark in done.notes:
         note(f"Note: {remark}", as_json)

@@ -18,12 +18,11 @@ from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.cli.terminal.references import OfRobot, resolve_reference
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import ConflictError, NotFoundError, UsageError
-from kilter_client.files import files_beside_rows, files_exported, files_homing, kit_words
+from kilter_client.files import files_formats, files_rig, files_robots
 from kilter_client.verbs.servo_calibration import CONDITION
 
 if TYPE_CHECKING:
-    from kilter_files.formats.joints.lerobot.calibration import Calibration
-    from kilter_files.formats.joints.lerobot.homing import Homed
+    from kilter_files.formats import Calibration, Homed
 
 WRITE = (
     "Start the arm with the copy and let LeRobot write it into the servos. It is another calibration: what is measured with "
@@ -79,14 +78,14 @@ def homing(
     check_numpy()
     if output.resolve() == calibration.resolve():
         raise UsageError(f"{output} is the calibration itself, which stays as it is: name another file.")
-    found = files_beside_rows.of_follower(calibration)
+    found = files_formats.of_follower(calibration)
     with Kilter() as kilter:
         version = resolve_reference(kilter, "version", version, robot, as_json)
         stated = _refuse_other(kilter, version, found)
-        told = files_exported.lists_of_export(kilter.versions.export(version, "mdh-csv"))
+        told = files_robots.lists_of_export(kilter.versions.export(version, "mdh-csv"))
     zeros = told.get("zero_offsets", [])
     offsets = _to_write(zeros, uncertain)
-    text, changes = files_homing.with_zero_offsets(found, offsets, norm_mode, servos)
+    text, changes = files_formats.with_zero_offsets(found, offsets, norm_mode, servos)
     if all(one.before == one.after for one in changes):
         raise UsageError(_NOTHING.format(version=version, states=", ".join(_state(one) for one in zeros)))
     write(output, text.encode())
@@ -141,7 +140,7 @@ def _rows(changes: Sequence[Homed], zeros: Sequence[Mapping[str, Any]]) -> list[
         half = one["half_width_deg"]
         rows.append(
             {**vars(change), "offset_deg": one["offset_deg"], "half_width_deg": half,
-             "half_width_ticks": None if half is None else half / kit_words.TICK_DEG, "state": one["state"]}
+             "half_width_ticks": None if half is None else half / files_rig.TICK_DEG, "state": one["state"]}
         )  # fmt: skip
     return rows
 

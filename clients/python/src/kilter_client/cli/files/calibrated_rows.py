@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 from kilter_client import Kilter
 from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.errors import FileError, KilterError
-from kilter_client.files import files_beside_rows, files_calibration
+from kilter_client.files import files_formats
 from kilter_client.verbs.servo_calibration import CONDITION, compare_calibration
 from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
     from kilter_files import Prepared
-    from kilter_files.tables.joint_log import JointLog
+    from kilter_files.tables import JointLog
 
 
 def calibration_conditions(log: JointLog) -> dict[str, Any]:
@@ -32,9 +32,9 @@ def refuse_other_servos(calibration: Path, joints: Sequence[str]) -> None:
 
     """
     check_numpy()
-    found = files_beside_rows.of_follower(calibration)
+    found = files_formats.of_follower(calibration)
     for joint in joints:
-        files_calibration.servo_name_for_joint(found, joint)
+        files_formats.servo_name_for_joint(found, joint)
 
 
 def refuse_readings_outside(calibration: Path, views: Sequence[Path], joints: Sequence[str]) -> None:
@@ -44,14 +44,14 @@ def refuse_readings_outside(calibration: Path, views: Sequence[Path], joints: Se
         FileError: an angle beyond the range, with file, row and column.
 
     """
-    found = files_calibration.read_calibration(calibration)
+    found = files_formats.read_calibration(calibration)
     for file in views:
         with file.open(encoding="utf-8", newline="") as lines:
             rows = list(DictReader(lines))
         for j, joint in enumerate(joints, 1):
             angles = np.array([float(row[f"q{j}_deg"]) for row in rows])
-            servo = files_calibration.servo_name_for_joint(found, joint)
-            files_calibration.refuse_outside(found, file, f"q{j}_deg", servo, angles, 0)
+            servo = files_formats.servo_name_for_joint(found, joint)
+            files_formats.refuse_outside(found, file, f"q{j}_deg", servo, angles, 0)
 
 
 def servo_conditions(calibration: Path) -> dict[str, Any]:
@@ -61,7 +61,7 @@ def servo_conditions(calibration: Path) -> dict[str, Any]:
         FileError: it is not a calibration, or it is of a leader.
 
     """
-    return {CONDITION: files_beside_rows.of_follower(calibration).sha256}
+    return {CONDITION: files_formats.of_follower(calibration).sha256}
 
 
 def stated_servos(
@@ -76,7 +76,7 @@ def stated_servos(
 
     """
     check_numpy()
-    found = files_beside_rows.of_follower(calibration)
+    found = files_formats.of_follower(calibration)
     try:
         with Kilter() as kilter:
             return kilter.run(compare_calibration(robot, found, prepared, str(file)))

@@ -12,8 +12,8 @@ from kilter_client.cli.files.inspect import Calibration, JointOrder, NormMode, c
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import emit, print_line
-from kilter_client.files import files_episodes, files_moved
-from kilter_files.formats.reader import LogHints
+from kilter_client.files import files_formats
+from kilter_files.formats import LogHints
 
 MOVED = 3  # exit code, as of `kilter check`
 UNTOLD = (
@@ -51,10 +51,10 @@ def episodes(
     """
     check_numpy()
     order = arguments.split_names([joint_order or ""])
-    found = files_episodes.read_episodes(dataset, LogHints(None, order, calibration=calibration, norm_mode=norm_mode))
+    found = files_formats.read_episodes(dataset, LogHints(None, order, calibration=calibration, norm_mode=norm_mode))
     moves = [
         vars(move) | {"signals": list(move.signals), "means": MEANS[move.what]}
-        for move in files_moved.detect_joint_moves(found, least_deg)
+        for move in files_formats.detect_joint_moves(found, least_deg)
     ]
     document = {"dataset": str(dataset), "episodes": len(found.numbers), "joints": list(found.joints), "least_deg": least_deg,
                 "moves": moves, "untold": UNTOLD}  # fmt: skip

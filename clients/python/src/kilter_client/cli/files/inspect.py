@@ -16,8 +16,7 @@ from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
 from kilter_files import draft
 from kilter_files import inspect as look
-from kilter_files.formats.reader import LogHints
-from kilter_files.formats.tracker_header import PRESETS
+from kilter_files.formats import PRESETS, LogHints
 from kilter_files.ground.later import need
 
 MARKERS_SHOWN = 12

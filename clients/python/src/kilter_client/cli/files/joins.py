@@ -13,7 +13,7 @@ from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot, three
 from kilter_client.cli.terminal.output import emit, print_line, say_remarks
 from kilter_client.errors import UsageError
-from kilter_client.files import ballbar, dwells, files_ballbar_join, files_tilt_join
+from kilter_client.files import files_formats, files_match, files_rig
 from kilter_files import read_joints
 
 Joints = Annotated[Path, typer.Argument(help="The joint log.", metavar="JOINTS", show_default=False, exists=True)]
@@ -42,8 +42,8 @@ def ballbar_join(
 ) -> None:
     """Join a ball bar's log with the joint log by the angle of each run: lengths with their joints, for kilter upload."""
     check_numpy()
-    bar = ballbar.read_ballbar(file, radius_mm)
-    table, report = files_ballbar_join.join_ballbar(bar, read_joints(joints, joints_map), zero_deg)
+    bar = files_formats.read_ballbar(file, radius_mm)
+    table, report = files_rig.join_ballbar(bar, read_joints(joints, joints_map), zero_deg)
     write(output, table.to_csv())
     emit({"file": str(output), "notes": table.notes, "warnings": table.warnings} | report, as_json, _show)
 
@@ -85,10 +85,10 @@ def tilt_join(
     names = [name.removesuffix(":m") for name in fetch_joint_names(robot)]
     if joint not in names:
         raise UsageError(f"--joint {joint}: the robot has {', '.join(names)}.")
-    options = files_tilt_join.TiltOptions(
-        names.index(joint) + 1, axis, by, channel, unit, dwells.RestOptions(None, shortest, settle)
+    options = files_rig.TiltOptions(
+        names.index(joint) + 1, axis, by, channel, unit, files_match.RestOptions(None, shortest, settle)
     )
-    columns, report = files_tilt_join.join_tilts(file, before, read_joints(joints, joints_map), names, options)
+    columns, report = files_rig.join_tilts(file, before, read_joints(joints, joints_map), names, options)
     centre = three("--payload-com-mm", payload_com_mm) or []
     place = [f"payload_com_{k}_mm" for k in "xyz"] if centre else []
     head = ["joint", "axis", *columns, "payload_kg", *place, "series"]

@@ -28,19 +28,14 @@ from kilter_client.cli.terminal.interrupt import on_interrupt
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.progress import upload_bar
 from kilter_client.errors import UsageError
-from kilter_client.files import clock_checks, cut_recording, dwells, files_arm, frames_by_time, matching, rigid_body
+from kilter_client.files import files_match, files_tables
 from kilter_files import read_joints
-from kilter_files.formats.opening import open_recording
-from kilter_files.formats.reader import LogHints
-from kilter_files.formats.registry import has_format
-from kilter_files.tables.table import Prepared, Table
+from kilter_files.formats import LogHints, has_format, open_recording
+from kilter_files.tables import Prepared, Table
 
 if TYPE_CHECKING:
-    from kilter_files.match.arm import Arm
-    from kilter_files.match.clock_checks import Checks
-    from kilter_files.match.rigid_body import Body
-    from kilter_files.tables.joint_log import JointLog
-    from kilter_files.tables.recording import Recording
+    from kilter_files.match import Arm, Body, Checks
+    from kilter_files.tables import JointLog, Recording
 
 Model = Annotated[str | None, typer.Option(help="Robot whose model checks the pairing; default is --robot's.")]
 Piecewise = Annotated[bool, typer.Option("--piecewise", help="Match the parts between jumps of the clocks.")]
@@ -61,23 +56,23 @@ def build_checks(
     if piecewise and robot is None:
         raise UsageError("--piecewise needs the robot's model: name it with --robot or --model.")
     start, end = -float("inf") if since is None else since, float("inf") if until is None else until
-    return clock_checks.Checks(None if robot is None else fetch_arm_model(robot), piecewise, unchecked, start, end)
+    return files_match.Checks(None if robot is None else fetch_arm_model(robot), piecewise, unchecked, start, end)
 
 
 def fetch_arm_model(robot: str) -> Arm:
     """Return the model of a robot of the server."""
     with Kilter() as kilter:
-        return files_arm.arm_from_check(kilter.robots.check(kilter.robots.get(robot)["document"]))
+        return files_match.arm_from_check(kilter.robots.check(kilter.robots.get(robot)["document"]))
 
 
 def drop_markers_if_any(recording: Recording, without: Sequence[str] | None) -> Recording:
     """Return a recording without some markers."""
-    return cut_recording.drop_markers(recording, without) if without else recording
+    return files_tables.drop_markers(recording, without) if without else recording
 
 
 def in_time(recording: Recording, checks: Checks) -> Recording:
     """Return the part of a recording that counts."""
-    return cut_recording.cut_to_interval(recording, checks.since_s, checks.until_s)
+    return files_tables.cut_to_interval(recording, checks.since_s, checks.until_s)
 
 
 By = Literal["order", "time", "frames"]
@@ -148,7 +143,7 @@ def match(
     log = _log(joints, joints_map, topic, order, servos, robot or model, as_json)
     checks = build_checks(model or robot, piecewise, unchecked, since, until)
     if tcp is not None and (tool is not None or found.kind.startswith("tool-")):
-        found = rigid_body.tool_as_markers(found, tool)
+        found = files_match.tool_as_markers(found, tool)
     if by != "order":
         found = in_time(found, checks)
     body = None if tcp is None else _body(in_time(found, checks), tcp)
@@ -159,7 +154,7 @@ def match(
     if by == "frames":
         document = _frames(found, log, body, checks, robot, wanted, as_json)
     else:
-        options = dwells.RestOptions(rest_speed, shortest, settle)
+        options = files_match.RestOptions(rest_speed, shortest, settle)
         document = _dwells(found, log, body, by, (options, checks), out, robot, wanted, as_json)
     emit(document, as_json, _show)
 
@@ -178,8 +173,8 @@ def _log(
 
 def _body(recording: Recording, tcp: str) -> Body:
     """Find the rigid body of the markers, with the tool point that is given or digitised in another recording."""
-    return rigid_body.find_body(
-        recording, open_recording(Path(tcp)) if rigid_body.names_a_file(recording, tcp) else tcp
+    return files_match.find_body(
+        recording, open_recording(Path(tcp)) if files_match.names_a_file(recording, tcp) else tcp
     )
 
 
@@ -187,7 +182,7 @@ def _dwells(
     found: Recording, log: JointLog, body: Body | None, by: str, options: Any, out: Path | None, robot: str | None,
     wanted: dict[str, Any], as_json: bool,
 ) -> dict[str, Any]:  # fmt: skip
-    matched = matching.match_dwells(found, log, by, options[0], body, options[1])
+    matched = files_match.match_dwells(found, log, by, options[0], body, options[1])
     _print_match_report(matched.report, as_json)
     rows = matched.report["dwells"]
     table: Table = Table({n: v.tolist() for n, v in matched.columns.items()}, list(range(1, rows + 1)))
@@ -205,16 +200,20 @@ def _frames(
 ) -> dict[str, Any]:  # fmt: skip
     from kilter_client.cli.files.parts import cut_parquet_parts
 
-    pieces, warnings = frames_by_time.match_frames(found, log, checks)
+    pieces, warnings = files_match.match_frames(found, log, checks)
     report = {
-        "clock": matching.clock_report(pieces, found.duration_s),
+        "clock": files_match.clock_report(pieces, found.duration_s),
         "warnings": [*found.warnings, *log.warnings, *warnings],
     }
     _print_match_report(report, as_json)
     if not robot:
         return report | {"frames": found.frames}
     return report | _send(
-        lambda: cut_parquet_parts(matching.frame_rows(found, log, pieces, body)), found.frames, robot, wanted, as_json
+        lambda: cut_parquet_parts(files_match.frame_rows(found, log, pieces, body)),
+        found.frames,
+        robot,
+        wanted,
+        as_json,
     )
 
 

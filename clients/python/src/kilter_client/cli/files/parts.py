@@ -15,8 +15,8 @@ import numpy as np
 from kilter_client.errors import ApiError, KilterError, ObservationError, ServerUnreachableError
 from kilter_client.resources.name_match import is_same_campaign
 from kilter_files.ground.later import pa, parquet
-from kilter_files.match.matching import Columns
-from kilter_files.tables.table import PARQUET_TYPE, Prepared
+from kilter_files.match import Columns
+from kilter_files.tables import PARQUET_TYPE, Prepared
 
 if TYPE_CHECKING:
     from kilter_client.client import Kilter

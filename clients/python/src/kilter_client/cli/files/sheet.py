@@ -13,16 +13,15 @@ from kilter_client.cli.terminal.arguments import File, Json
 from kilter_client.cli.terminal.output import emit, note, print_line, say_remarks
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import MissingPackageError, UsageError
-from kilter_client.files import ballbar, drawn_circle, files_height, files_report
+from kilter_client.files import files_formats, files_rig
 from kilter_client.results.plots import draw
 from kilter_files import read_joints
-from kilter_files.ground.faults import read_head
+from kilter_files.ground import read_head
 from kilter_files.ground.later import np
-from kilter_files.rig.sheet.drawing import save_sheet
-from kilter_files.rig.sheet.layout import sheet_for
+from kilter_files.rig import save_sheet, sheet_for
 
 if TYPE_CHECKING:
-    from kilter_files.rig.drawn_circle import Circle
+    from kilter_files.rig import Circle
 
 PACKAGES = "numpy scipy opencv-python-headless pillow pypdfium2 reportlab"
 RadiusMm = Annotated[
@@ -88,10 +87,10 @@ def sheet_read(
         raise UsageError(f"--plot {plot}: end it in .png or .svg.")
     reading = read(file, radius_mm, page, bars_mm, allow_gaps)
     if output is not None:
-        write(output, files_report.to_csv(reading))
+        write(output, files_rig.to_csv(reading))
         note(f"{output}: {len(reading.angle_deg)} angles", as_json)
     if plot is not None:
-        draw(files_report.figure(reading), plot.with_suffix(""), (plot.suffix.lower().removeprefix("."),))
+        draw(files_rig.figure(reading), plot.with_suffix(""), (plot.suffix.lower().removeprefix("."),))
         note(f"{plot}: drawn", as_json)
     emit(reading.to_document(), as_json, _show_reading)
 
@@ -136,17 +135,17 @@ def sheet_join(
     if take_command is not None and not 0 < take_command < 100:
         raise UsageError(f"--take-command {take_command:g}: give mm above 0, for example 1.")
     check_numpy()
-    volts = None if calibration is None else files_height.read_calibration(calibration)
-    heights = None if height is None else files_height.read_heights(height, channel, volts, height_time)
+    volts = None if calibration is None else files_rig.read_calibration(calibration)
+    heights = None if height is None else files_rig.read_heights(height, channel, volts, height_time)
     circle = _circle(file, radius_mm, page, bars_mm, allow_gaps)
     frame = (
-        drawn_circle.Frame.sheet_frame()
+        files_rig.Frame.sheet_frame()
         if points is None
-        else drawn_circle.register(points, drawn_circle.read_points(points), circle.radius_mm, faces_down)
+        else files_rig.register(points, files_rig.read_points(points), circle.radius_mm, faces_down)
     )
     log = read_joints(joints, joints_map)
-    joined = drawn_circle.join(
-        circle, log, heights, frame, drawn_circle.JoinOptions(starts_s=height_starts_s, taken_mm=take_command)
+    joined = files_rig.join(
+        circle, log, heights, frame, files_rig.JoinOptions(starts_s=height_starts_s, taken_mm=take_command)
     )
     joined.table.notes.append(
         f"upload it with --device {'ballbar' if circle.is_bar else 'pencil'}: identify then checks which quarter is the first, "
@@ -160,14 +159,14 @@ def sheet_join(
 def _circle(file: Path, radius_mm: float | None, page: int, bars_mm: str | None, allow_gaps: bool) -> Circle:
     """Errors of the circle in a scan, or in a ball bar's log."""
     if read_head(file, 1024).lstrip()[:4] not in (b"%PDF", b"\x89PNG") and read_head(file, 2) != b"\xff\xd8":
-        bar = ballbar.read_ballbar(file, radius_mm)
+        bar = files_formats.read_ballbar(file, radius_mm)
         out, turn = bar.radius_mm - bar.nominal_mm, np.radians(bar.angle_deg)
-        return drawn_circle.Circle(
-            file, bar.nominal_mm, turn, out, np.full(len(out), ballbar.BAR_SIGMA_MM), None, None, True
+        return files_rig.Circle(
+            file, bar.nominal_mm, turn, out, np.full(len(out), files_formats.BAR_SIGMA_MM), None, None, True
         )
     found = read(file, radius_mm, page, bars_mm, allow_gaps)
     turn = np.radians(found.angle_deg)
-    return drawn_circle.Circle(
+    return files_rig.Circle(
         file, found.sheet.radius_mm, turn, found.out_mm, found.out_sigma_mm, found.along_mm, found.along_sigma_mm
     )
 
@@ -181,7 +180,7 @@ def read(file: Path, radius_mm: float | None, page: int, bars_mm: str | None, al
 
     """
     try:
-        from kilter_files.rig.sheet.reading import Options, read_sheet
+        from kilter_files.rig import Options, read_sheet
     except ImportError as error:
         raise MissingPackageError(
             f"Reading a pencil sheet needs {error.name}. Install it with: pip install {PACKAGES}",

@@ -27,10 +27,8 @@ from kilter_client.verbs import campaigns
 from kilter_client.verbs.dry_run import checked_here, checked_rows
 from kilter_client.verbs.inputs import parse_time
 from kilter_files import Prepared, prepare
-from kilter_files.formats.reader import LogHints
-from kilter_files.formats.registry import has_format
-from kilter_files.formats.tracker_header import PRESETS
-from kilter_files.match.uploaded_markers import checked_markers
+from kilter_files.formats import PRESETS, LogHints, has_format
+from kilter_files.match import checked_markers
 
 # Where a message names a route as the remedy, the command that uses it.
 ROUTES: Mapping[str, str] = {

@@ -8,7 +8,7 @@ from typing import Any
 from kilter_client.cli.reports.load_model_report import show_load_model
 from kilter_client.cli.terminal.output import print_line
 from kilter_client.cli.terminal.tables import number, show_rows
-from kilter_client.files import files_unusual
+from kilter_client.files import files_look
 from kilter_client.results.digits import decimals, ends, estimate
 
 NOMINAL_DIGITS = 7  # the nominal robot is exact
@@ -134,7 +134,7 @@ def _remark(p: Mapping[str, Any]) -> str:
         return "from other robots of the type"
     if not p.get("identifiable", True):
         return "not identifiable from these poses"
-    return "" if p.get("plausible", True) else files_unusual.why_unusual(p["name"], p.get("value"), p.get("sigma"))
+    return "" if p.get("plausible", True) else files_look.why_unusual(p["name"], p.get("value"), p.get("sigma"))
 
 
 def _short(value: Any) -> str:

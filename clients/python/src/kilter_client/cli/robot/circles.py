@@ -16,8 +16,7 @@ from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import FileError
 from kilter_files import prepare
-from kilter_files.robots.names import checked_name, plain_name
-from kilter_files.robots.text import read_text
+from kilter_files.robots import checked_name, plain_name, read_text
 
 FEATURES = ("plane", "line", "origin")
 MEASURED, KNOWN = ("x_mm", "y_mm", "z_mm"), ("known_x_mm", "known_y_mm", "known_z_mm")

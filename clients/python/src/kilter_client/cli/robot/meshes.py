@@ -15,7 +15,7 @@ from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
 from kilter_client.requests.calls import meshes as calls
 from kilter_client.verbs.meshes import FORMS
-from kilter_files.robots.mesh_files import link_meshes
+from kilter_files.robots import link_meshes
 
 mesh = typer.Typer(
     help="Give links their shapes, for the picture of the arm.", no_args_is_help=True, rich_markup_mode=None, cls=Group

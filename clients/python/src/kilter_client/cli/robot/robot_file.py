@@ -12,8 +12,7 @@ import typer
 
 from kilter_client.cli.terminal.arguments import PayloadCentre, three
 from kilter_client.errors import UsageError
-from kilter_files.robots import Described, read_robot
-from kilter_files.robots.names import checked_name, plain_name
+from kilter_files.robots import Described, checked_name, plain_name, read_robot
 
 ROBOT_FILE = "robot.json, .urdf, a DH table (.csv, .xlsx), a UR calibration (.yaml, .conf), or a KNI .cfg."
 

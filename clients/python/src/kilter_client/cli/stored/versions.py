@@ -16,7 +16,7 @@ from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.references import OfRobot, resolve_reference
 from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.errors import UsageError
-from kilter_client.files import files_exported
+from kilter_client.files import files_robots
 from kilter_client.requests.calls.versions import NOMINAL
 from kilter_client.results.digits import decimals, estimate
 from kilter_client.results.rows import write_file
@@ -130,7 +130,7 @@ def export(
     write(output, content)
     document = {"version_id": version, "format": form, "output": str(output), "bytes": len(content)}
     document["notes"] = list(content.notes)
-    emit(document | files_exported.lists_of_export(content), as_json, _show_written)
+    emit(document | files_robots.lists_of_export(content), as_json, _show_written)
 
 
 def _show_written(document: dict[str, Any]) -> None:

@@ -1,0 +1,1 @@
+from .column_map import BARE_PATTERN as BARE_PATTERN

@@ -1,0 +1,15 @@
+from .arm import Arm as Arm
+from .arm import arm_from_check as arm_from_check
+from .arm import rotations as rotations
+from .clock_checks import Checks as Checks
+from .dwells import RestOptions as RestOptions
+from .frames_by_time import match_frames as match_frames
+from .matching import Columns as Columns
+from .matching import clock_report as clock_report
+from .matching import frame_rows as frame_rows
+from .matching import match_dwells as match_dwells
+from .rigid_body import Body as Body
+from .rigid_body import find_body as find_body
+from .rigid_body import names_a_file as names_a_file
+from .rigid_body import tool_as_markers as tool_as_markers
+from .uploaded_markers import checked_markers as checked_markers
