@@ -25,4 +25,4 @@ def test_the_gpl_and_licences_that_nobody_stated_are_refused() -> None:
 
 
 def test_the_core_needs_numbers_only() -> None:
-    assert closure("kilter-core") == {"numba", "llvmlite", "numpy", "scipy"}
+    assert closure("kilter-core") == {"numba", "llvmlite", "numpy", "scipy", "lazy-loader", "packaging"}
