@@ -70,11 +70,18 @@ class Twin:
 # Thesis tables 3.2 (geometry, printed in mm and deg), 4.3 (clearance tilt and backlash, deg) and 4.4 (stiffness, kgf·m/deg).
 _LENGTHS_M = {"a_2": 0.003 * 1e-3, "a_3": 0.01 * 1e-3, "d_4": 0.002 * 1e-3, "d_5": 0.001 * 1e-3}
 _ANGLES_RAD = {
-    "theta_offset_1": radians(-0.061), "theta_offset_2": radians(0.0232), "theta_offset_3": radians(-0.057),
-    "theta_offset_4": radians(0.0641), "theta_offset_5": radians(-0.121), "alpha_2": radians(-0.08),
-    "alpha_3": radians(0.003), "beta_3": radians(0.0021), "beta_4": radians(0.0013), "alpha_4": radians(-0.01),
+    "theta_offset_1": radians(-0.061),
+    "theta_offset_2": radians(0.0232),
+    "theta_offset_3": radians(-0.057),
+    "theta_offset_4": radians(0.0641),
+    "theta_offset_5": radians(-0.121),
+    "alpha_2": radians(-0.08),
+    "alpha_3": radians(0.003),
+    "beta_3": radians(0.0021),
+    "beta_4": radians(0.0013),
+    "alpha_4": radians(-0.01),
     "alpha_5": radians(0.03),
-}  # fmt: skip
+}
 _CLEARANCE_RAD = (radians(0.022), radians(0.024), radians(0.017), radians(0.015), radians(0.018))
 _BACKLASH_RAD = (radians(0.063), radians(0.061), radians(0.057), radians(0.046), radians(0.051))
 _STIFFNESS_KGFM_DEG = (122.0, 90.0, 75.0, 78.0, 80.0)

@@ -14,7 +14,7 @@ _LEAVES = (ast.Name, ast.expr_context, ast.operator, ast.unaryop, ast.cmpop, ast
 
 
 class Function(NamedTuple):
-    """A function: its name, and how many lines it has."""
+    """A function: its name, and how many lines its statements take, without those of functions in it."""
 
     name: str
     lines: int
@@ -47,11 +47,21 @@ def source(path: Path) -> Source:
         path.relative_to(REPOSITORY).as_posix(), text, not tree.body, ast.get_docstring(tree),
         frozenset(name for statement in inside for name in _imported(statement)),
         tuple(
-            Function(one.name, (one.end_lineno or one.lineno) - one.lineno + 1)
+            Function(one.name, _own_lines(one))
             for one in inside
             if isinstance(one, ast.FunctionDef | ast.AsyncFunctionDef)
         ),
     )  # fmt: skip
+
+
+def _own_lines(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    body = function.body[ast.get_docstring(function) is not None :]
+    inner = (one for one in statements(function) if one is not function and isinstance(one, ast.FunctionDef))
+    return sum(_span(one) for one in body) - sum(map(_span, inner))
+
+
+def _span(one: ast.stmt) -> int:
+    return (one.end_lineno or one.lineno) - one.lineno + 1
 
 
 def statements(tree: ast.AST) -> Iterator[ast.AST]:

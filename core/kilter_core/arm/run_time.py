@@ -148,9 +148,18 @@ class RunTimeForm:
         self.twisted.add(joint)
 
     def curve(
-        self, joint: int, shape: Shape, a: float, b: float = 0.0, *, driver: int | None = None, factor: float = 1.0,
-        constants: tuple[float, ...] = (), powers: tuple[float, ...] = (), twist: int | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        joint: int,
+        shape: Shape,
+        a: float,
+        b: float = 0.0,
+        *,
+        driver: int | None = None,
+        factor: float = 1.0,
+        constants: tuple[float, ...] = (),
+        powers: tuple[float, ...] = (),
+        twist: int | None = None,
+    ) -> None:
         """Add a curve of a joint, or of a component of the twist behind it; it follows the joint unless another drives it."""
         if a != 0.0 or b != 0.0:
             driver = joint if driver is None else driver

@@ -135,11 +135,20 @@ def _possible(array: Floats, n: int) -> bool:
         return False
     last, scalars = len(array) - 1, array[-1]
     wanted = {
-        layout.N: (n, n), layout.M: (1, MOST_MOVES), layout.CURVES: (0, MOST_ROWS), layout.BENDINGS: (0, MOST_ROWS),
-        layout.LOAD_CHAIN: (0, MOST_ROWS), layout.DOUBT_AT: (0, MOST_ROWS),
-        layout.DOUBTS: (0, MOST_ROWS), layout.ITERATIONS: (1, MOST_ROUNDS), layout.ROUNDS: (1, MOST_ROUNDS),
-        layout.ROWS: (5, 6), layout.FIRST: (3, 6), layout.HANGING: (0, HANGING_ROUNDS), layout.HANGING_SIDED: (0, SIDED_ROUNDS),
-    }  # fmt: skip
+        layout.N: (n, n),
+        layout.M: (1, MOST_MOVES),
+        layout.CURVES: (0, MOST_ROWS),
+        layout.BENDINGS: (0, MOST_ROWS),
+        layout.LOAD_CHAIN: (0, MOST_ROWS),
+        layout.DOUBT_AT: (0, MOST_ROWS),
+        layout.DOUBTS: (0, MOST_ROWS),
+        layout.ITERATIONS: (1, MOST_ROUNDS),
+        layout.ROUNDS: (1, MOST_ROUNDS),
+        layout.ROWS: (5, 6),
+        layout.FIRST: (3, 6),
+        layout.HANGING: (0, HANGING_ROUNDS),
+        layout.HANGING_SIDED: (0, SIDED_ROUNDS),
+    }
     if not all(_whole(scalars[column], *bounds) for column, bounds in wanted.items()):
         return False
     m, curves, bendings, loads = (

@@ -133,9 +133,20 @@ ROW_NAMES = ("x", "y", "z", "rx", "ry", "rz")  # rotations are about the axes of
 
 
 _POSITIVE = (
-    "rate_rad_s", "rate_m_s", "change_rad_s", "change_m_s", "change_rad_s2", "change_m_s2", "orientation_weight_m",
-    "largest_rad", "largest_m", "farthest_m", "least_leverage", "iterations", "row_iterations",
-)  # fmt: skip
+    "rate_rad_s",
+    "rate_m_s",
+    "change_rad_s",
+    "change_m_s",
+    "change_rad_s2",
+    "change_m_s2",
+    "orientation_weight_m",
+    "largest_rad",
+    "largest_m",
+    "farthest_m",
+    "least_leverage",
+    "iterations",
+    "row_iterations",
+)
 
 
 @dataclass(frozen=True)
@@ -433,9 +444,7 @@ def compile_program(calibration: Calibration, options: CorrectionOptions | None 
 
 def _with_more(robot: Robot, masses: tuple[tuple[float, ...], ...]) -> Robot:
     """The robot with more masses on its links: loads are linear in them, so that bodies of their own do."""
-    more = [
-        Link(robot.chain.primary[j], kg, np.array(place)) for j, (kg, *place) in enumerate(masses) if kg != 0.0
-    ]  # fmt: skip
+    more = [Link(robot.chain.primary[j], kg, np.array(place)) for j, (kg, *place) in enumerate(masses) if kg != 0.0]
     return replace(robot, links=(*robot.links, *more)) if more else robot
 
 

@@ -267,10 +267,18 @@ def correct_trajectory(
         walked = walk_apart(stretches, x, width, _motion_directions(rows, options.reversal_band))
     left_out = tuple(sorted({name for _, program in stretches for name in program.unsupported}))
     return CorrectedTrajectory(
-        rows, walked.q, -walked.info[:, _REMOVED], walked.remaining_error_m, walked.left_rad, walked.status, walked.flags,
-        walked.limit_mask, left_out, options.reversal_band,
+        rows,
+        walked.q,
+        -walked.info[:, _REMOVED],
+        walked.remaining_error_m,
+        walked.left_rad,
+        walked.status,
+        walked.flags,
+        walked.limit_mask,
+        left_out,
+        options.reversal_band,
         {name: asked for _, program in stretches for name, asked in program.where_stated.items()},
-    )  # fmt: skip
+    )
 
 
 def _follow_one_another(rows: Observations) -> bool:

@@ -23,8 +23,12 @@ from kilter_core.types import Floats
 
 PRISMATIC_LEVER_M = 0.1  # what the prior of a radian becomes at a prismatic joint
 _PRISMATIC_UNITS = {
-    "rad": "m", "rad/(N m)": "m/N", "rad/(N m)2": "m/N2", "rad/s": "m/s", "rad/K": "m/K",
-}  # fmt: skip
+    "rad": "m",
+    "rad/(N m)": "m/N",
+    "rad/(N m)2": "m/N2",
+    "rad/s": "m/s",
+    "rad/K": "m/K",
+}
 
 BASE, TOOL = -1, -2  # places of a twist besides the joints: right after the base frame, and on the tool
 # Places of a twist of a frame, with their units.

@@ -104,7 +104,5 @@ def _of_link(number: int, link: Link) -> tuple[Parameter, ...]:
     first = f"first moment of link {number} beyond what was stated, along its "
     return (
         Parameter(f"link_mass_{number}", "kg", 0.0, mass, -link.mass, link.mass, text),
-        *(
-            Parameter(f"link_moment_{k}_{number}", "kg m", 0.0, moment, -link.mass, link.mass, first + k) for k in "xyz"
-        ),
-    )  # fmt: skip
+        *(Parameter(f"link_moment_{k}_{number}", "kg m", 0.0, moment, -link.mass, link.mass, first + k) for k in "xyz"),
+    )

@@ -36,10 +36,17 @@ class ThermalDrift(LawOfTemperature):
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Rates along x, y, z, m/K, then about them, rad/K."""
         return tuple(
-            Parameter(f"thermal_drift_{k}", f"{'rad' if 'r' in k else 'm'}/K", 0.0, 1e-5, -2e-4, 2e-4,
-                      f"rate of the base's {k}")
+            Parameter(
+                f"thermal_drift_{k}",
+                f"{'rad' if 'r' in k else 'm'}/K",
+                0.0,
+                1e-5,
+                -2e-4,
+                2e-4,
+                f"rate of the base's {k}",
+            )
             for k in ("x", "y", "z", "rx", "ry", "rz")
-        )  # fmt: skip
+        )
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Twist of the base and its derivatives by the rates."""

@@ -147,15 +147,32 @@ def repeatability_drift(trial: Trial) -> dict[str, Any]:
     return _drift(trial, "dRP", repeatability)
 
 
-METRICS: Mapping[str, Callable[[Trial], dict[str, Any]]] = MappingProxyType({
-    "AP": pose_accuracy, "RP": pose_repeatability, "vAP": multi_directional, "AD": distance_accuracy,
-    "RD": distance_repeatability, "AT": path_accuracy, "RT": path_repeatability,
-    "dAP": accuracy_drift, "dRP": repeatability_drift,
-})  # fmt: skip
-DEMANDS: Mapping[str, int] = MappingProxyType({
-    "AP": POSE_CYCLES, "RP": POSE_CYCLES, "vAP": POSE_CYCLES, "AD": POSE_CYCLES, "RD": POSE_CYCLES,
-    "AT": PATH_CYCLES, "RT": PATH_CYCLES, "dAP": DRIFT_CYCLES, "dRP": DRIFT_CYCLES,
-})  # fmt: skip
+METRICS: Mapping[str, Callable[[Trial], dict[str, Any]]] = MappingProxyType(
+    {
+        "AP": pose_accuracy,
+        "RP": pose_repeatability,
+        "vAP": multi_directional,
+        "AD": distance_accuracy,
+        "RD": distance_repeatability,
+        "AT": path_accuracy,
+        "RT": path_repeatability,
+        "dAP": accuracy_drift,
+        "dRP": repeatability_drift,
+    }
+)
+DEMANDS: Mapping[str, int] = MappingProxyType(
+    {
+        "AP": POSE_CYCLES,
+        "RP": POSE_CYCLES,
+        "vAP": POSE_CYCLES,
+        "AD": POSE_CYCLES,
+        "RD": POSE_CYCLES,
+        "AT": PATH_CYCLES,
+        "RT": PATH_CYCLES,
+        "dAP": DRIFT_CYCLES,
+        "dRP": DRIFT_CYCLES,
+    }
+)
 
 
 def criteria(trial: Trial, wanted: Sequence[str] = ()) -> dict[str, Any]:

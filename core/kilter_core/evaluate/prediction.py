@@ -59,11 +59,14 @@ def warning(error: Floats, u95: Floats | None) -> Iterator[dict[str, Any]]:
     named = [f"{row + 1} ({off:.3g} mm, {far:.2g} sigma)" for row, off, far in zip(rows, off_mm, sigmas, strict=True)]
     more = f" and {len(named) - LISTED} more" if len(named) > LISTED else ""
     yield {
-        "code": "rows_far_off", "rows": (rows + 1).tolist(), "off_mm": off_mm, "sigmas": sigmas.tolist(),
+        "code": "rows_far_off",
+        "rows": (rows + 1).tolist(),
+        "off_mm": off_mm,
+        "sigmas": sigmas.tolist(),
         "message": f"{'Row' if len(rows) == 1 else 'Rows'} {', '.join(named[:LISTED])}{more} miss the prediction by far more "
         f"than is expected there; of the others the median misses by {most:.2g} mm. Look at their joints and positions. Where "
         "they are wrong, send the other rows as a campaign of their own, and retire this one.",
-    }  # fmt: skip
+    }
 
 
 COVERED = 0.9  # share of coordinates below which 95 % intervals do not hold: poses share errors, so no closer
@@ -108,19 +111,29 @@ def evaluate(
         left, shown = _left_open(stages["identified"], measurement, known), errors["identified"].to_document()["rms_mm"]
         none = Rows(np.zeros((0, 3)), None, np.zeros(0, dtype=np.int64))
         return {
-            "n": len(errors["nominal"].points), "left_out": 0, **{name: e.to_document() for name, e in errors.items()},
-            "within_u95": None, "left_open": left, "rows": none.to_document(),
-            "warnings": [*_worse(stages, measurement), *tell_less({"pixels": {"left_open": left}}, shown, "By these views")],
-        }  # fmt: skip
+            "n": len(errors["nominal"].points),
+            "left_out": 0,
+            **{name: e.to_document() for name, e in errors.items()},
+            "within_u95": None,
+            "left_open": left,
+            "rows": none.to_document(),
+            "warnings": [
+                *_worse(stages, measurement),
+                *tell_less({"pixels": {"left_open": left}}, shown, "By these views"),
+            ],
+        }
     whole = Measurement.from_observations(observations, calibration.marker_points, held=True)
     table = errors_by_row(stages["identified"], whole, refit, known)
     judged = replace(table, error=table.error[counted], u95=None if table.u95 is None else table.u95[counted])
     return {
-        "n": len(errors["nominal"].points), "left_out": int(np.sum(~counted)),
+        "n": len(errors["nominal"].points),
+        "left_out": int(np.sum(~counted)),
         **{name: e.to_document() for name, e in errors.items()},
-        "within_u95": judged.interval_coverage, "left_open": None, "rows": table.to_document(),
+        "within_u95": judged.interval_coverage,
+        "left_open": None,
+        "rows": table.to_document(),
         "warnings": _warnings(stages, measurement, refit, judged),
-    }  # fmt: skip
+    }
 
 
 def _left_open(calibration: Calibration, measurement: Measurement, known: Predictive | None) -> dict[str, float] | None:
@@ -136,9 +149,7 @@ def _warnings(
 ) -> list[dict[str, Any]]:
     """What speaks against the calibration here; nothing does in frames that are not those of the rows."""
     apart = list(elsewhere(stages["identified"], measurement, refit=refit))
-    return apart or [
-        *_worse(stages, measurement), *_narrow(table.interval_coverage), *warning(table.error, table.u95)
-    ]  # fmt: skip
+    return apart or [*_worse(stages, measurement), *_narrow(table.interval_coverage), *warning(table.error, table.u95)]
 
 
 def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Iterator[dict[str, Any]]:
@@ -148,18 +159,21 @@ def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Itera
     words = {
         "without": ("worse_than_without", "the nominal robot in frames treated alike", "do not correct with it here."),
         "registration_only": (
-            "worse_than_registration", "base and tool alone",
+            "worse_than_registration",
+            "base and tool alone",
             'if the instrument or the tool was set up anew, evaluate with refit ["base", "tool"].',
         ),
-    }  # fmt: skip
+    }
     for stage, (code, simpler, advice) in words.items():
         plain = errors[stage]
         if Difference.from_paired_errors(found, plain).worse:
             yield {
-                "code": code, "simpler_mm": mm(float(plain.mean())), "identified_mm": mm(float(found.mean())),
+                "code": code,
+                "simpler_mm": mm(float(plain.mean())),
+                "identified_mm": mm(float(found.mean())),
                 "message": f"These rows are predicted worse with it ({mm(found.mean()):.3g} mm, mean by pose) than with "
                 f"{simpler} ({mm(plain.mean()):.3g} mm): {advice}",
-            }  # fmt: skip
+            }
             return
 
 
@@ -167,10 +181,11 @@ def _narrow(within: float | None) -> Iterator[dict[str, Any]]:
     """Warn where the intervals of a calibration do not cover these rows."""
     if within is not None and within < COVERED:
         yield {
-            "code": "intervals_too_narrow", "within_u95": within,
+            "code": "intervals_too_narrow",
+            "within_u95": within,
             "message": f"Only {within:.0%} of the coordinates lie within their 95 % intervals: what the version states of "
             "itself does not hold for these rows.",
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True)

@@ -83,9 +83,11 @@ class Budget:
             return ()
         return (
             {
-                "code": "budget_spent", "left_out": list(self.left_out), "budget_s": self.seconds,
+                "code": "budget_spent",
+                "left_out": list(self.left_out),
+                "budget_s": self.seconds,
                 "message": f"The {self.seconds:g} s of the budget were not enough: this is the best that was found until then. "
                 f"Left out: {'; '.join(self.left_out)}. Search again with a larger budget_s, with fewer effects, or with "
                 "fewer poses.",
             },
-        )  # fmt: skip
+        )

@@ -59,7 +59,7 @@ from kilter_core.gap.report.search_warnings import (
 )
 from kilter_core.gap.report.sentences import documents
 from kilter_core.gap.report.stored import Stored, build_stored_version, settled_search
-from kilter_core.gap.report.told_apart import Proposed, are_never_separable, assess_separation
+from kilter_core.gap.report.told_apart import Proposed, ToldApart, are_never_separable, assess_separation
 from kilter_core.gap.search.candidates import Candidate, Library, with_testable
 from kilter_core.gap.search.events import with_row_numbers
 from kilter_core.gap.search.finalize import chance, or_geometry_alone
@@ -215,14 +215,9 @@ class _Run:
         whole = partial(is_settled, fit, left, unseen is not None and unseen.refutes_model)
         lacking = missing_directions(problem, found.columns)
         effects, control = self._judge_effects(found, fit, left, kept, held, whole, bool(lacking))
-        of_version, seen = settled_search(found, effects), held
-        if of_version is not found:
-            kept = build_stored_version(of_version, self.begin, prepared.rows, self.options, self.validation)
-            seen = HoldoutEvaluator(of_version, prepared, self.validation, kept.posterior)
-        kept = kept.without_correction([j.evidence.candidate.id for j in effects if not j.of_arm])
+        of_version, kept, seen = self._settled_version(found, effects, kept, held)
         verdict = run_verdict(effects, fit, left)
-        if unseen is not None:
-            verdict = unseen.verdict(verdict)
+        verdict = verdict if unseen is None else unseen.verdict(verdict)
         rest = Remains(left, None if fit.adequate else remains(found.problem, found.columns, rows, self.options.seed))
         judging = held.report()
         gap = gap_document(prepared, found, judging)
@@ -231,34 +226,76 @@ class _Run:
         poses = [*(poses_again(prepared, self.validation, held.set_aside) if self.options.next_poses else ()), *poses]
         return GapReport(
             stored=kept.with_doubts(version_doubts(held, verdict, unseen)),
-            verdict=verdict, effects=effects, unseen=unseen, remains=rest,
-            sentence=sentence(verdict, effects, fit, left, rest.words) + ("" if unseen is None else unseen.sentence())
-            + incomplete_sentence(lacking) + agreement_sentence(prepared, self.validation, held.set_aside),
+            verdict=verdict,
+            effects=effects,
+            unseen=unseen,
+            remains=rest,
+            sentence=sentence(verdict, effects, fit, left, rest.words)
+            + ("" if unseen is None else unseen.sentence())
+            + incomplete_sentence(lacking)
+            + agreement_sentence(prepared, self.validation, held.set_aside),
             where=places,
-            gap=gap, measurements=by_kind(prepared, found, held, judging), adequacy=fit, misfit=left,
+            gap=gap,
+            measurements=by_kind(prepared, found, held, judging),
+            adequacy=fit,
+            misfit=left,
             predictive=judging.predictive,
             not_testable=untestable(prepared.library, judged, problem, rows),
-            smallest_detectable=smallest_rows(prepared.library, judged), refused=rejected_candidates(found),
-            next_poses=poses, told_apart=told, negative_control=control,
-            alias_matrix=alias_matrix(problem, candidates, found.chosen), noise=noise_document(found.problem.settings),
+            smallest_detectable=smallest_rows(prepared.library, judged),
+            refused=rejected_candidates(found),
+            next_poses=poses,
+            told_apart=told,
+            negative_control=control,
+            alias_matrix=alias_matrix(problem, candidates, found.chosen),
+            noise=noise_document(found.problem.settings),
             warnings=(
                 *incomplete_warnings(lacking),
-                *another_arm(kept.calibration), *prepared.warnings, *fit.warnings(),
-                *documents(unloaded_findings(prepared)), *size_warnings(found), *self._worse(of_version, seen, kept),
-                *far_from_stated(kept.load_model()), *documents(held_at_ends(kept.calibration)),
-                *documents(left_out_findings(effects)), *kept.similar_pose_warnings(),
-                *(() if told is None else told.warnings()),
-                *documents(unplanned_findings(problem) if effects and self.options.next_poses else ()),
-                *documents(event_findings(
-                    found, events(found, self.every, moves_mm(found)),
-                    {j.evidence.place for j in effects if not j.certain},
-                    self.by_views is not None, self.remarks,
-                )),
+                *self._fit_warnings(found, fit, kept),
+                *self._worse(of_version, seen, kept),
+                *self._version_warnings(kept, effects),
+                *self._plan_warnings(found, effects, told),
             ),
-            figures=figures(found, rows, gap, held), effect_curves=effect_curves(found, effects),
+            figures=figures(found, rows, gap, held),
+            effect_curves=effect_curves(found, effects),
             library=prepared.library,
             **self._aside(kept, held, gap),
-        )  # fmt: skip
+        )
+
+    def _settled_version(
+        self, found: SearchResult, effects: tuple[Judged, ...], kept: Stored, held: HoldoutEvaluator
+    ) -> tuple[SearchResult, Stored, HoldoutEvaluator]:
+        """The search without steps and drifts that are not settled, its version, and what held-out rows say of it."""
+        settled = settled_search(found, effects)
+        if settled is not found:
+            kept = build_stored_version(settled, self.begin, self.prepared.rows, self.options, self.validation)
+            held = HoldoutEvaluator(settled, self.prepared, self.validation, kept.posterior)
+        return settled, kept.without_correction([j.evidence.candidate.id for j in effects if not j.of_arm]), held
+
+    def _fit_warnings(self, found: SearchResult, fit: Adequacy, kept: Stored) -> Iterator[dict[str, Any]]:
+        """Warnings about the arm, the rows and the last fit."""
+        yield from another_arm(kept.calibration)
+        yield from self.prepared.warnings
+        yield from fit.warnings()
+        yield from documents(unloaded_findings(self.prepared))
+        yield from size_warnings(found)
+
+    def _version_warnings(self, kept: Stored, effects: tuple[Judged, ...]) -> Iterator[dict[str, Any]]:
+        """Warnings about the version that is stored."""
+        yield from far_from_stated(kept.load_model())
+        yield from documents(held_at_ends(kept.calibration))
+        yield from documents(left_out_findings(effects))
+        yield from kept.similar_pose_warnings()
+
+    def _plan_warnings(
+        self, found: SearchResult, effects: tuple[Judged, ...], told: ToldApart | None
+    ) -> Iterator[dict[str, Any]]:
+        """Warnings about poses that could not be planned, and about events during the campaign."""
+        yield from () if told is None else told.warnings()
+        if effects and self.options.next_poses:
+            yield from documents(unplanned_findings(self.prepared.problem))
+        doubtful = {j.evidence.place for j in effects if not j.certain}
+        seen = events(found, self.every, moves_mm(found))
+        yield from documents(event_findings(found, seen, doubtful, self.by_views is not None, self.remarks))
 
     def _aside(self, kept: Stored, held: HoldoutEvaluator, gap: dict[str, Any]) -> dict[str, Any]:
         """The rows that were let go, of those searched and of those held out."""
@@ -269,9 +306,15 @@ class _Run:
         return {**out, "spikes": spikes}
 
     def _judge_effects(
-        self, found: SearchResult, fit: Adequacy, left: Misfit, kept: Stored, held: HoldoutEvaluator,
-        whole: Callable[[float], bool], lacking: bool,
-    ) -> tuple[tuple[Judged, ...], dict[str, Any]]:  # fmt: skip
+        self,
+        found: SearchResult,
+        fit: Adequacy,
+        left: Misfit,
+        kept: Stored,
+        held: HoldoutEvaluator,
+        whole: Callable[[float], bool],
+        lacking: bool,
+    ) -> tuple[tuple[Judged, ...], dict[str, Any]]:
         """Evidence for every chosen candidate, and the gates; ``whole(moves_mm)`` as :func:`is_settled`."""
         aliases = {k: find_aliases(found, k) for k in found.chosen}
         classes = {k: tuple(a.place for a in rivals) for k, rivals in aliases.items()}
@@ -284,23 +327,36 @@ class _Run:
 
         rising = [k for k, evidence in drafts.items() if judge_evidence(evidence).verdict in SURE]
         shares = inclusion(
-            found, classes, rising, self.options.resamples, self.options.seed,
+            found,
+            classes,
+            rising,
+            self.options.resamples,
+            self.options.seed,
             _stage(self.progress, 0.65, 0.85, "selecting again on resamples"),
             lambda: self.budget.over(RESAMPLING, "resamples of poses"),
-        )  # fmt: skip
+        )
         shuffled = controls(
-            found, list(drafts), self.options.permutations, self.options.seed,
+            found,
+            list(drafts),
+            self.options.permutations,
+            self.options.seed,
             _stage(self.progress, 0.85, 0.95, "negative control"),
             lambda: self.budget.over(SHUFFLING, "shuffles of the negative control"),
-        )  # fmt: skip
+        )
         tried = [replace(drafts[c.place], inclusion=shares.get(c.place), control=c) for c in shuffled]
         out = sorted((judge_evidence(evidence) for evidence in tried), key=lambda j: -j.evidence.gain_mm)
         return tuple(out), control_document(found, shuffled, self.options.permutations, self.options.seed)
 
     def _drafts(
-        self, found: SearchResult, fit: Adequacy, left: Misfit, kept: Stored, held: HoldoutEvaluator,
-        whole: Callable[[float], bool], aliases: dict[int, tuple[Alias, ...]],
-    ) -> dict[int, Evidence]:  # fmt: skip
+        self,
+        found: SearchResult,
+        fit: Adequacy,
+        left: Misfit,
+        kept: Stored,
+        held: HoldoutEvaluator,
+        whole: Callable[[float], bool],
+        aliases: dict[int, tuple[Alias, ...]],
+    ) -> dict[int, Evidence]:
         """All evidence but that of resamples and shuffles, of what takes the most off the errors first.
 
         These take longest, and only matter where this lets a name rise. No verdict waits for profile intervals.
@@ -313,9 +369,10 @@ class _Run:
             late = k in alone and self.budget.over(MEASURING, "the halves of the campaign")
             own[k] = halves(sides, k, [a.place for a in aliases[k]]) if k in alone and not late else None
         sizes = amplitudes(
-            found, _stage(self.progress, 0.6, 0.65, "profile intervals"),
+            found,
+            _stage(self.progress, 0.6, 0.65, "profile intervals"),
             lambda: self.budget.over(MEASURING, "profile intervals"),
-        )  # fmt: skip
+        )
         out, left_mm = {}, fit_rms(found.problem) * display_unit_and_scale(found.problem.settings.source.unit)[1]
         for k, told in own.items():
             borne = None if told is None or not told.lasts else outweighing(found, k, told.joints, left)
@@ -349,19 +406,32 @@ class _Run:
         return {k: replace(one, guarded=guard.effect(k)) for k, one in told.items()}
 
     def _evidence(
-        self, found: SearchResult, place: int, rivals: tuple[Alias, ...], sizes: dict[int, Amplitude], held: HoldoutEvaluator,
-    ) -> Evidence:  # fmt: skip
+        self,
+        found: SearchResult,
+        place: int,
+        rivals: tuple[Alias, ...],
+        sizes: dict[int, Amplitude],
+        held: HoldoutEvaluator,
+    ) -> Evidence:
         candidate = found.selector.scorer.candidates[place]
         unit = display_unit_and_scale(found.problem.settings.source.unit)[1]
         joints, any_ = seen_joints(found, place)
         return Evidence(
-            place, candidate, rivals, (1.0, 1.0), held.effect_gain(place), None,
+            place,
+            candidate,
+            rivals,
+            (1.0, 1.0),
+            held.effect_gain(place),
+            None,
             tuple(sizes[c] for c in candidate.columns),
             chance(found, place, self.options.alpha),
             held.taken_off(place) * unit,
             local_bump_test(found, place, self.prepared.visits.observations.q),
-            held.poses, joints, any_, separated=separating_evidence(found, place),
-        )  # fmt: skip
+            held.poses,
+            joints,
+            any_,
+            separated=separating_evidence(found, place),
+        )
 
     def _worse(self, found: SearchResult, held: HoldoutEvaluator, kept: Stored) -> Iterator[dict[str, Any]]:
         """Warn when held-out poses are predicted worse than by geometry, or by base and tool, alone."""

@@ -90,7 +90,9 @@ def _fixed_and_flange_parts(rig: PlacedRig) -> tuple[str, str]:
 
 def _gauge_warning(gauge: str, names: list[str], what: str, other: str) -> dict[str, Any]:
     return {
-        "code": "camera_gauge", "gauge": gauge, "parameters": names,
+        "code": "camera_gauge",
+        "gauge": gauge,
+        "parameters": names,
         "message": f"{what} ({', '.join(names)}) cannot be told from {other} by these pixels: it keeps what it was given. To "
         f"settle it, {SETTLES[gauge]}.",
-    }  # fmt: skip
+    }

@@ -57,16 +57,18 @@ def build_parameter_rows(
     for name, spread, seen in zip(names, sigma, known, strict=True):
         parameter = calibration.model.parameter(name)
         unit, scale = display_unit_and_scale(parameter.unit)
-        rows.append({
-            "name": name,
-            "value": values[name] * scale,
-            "nominal": nominal[name] * scale,
-            "change": _change(name, values[name] - nominal[name]) * scale,
-            "unit": unit,
-            "sigma": float(spread) * scale,
-            "identifiable": bool(seen),
-            "plausible": parameter.plausible(values[name]),
-        })  # fmt: skip
+        rows.append(
+            {
+                "name": name,
+                "value": values[name] * scale,
+                "nominal": nominal[name] * scale,
+                "change": _change(name, values[name] - nominal[name]) * scale,
+                "unit": unit,
+                "sigma": float(spread) * scale,
+                "identifiable": bool(seen),
+                "plausible": parameter.plausible(values[name]),
+            }
+        )
     return rows
 
 
@@ -94,12 +96,14 @@ def null_rows(directions: Sequence[NullDirection], known: Known) -> list[dict[st
     """Directions that the data cannot tell, in words and by their members, with the sums of members that they do know."""
     rows = []
     for d, sums in zip(directions, known.sums(directions), strict=True):
-        rows.append({
-            "parameters": [{"name": name, "weight": weight} for name, weight in d.weights],
-            "structural": d.structural,
-            "sums": sums,
-            "sentence": " ".join([d.sentence(), *(one["sentence"] for one in sums)]),
-        })  # fmt: skip
+        rows.append(
+            {
+                "parameters": [{"name": name, "weight": weight} for name, weight in d.weights],
+                "structural": d.structural,
+                "sums": sums,
+                "sentence": " ".join([d.sentence(), *(one["sentence"] for one in sums)]),
+            }
+        )
     return rows
 
 
@@ -126,10 +130,22 @@ def fit_warnings(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[di
             "message": f"The distance of markers {bent[0]} and {bent[1]} varies by {mm(bent[2]):.2f} mm (standard "
             "deviation): the set bends, or one of them is loose. Fasten them; until then errors below that mean little.",
         }
+    yield from _repeat_warnings(repeats)
+    loaded = [e.id for e in fit.problem.model.effects if "moments" in e.needs]
+    if loaded and not np.any(fit.problem.batch.wrench):
+        yield {
+            "code": "no_load",
+            "message": f"{', '.join(loaded)} need load moments, but neither link masses nor a payload are known: "
+            "give links with mass_kg and com_mm, or payload_kg.",
+        }
+
+
+def _repeat_warnings(repeats: Repeats) -> Iterator[dict[str, Any]]:
+    """What repeats of poses say of the noise, and which of them are copies or wrong."""
     if repeats.between is None:
-        only = "No pose was repeated" if repeats.shots is None else (
-            "Poses were only shot several times without motion between, which does not show how the arm comes to rest"
-        )  # fmt: skip
+        only = "No pose was repeated"
+        if repeats.shots is not None:
+            only = "Poses were only shot several times without motion between, which does not show how the arm comes to rest"
         yield {
             "code": "no_repeats",
             "message": f"{only}, so the noise is that of the fit itself, model errors included. "
@@ -137,24 +153,18 @@ def fit_warnings(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[di
         }
     if len(repeats.copies):
         yield {
-            "code": "repeats_identical", "rows": (repeats.copies + 1).tolist(),
+            "code": "repeats_identical",
+            "rows": (repeats.copies + 1).tolist(),
             "message": f"{len(repeats.copies)} rows measured exactly what an earlier row of their pose did; the first is row "
             f"{repeats.copies[0] + 1} of the rows fitted. Without scatter they are copies, held readings or simulated, and "
             "say nothing of noise. Upload every row once, or measure the poses again.",
-        }  # fmt: skip
+        }
     if len(repeats.wrong):
         yield {
             "code": "repeats_differ",
             "rows": (repeats.wrong + 1).tolist(),
             "message": f"{len(repeats.wrong)} rows stand too far from the repeats of their pose to be noise; the first is row "
             f"{repeats.wrong[0] + 1} of the rows fitted. Remove them, or identify with loss tukey, which lets wrong rows go.",
-        }
-    loaded = [e.id for e in fit.problem.model.effects if "moments" in e.needs]
-    if loaded and not np.any(fit.problem.batch.wrench):
-        yield {
-            "code": "no_load",
-            "message": f"{', '.join(loaded)} need load moments, but neither link masses nor a payload are known: "
-            "give links with mass_kg and com_mm, or payload_kg.",
         }
 
 

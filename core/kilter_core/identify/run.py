@@ -228,9 +228,16 @@ def identify(
     said = (*result.warnings, *wrong(fit, begin, options, inside, result.beyond), *odd, *_worse(compared, of_type, fit))
     fitted = RowErrors.from_stages(stages, measurement, np.arange(len(train))).with_row_numbers(inside)
     return replace(
-        result, own_frames=tuple(own), inside=inside, fitted_rows=fitted, held_rows=by_row, held_kinds=kinds, fleet=of_type,
-        fitted_kinds=squared_errors_by_kind(stages, measurement), **_views(result, said, views, measurement, held, begin),
-    )  # fmt: skip
+        result,
+        own_frames=tuple(own),
+        inside=inside,
+        fitted_rows=fitted,
+        held_rows=by_row,
+        held_kinds=kinds,
+        fleet=of_type,
+        fitted_kinds=squared_errors_by_kind(stages, measurement),
+        **_views(result, said, views, measurement, held, begin),
+    )
 
 
 def _model_and_measurement(
@@ -260,9 +267,13 @@ def _stages(nominal: Calibration, found: Calibration, identified: Calibration) -
 
 
 def _views(
-    result: Identification, warnings: tuple[dict[str, Any], ...], unfitted: ToolErrors | None, measurement: Measurement,
-    held: dict[str, Errors], begin: Calibration,
-) -> dict[str, Any]:  # fmt: skip
+    result: Identification,
+    warnings: tuple[dict[str, Any], ...],
+    unfitted: ToolErrors | None,
+    measurement: Measurement,
+    held: dict[str, Errors],
+    begin: Calibration,
+) -> dict[str, Any]:
     """What views say, of those held out and of shuffled joints too, and the warnings with theirs."""
     views = with_validation_views(with_control(result.views, begin, measurement.observations), unfitted)
     shown = {name: errors.to_document()["rms_mm"] for name, errors in held.items()}

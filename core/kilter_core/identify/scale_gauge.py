@@ -60,10 +60,13 @@ def contradicted_scale(fit: Fit) -> Iterator[dict[str, Any]]:
     names = " and ".join(board.name for board in rig.rig.boards)
     size, half = 1e2 * (1.0 / (1.0 + shorter) - 1.0), 1e2 * QUANTILE * sigma
     yield {
-        "code": "board_scale_differs", "boards": [board.name for board in rig.rig.boards], "larger_percent": size,
+        "code": "board_scale_differs",
+        "boards": [board.name for board in rig.rig.boards],
+        "larger_percent": size,
         "u95_percent": half,
-        "message": scale_sentence(names, size, half) + " This version has a robot of another size: do not correct with it.",
-    }  # fmt: skip
+        "message": scale_sentence(names, size, half)
+        + " This version has a robot of another size: do not correct with it.",
+    }
 
 
 def _shrunk(fit: Fit, scale: float) -> tuple[float, float]:

@@ -261,8 +261,12 @@ def without_frames(calibration: Calibration) -> Calibration:
 
 def of_the_arm(fit: Fit) -> Bools:
     """Which of a fit's free parameters (F,) are not frames of later set-ups, nor of cameras and boards."""
-    frames = {p.name for e in fit.problem.model.effects if isinstance(e, OF_SETUPS)
-              for p in e.parameters(fit.problem.model.robot)}  # fmt: skip
+    frames = {
+        p.name
+        for e in fit.problem.model.effects
+        if isinstance(e, OF_SETUPS)
+        for p in e.parameters(fit.problem.model.robot)
+    }
     return np.array([name not in frames for name in fit.names])
 
 

@@ -105,9 +105,14 @@ def _step(seen: ViewResiduals, part: Part) -> Step | None:
     sure = np.argsort(-likely, kind="stable")
     sure = sure[: int(np.searchsorted(np.cumsum(likely[sure]), SURE * likely.sum())) + 1]
     return Step(
-        part, k, int(sure.min()), int(sure.max()), min(chance, 1.0), float(gain[k]) / max(whole, 1e-300),
+        part,
+        k,
+        int(sure.min()),
+        int(sure.max()),
+        min(chance, 1.0),
+        float(gain[k]) / max(whole, 1e-300),
         whole - float(gain[k]),
-    )  # fmt: skip
+    )
 
 
 def _tail_sums(each: Floats) -> Floats:
@@ -166,12 +171,17 @@ def camera_moved(found: Found, moved: Moved | None, numbers: Ints) -> dict[str, 
     either = ", or ".join([*other, "the base of the robot did" if part.fixed else "the tool did"])
     what = "camera" if part.camera else "board"
     return {
-        "code": "camera_moved", "part": what, "name": part.name, "row": row, "rows_95": [first, latest], **sizes,
+        "code": "camera_moved",
+        "part": what,
+        "name": part.name,
+        "row": row,
+        "rows_95": [first, latest],
+        **sizes,
         "p_value": best.chance,
         "message": f"{part.words} moved between rows {last} and {row}{sure}{far}, or {either}: this fit averages the places "
         f"before and after. Give the {what} another name from row {row} on (column `{what}`, and a second entry in "
         f"`{what}s`), and identify again: each place is then fitted by itself.",
-    }  # fmt: skip
+    }
 
 
 def on_the_robot(calibration: Calibration) -> PlacedRig | None:
@@ -188,21 +198,31 @@ def cameras_document(calibration: Calibration, sigmas: Mapping[str, float] | Non
     known = sigmas or {}
     cameras = [
         {
-            "name": one.name, "mount": one.mount, "frame": _frame(one.mount), **_pose(place.pose),
-            **_sigmas("camera", one.name, known), "width_px": one.size[0], "height_px": one.size[1],
+            "name": one.name,
+            "mount": one.mount,
+            "frame": _frame(one.mount),
+            **_pose(place.pose),
+            **_sigmas("camera", one.name, known),
+            "width_px": one.size[0],
+            "height_px": one.size[1],
             **dict(zip(("fx_px", "fy_px", "cx_px", "cy_px"), map(float, place.values[:4]), strict=True)),
-            "distortion_model": one.model, "distortion": place.values[4:].tolist(),
+            "distortion_model": one.model,
+            "distortion": place.values[4:].tolist(),
             "intrinsics_sigmas": [known.get(f"camera_{one.name}_{n}", 0.0) for n in one.names] if known else None,
         }
         for one, place in zip(rig.rig.cameras, rig.cameras, strict=True)
-    ]  # fmt: skip
+    ]
     boards = [
         {
-            "name": one.name, "mount": one.mount, "frame": _frame(one.mount), **_pose(place.pose),
-            **_sigmas("board", one.name, known), **_scale(place, known.get(f"board_{one.name}_scale")),
+            "name": one.name,
+            "mount": one.mount,
+            "frame": _frame(one.mount),
+            **_pose(place.pose),
+            **_sigmas("board", one.name, known),
+            **_scale(place, known.get(f"board_{one.name}_scale")),
         }
         for one, place in zip(rig.rig.boards, rig.boards, strict=True)
-    ]  # fmt: skip
+    ]
     return {"cameras": cameras, "boards": boards}
 
 
@@ -211,18 +231,23 @@ def pixels_document(found: ViewScatter, open_rms: float, open_high: float) -> di
     far off it may be by what the fit leaves open, m.
     """
     return {
-        "noise_px": found.sigma_px, "between_views": found.beyond, "train": tool_document(found), "validation": None,
+        "noise_px": found.sigma_px,
+        "between_views": found.beyond,
+        "train": tool_document(found),
+        "validation": None,
         "left_open": {"rms_mm": mm(open_rms), "high_mm": mm(open_high)},
-    }  # fmt: skip
+    }
 
 
 def tool_document(found: ViewScatter) -> dict[str, float]:
     """How far off the tool is, with its 95 % interval."""
     root = math.sqrt(3.0)  # of the three coordinates of a point
     return {
-        "rms_mm": mm(found.rms_m), "low_mm": mm(root * found.place_low), "high_mm": mm(root * found.place_high),
+        "rms_mm": mm(found.rms_m),
+        "low_mm": mm(root * found.place_low),
+        "high_mm": mm(root * found.place_high),
         "orientation_deg": degrees(root * found.turn),
-    }  # fmt: skip
+    }
 
 
 def _frame(mount: str) -> str:
@@ -355,16 +380,20 @@ def too_large_to_deploy(said: dict[str, Any], registered_mm: float | None) -> It
     if held["high_mm"] <= TOO_LARGE_MM and not little:
         return
     between = said["pixels"]["between_views"]
-    state = "The calibration is complete" if between <= LACKING else (
-        f"Views scatter {between:.2g} times as much as their corners explain, so the model lacks something"
-    )  # fmt: skip
+    state = (
+        "The calibration is complete"
+        if between <= LACKING
+        else (f"Views scatter {between:.2g} times as much as their corners explain, so the model lacks something")
+    )
     reason = "" if registered_mm is None or not little else f", and cameras placed alone leave {registered_mm:.3g} mm"
     yield {
-        "code": "too_large_to_deploy", "rms_mm": held["rms_mm"], "high_mm": held["high_mm"],
+        "code": "too_large_to_deploy",
+        "rms_mm": held["rms_mm"],
+        "high_mm": held["high_mm"],
         "message": f"{state}, but the error is too large to deploy: on views held out the tool is off by "
         f"{held['rms_mm']:.3g} mm (95 %: up to {held['high_mm']:.3g} mm){reason}. Take more and sharper views that fill the "
         "picture, add points of a tracker, or look for what is missing with `kilter gap`.",
-    }  # fmt: skip
+    }
 
 
 def tell_less(
@@ -375,12 +404,14 @@ def tell_less(
     if left is None or held_mm is None or left["rms_mm"] <= BEYOND_SHOWN * held_mm:
         return
     yield {
-        "code": "views_tell_less", "rms_mm": left["rms_mm"], "high_mm": left["high_mm"],
+        "code": "views_tell_less",
+        "rms_mm": left["rms_mm"],
+        "high_mm": left["high_mm"],
         "message": f"{seen} the tool is off by {held_mm:.3g} mm rms, but the views that were fitted leave more open: "
         f"{left['rms_mm']:.3g} mm rms, up to {left['high_mm']:.3g} mm (95 %), most of it along the lines of sight and in how "
         "large everything is. Take views from nearer, or of a larger board, or measure a length: two points of known distance, "
         "sockets, a few points of a tracker.",
-    }  # fmt: skip
+    }
 
 
 def with_control(said: dict[str, Any], begin: Calibration, train: Observations) -> dict[str, Any]:

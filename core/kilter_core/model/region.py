@@ -210,9 +210,19 @@ def arm_points(robot: Robot, q: Floats) -> Floats:
     for k, end in enumerate(ends):
         position = np.empty((len(q), 3))
         kinematics.poses(
-            program.axis[:end], program.joint[:end], program.ratio[:end], program.value[:end],
-            np.full(end, -1, dtype=np.int64), end, np.eye(4), robot.T_tool if k == robot.n_joints else np.eye(4),
-            np.ascontiguousarray(q), still, np.zeros((0, 0, 6)), position, rotation,
-        )  # fmt: skip
+            program.axis[:end],
+            program.joint[:end],
+            program.ratio[:end],
+            program.value[:end],
+            np.full(end, -1, dtype=np.int64),
+            end,
+            np.eye(4),
+            robot.T_tool if k == robot.n_joints else np.eye(4),
+            np.ascontiguousarray(q),
+            still,
+            np.zeros((0, 0, 6)),
+            position,
+            rotation,
+        )
         out[:, k] = position
     return out

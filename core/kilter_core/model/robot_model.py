@@ -200,12 +200,17 @@ class RobotModel:
         robot = self.load_robot
         loads = self._loads(o, deflection)
         return Batch(
-            q=o.q, wrench=loads.joints, axial=axial_loads(robot, loads),
-            end_wrench=loads.ends, base_wrench=loads.base, tool_point=loads.tool_point,
-            link_vectors=robot.chain.link_vectors, **o.under(),
+            q=o.q,
+            wrench=loads.joints,
+            axial=axial_loads(robot, loads),
+            end_wrench=loads.ends,
+            base_wrench=loads.base,
+            tool_point=loads.tool_point,
+            link_vectors=robot.chain.link_vectors,
+            **o.under(),
             payload_axial=self._payload_axial(o, deflection) if payload else None,
             slopes=LoadSlopes(robot, o, deflection) if any(e.changes_loads for e in self.effects) else None,
-        )  # fmt: skip
+        )
 
     def _payload_axial(self, o: Observations, deflection: Deflection | None) -> Floats | None:
         return payload_sensitivity(self.load_robot, o, deflection) if "payload_kg" in self.needs else None
@@ -240,9 +245,20 @@ class RobotModel:
         position, rotation = np.empty((len(batch), 3)), np.empty((len(batch), 3, 3))
         p = self.program
         kinematics.poses(
-            p.axis, p.joint, p.ratio, self._element_values(values), p.slot, p.tool_at, self.T_base, self.T_tool,
-            batch.q, total.dq, total.xi, position, rotation,
-        )  # fmt: skip
+            p.axis,
+            p.joint,
+            p.ratio,
+            self._element_values(values),
+            p.slot,
+            p.tool_at,
+            self.T_base,
+            self.T_tool,
+            batch.q,
+            total.dq,
+            total.xi,
+            position,
+            rotation,
+        )
         position = position if total.stretch is None else position * total.stretch
         return Prediction(position, rotation, total, self._slides, find_instrument(self.effects_with_slices, values))
 
@@ -390,9 +406,24 @@ class RobotModel:
         J, JQ = np.zeros((rows, each, len(free))), np.empty((rows, each, n))
         JX = np.empty((rows if len(total.xi) else 0, each, 6 * n + 12))
         kinematics.screws(
-            p.axis, p.joint, p.ratio, self._element_values(values), p.slot, p.tool_at, self.T_base, self.T_tool,
-            batch.q, total.dq, total.xi, column, position, rotation, J, JQ, JX,
-        )  # fmt: skip
+            p.axis,
+            p.joint,
+            p.ratio,
+            self._element_values(values),
+            p.slot,
+            p.tool_at,
+            self.T_base,
+            self.T_tool,
+            batch.q,
+            total.dq,
+            total.xi,
+            column,
+            position,
+            rotation,
+            J,
+            JQ,
+            JX,
+        )
         made = Prediction(
             position, rotation, total, self._slides, find_instrument(self.effects_with_slices, values, free)
         )

@@ -249,11 +249,15 @@ def _own_rows(robot: Robot, convention: str) -> tuple[Row, ...] | None:
     own = {e.name: e.value for e in robot.chain.elements}
     rows = tuple(
         Row(
-            own.get(f"alpha_{k}", 0.0), own.get(f"a_{k}", 0.0), own.get(f"theta_offset_{k}", 0.0), own.get(f"d_{k}"),
-            own.get(f"beta_{k}") if convention == "mdh" else None, joint.kind == "prismatic",
+            own.get(f"alpha_{k}", 0.0),
+            own.get(f"a_{k}", 0.0),
+            own.get(f"theta_offset_{k}", 0.0),
+            own.get(f"d_{k}"),
+            own.get(f"beta_{k}") if convention == "mdh" else None,
+            joint.kind == "prismatic",
         )
         for k, joint in enumerate(robot.joints, 1)
-    )  # fmt: skip
+    )
     made = _elements(rows, convention)
     same = [(e.axis, e.value, e.name, e.joint, e.ratio) for e in made] == [
         (e.axis, e.value, e.name, e.joint, e.ratio) for e in robot.chain.elements

@@ -84,10 +84,11 @@ def clock_warnings(rows: Timed) -> Iterator[dict[str, Any]]:
         return
     done = "times are counted backwards" if clock.trusted else "the order of the rows replaces the time"
     yield {
-        "code": "clock_backwards", "row": clock.fell,
+        "code": "clock_backwards",
+        "row": clock.fell,
         "message": f"The clock runs backwards at row {clock.fell + 1}: {done}. Give every restart of the clock a session of "
         "its own, or upload the rows with one clock.",
-    }  # fmt: skip
+    }
 
 
 def came_back(rows: Timed, clock: Clock, condition: Ints) -> Bools:

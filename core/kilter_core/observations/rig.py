@@ -52,9 +52,10 @@ class Camera:
             )
         if self.intrinsics == "prior" and (self.sigmas is None or len(self.sigmas) != 4 + len(self.distortion)):
             raise _invalid_part_error(
-                "camera", self.name,
+                "camera",
+                self.name,
                 f"intrinsics prior needs sigmas_px with {4 + len(self.distortion)} numbers: fx, fy, cx, cy and the distortion.",
-            )  # fmt: skip
+            )
         if min(*self.focal, *self.size) <= 0:
             raise _invalid_part_error(
                 "camera", self.name, "focal length and size must be above 0: give them in pixels."
@@ -158,9 +159,10 @@ class Rig:
 def _add_part(known: dict[str, Part], part: Part, what: str) -> None:
     if known.setdefault(part.name, part) != part:
         raise _invalid_part_error(
-            what, part.name,
+            what,
+            part.name,
             f"campaigns describe it differently. Describe one {what} alike everywhere, or give another its own name.",
-        )  # fmt: skip
+        )
 
 
 def _tuples(value: Any) -> Any:

@@ -236,9 +236,12 @@ def _information(
         if not len(which):
             continue
         views = replace(
-            pool.select(which), pixels=pixels[which], camera=np.full(len(which), pair.c), board=np.full(len(which), pair.b),
+            pool.select(which),
+            pixels=pixels[which],
+            camera=np.full(len(which), pair.c),
+            board=np.full(len(which), pair.b),
             rig=rig,
-        )  # fmt: skip
+        )
         metres_per_px = _pixels(views).metres_per_px
         for part in range(0, len(which), SLICE):
             some = np.arange(part, min(part + SLICE, len(which)))

@@ -126,11 +126,14 @@ def joint_parameters(robot: Robot, log: Log) -> tuple[list[JointParameter], list
             if swapped is not None:
                 warnings.append(swapped)
                 continue
-            warnings.append({
-                "code": "readings_scatter", "joint": robot.joints[j].name,
-                "message": f"Readings of joint {robot.joints[j].name} scatter by {degrees(scatter):.4f} deg: look for a "
-                "wrong axis, a changed mounting without a new series, or masses that are not the robot's.",
-            })  # fmt: skip
+            warnings.append(
+                {
+                    "code": "readings_scatter",
+                    "joint": robot.joints[j].name,
+                    "message": f"Readings of joint {robot.joints[j].name} scatter by {degrees(scatter):.4f} deg: look for a "
+                    "wrong axis, a changed mounting without a new series, or masses that are not the robot's.",
+                }
+            )
     return found, warnings
 
 
@@ -183,11 +186,12 @@ def _other_axis(robot: Robot, j: int, log: Log, every: Floats, mine: Bools, scat
     name, (declared, other, sign) = robot.joints[j].name, found
     true = f"{'-' if sign < 0 else ''}{AXES[other]}"
     return {
-        "code": "inclinometer_axis", "joint": name,
+        "code": "inclinometer_axis",
+        "joint": name,
         "message": f"Readings of joint {name} given about {AXES[declared]} fit axis {true} of its frame: they scatter by "
         f"{degrees(scatter):.4f} deg as given and by {degrees(best):.4f} deg so. Remount the inclinometer, or "
         "correct the axis (for a minus the sign of the readings), and send them again.",
-    }  # fmt: skip
+    }
 
 
 def _negative(robot: Robot, parameters: list[JointParameter]) -> list[dict[str, str]]:
@@ -196,12 +200,15 @@ def _negative(robot: Robot, parameters: list[JointParameter]) -> list[dict[str, 
     if not below:
         return []
     joint, names = robot.joints[below[0].joint].name, ", ".join(p.name for p in below)
-    return [{
-        "code": "inclinometer_axis", "joint": joint,
-        "message": f"{names} of joint {joint} would be negative, against the load: the inclinometer is the wrong way "
-        "round (readings before the joint minus after it), or the masses are not the robot's. Reverse the sign of the "
-        "readings.",
-    }]  # fmt: skip
+    return [
+        {
+            "code": "inclinometer_axis",
+            "joint": joint,
+            "message": f"{names} of joint {joint} would be negative, against the load: the inclinometer is the wrong way "
+            "round (readings before the joint minus after it), or the masses are not the robot's. Reverse the sign of the "
+            "readings.",
+        }
+    ]
 
 
 def _is_independent_column(columns: Floats, k: int, offsets: Floats) -> bool:

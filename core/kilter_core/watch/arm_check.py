@@ -257,10 +257,23 @@ def check(
         judged = _with_summed_changes(judged, _Linear.from_innovation(plain, calibration, anew))
     causes = _possible_causes(linear, judged) if p_value <= FALSE_ALARM else ()
     return Check(
-        _verdict(p_value, causes), causes, judged, p_value, chi_square, linear.numbers,
-        innovation.poses, misfit, innovation.noise, smallest, tuple(one.cause for one in linear.hidden), anew, counts.alone,
-        rows.pose_weight is not None, conditions, float(np.sqrt(day.ratio)),
-    )  # fmt: skip
+        _verdict(p_value, causes),
+        causes,
+        judged,
+        p_value,
+        chi_square,
+        linear.numbers,
+        innovation.poses,
+        misfit,
+        innovation.noise,
+        smallest,
+        tuple(one.cause for one in linear.hidden),
+        anew,
+        counts.alone,
+        rows.pose_weight is not None,
+        conditions,
+        float(np.sqrt(day.ratio)),
+    )
 
 
 def absorb_frame_increments(calibration: Calibration) -> Calibration:
@@ -304,10 +317,11 @@ def _refuse_foreign(calibration: Calibration, misfit: float, left: float) -> Non
         raise ObservationError(
             f"The rows miss what the version predicts by {mm(misfit):.4g} mm (rms), and no one cause explains it: they "
             "are of another robot, in another unit, of another tool, or of an instrument that was set up anew. Send rows "
-            'of this robot with the tool of its version, or say what was set up anew (`new_setup`: base, or '
+            "of this robot with the tool of its version, or say what was set up anew (`new_setup`: base, or "
             "base and tool).",
-            code=ANOTHER_ARM, misfit_m=misfit,
-        )  # fmt: skip
+            code=ANOTHER_ARM,
+            misfit_m=misfit,
+        )
 
 
 def _p_value(linear: _Linear) -> float:

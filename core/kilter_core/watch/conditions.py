@@ -124,8 +124,11 @@ def expansion(
             f"Row {worst + 1} was measured at {rows.temperature_c[worst]:.4g} deg C, and the version at {between}: at more "
             f"than {MOST_K:g} K of difference an arm expands by more than what a check looks for. Measure at the temperature "
             "of the version, or identify one with thermal_growth and thermal_drift from rows of several temperatures.",
-            code="another_temperature", row=worst + 1, column="temperature_c", fitted_c=[low, high],
-        )  # fmt: skip
+            code="another_temperature",
+            row=worst + 1,
+            column="temperature_c",
+            fitted_c=[low, high],
+        )
     if not beyond.any():
         return None
     return _per_kelvin(calibration, rows) * beyond[:, None, None]

@@ -183,8 +183,9 @@ def _refuse_few(measurement: Measurement) -> None:
         had = f"the {rows} rows repeat {counted}" if rows > poses else f"this is {counted}"
         raise TooFewPosesError(
             f"A check needs {FEWEST_POSES} distinct poses, better five: {had}. Measure poses that differ in every joint.",
-            poses=poses, needed=FEWEST_POSES,
-        )  # fmt: skip
+            poses=poses,
+            needed=FEWEST_POSES,
+        )
 
 
 def _thin_poses(measurement: Measurement) -> Measurement:

@@ -235,8 +235,12 @@ def _refuse_on_axis(
             f"{mm(sigma):.3g} mm do not show that its zero changed by {degrees(COARSE):g} deg. Mount the reflector, "
             f"and state the tool, at least {mm(far):.3g} mm off that axis, {mm(far * COARSE / ZERO):.3g} mm for "
             f"{degrees(ZERO):.2g} deg; or plan without that joint (`without_joints` {k + 1}).",
-            code="tool_on_axis", field="tool", joint=k + 1, lever_m=float(levers[k]), needed_m=far,
-        )  # fmt: skip
+            code="tool_on_axis",
+            field="tool",
+            joint=k + 1,
+            lever_m=float(levers[k]),
+            needed_m=far,
+        )
 
 
 def _faint(calibration: Calibration, pool: Observations, found: Check) -> tuple[Faint, ...]:
@@ -251,10 +255,13 @@ def _faint(calibration: Calibration, pool: Observations, found: Check) -> tuple[
         more = None if seen is None else seen / step
         out.append(
             Faint(
-                cause, seen, float(lever) if turns else None, float(lever) * more if turns and more else None,
+                cause,
+                seen,
+                float(lever) if turns else None,
+                float(lever) * more if turns and more else None,
                 None if more is None else int(np.ceil(found.poses * more**2)),
             )
-        )  # fmt: skip
+        )
     return tuple(out)
 
 

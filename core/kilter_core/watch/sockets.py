@@ -43,8 +43,9 @@ def place_rows_in_sockets(calibration: Calibration, rows: Observations) -> tuple
         raise ObservationError(
             "A check by the joint log alone takes balls in sockets, and the rows have plane_id or bar_id too: send the rows "
             "of the sockets alone.",
-            code="contacts_mixed", columns=["plane_id", "bar_id"],
-        )  # fmt: skip
+            code="contacts_mixed",
+            columns=["plane_id", "bar_id"],
+        )
     if calibration.marker_points is not None:
         raise ObservationError(
             "The version knows the tool by its markers alone, and not where its ball is: identify a version with the ball, "
@@ -58,8 +59,9 @@ def place_rows_in_sockets(calibration: Calibration, rows: Observations) -> tuple
         raise TooFewPosesError(
             f"A check by the joint log alone needs {FEWEST} poses more than sockets, each socket in two poses or more: this "
             f"log has {max(more, 0)} more. Seat the ball in one socket by six poses that rotate the tool as far as they can.",
-            poses=max(more, 0), needed=FEWEST,
-        )  # fmt: skip
+            poses=max(more, 0),
+            needed=FEWEST,
+        )
     if len(rows) > MOST:
         rows = rows.select(np.arange(MOST) * len(rows) // MOST)
     assert rows.socket is not None

@@ -105,8 +105,9 @@ def rezero(
     at, change, together, covariance = _estimate_change(calibration, rows, known, names, noise, anew, fitted_c)
     sigma = np.sqrt(np.diag(together))
     for cause in chosen:
-        _refuse_unchanged(cause, *(part[[names.index(n) for n in _parameters(calibration, cause)]]
-                                   for part in (change, sigma)))  # fmt: skip
+        _refuse_unchanged(
+            cause, *(part[[names.index(n) for n in _parameters(calibration, cause)]] for part in (change, sigma))
+        )
     now = replace(known, covariance=covariance)
     after = check(at, rows, now, noise=noise, new_setup=anew, fitted_c=fitted_c, conditions=conditions)
     if after.verdict != "ok":
@@ -114,8 +115,9 @@ def rezero(
             f"After the change the rows still miss the arm by {mm(after.misfit):.3g} mm, more than chance explains (p = "
             f"{after.p_value:.1g}): more has changed than {_join_cause_names(chosen)}. Measure a campaign and "
             "identify a version anew.",
-            code=CODE, causes=[one.name for one in chosen],
-        )  # fmt: skip
+            code=CODE,
+            causes=[one.name for one in chosen],
+        )
     return Rezeroed(absorb_frame_increments(at), now, tuple(names), change, sigma, together, chosen, before, after)
 
 
@@ -137,15 +139,17 @@ def _chosen(found: Check, wanted: Sequence[str]) -> tuple[Cause, ...]:
             raise CoreError(
                 f"The rows do not say what moved: it is {may}. Find out by other means and name it (`causes`), or measure a "
                 "campaign and identify a version anew.",
-                code=CODE, causes=[one.cause.name for one in found.causes],
-            )  # fmt: skip
+                code=CODE,
+                causes=[one.cause.name for one in found.causes],
+            )
         return (found.causes[0].cause,)
     if len(wanted) == 1 and known[wanted[0]].refuted:
         raise CoreError(
             f"The rows refute {wanted[0]}: {found.judged[0].cause.name} explains what it leaves. Name that, or measure a "
             "campaign and identify a version anew.",
-            code=CODE, causes=list(wanted),
-        )  # fmt: skip
+            code=CODE,
+            causes=list(wanted),
+        )
     return tuple(known[name].cause for name in dict.fromkeys(wanted))
 
 
@@ -163,11 +167,15 @@ def _parameters(calibration: Calibration, cause: Cause) -> list[str]:
     if found is None or found not in names:
         raise OptionError(
             f"The version has no parameter for {cause.name}: "
-            + ("the scale is the instrument's, not the arm's. Look at its calibration." if cause.kind == "scale"
-               else "identify a version with axial_compliance at that joint." if cause.kind == "sag"
-               else "name that joint's element in the robot's description."),
+            + (
+                "the scale is the instrument's, not the arm's. Look at its calibration."
+                if cause.kind == "scale"
+                else "identify a version with axial_compliance at that joint."
+                if cause.kind == "sag"
+                else "name that joint's element in the robot's description."
+            ),
             option="causes",
-        )  # fmt: skip
+        )
     return [found]
 
 
@@ -186,9 +194,14 @@ def _extend_with_exact_names(known: Predictive, names: Sequence[str]) -> Predict
 
 
 def _estimate_change(
-    calibration: Calibration, rows: Observations, known: Predictive, names: Sequence[str], noise: float | None,
-    anew: Sequence[Frame], fitted_c: tuple[float, float] | None,
-) -> tuple[Calibration, Floats, Floats, Floats]:  # fmt: skip
+    calibration: Calibration,
+    rows: Observations,
+    known: Predictive,
+    names: Sequence[str],
+    noise: float | None,
+    anew: Sequence[Frame],
+    fitted_c: tuple[float, float] | None,
+) -> tuple[Calibration, Floats, Floats, Floats]:
     """The calibration after the change, the change (F,) and its covariance (F, F), and that of all parameters (K, K)."""
     frames = [name for frame in anew for name in _frame_parameters(calibration, frame)]
     places = np.array([calibration.names.index(name) for name in (*names, *frames)], dtype=np.int64)
@@ -263,8 +276,9 @@ def _refuse_unchanged(cause: Cause, change: Floats, sigma: Floats) -> None:
         raise CoreError(
             f"The rows do not show that {cause.name} changed: its 95 % interval holds none at all. Leave it out, or measure "
             "more poses.",
-            code=CODE, causes=[cause.name],
-        )  # fmt: skip
+            code=CODE,
+            causes=[cause.name],
+        )
 
 
 def _of_sizes(change: Floats, covariance: Floats) -> Floats:

@@ -163,28 +163,52 @@ def _column(column: Column, table: Any) -> ColumnFacts:
     ends = pc.min_max(cells).as_py()
     low, high = ends["min"], ends["max"]
     return ColumnFacts(
-        column.name, meaning(column), unit, None if low is None else low * factor,
-        None if high is None else high * factor, cells.null_count,
-    )  # fmt: skip
+        column.name,
+        meaning(column),
+        unit,
+        None if low is None else low * factor,
+        None if high is None else high * factor,
+        cells.null_count,
+    )
 
 
 MEANINGS: Mapping[str, str] = {
-    "q": "reading of joint {0}", "link": "link-side encoder of joint {0}", "cmd": "command of joint {0}",
+    "q": "reading of joint {0}",
+    "link": "link-side encoder of joint {0}",
+    "cmd": "command of joint {0}",
     "qd": "speed of joint {0}",
-    "qdd": "acceleration of joint {0}", "tau": "torque of joint {0}", "dir": "direction joint {0} came from",
-    "x": "position along x", "y": "position along y", "z": "position along z", "t": "time",
-    "payload": "load at the tool", "temperature": "temperature of the arm", "session": "set-up of the instrument",
-    "base_tilt_x": "tilt of the base about x, as an input", "base_tilt_y": "tilt of the base about y, as an input",
-    "camera": "which camera", "board": "which board",
-    "pixel_u": "corner {0} of the board, to the right", "pixel_v": "corner {0} of the board, down",
-    "pixel_su": "deviation of corner {0}, to the right", "pixel_sv": "deviation of corner {0}, down",
-    "pose_id": "number of the pose", "row": "number of the row as measured",
-    "bar": "length of the ball bar", "bar_id": "which ball bar",
-    "socket_id": "which socket", "plane_id": "which plane",
-    "qw": "orientation (quaternion)", "qx": "orientation (quaternion)", "qy": "orientation (quaternion)",
-    "qz": "orientation (quaternion)", "phi": "orientation (ZXZ, first)", "theta": "orientation (ZXZ, second)",
+    "qdd": "acceleration of joint {0}",
+    "tau": "torque of joint {0}",
+    "dir": "direction joint {0} came from",
+    "x": "position along x",
+    "y": "position along y",
+    "z": "position along z",
+    "t": "time",
+    "payload": "load at the tool",
+    "temperature": "temperature of the arm",
+    "session": "set-up of the instrument",
+    "base_tilt_x": "tilt of the base about x, as an input",
+    "base_tilt_y": "tilt of the base about y, as an input",
+    "camera": "which camera",
+    "board": "which board",
+    "pixel_u": "corner {0} of the board, to the right",
+    "pixel_v": "corner {0} of the board, down",
+    "pixel_su": "deviation of corner {0}, to the right",
+    "pixel_sv": "deviation of corner {0}, down",
+    "pose_id": "number of the pose",
+    "row": "number of the row as measured",
+    "bar": "length of the ball bar",
+    "bar_id": "which ball bar",
+    "socket_id": "which socket",
+    "plane_id": "which plane",
+    "qw": "orientation (quaternion)",
+    "qx": "orientation (quaternion)",
+    "qy": "orientation (quaternion)",
+    "qz": "orientation (quaternion)",
+    "phi": "orientation (ZXZ, first)",
+    "theta": "orientation (ZXZ, second)",
     "psi": "orientation (ZXZ, third)",
-}  # fmt: skip
+}
 
 
 def _load(part: str, number: str) -> str:
@@ -233,9 +257,16 @@ def _joint(joint: Joint, readings: Floats) -> JointFacts:
     if limits[0] is not None and limits[1] is not None and limits[1] > limits[0]:
         share = (high - low) / (limits[1] - limits[0])
     return JointFacts(
-        joint.name, "mm" if slides else "deg", low, high, (limits[0], limits[1]), share, bin_low, bin_high,
+        joint.name,
+        "mm" if slides else "deg",
+        low,
+        high,
+        (limits[0], limits[1]),
+        share,
+        bin_low,
+        bin_high,
         tuple(int(count) for count in counts),
-    )  # fmt: skip
+    )
 
 
 def _approaches(joints: tuple[Joint, ...], seen: Observations) -> Iterator[Approach]:

@@ -58,9 +58,18 @@ def repeats(pose: Ints, under: Ints, visit: Ints, points: Floats | None) -> Repe
         between, freedom = _scatter(under[seen][start], means)
         far, distance, sigmas = _with_other_conditions(pose, under, points, (far, distance, sigmas))
     return Repeats(
-        len(rows), len(first), (int(rows.min()), int(rows.max())), (int(visits.min()), int(visits.max())),
-        int((visits > 1).sum()), within, between, freedom, far, distance, sigmas,
-    )  # fmt: skip
+        len(rows),
+        len(first),
+        (int(rows.min()), int(rows.max())),
+        (int(visits.min()), int(visits.max())),
+        int((visits > 1).sum()),
+        within,
+        between,
+        freedom,
+        far,
+        distance,
+        sigmas,
+    )
 
 
 def _with_other_conditions(pose: Ints, under: Ints, points: Floats, named: Far) -> Far:

@@ -98,9 +98,19 @@ def get(session: Session, campaign_id: str) -> CampaignRecord:
 
 def _record(row: CampaignRow) -> CampaignRecord:
     return CampaignRecord(
-        row.id, row.robot_id, row.name, row.device, row.role, row.conditions, row.notes, row.staged,
-        row.measured_at, row.instrument, row.created_at, row.retired_at,
-    )  # fmt: skip
+        row.id,
+        row.robot_id,
+        row.name,
+        row.device,
+        row.role,
+        row.conditions,
+        row.notes,
+        row.staged,
+        row.measured_at,
+        row.instrument,
+        row.created_at,
+        row.retired_at,
+    )
 
 
 def _row(session: Session, campaign_id: str) -> CampaignRow:

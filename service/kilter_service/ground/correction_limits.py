@@ -13,10 +13,18 @@ from kilter_service.ground.wire import to_metres, to_rad
 # What the limits of a version and the conditions of the rows say. All else is a rule: how this release corrects.
 NO_RULES = frozenset(
     {
-        "largest_rad", "largest_m", "farthest_m", "at_limit", "held_joints", "temperature_c", "payload_kg", "payload_com",
-        "base_tilt", "link_masses",
+        "largest_rad",
+        "largest_m",
+        "farthest_m",
+        "at_limit",
+        "held_joints",
+        "temperature_c",
+        "payload_kg",
+        "payload_com",
+        "base_tilt",
+        "link_masses",
     }
-)  # fmt: skip
+)
 Rules = Mapping[str, Any]
 
 

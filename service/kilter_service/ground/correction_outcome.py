@@ -84,8 +84,11 @@ def _as_corrected(
     there = replace(rows, q=done.q, direction=done.direction)
     if rows.temperature_c is None and temperature_c is not None:
         there = replace(there, temperature_c=np.full(len(rows), temperature_c))
-    corrected = [e for key, e in zip(calibration.model.effect_slices(), calibration.model.effects, strict=True)
-                 if key not in done.not_corrected]  # fmt: skip
+    corrected = [
+        e
+        for key, e in zip(calibration.model.effect_slices(), calibration.model.effects, strict=True)
+        if key not in done.not_corrected
+    ]
     return calibration.with_effects(corrected), there
 
 

@@ -96,9 +96,11 @@ class Webhook:
         """Post once; return what was wrong, empty where it was taken. A redirection is wrong: nobody follows it."""
         at = int(time.time())
         headers = {
-            "Content-Type": "application/json", "User-Agent": f"Kilter/{code_version()}", DELIVERY: delivery,
+            "Content-Type": "application/json",
+            "User-Agent": f"Kilter/{code_version()}",
+            DELIVERY: delivery,
             SIGNATURE: signature(self._secret, at, body),
-        }  # fmt: skip
+        }
         connection, over, began_s = _connection(self._url, self._timeout_s), threading.Event(), time.monotonic()
         try:
             connection.connect()

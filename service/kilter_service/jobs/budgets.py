@@ -48,9 +48,14 @@ def coarsest(instruments: Instruments, campaigns: Iterable[str]) -> Instrument |
 
 
 def add_to_metrics(
-    metrics: Mapping[str, Any], found: Identification, train: Observations, held: Observations | None,
-    instruments: Instruments, campaigns: Sequence[str], held_campaigns: Sequence[str],
-) -> None:  # fmt: skip
+    metrics: Mapping[str, Any],
+    found: Identification,
+    train: Observations,
+    held: Observations | None,
+    instruments: Instruments,
+    campaigns: Sequence[str],
+    held_campaigns: Sequence[str],
+) -> None:
     """Put the budgets of the rows that were fitted and of those that were held out beside their errors."""
     inside = np.arange(len(train)) if found.inside is None else found.inside
     outside = np.setdiff1d(np.arange(len(train)), inside)

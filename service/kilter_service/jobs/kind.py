@@ -113,8 +113,9 @@ class JobInput:
             raise ObservationError(
                 f"The start {self.version_id} was fitted to rows of campaign {self.names.get(campaign, campaign)}, so they "
                 "cannot judge what continues it. Name other rows for validation or confirmation, or no start.",
-                code="rows_shared", campaign=campaign,
-            )  # fmt: skip
+                code="rows_shared",
+                campaign=campaign,
+            )
 
     @property
     def start(self) -> Calibration | None:

@@ -125,9 +125,19 @@ def newest_jobs(session: Session, robot: str | None, page: Page) -> list[ListedJ
 def _job_list_columns() -> tuple[Any, ...]:
     row = JobRow
     return (
-        row.id, row.kind, row.robot_id, row.name, row.state, row.fraction, row.stage, row.error,
-        func.coalesce(row.asked_by["actor"].as_string(), ""), row.created_at, row.started_at, row.finished_at,
-    )  # fmt: skip
+        row.id,
+        row.kind,
+        row.robot_id,
+        row.name,
+        row.state,
+        row.fraction,
+        row.stage,
+        row.error,
+        func.coalesce(row.asked_by["actor"].as_string(), ""),
+        row.created_at,
+        row.started_at,
+        row.finished_at,
+    )
 
 
 def _jobs(session: Session, query: Select[Any]) -> list[ListedJob]:
@@ -184,9 +194,11 @@ def succeeded_evaluations(session: Session, version_id: str) -> list[str]:
     row = JobRow
     made = versions.get(session, version_id)
     query = select(row.id).where(
-        row.robot_id == made.robot_id, row.kind == "evaluate", row.state == "succeeded",
+        row.robot_id == made.robot_id,
+        row.kind == "evaluate",
+        row.state == "succeeded",
         row.result["version_id"].as_string() == version_id,
-    )  # fmt: skip
+    )
     return list(session.execute(query.order_by(row.created_at.desc(), row.id)).scalars())
 
 
@@ -380,8 +392,10 @@ def campaigns_used_by_job(session: Session, job_id: str) -> list[UsedRecord]:
 def campaigns_used_by_request(session: Session, request: JobRequest) -> list[UsedRecord]:
     """Return the campaigns a request names, with the hashes of what was uploaded so far."""
     named = {
-        "train": request.campaigns, "validation": request.held_out_campaigns, "confirmation": request.confirmation,
-    }  # fmt: skip
+        "train": request.campaigns,
+        "validation": request.held_out_campaigns,
+        "confirmation": request.confirmation,
+    }
     return [_used_record(session, campaign, use) for use, campaigns_ in named.items() for campaign in campaigns_]
 
 

@@ -23,6 +23,21 @@ from kilter_service.page.stream.routes import router as stream
 from kilter_service.page.versions.routes import router as versions
 
 ROUTERS: tuple[APIRouter, ...] = (
-    assets, login, fleet, robot, versions, drop, campaign, stream, report, audit, job_list, gap, jobs, new_robot, correct, kit,
+    assets,
+    login,
+    fleet,
+    robot,
+    versions,
+    drop,
+    campaign,
+    stream,
+    report,
+    audit,
+    job_list,
+    gap,
+    jobs,
+    new_robot,
+    correct,
+    kit,
     access,
-)  # fmt: skip
+)

@@ -70,9 +70,12 @@ def may(role: Role) -> bool:
 def environment() -> Environment:
     """Return the templates. What they are not given is an error; everything they show is escaped."""
     loaded = Environment(
-        loader=PackageLoader("kilter_service.page"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        loader=PackageLoader("kilter_service.page"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
         lstrip_blocks=True,
-    )  # fmt: skip
+    )
     loaded.filters.update(words.FILTERS)
     return loaded
 

@@ -89,9 +89,13 @@ def _zero(robot: Robot, screws: Screws) -> Zero:
     xyz, rpy = transforms.xyz_rpy_from_pose(screws.home)
     millimetres, degrees = _mm(xyz), _round_vector(to_deg(rpy))
     tool = Pose(
-        x_mm=millimetres[0], y_mm=millimetres[1], z_mm=millimetres[2],
-        rx_deg=degrees[0], ry_deg=degrees[1], rz_deg=degrees[2],
-    )  # fmt: skip
+        x_mm=millimetres[0],
+        y_mm=millimetres[1],
+        z_mm=millimetres[2],
+        rx_deg=degrees[0],
+        ry_deg=degrees[1],
+        rz_deg=degrees[2],
+    )
     return Zero(points_mm=[_mm(point) for point in points], tool=tool)
 
 

@@ -103,9 +103,15 @@ def find(session: Session, name: str) -> StoredRobot | None:
 
 def _robot_from_row(row: RobotRow) -> StoredRobot:
     return StoredRobot(
-        row.id, row.name, row.document, row.chain, row.sha256, row.source_sha256, [str(note) for note in row.left_out],
+        row.id,
+        row.name,
+        row.document,
+        row.chain,
+        row.sha256,
+        row.source_sha256,
+        [str(note) for note in row.left_out],
         row.controller_compensation,
-    )  # fmt: skip
+    )
 
 
 def get(session: Session, name: str) -> StoredRobot:

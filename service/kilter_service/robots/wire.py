@@ -65,6 +65,9 @@ def joint_summary(joint: Joint) -> JointSummary:
     if joint.kind == "prismatic":
         return JointSummary(name=joint.name, kind="prismatic", limits_mm=limits, gear_ratio=joint.gear_ratio)
     return JointSummary(
-        name=joint.name, kind="revolute", limits_deg=limits, gear_ratio=joint.gear_ratio,
+        name=joint.name,
+        kind="revolute",
+        limits_deg=limits,
+        gear_ratio=joint.gear_ratio,
         drive_stiffness_nm_rad=joint.drive_stiffness,
-    )  # fmt: skip
+    )

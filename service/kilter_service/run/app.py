@@ -53,9 +53,27 @@ from kilter_service.web.token_routes import router as tokens
 SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from measured poses and corrects its setpoints."
 
 ROUTERS: tuple[APIRouter, ...] = (
-    robots, today, drift, meshes, campaigns, suspicious, versions, jobs, fleet_jobs, correction, frames, references, streams,
-    bridges, tokens, audit, metrics, instruments, acceptance, repairs,
-)  # fmt: skip
+    robots,
+    today,
+    drift,
+    meshes,
+    campaigns,
+    suspicious,
+    versions,
+    jobs,
+    fleet_jobs,
+    correction,
+    frames,
+    references,
+    streams,
+    bridges,
+    tokens,
+    audit,
+    metrics,
+    instruments,
+    acceptance,
+    repairs,
+)
 HEALTH_THREADS = 4  # of its own: those of the other routes may all wait for a database that hangs
 
 

@@ -156,9 +156,15 @@ def _write_activation(
             if active != verdict.active:
                 return None
             entry = store.activate(
-                session, robot_id, version_id, ACTIVATE, actor,
-                forced=wish.force, reason=wish.reason, objections=[objection.model_dump() for objection in verdict.objections],
-            )  # fmt: skip
+                session,
+                robot_id,
+                version_id,
+                ACTIVATE,
+                actor,
+                forced=wish.force,
+                reason=wish.reason,
+                objections=[objection.model_dump() for objection in verdict.objections],
+            )
             kept_answers.add(session, entry, replay)
         return wire.summary(store.get(session, version_id))
 

@@ -132,9 +132,13 @@ class Part:
 
 
 def _cases(
-    session: Session, robot_id: int, new: Calibration, trainings: Sequence[Training], active: str | None,
+    session: Session,
+    robot_id: int,
+    new: Calibration,
+    trainings: Sequence[Training],
+    active: str | None,
     report: Mapping[str, Any],
-) -> Cases:  # fmt: skip
+) -> Cases:
     """The version beside the active one; by itself, for where the active one was fitted to all that is left; and beside it
     on the rows that both were fitted to.
     """

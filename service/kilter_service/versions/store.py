@@ -186,19 +186,36 @@ def list_versions(session: Session, robot_id: int, page: Page = ALL, with_retire
     """Return the same as a list tells it. Covariances and reports, a hundred kB of each version, stay unread."""
     row = VersionRow
     columns = (
-        row.id, row.parent_id, row.job_id, row.created_at, row.code_version, row.name, row.notes, row.retired_at,
-        row.calibration["effects"], row.report["metrics"],
-    )  # fmt: skip
+        row.id,
+        row.parent_id,
+        row.job_id,
+        row.created_at,
+        row.code_version,
+        row.name,
+        row.notes,
+        row.retired_at,
+        row.calibration["effects"],
+        row.report["metrics"],
+    )
     robot, last = robots.by_id(session, robot_id).name, active_entry(session, robot_id)
     found = session.execute(_of_robot(select(*columns), robot_id, page, with_retired))
     return [
         ListedVersion(
-            id=key, robot=robot, active=last is not None and last.version_id == key, parent_id=parent, job_id=job,
-            created_at=created, code_version=code, name=name, notes=notes, retired_at=retired_at,
-            effects=effects or [], metrics=metrics or {},
+            id=key,
+            robot=robot,
+            active=last is not None and last.version_id == key,
+            parent_id=parent,
+            job_id=job,
+            created_at=created,
+            code_version=code,
+            name=name,
+            notes=notes,
+            retired_at=retired_at,
+            effects=effects or [],
+            metrics=metrics or {},
         )
         for key, parent, job, created, code, name, notes, retired_at, effects, metrics in found
-    ]  # fmt: skip
+    ]
 
 
 def _of_robot(query: Select[Any], robot_id: int, page: Page, with_retired: bool) -> Select[Any]:

@@ -47,9 +47,10 @@ def suggest_limits(
         "damped": there.counts.get("DAMPED", 0),
         "limited": there.counts.get("LIMITED", 0),
         "refused": there.refusal_counts,
-        "sentence": _sentence(f"{turn_deg:.2g} deg and {shift_mm:.2g} mm", limits, given, len(q),
-                              found.capped or shift > MOST_MM),
-    }  # fmt: skip
+        "sentence": _sentence(
+            f"{turn_deg:.2g} deg and {shift_mm:.2g} mm", limits, given, len(q), found.capped or shift > MOST_MM
+        ),
+    }
 
 
 def _needed_corrections(robot: Robot, found: Needs) -> tuple[float, float]:

@@ -27,9 +27,13 @@ class Room:
     """
 
     def __init__(
-        self, slots: int, places: int, slots_each: int | None = None, places_each: int | None = None,
+        self,
+        slots: int,
+        places: int,
+        slots_each: int | None = None,
+        places_each: int | None = None,
         wait_s: float | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.slots, self.places, self.wait_s = slots, places, wait_s
         self.slots_each, self.places_each = slots_each or slots, places_each or places
         self.open, self.computing = Counter[str](), Counter[str]()  # requests by person

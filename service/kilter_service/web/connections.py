@@ -66,15 +66,22 @@ class TimedConnection(H11Protocol):
 def _refusal() -> bytes:
     status, title = PROBLEMS[CODE]
     document = {
-        "type": f"urn:kilter:problem:{CODE}", "title": title, "status": status, "code": CODE, "context": {},
+        "type": f"urn:kilter:problem:{CODE}",
+        "title": title,
+        "status": status,
+        "code": CODE,
+        "context": {},
         "detail": f"The head of the request was not whole after {HEAD_S:g} s: send it again.",
         "request_id": new_request_id(),
-    }  # fmt: skip
+    }
     body = json.dumps(document).encode()
     lines = [
-        "HTTP/1.1 408 Request Timeout", f"Content-Type: {MEDIA_TYPE}", f"Content-Length: {len(body)}", "Retry-After: 1",
+        "HTTP/1.1 408 Request Timeout",
+        f"Content-Type: {MEDIA_TYPE}",
+        f"Content-Length: {len(body)}",
+        "Retry-After: 1",
         "Connection: close",
-    ]  # fmt: skip
+    ]
     return "\r\n".join([*lines, "", ""]).encode() + body
 
 

@@ -31,12 +31,14 @@ DOCUMENTS: tuple[tuple[re.Pattern[bytes], str, str], ...] = (
         "Give it to kilter see (--board) with the pictures, and upload what comes out.",
     ),
     (
-        re.compile(rb"(?=.*(?:camera_matrix|camera_model)\b)(?=.*\b(?:image_width|distortion_coefficients|distortion_model)\b)",
-                   re.DOTALL),
+        re.compile(
+            rb"(?=.*(?:camera_matrix|camera_model)\b)(?=.*\b(?:image_width|distortion_coefficients|distortion_model)\b)",
+            re.DOTALL,
+        ),
         "a description of the intrinsics of a camera",
         "Give it to kilter see (--camera) with the pictures, and upload what comes out.",
     ),
-)  # fmt: skip
+)
 
 
 def stranger(start: bytes) -> tuple[str, str] | None:

@@ -26,17 +26,22 @@ def of_zip(path: Path) -> FileError:
         )
     if any(name == DATA_SET or name.endswith(f"/{DATA_SET}") for name in names):
         return fault(
-            path, "is a ZIP archive of a LeRobot data set", "Unpack it, and match its folder with a recording: it says where "
+            path,
+            "is a ZIP archive of a LeRobot data set",
+            "Unpack it, and match its folder with a recording: it says where "
             "the servos were, and not where the tool was (kilter match RECORDING FOLDER --calibration JSON --norm-mode MODE).",
-        )  # fmt: skip
+        )
     pictures = [name for name in names if name.lower().endswith(PICTURES)]
     if pictures and len(pictures) > len(names) / 2:
         return fault(
-            path, f"is a ZIP archive of {len(pictures)} pictures", "Unpack it: kilter see finds the board in them (kilter see "
-            "FOLDER --board BOARD.json --joints JOINTS.csv).",
-        )  # fmt: skip
+            path,
+            f"is a ZIP archive of {len(pictures)} pictures",
+            "Unpack it: kilter see finds the board in them (kilter see FOLDER --board BOARD.json --joints JOINTS.csv).",
+        )
     more = ", ..." if len(names) > MOST_NAMED else ""
     holds = f" ({', '.join(names[:MOST_NAMED])}{more})" if names else ", and empty"
     return fault(
-        path, f"is a ZIP archive or a spreadsheet{holds}", "Unpack it, and give a file of it; a spreadsheet is read as .xlsx."
-    )  # fmt: skip
+        path,
+        f"is a ZIP archive or a spreadsheet{holds}",
+        "Unpack it, and give a file of it; a spreadsheet is read as .xlsx.",
+    )

@@ -20,12 +20,33 @@ CELLS_BYTES = 1 << 16
 TRIES = ((";", "."), (";", ","), ("\t", "."), ("\t", ","), (",", "."), (" ", "."), (" ", ","))
 COMMENTS = ("//", "#", "%", "!")
 UNITS = {unit.lower(): unit for sizes in SIZES.values() for unit in sizes} | {
-    "°": "deg", "degree": "deg", "degrees": "deg", "grad": "deg", "radians": "rad", "millimeter": "mm",
-    "millimeters": "mm", "meter": "m", "meters": "m", "inches": "inch", "in": "inch", "sec": "s", "seconds": "s",
-    "msec": "ms", "µm": "um", "micron": "um", "c": "C", "°c": "C", "degc": "C",
-    "deg c": "C", "celsius": "C", "k": "K", "-": "", "": "", "1": "",
+    "°": "deg",
+    "degree": "deg",
+    "degrees": "deg",
+    "grad": "deg",
+    "radians": "rad",
+    "millimeter": "mm",
+    "millimeters": "mm",
+    "meter": "m",
+    "meters": "m",
+    "inches": "inch",
+    "in": "inch",
+    "sec": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "µm": "um",
+    "micron": "um",
+    "c": "C",
+    "°c": "C",
+    "degc": "C",
+    "deg c": "C",
+    "celsius": "C",
+    "k": "K",
+    "-": "",
+    "": "",
+    "1": "",
     "mm/m": "mrad",
-}  # fmt: skip
+}
 LONGEST_UNIT = 4  # letters of a unit that nobody knows here: longer words in brackets say something else
 IN_NAME = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 

@@ -85,9 +85,10 @@ def parse_stamp_column(
     wrong = next((row for row, stamp in enumerate(found) if stamp is None), None)
     if wrong is not None:
         raise place.fault(
-            wrong, "is not a time stamp such as 12:00:01.5, 2026-11-22 12:00:01.5 or 22.11.2026 12:00:01",
+            wrong,
+            "is not a time stamp such as 12:00:01.5, 2026-11-22 12:00:01.5 or 22.11.2026 12:00:01",
             "Write it so, or give the unit of numbers.",
-        )  # fmt: skip
+        )
     stamps = [stamp for stamp in found if stamp is not None]
     other = next((row for row, stamp in enumerate(stamps) if stamp.dated != stamps[0].dated), None)
     if other is not None:
@@ -127,8 +128,10 @@ class _Cells:
         line = self.lines[row] if row < len(self.lines) else row + 1
         return FileError(
             f"{self.file}, line {line}, column {self.column!r}: {self.texts[row][:40]!r} {what}. {remedy}",
-            file=str(self.file), line=line, column=self.column,
-        )  # fmt: skip
+            file=str(self.file),
+            line=line,
+            column=self.column,
+        )
 
 
 def continuous_seconds(stamps: Sequence[Stamp]) -> list[float]:

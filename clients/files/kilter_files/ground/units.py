@@ -14,7 +14,12 @@ DEG = math.pi / 180
 SIZES: Mapping[str, Mapping[str, float]] = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254},
     "angle": {
-        "rad": 1.0, "deg": DEG, "mrad": 1e-3, "arcmin": DEG / 60, "arcsec": DEG / 3600, "gon": 0.9 * DEG,
+        "rad": 1.0,
+        "deg": DEG,
+        "mrad": 1e-3,
+        "arcmin": DEG / 60,
+        "arcsec": DEG / 3600,
+        "gon": 0.9 * DEG,
         "turn": 2 * math.pi,
     },
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
@@ -26,7 +31,7 @@ SIZES: Mapping[str, Mapping[str, float]] = {
     "force": {"N": 1.0, "kN": 1e3},
     "mass": {"kg": 1.0, "g": 1e-3},
     "pixels": {"px": 1.0},
-}  # fmt: skip
+}
 
 KELVIN = 273.15
 TIMESTAMP = "timestamp"  # the unit of a column of dates or clocks

@@ -116,10 +116,17 @@ def _expand(pattern: Pattern, choices: Sequence[str], map_path: Path, file: Path
         if len(values) > 1 and len(values) != len(found):
             raise wrong(f"{len(values)} numbers under {what}, but {len(found)} columns; give one, or one for each")
     return [
-        Column(pattern.target.replace("*", str(k + 1)), name, pattern.unit, _nth(pattern.scales, k, 1.0),
-               _nth(pattern.offsets, k, 0.0), None, pattern.still_below)
+        Column(
+            pattern.target.replace("*", str(k + 1)),
+            name,
+            pattern.unit,
+            _nth(pattern.scales, k, 1.0),
+            _nth(pattern.offsets, k, 0.0),
+            None,
+            pattern.still_below,
+        )
         for k, (_, name) in enumerate(found)
-    ]  # fmt: skip
+    ]
 
 
 def _numbered_matches(source: str, choices: Sequence[str]) -> list[tuple[int, str]]:

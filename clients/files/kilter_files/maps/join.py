@@ -57,5 +57,17 @@ def read_join(section: Section, form: str | None, layout: Layout) -> Join:
     if by == "time" and (within is None or within <= 0 or unit not in (*SIZES["time"], TIMESTAMP)):
         units = ", ".join((*SIZES["time"], TIMESTAMP))
         raise section.error(f"by time needs within_s, how far apart rows may be, and unit = one of {units}")
-    return Join(path, by, here, here if there is None else there, unit or "s", within or 0.0, offset or 0.0, form, layout,
-                columns, orientation, section.place)  # fmt: skip
+    return Join(
+        path,
+        by,
+        here,
+        here if there is None else there,
+        unit or "s",
+        within or 0.0,
+        offset or 0.0,
+        form,
+        layout,
+        columns,
+        orientation,
+        section.place,
+    )

@@ -75,9 +75,14 @@ def match_dwells(
 
 
 def _rows(
-    recording: Recording, log: JointLog, kept: list[Dwell], index: NDArray[np.int64], body: Body | None,
-    pieces: Pieces | None, warnings: list[str],
-) -> tuple[Columns, dict[str, Any]]:  # fmt: skip
+    recording: Recording,
+    log: JointLog,
+    kept: list[Dwell],
+    index: NDArray[np.int64],
+    body: Body | None,
+    pieces: Pieces | None,
+    warnings: list[str],
+) -> tuple[Columns, dict[str, Any]]:
     columns = {name: log.columns[name][index] for name in log.joints}
     columns |= {n: v[index] for n, v in log.columns.items() if n not in columns and n not in ("t_s", "pose_id")}
     columns["pose_id"] = log.columns["pose_id"][index] if "pose_id" in log.columns else pose_numbers(log, index)

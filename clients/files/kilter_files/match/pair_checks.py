@@ -172,8 +172,14 @@ def _describe_knocks(recording: Recording, found: list[Knock], checks: Checks) -
 
 
 def refuse_wrong_pairs(
-    path: Path, log: JointLog, rows: NDArray[np.int64], points: Floats, spans: Floats, checks: Checks, warnings: list[str]
-) -> NDArray[np.int64]:  # fmt: skip
+    path: Path,
+    log: JointLog,
+    rows: NDArray[np.int64],
+    points: Floats,
+    spans: Floats,
+    checks: Checks,
+    warnings: list[str],
+) -> NDArray[np.int64]:
     """Check rows of the log (-1: none) against markers (n, m, 3) by the robot's model; leave out the few that do not fit.
 
     Raises:

@@ -142,13 +142,13 @@ def join(circle: Circle, log: JointLog, heights: Heights | None, frame: Frame, o
     sigma = np.stack(
         [
             np.maximum(circle.out_sigma_mm[places], LEAST_SIGMA_MM),
-            np.full(len(rows), taken) if circle.along_sigma_mm is None else np.maximum(
-                circle.along_sigma_mm[places], LEAST_SIGMA_MM
-            ),
+            np.full(len(rows), taken)
+            if circle.along_sigma_mm is None
+            else np.maximum(circle.along_sigma_mm[places], LEAST_SIGMA_MM),
             np.maximum(height_sigma, LEAST_SIGMA_MM),
         ],
         axis=1,
-    )  # fmt: skip
+    )
     position = frame.centre_mm + on_sheet @ frame.turned.T
     table = _table(log, rows, position, _along_axes(sigma, turn, frame))
     table.notes.append(f"{len(rows)} of {len(circle.turn)} places of {circle.path.name} have a row of {log.path.name}")
@@ -233,9 +233,14 @@ def _wrap_angle(angle: Floats) -> Floats:
 
 
 def _height(
-    circle: Circle, log: JointLog, heights: Heights | None, options: JoinOptions, rows: Any, turn: Floats,
+    circle: Circle,
+    log: JointLog,
+    heights: Heights | None,
+    options: JoinOptions,
+    rows: Any,
+    turn: Floats,
     at_sheet: Floats,
-) -> tuple[Floats, Floats, str]:  # fmt: skip
+) -> tuple[Floats, Floats, str]:
     """Heights over the plane through the four quarter points, their sigma, and what they are."""
     if heights is None:
         if options.taken_mm is None:

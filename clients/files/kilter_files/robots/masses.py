@@ -37,8 +37,9 @@ def refuse_half_a_group(sheet: Sheet, present: set[str]) -> None:
         raise FileError(
             f"{sheet.path}: has masses, but no column {column!r}. Give {', '.join(NAMES[:4])}, and all of "
             f"{', '.join(NAMES[4:])} or none of them.",
-            file=str(sheet.path), column=column,
-        )  # fmt: skip
+            file=str(sheet.path),
+            column=column,
+        )
 
 
 def links(sheet: Sheet, rows: list[tuple[int, Cells]]) -> list[dict[str, Any]]:
@@ -84,9 +85,11 @@ def _number(sheet: Sheet, line: int, cells: Cells, quantity: str) -> float:
     value = cells.get(quantity)
     if value is None:
         raise _error(
-            sheet, line, quantity,
+            sheet,
+            line,
+            quantity,
             "is empty while others are filled. Give every row its mass and centre of mass, 0 kg where a link has none.",
-        )  # fmt: skip
+        )
     return value
 
 

@@ -201,8 +201,10 @@ def _row(
         if factor is None:
             raise FileError(
                 f"{sheet.path}, line {line}: {quantity} of a {kind} joint cannot be in {unit}.",
-                file=str(sheet.path), line=line, column=quantity,
-            )  # fmt: skip
+                file=str(sheet.path),
+                line=line,
+                column=quantity,
+            )
         value = None if not cell else _number(sheet, line, quantity, cell) * factor
         if quantity in ("lower", "upper"):
             limits[quantity] = value or 0.0

@@ -138,7 +138,10 @@ def _doubts(found: Survey, recording: Recording) -> None:
                 f"no coordinate is beyond {largest:.3g} mm{said}, and no tracker measures so near: they look like metres, "
                 "1000 times larger (--unit m), or inches, 25.4 times (--unit inch)"
             )
-        still = [n for n, low, high, s in zip(recording.markers, found.low, found.high, seen, strict=True)
-                 if s and np.array_equal(low, high) and recording.frames > 10]  # fmt: skip
+        still = [
+            n
+            for n, low, high, s in zip(recording.markers, found.low, found.high, seen, strict=True)
+            if s and np.array_equal(low, high) and recording.frames > 10
+        ]
         if still:
             found.doubts.append(f"not one digit changes: {', '.join(still[:SHOWN])}")

@@ -107,9 +107,14 @@ class CorrectedStream(Link):
         place = Place(site, robot, stream, tuple(endpoints))
         sessions = Sessions(site, robot, stream, endpoints, found, signed, take_over)
         super().__init__(
-            place, self.statistics, in_use, sessions, sessions.initial_session(session), zenoh_config,
+            place,
+            self.statistics,
+            in_use,
+            sessions,
+            sessions.initial_session(session),
+            zenoh_config,
             partial(_current_place, place, data) if by_file else lambda: None,
-        )  # fmt: skip
+        )
         self.robot = robot
         self.deadline_s = deadline_s
         self.connect_timeout_s = connect_timeout_s

@@ -137,10 +137,15 @@ def _mcpc(robot: Robot) -> Document:
         frame = frame @ _rotation("x", alpha) @ _rotation("y", beta)
         x, y = _shifts(frame, screws, k)
         frame = frame @ _shift(x, y)
-        rows.append({
-            "type": _kind(screws, k), "alpha_deg": degrees(alpha), "beta_deg": degrees(beta),
-            "x_mm": mm(x), "y_mm": mm(y),
-        })  # fmt: skip
+        rows.append(
+            {
+                "type": _kind(screws, k),
+                "alpha_deg": degrees(alpha),
+                "beta_deg": degrees(beta),
+                "x_mm": mm(x),
+                "y_mm": mm(y),
+            }
+        )
     end = inverse(frame) @ screws.home
     document: Document = {"rows": rows, "flange": _xyz_flange(end)}
     if np.array_equal(base, np.eye(4)):
@@ -194,10 +199,17 @@ def _row(row: Row, convention: str) -> Document:
     return out | ({"beta_deg": degrees(row.beta)} if row.beta is not None else {})
 
 
-WRITERS: Mapping[str, Callable[[Robot], Document]] = MappingProxyType({
-    "chain": _chain, "poe": _poe, "cpc": _cpc, "mcpc": _mcpc,
-    "dh": _table("dh"), "mdh": _table("mdh"), "s_model": _table("s_model"),
-})  # fmt: skip
+WRITERS: Mapping[str, Callable[[Robot], Document]] = MappingProxyType(
+    {
+        "chain": _chain,
+        "poe": _poe,
+        "cpc": _cpc,
+        "mcpc": _mcpc,
+        "dh": _table("dh"),
+        "mdh": _table("mdh"),
+        "s_model": _table("s_model"),
+    }
+)
 
 
 def _refuse_other_poses(robot: Robot, document: Document) -> None:

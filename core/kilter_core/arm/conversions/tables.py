@@ -64,9 +64,13 @@ class Table:
         # A Hayati row of a revolute joint has no d of its own unless it needs one.
         no_d = link.beta is not None and self.d[k] == 0.0 and not self.prismatic[k]
         return Row(
-            link.alpha, link.a, float(self.theta[k]), None if no_d else float(self.d[k]), link.beta,
+            link.alpha,
+            link.a,
+            float(self.theta[k]),
+            None if no_d else float(self.d[k]),
+            link.beta,
             bool(self.prismatic[k]),
-        )  # fmt: skip
+        )
 
 
 def link_table(screws: Screws, hayati: bool) -> Table:

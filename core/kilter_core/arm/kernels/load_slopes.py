@@ -20,9 +20,27 @@ JOINT, LINK_END, BASE = 0, 1, 2  # of which point loads are asked
 
 @compile_kernel()
 def load_slopes(
-    axis, joint, ratio, value, primary, joint_frame, body_element, com, gravity, tool, carried, payload, payload_com,
-    q, slot, xi, where, parts, change, out,
-):  # fmt: skip
+    axis,
+    joint,
+    ratio,
+    value,
+    primary,
+    joint_frame,
+    body_element,
+    com,
+    gravity,
+    tool,
+    carried,
+    payload,
+    payload_com,
+    q,
+    slot,
+    xi,
+    where,
+    parts,
+    change,
+    out,
+):
     """Derivatives of static loads by the mass, then by the first moment along x, y, z, of each body; the payload last.
 
     ``body_element (B,)`` is the element in whose frame the place ``com (B, 3)`` of a link's unit mass is given.

@@ -128,9 +128,31 @@ def _put_wrenches(row, primary, frames, links, origins, starts, flange, forces, 
 
 @compile_kernel()
 def load_wrenches(
-    axis, joint, ratio, value, primary, joint_frame, link_element, mass, com, inertia, gravity, tool,
-    payload, payload_com, external, q, qd, qdd, slot, xi, out, end, base, point,
-):  # fmt: skip
+    axis,
+    joint,
+    ratio,
+    value,
+    primary,
+    joint_frame,
+    link_element,
+    mass,
+    com,
+    inertia,
+    gravity,
+    tool,
+    payload,
+    payload_com,
+    external,
+    q,
+    qd,
+    qdd,
+    slot,
+    xi,
+    out,
+    end,
+    base,
+    point,
+):
     """Load wrench (force N, moment N·m about the joint) on each joint in its joint frame.
 
     ``primary (n,)`` is the element of each joint, ``joint_frame (n, 3, 3)`` rotates the frame after it so that z is the

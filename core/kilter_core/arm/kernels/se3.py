@@ -42,32 +42,84 @@ def product(A, B):
 def rotated_z(A, s, c):
     """Frame A rotated about its z by the angle of sine s and cosine c."""
     return (
-        c * A[0] + s * A[1], c * A[1] - s * A[0], A[2],
-        c * A[3] + s * A[4], c * A[4] - s * A[3], A[5],
-        c * A[6] + s * A[7], c * A[7] - s * A[6], A[8],
-        A[9], A[10], A[11],
-    )  # fmt: skip
+        c * A[0] + s * A[1],
+        c * A[1] - s * A[0],
+        A[2],
+        c * A[3] + s * A[4],
+        c * A[4] - s * A[3],
+        A[5],
+        c * A[6] + s * A[7],
+        c * A[7] - s * A[6],
+        A[8],
+        A[9],
+        A[10],
+        A[11],
+    )
 
 
 @compile_kernel(**EXACT)
 def shifted_z(A, d):
     """Frame A shifted along its z by d."""
     return (
-        A[0], A[1], A[2], A[3], A[4], A[5], A[6], A[7], A[8],
-        A[9] + A[2] * d, A[10] + A[5] * d, A[11] + A[8] * d,
-    )  # fmt: skip
+        A[0],
+        A[1],
+        A[2],
+        A[3],
+        A[4],
+        A[5],
+        A[6],
+        A[7],
+        A[8],
+        A[9] + A[2] * d,
+        A[10] + A[5] * d,
+        A[11] + A[8] * d,
+    )
 
 
 @compile_kernel(**EXACT)
 def sine_cosine_octant(x):
     """Sine and cosine up to pi/4."""
     z = x * x
-    s = x * (1.0 + z * (-1.6666666666666666e-1 + z * (8.333333333333333e-3 + z * (-1.984126984126984e-4 + z * (
-        2.7557319223985893e-6 + z * (-2.505210838544172e-8 + z * (1.6059043836821613e-10 - z * 7.647163731819816e-13
-    )))))))  # fmt: skip
-    c = 1.0 + z * (-0.5 + z * (4.1666666666666664e-2 + z * (-1.388888888888889e-3 + z * (2.48015873015873e-5 + z * (
-        -2.755731922398589e-7 + z * (2.08767569878681e-9 + z * (-1.1470745597729725e-11 + z * 4.779477332387385e-14
-    )))))))  # fmt: skip
+    s = x * (
+        1.0
+        + z
+        * (
+            -1.6666666666666666e-1
+            + z
+            * (
+                8.333333333333333e-3
+                + z
+                * (
+                    -1.984126984126984e-4
+                    + z
+                    * (
+                        2.7557319223985893e-6
+                        + z * (-2.505210838544172e-8 + z * (1.6059043836821613e-10 - z * 7.647163731819816e-13))
+                    )
+                )
+            )
+        )
+    )
+    c = 1.0 + z * (
+        -0.5
+        + z
+        * (
+            4.1666666666666664e-2
+            + z
+            * (
+                -1.388888888888889e-3
+                + z
+                * (
+                    2.48015873015873e-5
+                    + z
+                    * (
+                        -2.755731922398589e-7
+                        + z * (2.08767569878681e-9 + z * (-1.1470745597729725e-11 + z * 4.779477332387385e-14))
+                    )
+                )
+            )
+        )
+    )
     return s, c
 
 
@@ -123,11 +175,19 @@ def rotate_about_xy(T, x, y):
     xx, yy, xy, sx, sy = 1.0 - b * y * y, 1.0 - b * x * x, b * x * y, a * x, a * y
     zz = 1.0 - b * (x * x + y * y)
     return (
-        T[0] * xx + T[1] * xy - T[2] * sy, T[0] * xy + T[1] * yy + T[2] * sx, T[0] * sy - T[1] * sx + T[2] * zz,
-        T[3] * xx + T[4] * xy - T[5] * sy, T[3] * xy + T[4] * yy + T[5] * sx, T[3] * sy - T[4] * sx + T[5] * zz,
-        T[6] * xx + T[7] * xy - T[8] * sy, T[6] * xy + T[7] * yy + T[8] * sx, T[6] * sy - T[7] * sx + T[8] * zz,
-        T[9], T[10], T[11],
-    )  # fmt: skip
+        T[0] * xx + T[1] * xy - T[2] * sy,
+        T[0] * xy + T[1] * yy + T[2] * sx,
+        T[0] * sy - T[1] * sx + T[2] * zz,
+        T[3] * xx + T[4] * xy - T[5] * sy,
+        T[3] * xy + T[4] * yy + T[5] * sx,
+        T[3] * sy - T[4] * sx + T[5] * zz,
+        T[6] * xx + T[7] * xy - T[8] * sy,
+        T[6] * xy + T[7] * yy + T[8] * sx,
+        T[6] * sy - T[7] * sx + T[8] * zz,
+        T[9],
+        T[10],
+        T[11],
+    )
 
 
 @compile_kernel(**EXACT)
@@ -136,13 +196,19 @@ def exponential(v0, v1, v2, w0, w1, w2):
     a, b, c = angle_series(w0 * w0 + w1 * w1 + w2 * w2)
     d = w0 * v0 + w1 * v1 + w2 * v2  # left Jacobian of SO(3) times v
     return (
-        1.0 - b * (w1 * w1 + w2 * w2), b * w0 * w1 - a * w2, b * w0 * w2 + a * w1,
-        b * w0 * w1 + a * w2, 1.0 - b * (w0 * w0 + w2 * w2), b * w1 * w2 - a * w0,
-        b * w0 * w2 - a * w1, b * w1 * w2 + a * w0, 1.0 - b * (w0 * w0 + w1 * w1),
+        1.0 - b * (w1 * w1 + w2 * w2),
+        b * w0 * w1 - a * w2,
+        b * w0 * w2 + a * w1,
+        b * w0 * w1 + a * w2,
+        1.0 - b * (w0 * w0 + w2 * w2),
+        b * w1 * w2 - a * w0,
+        b * w0 * w2 - a * w1,
+        b * w1 * w2 + a * w0,
+        1.0 - b * (w0 * w0 + w1 * w1),
         a * v0 + b * (w1 * v2 - w2 * v1) + c * d * w0,
         a * v1 + b * (w2 * v0 - w0 * v2) + c * d * w1,
         a * v2 + b * (w0 * v1 - w1 * v0) + c * d * w2,
-    )  # fmt: skip
+    )
 
 
 @compile_kernel(**EXACT)

@@ -58,8 +58,9 @@ class LoadChain:
     def to_document(self, robot: Robot) -> dict[str, Any]:
         """JSON-able state, SI: constants by name, tool frame, and by name what deflects where anything does."""
         document = {
-            "values": dict(zip(_names(robot), self.values.tolist(), strict=True)), "T_tool": self.T_tool.tolist(),
-        }  # fmt: skip
+            "values": dict(zip(_names(robot), self.values.tolist(), strict=True)),
+            "T_tool": self.T_tool.tolist(),
+        }
         return document if self.effects is None else document | {"effects": dict(self.effects)}
 
     @staticmethod

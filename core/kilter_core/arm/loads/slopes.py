@@ -126,15 +126,27 @@ class LoadSlopes:
         kg = np.zeros(len(o)) if o.payload_kg is None else np.where(o.payload_kg > 0.0, o.payload_kg, 0.0)
         out = np.empty((components.shape[1], 1 if len(errors) else len(self), len(o), len(components)))
         load_slopes(
-            program.axis, program.joint, program.ratio, program.value, axes, frames,
+            program.axis,
+            program.joint,
+            program.ratio,
+            program.value,
+            axes,
+            frames,
             np.array([link.element for link in links], dtype=np.int64),
             np.array([link.com for link in links], dtype=np.float64).reshape(-1, 3),
-            np.ascontiguousarray(robot.gravity, dtype=np.float64), np.ascontiguousarray(robot.T_tool),
-            (kg > 0.0).astype(np.float64), kg, np.ascontiguousarray(payload_place(o)),
+            np.ascontiguousarray(robot.gravity, dtype=np.float64),
+            np.ascontiguousarray(robot.T_tool),
+            (kg > 0.0).astype(np.float64),
+            kg,
+            np.ascontiguousarray(payload_place(o)),
             np.ascontiguousarray(o.q + hung.dq, dtype=np.float64),
-            twisted_elements(robot.chain), np.ascontiguousarray(hung.xi),
-            np.full(len(components), point, dtype=np.int64), components, errors, out,
-        )  # fmt: skip
+            twisted_elements(robot.chain),
+            np.ascontiguousarray(hung.xi),
+            np.full(len(components), point, dtype=np.int64),
+            components,
+            errors,
+            out,
+        )
         return out
 
     def _moving(self, name: str, parts: tuple[int, ...]) -> Floats:

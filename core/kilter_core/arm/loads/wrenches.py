@@ -194,9 +194,11 @@ def joint_loads(
     if on_links is not None:
         own = chain.program.primary, chain.program.joint_frame
         loads = replace(
-            loads, joints=loads.joints + on_links.on_axes(*own), ends=loads.ends + on_links.on_ends(*own),
+            loads,
+            joints=loads.joints + on_links.on_axes(*own),
+            ends=loads.ends + on_links.on_ends(*own),
             base=loads.base + on_links.on_base(),
-        )  # fmt: skip
+        )
     if not chain.linkage_axes:
         return loads
     followers = np.array(chain.linkage_axes, dtype=np.int64)
@@ -236,30 +238,48 @@ def _wrenches(
     shape = (rows, len(axes), 6)
     loads = Loads(np.empty(shape), np.empty(shape), np.empty((rows, 6)), np.empty((rows, 3)))
     load_wrenches(
-        program.axis, program.joint, program.ratio, program.value, axes, frames,
+        program.axis,
+        program.joint,
+        program.ratio,
+        program.value,
+        axes,
+        frames,
         np.array([link.element for link in robot.links], dtype=np.int64),
         np.array([link.mass for link in robot.links], dtype=np.float64),
         np.array([link.com for link in robot.links], dtype=np.float64).reshape(-1, 3),
         np.array([link.inertia for link in robot.links], dtype=np.float64).reshape(-1, 3, 3),
-        np.ascontiguousarray(robot.gravity, dtype=np.float64), robot.T_tool,
+        np.ascontiguousarray(robot.gravity, dtype=np.float64),
+        robot.T_tool,
         np.zeros(rows) if payload_kg is None else np.ascontiguousarray(payload_kg, dtype=np.float64),
         np.zeros((rows, 3)) if payload_com is None else np.ascontiguousarray(payload_com, dtype=np.float64),
         none if external is None else np.ascontiguousarray(external, dtype=np.float64),
         np.ascontiguousarray(q + deflection.dq, dtype=np.float64),
         np.ascontiguousarray(qd, dtype=np.float64) if dynamic and qd is not None else none,
         np.ascontiguousarray(qdd, dtype=np.float64) if dynamic and qdd is not None else none,
-        twisted_elements(robot.chain), np.ascontiguousarray(deflection.xi),
-        loads.joints, loads.ends, loads.base, loads.tool_point,
-    )  # fmt: skip
+        twisted_elements(robot.chain),
+        np.ascontiguousarray(deflection.xi),
+        loads.joints,
+        loads.ends,
+        loads.base,
+        loads.tool_point,
+    )
     return loads
 
 
 def row_load_wrenches(robot: Robot, o: Observations, deflection: Deflection | None = None) -> Loads:
     """Load wrenches of rows under their own conditions: motion, payload, the wrench on the tool, and loads on links."""
     return joint_loads(
-        robot, o.q, qd=o.qd, qdd=o.qdd, payload_kg=o.payload_kg, payload_com=o.payload_com, external=o.wrench,
-        link_mass=o.link_mass, link_wrench=o.link_wrench, deflection=deflection,
-    )  # fmt: skip
+        robot,
+        o.q,
+        qd=o.qd,
+        qdd=o.qdd,
+        payload_kg=o.payload_kg,
+        payload_com=o.payload_com,
+        external=o.wrench,
+        link_mass=o.link_mass,
+        link_wrench=o.link_wrench,
+        deflection=deflection,
+    )
 
 
 def axial_loads(robot: Robot, loads: Loads) -> Floats:

@@ -35,9 +35,19 @@ from kilter_core.correct.kernels.layout import (
 def _constant(P, k, c):
     """Constant transform in P[k, c:c + 12] as (R row by row, p)."""
     return (
-        P[k, c], P[k, c + 1], P[k, c + 2], P[k, c + 3], P[k, c + 4], P[k, c + 5],
-        P[k, c + 6], P[k, c + 7], P[k, c + 8], P[k, c + 9], P[k, c + 10], P[k, c + 11],
-    )  # fmt: skip
+        P[k, c],
+        P[k, c + 1],
+        P[k, c + 2],
+        P[k, c + 3],
+        P[k, c + 4],
+        P[k, c + 5],
+        P[k, c + 6],
+        P[k, c + 7],
+        P[k, c + 8],
+        P[k, c + 9],
+        P[k, c + 10],
+        P[k, c + 11],
+    )
 
 
 @compile_kernel(**EXACT)

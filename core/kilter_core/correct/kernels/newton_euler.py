@@ -143,8 +143,10 @@ def _body_load(P, row, w, dw, a):
     xx, yy, zz = P[row, INERTIA], P[row, INERTIA + 1], P[row, INERTIA + 2]
     xy, xz, yz = P[row, INERTIA + 3], P[row, INERTIA + 4], P[row, INERTIA + 5]
     h0, h1, h2 = (
-        xx * w[0] + xy * w[1] + xz * w[2], xy * w[0] + yy * w[1] + yz * w[2], xz * w[0] + yz * w[1] + zz * w[2],
-    )  # fmt: skip
+        xx * w[0] + xy * w[1] + xz * w[2],
+        xy * w[0] + yy * w[1] + yz * w[2],
+        xz * w[0] + yz * w[1] + zz * w[2],
+    )
     t0, t1, t2 = cross(w[0], w[1], w[2], h0, h1, h2)
     m0, m1, m2 = cross(c0, c1, c2, f0, f1, f2)
     m0 -= t0 + xx * dw[0] + xy * dw[1] + xz * dw[2]

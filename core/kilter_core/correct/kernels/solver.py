@@ -160,7 +160,10 @@ def solve_point(W, og, e0, e1, e2, floor):
 def joint_step(W, j, og):
     """Correction of joint row j that the multipliers ask for."""
     return (
-        W[j, COLUMN] * W[og, MULTIPLIER] + W[j, COLUMN + 1] * W[og + 1, MULTIPLIER]
-        + W[j, COLUMN + 2] * W[og + 2, MULTIPLIER] + W[j, COLUMN + 3] * W[og + 3, MULTIPLIER]
-        + W[j, COLUMN + 4] * W[og + 4, MULTIPLIER] + W[j, COLUMN + 5] * W[og + 5, MULTIPLIER]
-    )  # fmt: skip
+        W[j, COLUMN] * W[og, MULTIPLIER]
+        + W[j, COLUMN + 1] * W[og + 1, MULTIPLIER]
+        + W[j, COLUMN + 2] * W[og + 2, MULTIPLIER]
+        + W[j, COLUMN + 3] * W[og + 3, MULTIPLIER]
+        + W[j, COLUMN + 4] * W[og + 4, MULTIPLIER]
+        + W[j, COLUMN + 5] * W[og + 5, MULTIPLIER]
+    )

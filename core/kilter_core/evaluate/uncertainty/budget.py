@@ -129,15 +129,19 @@ class Budget:
             "measured_expanded_mm": mm(K * measured),
             "contributions": [
                 {
-                    "source": name, "type": TYPES[name][0], "distribution": TYPES[name][1], "standard_mm": mm(sizes[name]),
+                    "source": name,
+                    "type": TYPES[name][0],
+                    "distribution": TYPES[name][1],
+                    "standard_mm": mm(sizes[name]),
                     "half_width_mm": mm(sizes[name] * RECTANGULAR) if TYPES[name][1] == "rectangular" else None,
-                    "share": sizes[name] ** 2 / total, "of_measured": name in OF_AN_ERROR,
+                    "share": sizes[name] ** 2 / total,
+                    "of_measured": name in OF_AN_ERROR,
                 }
                 for name in self.variances
             ],
             "correlations": [{"between": ["registration", "model"], "coefficient": self.correlation}],
             "not_assessed": [name for name in TYPES if name not in self.variances],
-        }  # fmt: skip
+        }
 
 
 def _rms(variances: Floats) -> float:

@@ -36,9 +36,13 @@ class Conformity:
     def to_document(self) -> dict[str, Any]:
         """JSON-able, mm; the row counts from 1."""
         return {
-            "decision": self.decision, "tolerance_mm": mm(self.tolerance), "row": self.row + 1, "error_mm": mm(self.error),
-            "guard_band_mm": mm(self.guard), "provable_mm": mm(self.needed),
-        }  # fmt: skip
+            "decision": self.decision,
+            "tolerance_mm": mm(self.tolerance),
+            "row": self.row + 1,
+            "error_mm": mm(self.error),
+            "guard_band_mm": mm(self.guard),
+            "provable_mm": mm(self.needed),
+        }
 
 
 def judge(errors: Floats, expanded: Floats, tolerance: float) -> Conformity:

@@ -58,9 +58,14 @@ class Claim:
 
     @staticmethod
     def from_evidence(
-        candidate: Candidate, robot: Robot, rivals: Sequence[Alias], evidence: tuple[Separated, ...], settled: bool,
-        borne: tuple[int, ...] | None = None, shared: PhysicalClass | None = None,
-    ) -> Claim:  # fmt: skip
+        candidate: Candidate,
+        robot: Robot,
+        rivals: Sequence[Alias],
+        evidence: tuple[Separated, ...],
+        settled: bool,
+        borne: tuple[int, ...] | None = None,
+        shared: PhysicalClass | None = None,
+    ) -> Claim:
         """Find the narrowest set.
 
         ``borne`` are the joints at which its own evidence bears it out, where that is asked for; None: all of it.
@@ -113,17 +118,28 @@ class Claim:
         """The claim, its class with all members, and the evidence asked for."""
         return {
             "claim": {
-                "said": self.said, "words": self.words, "settled": self.settled,
+                "said": self.said,
+                "words": self.words,
+                "settled": self.settled,
                 "joints": None if self.joints is None else [j + 1 for j in self.joints],
-                "evidence": [{"name": e.separator.name.lower(), "words": e.separator.value, "met": e.met,
-                              "number": e.number, "told": e.told or None} for e in self.evidence],
+                "evidence": [
+                    {
+                        "name": e.separator.name.lower(),
+                        "words": e.separator.value,
+                        "met": e.met,
+                        "number": e.number,
+                        "told": e.told or None,
+                    }
+                    for e in self.evidence
+                ],
             },
             "physical_class": {
-                "id": self.physical.id, "label": self.label,
+                "id": self.physical.id,
+                "label": self.label,
                 "members": list(self.members),
                 "outside": list(self.physical.outside),
             },
-        }  # fmt: skip
+        }
 
 
 def _physical_class_at_joints(candidate: Candidate, robot: Robot, joints: Sequence[int] | None) -> PhysicalClass:

@@ -50,9 +50,13 @@ class Control:
 
 
 def controls(
-    search: SearchResult, places: Sequence[int], shuffles: int, seed: int, progress: Callable[[float], None],
+    search: SearchResult,
+    places: Sequence[int],
+    shuffles: int,
+    seed: int,
+    progress: Callable[[float], None],
     over: Callable[[], bool] = lambda: False,
-) -> tuple[Control, ...]:  # fmt: skip
+) -> tuple[Control, ...]:
     """Shuffle for every chosen effect. One that needs no label has the residual vectors shuffled over the poses.
 
     ``places`` are the chosen ones, what matters most first: where time is ``over`` the rest is not shuffled, and
@@ -109,15 +113,20 @@ def control_document(search: SearchResult, shuffled: Sequence[Control], shuffles
     """What the shuffles of every effect came to, and how often shuffled residuals name anything."""
     rows = [
         {
-            **search.selector.scorer.candidates[c.place].id_and_joints(), "shuffled": c.label, "shuffles": c.shuffles,
-            "survived": c.survived, "passed": c.has_passed,
+            **search.selector.scorer.candidates[c.place].id_and_joints(),
+            "shuffled": c.label,
+            "shuffles": c.shuffles,
+            "survived": c.survived,
+            "passed": c.has_passed,
         }
         for c in shuffled
-    ]  # fmt: skip
+    ]
     return {
-        "passed": all(c.has_passed is not False for c in shuffled), "effects": rows, "shuffles": shuffles,
+        "passed": all(c.has_passed is not False for c in shuffled),
+        "effects": rows,
+        "shuffles": shuffles,
         "names_in_shuffled_residuals": false_names(search, shuffles, seed),
-    }  # fmt: skip
+    }
 
 
 def _order(group: Ints, rng: np.random.Generator, inside: bool = False) -> Ints:

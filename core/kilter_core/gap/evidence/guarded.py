@@ -81,12 +81,14 @@ class Guard:
         for words, told in simpler.items():
             if told is not None and told.worse:
                 yield {
-                    "code": CODE, "simpler_mm": mm(told.without), "identified_mm": mm(told.with_it),
+                    "code": CODE,
+                    "simpler_mm": mm(told.without),
+                    "identified_mm": mm(told.with_it),
                     "beyond_chance": True,
                     "message": f"The confirmation is predicted worse ({mm(told.with_it):.3g} mm) than with {words} "
                     f"({mm(told.without):.3g} mm), base and tool fitted to it: do not activate this version. What was found "
                     "is not what the arm does there; measure more poses in both campaigns and search again.",
-                }  # fmt: skip
+                }
                 return
 
     def _compare_with_refit(self, columns: list[int]) -> Guarded | None:

@@ -56,11 +56,14 @@ class Halves:
         """Plain numbers, mm."""
         told = self.predicted
         return {
-            "lasts": self.lasts, "named": list(self.named), "apart_sigma": self.apart,
+            "lasts": self.lasts,
+            "named": list(self.named),
+            "apart_sigma": self.apart,
             "with_mm": mm(told.with_it) if self.length else None,
-            "without_mm": mm(told.without) if self.length else None, "better": told.better,
+            "without_mm": mm(told.without) if self.length else None,
+            "better": told.better,
             "joints": None if self.joints is None else [j + 1 for j in self.joints],
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True)

@@ -97,11 +97,14 @@ class Replication:
             unit, scale = display_unit_and_scale(robot_units[name])
             rows.append({"name": name, "value": float(value) * scale, "unit": unit, "sigma": float(sigma) * scale})
         return {
-            "outcome": self.outcome, "parameters": rows, "p_value": self.p_value, "apart_sigma": self.apart,
+            "outcome": self.outcome,
+            "parameters": rows,
+            "p_value": self.p_value,
+            "apart_sigma": self.apart,
             "reason": self.reason or (WORSE if self.worse else None),
             "with_mm": None if self.guarded is None else mm(self.guarded.with_it),
             "without_mm": None if self.guarded is None else mm(self.guarded.without),
-        }  # fmt: skip
+        }
 
 
 def refuse_unfit(robot: Robot, searched: Observations, confirmation: Observations) -> None:
@@ -164,10 +167,15 @@ class Confirmation:
         noise = problem.settings.noise
         scalars = float(problem.settings.used.sum() * problem.settings.whitener.shape[-1] / problem.settings.inflation)
         return Confirmation(
-            r, J, names, found.values[[at[name] for name in names]], posterior.covariance[np.ix_(index, index)],
-            scalars - free.shape[1], noise.freedom if noise.absolute else scalars - free.shape[1],
+            r,
+            J,
+            names,
+            found.values[[at[name] for name in names]],
+            posterior.covariance[np.ix_(index, index)],
+            scalars - free.shape[1],
+            noise.freedom if noise.absolute else scalars - free.shape[1],
             int(problem.settings.group.max()) + 1,
-        )  # fmt: skip
+        )
 
     def of_parameters(self, own: tuple[str, ...], widths: Floats, positive: bool) -> Replication:
         """Fit the parameters ``own`` again, everything else within its covariance; ``widths`` are their prior sigmas."""

@@ -85,9 +85,11 @@ def _postures(source: Source) -> tuple[Mapping[str, Floats], tuple[Floats, ...]]
     rows, tool = source.observations, source.batch.tool_point
     single = {f"joint {j + 1}": rows.q[:, j] for j in range(rows.q.shape[1])}
     single |= {
-        "the height of the tool": tool[:, 2], "the reach of the tool": np.hypot(tool[:, 0], tool[:, 1]),
-        "x of the tool": tool[:, 0], "y of the tool": tool[:, 1],
-    }  # fmt: skip
+        "the height of the tool": tool[:, 2],
+        "the reach of the tool": np.hypot(tool[:, 0], tool[:, 1]),
+        "x of the tool": tool[:, 0],
+        "y of the tool": tool[:, 1],
+    }
     if rows.payload_kg is not None:
         single["the payload"] = rows.payload_kg
     if rows.direction is not None:

@@ -297,8 +297,10 @@ def run_verdict(judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit) 
 
 
 SURE = {
-    "replicated": "replicated", "confirmed": "confirmed", "class_confirmed": "confirmed as a class",
-}  # fmt: skip
+    "replicated": "replicated",
+    "confirmed": "confirmed",
+    "class_confirmed": "confirmed as a class",
+}
 
 
 def sentence(verdict: str, judged: tuple[Judged, ...], adequacy: Adequacy, misfit: Misfit, left: str) -> str:

@@ -17,9 +17,19 @@ FAST = {"error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp
 
 @compile_kernel(**FAST)
 def reductions(
-    whole: Floats, c: Floats, K: Floats, along: Floats, copies: Floats, free: Bools, wanted: Bools, starts: Ints,
-    columns: Ints, ridge: float, S: Floats, d: Ints,
-) -> None:  # fmt: skip
+    whole: Floats,
+    c: Floats,
+    K: Floats,
+    along: Floats,
+    copies: Floats,
+    free: Bools,
+    wanted: Bools,
+    starts: Ints,
+    columns: Ints,
+    ridge: float,
+    S: Floats,
+    d: Ints,
+) -> None:
     """Write chi-square ``S (N,)`` that each wanted candidate takes, and in how many directions ``d (N,)``.
 
     The columns of candidate n are those of ``columns[starts[n]:starts[n + 1]]`` that are ``free (Q,)``, of ``whole (Q, Q)``
@@ -64,7 +74,7 @@ def _product(whole: Floats, K: Floats, along: Floats, i: int, j: int) -> float:
 @compile_kernel(**FAST)
 def _factorise_block(
     whole: Floats, c: Floats, K: Floats, along: Floats, ridge: float, own: Ints, A: Floats, z: Floats
-) -> None:  # fmt: skip
+) -> None:
     """Write the triangle ``A`` of the block of ``own (d,)`` columns, and the data ``z`` under it.
 
     No column can leave less than its ridge; what rounding leaves less is that.

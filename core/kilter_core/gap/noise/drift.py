@@ -48,9 +48,12 @@ class Drift:
     def to_document(self, unit: str, scale: float) -> dict[str, Any]:
         """Plain numbers, in mm or deg."""
         return {
-            "seen": self.is_significant, f"over_campaign_{unit}": self.over_campaign * scale,
-            f"per_kelvin_{unit}": self.per_kelvin * scale, "p_value": self.p_value, "timed": self.timed,
-        }  # fmt: skip
+            "seen": self.is_significant,
+            f"over_campaign_{unit}": self.over_campaign * scale,
+            f"per_kelvin_{unit}": self.per_kelvin * scale,
+            "p_value": self.p_value,
+            "timed": self.timed,
+        }
 
 
 @dataclass(frozen=True)
@@ -116,8 +119,9 @@ def estimate_drift_free_noise(
     drift = Drift(
         float(np.hypot(shared.moved, grown[0])) * float(unit[0]),
         float(np.hypot(shared.per_kelvin, grown[1])) * float(unit[0]),
-        min(chance, shared.p_value), timed,
-    )  # fmt: skip
+        min(chance, shared.p_value),
+        timed,
+    )
     return Repeats(deviation, index, variance, vectors * left_over, drift, most)
 
 

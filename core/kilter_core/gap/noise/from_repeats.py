@@ -228,9 +228,13 @@ def noise_again(noise: Noise, mean: Floats, taken: float, used: Bools) -> Noise 
 
 
 def repeat_noise(
-    residual: Floats, visit_residual: Floats, visits: Visits, points: Floats | None, taken: float = 0.0,
+    residual: Floats,
+    visit_residual: Floats,
+    visits: Visits,
+    points: Floats | None,
+    taken: float = 0.0,
     used: Bools | None = None,
-) -> Noise | None:  # fmt: skip
+) -> Noise | None:
     """Noise from repeats, None when there are too few: of the visits ``used (V,)``, None of all.
 
     ``residual (N, m)`` of the rows and ``visit_residual (V, m)`` of the visit means at a fit: between repeats only
@@ -285,9 +289,14 @@ def repeat_noise(
 
 
 def revisit_noise(
-    residual: Floats, visit_residual: Floats, visits: Visits, points: Floats | None, pairs: PairModel,
-    taken: float = 0.0, used: Bools | None = None,
-) -> Noise | None:  # fmt: skip
+    residual: Floats,
+    visit_residual: Floats,
+    visits: Visits,
+    points: Floats | None,
+    pairs: PairModel,
+    taken: float = 0.0,
+    used: Bools | None = None,
+) -> Noise | None:
     """Noise from revisits of poses, as :func:`repeat_noise`: what sides and loads do to them is taken out first.
 
     Where the revisits are too few to fit all candidates of these, it is a bound from above.

@@ -54,8 +54,24 @@ def _number_runs(run: Ints) -> tuple[Ints, Ints, Ints]:
 
 def _average_rows(rows: Observations, visit: Ints, first: Ints, count: Ints) -> Observations:
     out = rows.select(first)
-    plain = ("q", "position", "markers", "link_q", "tilt", "qd", "qdd", "tau", "t", "temperature_c", "bar_length",
-             "base_tilt_x", "base_tilt_y", "link_mass", "link_wrench", "command")  # fmt: skip
+    plain = (
+        "q",
+        "position",
+        "markers",
+        "link_q",
+        "tilt",
+        "qd",
+        "qdd",
+        "tau",
+        "t",
+        "temperature_c",
+        "bar_length",
+        "base_tilt_x",
+        "base_tilt_y",
+        "link_mass",
+        "link_wrench",
+        "command",
+    )
     made: dict[str, Any] = {
         name: group_means(value, visit) for name in plain if (value := getattr(rows, name)) is not None
     }

@@ -200,19 +200,26 @@ class _Drawn:
             signals.append(S)
             middle, half = S @ values, width * _spread(S, covariance)
             x = _round_to_seven_digits((grid - begin) * x_scale)
-            ends = {name: _round_to_seven_digits(scale * v) for name, v in
-                    (("y", middle), ("low", middle - half), ("high", middle + half))}  # fmt: skip
+            ends = {
+                name: _round_to_seven_digits(scale * v)
+                for name, v in (("y", middle), ("low", middle - half), ("high", middle + half))
+            }
             sides.append({"direction": side, "x": x, **ends})
             if rival is not None:
                 other, amounts, offset, _ = rival
                 y = scale * (self._signals_at_values(other, grid, side) @ amounts + offset)
                 others.append({"direction": side, "x": x, "y": _round_to_seven_digits(y)})
         return {
-            **self.candidate.id_and_joints(), "joint": self.joint + 1, "follows": self.follows.name, "x_unit": x_unit,
-            "unit": unit, "sides": sides, "visits": self._dots(begin, x_scale, scale, width),
+            **self.candidate.id_and_joints(),
+            "joint": self.joint + 1,
+            "follows": self.follows.name,
+            "x_unit": x_unit,
+            "unit": unit,
+            "sides": sides,
+            "visits": self._dots(begin, x_scale, scale, width),
             "distance": self._distance(signals, values, covariance, scale * width, scale),
             "rival": None if rival is None else {**rival[0].id_and_joints(), "times": rival[3], "sides": others},
-        }  # fmt: skip
+        }
 
     @property
     def _axis_start(self) -> float:
@@ -310,9 +317,11 @@ class _Drawn:
             at_joint = other.level == JOINT and other.joints == (self.joint,) and not other.empirical
             if at_joint and not taken & set(other.columns) and other.label not in alike:
                 follows = next(_find_followed_quantities(other, self._batch, self.joint, search), None)
-                if follows is not None and follows.name == self.follows.name and (
-                    self.follows.two_sided or not follows.two_sided
-                ):  # fmt: skip
+                if (
+                    follows is not None
+                    and follows.name == self.follows.name
+                    and (self.follows.two_sided or not follows.two_sided)
+                ):
                     yield other
 
 

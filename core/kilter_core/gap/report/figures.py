@@ -37,11 +37,14 @@ def contributions(search: SearchResult) -> list[dict[str, Any]]:
         candidate = search.selector.scorer.candidates[place]
         moved = displacement_by_columns(search.problem, candidate.columns)[search.problem.settings.used]
         size = np.abs(moved).max(axis=1) if _joint_data(search) else np.linalg.norm(moved[:, :3], axis=1)
-        out.append({
-            "label": candidate.label, **candidate.id_and_joints(),
-            "rms": search.problem.settings.source.rms(moved) * _unit(search),
-            "largest": float(size.max(initial=0.0)) * _unit(search),
-        })  # fmt: skip
+        out.append(
+            {
+                "label": candidate.label,
+                **candidate.id_and_joints(),
+                "rms": search.problem.settings.source.rms(moved) * _unit(search),
+                "largest": float(size.max(initial=0.0)) * _unit(search),
+            }
+        )
     return out
 
 
@@ -66,8 +69,12 @@ def _by_angle(search: SearchResult, rows: Observations, j: int) -> dict[str, Any
     """Residual along what joint ``j`` moves, before and after, with the curve the named effects of the joint draw."""
     problem = search.problem
     along = _along(problem, j)
-    own = [k for c in search.chosen if j in (search.selector.scorer.candidates[c].joints or ())
-           for k in search.selector.scorer.candidates[c].columns]  # fmt: skip
+    own = [
+        k
+        for c in search.chosen
+        if j in (search.selector.scorer.candidates[c].joints or ())
+        for k in search.selector.scorer.candidates[c].columns
+    ]
     order = np.argsort(rows.q[:, j], kind="stable")
     order = order[problem.settings.used[order]]
     order = order[:: -(-len(order) // MOST_POINTS) or 1]
@@ -78,10 +85,12 @@ def _by_angle(search: SearchResult, rows: Observations, j: int) -> dict[str, Any
 
     rest = [k for k in search.columns if k not in own]
     return {
-        "joint": j + 1, "q_deg": [round(float(v), 4) for v in degrees(rows.q[order, j])],
+        "joint": j + 1,
+        "q_deg": [round(float(v), 4) for v in degrees(rows.q[order, j])],
         "before": drawn(_residuals(problem, rest)),
-        "after": drawn(_residuals(problem, search.columns)), "curve": drawn(curve),
-    }  # fmt: skip
+        "after": drawn(_residuals(problem, search.columns)),
+        "curve": drawn(curve),
+    }
 
 
 def _along(problem: LinearizedProblem, j: int) -> Floats:
@@ -120,11 +129,17 @@ def _by_label(search: SearchResult, rows: Observations, name: str) -> list[dict[
                 np.sum(r * along, axis=1)[own] if along is not None else np.linalg.norm(r[own, :3], axis=1)
                 for r in (before, after)
             ]
-            out.append({
-                "joint": None if j is None else j + 1, "value": float(v), "n": int(own.sum()),
-                "before_mean": float(pair[0].mean()) * _unit(search), "before_sd": float(pair[0].std()) * _unit(search),
-                "after_mean": float(pair[1].mean()) * _unit(search), "after_sd": float(pair[1].std()) * _unit(search),
-            })  # fmt: skip
+            out.append(
+                {
+                    "joint": None if j is None else j + 1,
+                    "value": float(v),
+                    "n": int(own.sum()),
+                    "before_mean": float(pair[0].mean()) * _unit(search),
+                    "before_sd": float(pair[0].std()) * _unit(search),
+                    "after_mean": float(pair[1].mean()) * _unit(search),
+                    "after_sd": float(pair[1].std()) * _unit(search),
+                }
+            )
     return out
 
 

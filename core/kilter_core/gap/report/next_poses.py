@@ -45,9 +45,17 @@ class Proposal:
 
 
 def separate(
-    problem: LinearizedProblem, rows: Observations, target: Candidate, rivals: Sequence[Candidate], others: Sequence[int],
-    amplitudes: Floats, count: int, seed: int, region: Region | None = None, by_views: PlannedViews | None = None,
-) -> tuple[Proposal, ...]:  # fmt: skip
+    problem: LinearizedProblem,
+    rows: Observations,
+    target: Candidate,
+    rivals: Sequence[Candidate],
+    others: Sequence[int],
+    amplitudes: Floats,
+    count: int,
+    seed: int,
+    region: Region | None = None,
+    by_views: PlannedViews | None = None,
+) -> tuple[Proposal, ...]:
     """Best poses for telling ``target`` (with its fitted ``amplitudes``) from its rivals, best proposal first.
 
     ``others`` are library columns of the other named effects. New poses are in ``region``, else where ``rows`` were.
@@ -100,12 +108,14 @@ def _row(p: Proposal, k: int, names: tuple[str, str], scale: Floats) -> dict[str
     com = None if p.rows.payload_kg is None or p.rows.payload_com is None else p.rows.payload_com[k]
     place = {} if com is None else {"payload_com_mm": [round(mm(float(v)), 3) for v in com]}
     return place | {
-        "kind": p.kind, "change": p.change or None,
+        "kind": p.kind,
+        "change": p.change or None,
         "q_deg": [round(float(v), 3) for v in p.rows.q[k] * scale],
         "payload_kg": None if p.rows.payload_kg is None else float(p.rows.payload_kg[k]),
         "direction": None if p.rows.direction is None else [int(s) for s in p.rows.direction[k]],
-        "separates": list(names), "information_factor": round(float(p.after[k] / max(p.before, 1e-12)), 3),
-    }  # fmt: skip
+        "separates": list(names),
+        "information_factor": round(float(p.after[k] / max(p.before, 1e-12)), 3),
+    }
 
 
 @dataclass(frozen=True)
@@ -242,12 +252,18 @@ def _conditions(rows: Observations, q: Floats, load: Floats) -> Observations:
         return None if values is None else np.full((len(q), *values.shape[1:]), values.mean(axis=0))
 
     return Observations(
-        q=q, payload_kg=load, temperature_c=mean(rows.temperature_c), t=mean(rows.t),
-        base_tilt_x=mean(rows.base_tilt_x), base_tilt_y=mean(rows.base_tilt_y),
+        q=q,
+        payload_kg=load,
+        temperature_c=mean(rows.temperature_c),
+        t=mean(rows.t),
+        base_tilt_x=mean(rows.base_tilt_x),
+        base_tilt_y=mean(rows.base_tilt_y),
         session=None if rows.session is None else np.full(len(q), rows.session[-1]),
-        qd=None if rows.qd is None else np.zeros_like(q), qdd=None if rows.qdd is None else np.zeros_like(q),
-        payload_com=_centres(rows, load), direction=None if rows.direction is None else np.zeros_like(q),
-    )  # fmt: skip
+        qd=None if rows.qd is None else np.zeros_like(q),
+        qdd=None if rows.qdd is None else np.zeros_like(q),
+        payload_com=_centres(rows, load),
+        direction=None if rows.direction is None else np.zeros_like(q),
+    )
 
 
 def _centres(rows: Observations, load: Floats) -> Floats | None:

@@ -79,7 +79,7 @@ class Remains:
         return {
             "sentence": ("Something else remains." if fit.adequate and elsewhere else fit.sentence(self.words)) + told,
             "mostly_at": None if self.place is None or fit.adequate else place_row(self.place),
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True)
@@ -126,9 +126,10 @@ class GapReport:
     def with_unseen(self, unseen: tuple[Unseen, ...]) -> GapReport:
         """The report that says at which joints named families stay nominal."""
         return replace(
-            self, not_testable=(*self.not_testable, *(u.untestable() for u in unseen)),
+            self,
+            not_testable=(*self.not_testable, *(u.untestable() for u in unseen)),
             warnings=(*self.warnings, *documents(u.finding() for u in unseen)),
-        )  # fmt: skip
+        )
 
     def with_row_numbers(self, searched: Ints, held: Ints) -> GapReport:
         """The report with its rows numbered as among all that were given, of which some were searched and some held out."""
@@ -206,8 +207,11 @@ def effect_row(judged: Judged, library: Library, misfit: Misfit) -> dict[str, An
 def alias_row(alias: Alias) -> dict[str, Any]:
     """A rival that does as well."""
     return {
-        **alias.candidate.id_and_joints(), "behind": alias.behind, "correlation": alias.correlation, "p_wrong": alias.wrong,
-    }  # fmt: skip
+        **alias.candidate.id_and_joints(),
+        "behind": alias.behind,
+        "correlation": alias.correlation,
+        "p_wrong": alias.wrong,
+    }
 
 
 def amplitude_row(
@@ -217,25 +221,35 @@ def amplitude_row(
     parameter = library.parameters[column]
     unit, scale = display_unit_and_scale(parameter.unit)
     return {
-        "name": parameter.name, "value": value * scale, "unit": unit, "sigma": sigma * scale,
-        "interval_low": interval[0] * scale, "interval_high": interval[1] * scale,
-    }  # fmt: skip
+        "name": parameter.name,
+        "value": value * scale,
+        "unit": unit,
+        "sigma": sigma * scale,
+        "interval_low": interval[0] * scale,
+        "interval_high": interval[1] * scale,
+    }
 
 
 def place_row(place: Place) -> dict[str, Any]:
     """A level of a factor."""
     return {
-        "factor": place.factor, "level": place.level, "excess": place.excess, "p_value": place.p_value,
+        "factor": place.factor,
+        "level": place.level,
+        "excess": place.excess,
+        "p_value": place.p_value,
         "visits": place.visits,
-    }  # fmt: skip
+    }
 
 
 def untestable_row(u: Untestable) -> dict[str, Any]:
     """What cannot be tested, and how to test it."""
     return {
-        "id": u.id, "joints": None if u.joints is None else [j + 1 for j in u.joints], "reason": u.reason,
-        "remedy": u.remedy, "missing": u.missing or None,
-    }  # fmt: skip
+        "id": u.id,
+        "joints": None if u.joints is None else [j + 1 for j in u.joints],
+        "reason": u.reason,
+        "remedy": u.remedy,
+        "missing": u.missing or None,
+    }
 
 
 def _places_to_report(places: tuple[Place, ...]) -> tuple[Place, ...]:

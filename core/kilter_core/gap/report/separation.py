@@ -81,9 +81,17 @@ def plan_separation(
         _refuse_still(candidate, prepared.problem, robot)
     target, rivals = chosen[0], chosen[1:]
     proposals = separate(
-        prepared.problem, prepared.visits.observations, target, rivals, (), _amounts(prepared, target, begin, observations),
-        count, options.seed, region, by_views,
-    )  # fmt: skip
+        prepared.problem,
+        prepared.visits.observations,
+        target,
+        rivals,
+        (),
+        _amounts(prepared, target, begin, observations),
+        count,
+        options.seed,
+        region,
+        by_views,
+    )
     if not proposals:
         raise OptionError("Poses can be planned for measurements of the tool only: name campaigns with positions.")
     alike = correlation(prepared.problem.A, target.columns, rivals[0].columns) if rivals else 0.0
@@ -96,9 +104,11 @@ def simulate_first_campaign(begin: Calibration, options: GapOptions) -> Observat
     rng = np.random.default_rng(options.seed)
     q = Region.from_calibration(begin).draw(IMAGINED_POSES, rng)
     rows = Observations(
-        q, direction=rng.choice([-1.0, 1.0], q.shape),
-        temperature_c=20.0 + np.linspace(0.0, 1.0, len(q)), t=np.linspace(0.0, IMAGINED_S, len(q)),
-    )  # fmt: skip
+        q,
+        direction=rng.choice([-1.0, 1.0], q.shape),
+        temperature_c=20.0 + np.linspace(0.0, 1.0, len(q)),
+        t=np.linspace(0.0, IMAGINED_S, len(q)),
+    )
     load = begin.robot.load
     rows = replace(rows, payload_kg=np.zeros(len(q))) if load is None else rows.carrying(load.mass, load.com)
     noise = (options.noise_mm or IMAGINED_NOISE_MM) * 1e-3

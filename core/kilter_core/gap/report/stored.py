@@ -136,8 +136,10 @@ class Stored:
         if self.left is not None:
             return self.left.to_document()
         return {
-            "names": list(self.posterior.names), "matrix": self.posterior.covariance.tolist(), "units": "SI",
-        }  # fmt: skip
+            "names": list(self.posterior.names),
+            "matrix": self.posterior.covariance.tolist(),
+            "units": "SI",
+        }
 
     def metrics(self, train: Observations, held: Observations | None, spikes: Ints) -> dict[str, Any]:
         """Metrics of an identification on these rows; none for joint data, for the tool was not measured.
@@ -193,9 +195,13 @@ def build_stored_version(
         return Stored(calibration, wide, source.observations)
     nominal = register_nominal(begin, shown)
     asked = IdentifyOptions(
-        base=options.base, tool=options.tool, reference=options.reference, free=options.free, fix=options.fix,
+        base=options.base,
+        tool=options.tool,
+        reference=options.reference,
+        free=options.free,
+        fix=options.fix,
         loss="huber",
-    )  # fmt: skip
+    )
     base, tool = wanted_frames(begin, nominal, shown, asked)
     calibration = replace(calibration, wanted_base=base, wanted_tool=tool)
     geometry = None if held is None else geometry_alone(calibration, shown, asked, (SHIFT,))

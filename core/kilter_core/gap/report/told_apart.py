@@ -62,9 +62,14 @@ class ToldApart:
     def to_document(self) -> dict[str, Any]:
         """Plain numbers and words."""
         return {
-            "separates": list(self.names), "poses": self.poses, "information_factor": round(self.factor, 3),
-            "enough": self.enough, "poses_needed": self.needed, "instead": list(self.instead), "sentence": self.sentence,
-        }  # fmt: skip
+            "separates": list(self.names),
+            "poses": self.poses,
+            "information_factor": round(self.factor, 3),
+            "enough": self.enough,
+            "poses_needed": self.needed,
+            "instead": list(self.instead),
+            "sentence": self.sentence,
+        }
 
     def warnings(self) -> Iterator[dict[str, Any]]:
         """Warn where the poses are not enough."""

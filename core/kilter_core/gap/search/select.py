@@ -395,9 +395,15 @@ class Selector(CandidateSets):
         return self.criterion(gram, one, variance) > self.criterion(gram, other, variance) - self.slack(one)
 
     def _best_instead(
-        self, gram: Gram, rest: tuple[int, ...], variance: float, critical: float, taken: set[int],
-        least: float = -np.inf, reach: Reach | None = None,
-    ) -> tuple[int | None, float]:  # fmt: skip
+        self,
+        gram: Gram,
+        rest: tuple[int, ...],
+        variance: float,
+        critical: float,
+        taken: set[int],
+        least: float = -np.inf,
+        reach: Reach | None = None,
+    ) -> tuple[int | None, float]:
         """Best candidate to enter a set, and the criterion with it; None where no one's can be clearly above ``least``."""
         columns, able = self.columns(rest), np.ones(len(self.scorer.candidates), dtype=bool)
         able[[*taken, *self.closed]] = False

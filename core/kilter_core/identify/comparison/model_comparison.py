@@ -97,8 +97,10 @@ class PoseErrors:
         """Say what predicts worse than something simpler."""
         yield from self.remarks
         after = self.stages["identified"]
-        simpler = (("registration_only", "base and tool alone", WORSE_THAN_REGISTRATION),
-                   ("geometry_fitted", "the geometry alone", WORSE_THAN_GEOMETRY))  # fmt: skip
+        simpler = (
+            ("registration_only", "base and tool alone", WORSE_THAN_REGISTRATION),
+            ("geometry_fitted", "the geometry alone", WORSE_THAN_GEOMETRY),
+        )
         for stage, words, code in simpler:
             before = self.stages.get(stage)
             told = None if before is None else grown(before, after)
@@ -122,11 +124,14 @@ def worse_warning(code: str, words: str, told: Grown, beyond_chance: bool, unit:
     before, after = told.before * scale, told.after * scale
     less, more = _format_distinguishably(before, after)
     return {
-        "code": code, f"simpler_{unit}": before, f"identified_{unit}": after, "quantity": told.quantity,
+        "code": code,
+        f"simpler_{unit}": before,
+        f"identified_{unit}": after,
+        "quantity": told.quantity,
         "beyond_chance": beyond_chance,
         "message": f"Held-out poses are predicted worse ({more} {unit}, {told.quantity}) than with {words} ({less} {unit}): "
         f"{advice}",
-    }  # fmt: skip
+    }
 
 
 def _format_distinguishably(*values: float) -> tuple[str, ...]:

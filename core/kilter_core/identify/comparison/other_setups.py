@@ -35,8 +35,10 @@ def elsewhere(
         if set(anew) <= set(refit):
             continue
         try:
-            stages = {"there": refit_frames(calibration, measurement, tuple(refit)),
-                      "here": refit_frames(calibration, measurement, anew)}  # fmt: skip
+            stages = {
+                "there": refit_frames(calibration, measurement, tuple(refit)),
+                "here": refit_frames(calibration, measurement, anew),
+            }
         except TooFewPosesError:
             return
         errors = PoseErrors.from_calibrations(stages, measurement).stages
@@ -52,6 +54,9 @@ def _warning(anew: Sequence[str], there_mm: float, here_mm: float, remedy: str) 
     who = "the instrument, or the arm, stood elsewhere" if one else "instrument and tool were set up anew"
     refit = "[" + ", ".join(f'"{name}"' for name in anew) + "]"
     return {
-        "code": ELSEWHERE, "refit": list(anew), "version_mm": there_mm, "refitted_mm": here_mm,
+        "code": ELSEWHERE,
+        "refit": list(anew),
+        "version_mm": there_mm,
+        "refitted_mm": here_mm,
         "message": f"{numbers}: {who}. {remedy.format(refit=refit)}",
-    }  # fmt: skip
+    }

@@ -28,7 +28,11 @@ class PriorUse:
     def to_document(self) -> dict[str, Any]:
         """JSON-able."""
         return {
-            "state": self.state, "widened_by": self.widened_by, "chi_square": self.chi_square,
-            "compared": self.compared, "p_value": self.p_value, "odd": list(self.odd),
+            "state": self.state,
+            "widened_by": self.widened_by,
+            "chi_square": self.chi_square,
+            "compared": self.compared,
+            "p_value": self.p_value,
+            "odd": list(self.odd),
             "limited_by": self.limited_by,
-        }  # fmt: skip
+        }

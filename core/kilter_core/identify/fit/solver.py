@@ -111,9 +111,14 @@ class _Step(Generic[P]):
 
 
 def minimise(
-    objective: Objective[P], start: Floats, here: P, progress: StepProgress | None = None, enough: float = 0.0,
-    patience: int = PATIENCE, idle: int = MAX_ITERATIONS,
-) -> Minimum[P]:  # fmt: skip
+    objective: Objective[P],
+    start: Floats,
+    here: P,
+    progress: StepProgress | None = None,
+    enough: float = 0.0,
+    patience: int = PATIENCE,
+    idle: int = MAX_ITERATIONS,
+) -> Minimum[P]:
     """Walk downhill from ``start``, where ``here`` is known, to a minimum; the loss never rises.
 
     ``enough`` ends the walk early, once a step takes less than this share off the loss. ``patience`` is the number of slow

@@ -93,9 +93,13 @@ class Known:
         terms = " ".join(_term(name, x) for name, x in zip(names, coefficients, strict=True)).removeprefix("+ ")
         yield {
             "parameters": [{"name": n, "coefficient": x} for n, x in zip(names, coefficients, strict=True)],
-            "value": value, "unit": unit, "sigma": sigma, "lower": lower, "upper": upper,
+            "value": value,
+            "unit": unit,
+            "sigma": sigma,
+            "lower": lower,
+            "upper": upper,
             "sentence": self._sentence(terms, value, sigma, unit),
-        }  # fmt: skip
+        }
 
     def _of_places(self, names: Sequence[str], g: Floats) -> tuple[list[str], Floats]:
         """A sum of increments along the axes of base and tool, as one of the coordinates of their places."""

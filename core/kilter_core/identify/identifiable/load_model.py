@@ -31,10 +31,15 @@ class Stated:
     def row(self, error: float, sigma: float, prior: float, seen: bool) -> dict[str, Any]:
         """As the result lists it."""
         return {
-            "link": self.link, "parameter": self.parameter, "unit": self.unit, "stated": self.stated,
-            "value": self.stated + error * self.scale, "sigma": sigma * self.sigma_scale,
-            "prior_sigma": prior * self.sigma_scale, "seen": seen,
-        }  # fmt: skip
+            "link": self.link,
+            "parameter": self.parameter,
+            "unit": self.unit,
+            "stated": self.stated,
+            "value": self.stated + error * self.scale,
+            "sigma": sigma * self.sigma_scale,
+            "prior_sigma": prior * self.sigma_scale,
+            "seen": seen,
+        }
 
 
 def load_rows(
@@ -85,7 +90,7 @@ def far_from_stated(rows: Sequence[Mapping[str, Any]]) -> Iterator[dict[str, Any
         "masses": [{key: row[key] for key in ("link", "parameter", "unit", "stated", "value")} for row in far],
         "message": f"{said}: more than {FAR:g} standard deviations of what was stated. {_remedy(far)} If they are right, "
         "another effect of the load is missing.",
-    }  # fmt: skip
+    }
 
 
 def _describe_deviation(row: Mapping[str, Any]) -> str:

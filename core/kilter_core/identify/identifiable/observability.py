@@ -28,8 +28,15 @@ class Observability:
 
     def to_document(self) -> dict[str, float | int]:
         """Numbers by name; O1, O3, O4 and O5 in the unit of the Jacobian."""
-        return {"O1": self.o1, "O2": self.o2, "O3": self.o3, "O4": self.o4, "O5": self.o5,
-                "rank": self.rank, "parameters": self.parameters}  # fmt: skip
+        return {
+            "O1": self.o1,
+            "O2": self.o2,
+            "O3": self.o3,
+            "O4": self.o4,
+            "O5": self.o5,
+            "rank": self.rank,
+            "parameters": self.parameters,
+        }
 
 
 def observability(J: Floats, poses: int) -> Observability:

@@ -92,8 +92,11 @@ def _as_soft(
 def _widths(model: RobotModel) -> Floats:
     """Half-widths of the signs, N m, joint by joint of each effect that has one."""
     n = model.robot.n_joints
-    found = (np.broadcast_to(effect.softening_nm, len(effect.acting(n)))
-             for effect in model.effects if hasattr(effect, "softening_nm"))  # fmt: skip
+    found = (
+        np.broadcast_to(effect.softening_nm, len(effect.acting(n)))
+        for effect in model.effects
+        if hasattr(effect, "softening_nm")
+    )
     return np.concatenate([np.zeros(0), *found])
 
 

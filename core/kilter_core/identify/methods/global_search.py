@@ -88,9 +88,11 @@ def global_search(
         )
     fit = fits[0] if _mean_squared_error(fits[0]) < BETTER * _mean_squared_error(fits[-1]) else fits[-1]
     report = {
-        "evaluations": int(best.nfev), "best_mm": mm(float(best.fun)),
-        "start_mm": mm(search(np.zeros(len(search.span)))), "needed": len(fits) == 1 or fit is not fits[-1],
-    }  # fmt: skip
+        "evaluations": int(best.nfev),
+        "best_mm": mm(float(best.fun)),
+        "start_mm": mm(search(np.zeros(len(search.span)))),
+        "needed": len(fits) == 1 or fit is not fits[-1],
+    }
     return replace(fit, report=report)
 
 
@@ -122,9 +124,16 @@ def _run_differential_evolution(search: _Search, seed: int, progress: Progress |
 
     one = np.ones(len(search.span))
     return scipy.optimize.differential_evolution(
-        search, scipy.optimize.Bounds(-one, one), maxiter=GENERATIONS, popsize=POPULATION, polish=False,
-        x0=0.0 * one, callback=grown, tol=1e-6, rng=np.random.default_rng(seed),
-    )  # fmt: skip
+        search,
+        scipy.optimize.Bounds(-one, one),
+        maxiter=GENERATIONS,
+        popsize=POPULATION,
+        polish=False,
+        x0=0.0 * one,
+        callback=grown,
+        tol=1e-6,
+        rng=np.random.default_rng(seed),
+    )
 
 
 def _try_estimate(

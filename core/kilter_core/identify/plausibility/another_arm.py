@@ -73,11 +73,12 @@ def another_arm(calibration: Calibration) -> Iterator[dict[str, Any]]:
     if many:
         more = f", and {len(many) - NAMED} more" if len(many) > NAMED else ""
         yield {
-            "code": CODE, "sigmas": many[0].sigmas,
+            "code": CODE,
+            "sigmas": many[0].sigmas,
             "message": f"This is not the arm described: {'; '.join(d.sentence for d in many[:NAMED])}{more}. No arm is made so "
             "far off its drawing: do not activate this version. Register the robot that was measured (another preset, or its "
             "URDF or table), or correct its description, and identify again.",
-        }  # fmt: skip
+        }
 
 
 def _driven(calibration: Calibration) -> list[Any]:

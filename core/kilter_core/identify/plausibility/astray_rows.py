@@ -70,11 +70,14 @@ def _astray_warning(found: list[tuple[int, float]], others_mm: float) -> dict[st
     shown = ", ".join(f"row {row} by {off:.3g} mm" for row, off in found[:SHOWN])
     more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
     return {
-        "code": ASTRAY, "rows": [row for row, _ in found], "off_mm": [off for _, off in found], "others_mm": others_mm,
+        "code": ASTRAY,
+        "rows": [row for row, _ in found],
+        "off_mm": [off for _, off in found],
+        "others_mm": others_mm,
         "message": f"The tool is not where the joints put it in {shown}{more}, where the others are within {others_mm:.2g} mm. "
         "No arm does that: a reading that was not taken (zeros), the position of another pose, or joints of another. Leave "
         "these rows out of the file and upload it again.",
-    }  # fmt: skip
+    }
 
 
 def _set_ups(rows: Observations) -> Iterator[Ints]:

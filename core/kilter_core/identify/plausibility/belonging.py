@@ -112,16 +112,17 @@ def lag_warnings(robot: Robot, rows: Observations) -> list[dict[str, Any]]:
     shown = [
         f"{mm(abs(widths[j])):.3g} mm" if robot.joints[j].kind == "prismatic" else f"{degrees(abs(widths[j])):.3g} deg"
         for j in found
-    ]  # fmt: skip
+    ]
     said = ", ".join(f"joint {j + 1} by {size}" for j, size in zip(found, shown, strict=True))
     return [
         {
-            "code": "readings_follow_motion", "joints": [j + 1 for j in found],
+            "code": "readings_follow_motion",
+            "joints": [j + 1 for j in found],
             "message": f"Reading less command differs between the two directions of motion: {said}. If the arm had not arrived "
             "when its joints were read, or the log is late, this comes out as a backlash of those joints: read them at rest, "
             "or upload the commands as q. If the arm stood still, its servos stop short and the readings are right.",
         }
-    ]  # fmt: skip
+    ]
 
 
 def _sides(rows: Observations) -> Floats:
@@ -149,8 +150,13 @@ def _width(apart: Floats, side: Floats) -> float:
 WAY_OUT = "If the rows are right all the same, upload them to a new campaign with --unchecked."
 # Refusals that judge how rows look, and may be wrong about them; all others say what rows are not.
 JUDGEMENTS = (
-    "foreign_observations", "markers_swapped", "corners_misplaced", "intrinsics_differ", "views_astray", "board_scale_differs",
-)  # fmt: skip
+    "foreign_observations",
+    "markers_swapped",
+    "corners_misplaced",
+    "intrinsics_differ",
+    "views_astray",
+    "board_scale_differs",
+)
 
 
 def refuse_mixed_up(begin: Calibration, rows: Observations) -> tuple[dict[str, Any], ...]:

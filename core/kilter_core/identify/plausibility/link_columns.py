@@ -37,8 +37,10 @@ def refuse_foreign_links(robot: Robot, rows: Observations) -> None:
             continue
         after, k, sign, unit = min(
             (_scatter(link[:, j], q[:, k] * sign / factor), k, sign, words)
-            for k in range(q.shape[1]) for sign in (1.0, -1.0) for factor, words in UNITS
-        )  # fmt: skip
+            for k in range(q.shape[1])
+            for sign in (1.0, -1.0)
+            for factor, words in UNITS
+        )
         if after * FACTOR > before or np.ptp(q[:, k]) == 0.0:
             continue
         parts = (
@@ -50,8 +52,11 @@ def refuse_foreign_links(robot: Robot, rows: Observations) -> None:
             f"The link-side encoder of joint {j + 1} looks to {' and to '.join(parts)}: the encoders differ by "
             f"{degrees(before):.3g} deg as the rows are, by {degrees(after):.3g} deg without that. Remedy: correct "
             f"column link{j + 1}_deg, or its name, sign and unit in the column map, and upload again.",
-            code=FOREIGN, joint=robot.joints[j].name, before_deg=float(degrees(before)), after_deg=float(degrees(after)),
-        )  # fmt: skip
+            code=FOREIGN,
+            joint=robot.joints[j].name,
+            before_deg=float(degrees(before)),
+            after_deg=float(degrees(after)),
+        )
 
 
 def _scatter(a: Floats, b: Floats) -> float:

@@ -16,11 +16,15 @@ from kilter_core.types import Floats, Ints
 
 # What the values were, what they were declared as, and what converts them to what they were.
 LENGTHS = (
-    ("millimetres", "metres", 1e-3), ("metres", "millimetres", 1e3),
-    ("inches", "metres", 0.0254), ("metres", "inches", 1.0 / 0.0254),
-    ("inches", "millimetres", 25.4), ("millimetres", "inches", 1.0 / 25.4),
-    ("centimetres", "metres", 1e-2), ("centimetres", "millimetres", 10.0),
-)  # fmt: skip
+    ("millimetres", "metres", 1e-3),
+    ("metres", "millimetres", 1e3),
+    ("inches", "metres", 0.0254),
+    ("metres", "inches", 1.0 / 0.0254),
+    ("inches", "millimetres", 25.4),
+    ("millimetres", "inches", 1.0 / 25.4),
+    ("centimetres", "metres", 1e-2),
+    ("centimetres", "millimetres", 10.0),
+)
 COLUMNS = "the columns, or their names in the column map,"
 PARALLEL = 0.999  # cosine of the angle of two axes that are
 JOIN = "join joints and measurements by pose number or time again, and upload again"
@@ -40,17 +44,28 @@ ELSEWHERE: dict[str, tuple[str, str, Callable[[int], Ints]]] = {
     **{
         f"{steps:+d}": (
             f"Each measurement looks to be of the joints {abs(steps) if abs(steps) > 1 else 'one'} row"
-            f"{'s' * (abs(steps) > 1)} {'above' if steps < 0 else 'below'}", JOIN, _make_row_shift(steps),
+            f"{'s' * (abs(steps) > 1)} {'above' if steps < 0 else 'below'}",
+            JOIN,
+            _make_row_shift(steps),
         )
         for steps in (-1, 1, -2, 2, -3, 3)
     },
-    "backwards": ("Joints and measurements look to be in opposite order of rows", "reverse one of them, and upload again",
-                  lambda count: np.arange(count)[::-1]),
-    "joints as text": ("The joints look sorted by their numbers as text (1, 10, 11, 2), the measurements by number",
-                       "sort both by number, and upload again", lambda count: np.argsort(_as_text(count))),
-    "points as text": ("The measurements look sorted by their numbers as text (1, 10, 11, 2), the joints by number",
-                       "sort both by number, and upload again", _as_text),
-}  # fmt: skip
+    "backwards": (
+        "Joints and measurements look to be in opposite order of rows",
+        "reverse one of them, and upload again",
+        lambda count: np.arange(count)[::-1],
+    ),
+    "joints as text": (
+        "The joints look sorted by their numbers as text (1, 10, 11, 2), the measurements by number",
+        "sort both by number, and upload again",
+        lambda count: np.argsort(_as_text(count)),
+    ),
+    "points as text": (
+        "The measurements look sorted by their numbers as text (1, 10, 11, 2), the joints by number",
+        "sort both by number, and upload again",
+        _as_text,
+    ),
+}
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,13 @@ RIGHT_RAD = np.radians(3.0)
 POSITION = 1.5  # times the residual of the positions that another reading of the joints may leave
 Angles = Literal["ZXZ", "ZYX", "XYZ", "ZYZ", "xyz", "zyx"]
 EULER: dict[Angles, str] = {
-    "ZXZ": "ZXZ (phi, theta, psi)", "ZYX": "ZYX", "XYZ": "XYZ", "ZYZ": "ZYZ",
-    "xyz": "roll, pitch, yaw (fixed X, Y, Z)", "zyx": "fixed Z, Y, X",
-}  # fmt: skip
+    "ZXZ": "ZXZ (phi, theta, psi)",
+    "ZYX": "ZYX",
+    "XYZ": "XYZ",
+    "ZYZ": "ZYZ",
+    "xyz": "roll, pitch, yaw (fixed X, Y, Z)",
+    "zyx": "fixed Z, Y, X",
+}
 
 Accusation = tuple[tuple[str, ...], tuple[str, ...], float, float]
 
@@ -59,9 +63,11 @@ def rotation_faults(sample: Sample, stated: bool) -> tuple[Accusation | None, tu
         return None, ()
     alike = [r for r, size in zip(readings, sizes, strict=True) if size < 1.5 * best + 1e-6]
     return (
-        tuple(dict.fromkeys(r.sentence for r in alike)), tuple(dict.fromkeys(r.remedy for r in alike)),
-        float(degrees(before)), float(degrees(best)),
-    ), ()  # fmt: skip
+        tuple(dict.fromkeys(r.sentence for r in alike)),
+        tuple(dict.fromkeys(r.remedy for r in alike)),
+        float(degrees(before)),
+        float(degrees(best)),
+    ), ()
 
 
 def scatter(flange: Floats, variants: Floats) -> tuple[float, Floats]:
@@ -102,8 +108,12 @@ def _of_rotations(sample: Sample, flange: Floats) -> Iterator[Reading]:
     assert sample.rotations is not None
     rotations = sample.rotations
     what = "name the columns, or the convention in the column map, as they are, and upload again"
-    yield Reading("The orientation looks transposed (tool to base given as base to tool)",
-                  "invert the rotations", flange, rotations.transpose(0, 2, 1)[None])  # fmt: skip
+    yield Reading(
+        "The orientation looks transposed (tool to base given as base to tool)",
+        "invert the rotations",
+        flange,
+        rotations.transpose(0, 2, 1)[None],
+    )
     wxyz = Rotation.from_matrix(rotations).as_quat()[:, [3, 0, 1, 2]]
     for order in permutations(range(4)):
         if order != (0, 1, 2, 3):
@@ -143,8 +153,10 @@ def _other_axes(rotations: Floats, flange: Floats) -> Iterator[Reading]:
         yield Reading(
             f"The orientation looks to be given about other axes than the positions, rotated by "
             f"{degrees(angle):.0f} degrees about {named or axis.tolist()}",
-            "give positions and orientations in one frame", flange, (axes.T @ rotations)[None],
-        )  # fmt: skip
+            "give positions and orientations in one frame",
+            flange,
+            (axes.T @ rotations)[None],
+        )
 
 
 def _right_angle(sample: Sample, tool: Floats) -> tuple[dict[str, Any], ...]:
@@ -155,12 +167,16 @@ def _right_angle(sample: Sample, tool: Floats) -> tuple[dict[str, Any], ...]:
     axis = _axis(about)
     if nearest == 0 or not axis or abs(angle - nearest * np.pi / 2.0) > RIGHT_RAD:
         return ()
-    return ({
-        "code": "orientation_right_angle", "axis": axis, "angle_deg": 90 * nearest,
-        "message": f"Positions fit, and the measured orientation is rotated by {90 * nearest} degrees about the tool's {axis} "
-        "axis against the robot's tool. If that is not how the target sits, correct the tool of the robot or the axes of "
-        "the orientation; a free tool takes it up.",
-    },)  # fmt: skip
+    return (
+        {
+            "code": "orientation_right_angle",
+            "axis": axis,
+            "angle_deg": 90 * nearest,
+            "message": f"Positions fit, and the measured orientation is rotated by {90 * nearest} degrees about the "
+            f"tool's {axis} axis against the robot's tool. If that is not how the target "
+            "sits, correct the tool of the robot or the axes of the orientation; a free tool takes it up.",
+        },
+    )
 
 
 def _axis(about: Floats) -> str:

@@ -125,10 +125,14 @@ class Sample:
     def select_rows(self, index: Ints) -> Sample:
         """Some of the rows."""
         return replace(
-            self, q=self.q[index], points=self.points[index], row=self.row[index], session=self.session[index],
+            self,
+            q=self.q[index],
+            points=self.points[index],
+            row=self.row[index],
+            session=self.session[index],
             rotations=None if self.rotations is None else self.rotations[index],
             elsewhere={name: q[index] for name, q in self.elsewhere.items()},
-        )  # fmt: skip
+        )
 
     def undo_mix_up(self, mix_up: MixUp) -> Sample:
         """The rows read as they would have been without a mix-up."""
@@ -136,9 +140,13 @@ class Sample:
         q = self.elsewhere[mix_up.rows] if mix_up.rows else self.q
         points, rotations = mix_up.poses(self.points, self.rotations)
         return replace(
-            self, q=mix_up.joints(q, unit), limit=self.limit * max(1.0, mix_up.length), points=points, rotations=rotations,
+            self,
+            q=mix_up.joints(q, unit),
+            limit=self.limit * max(1.0, mix_up.length),
+            points=points,
+            rotations=rotations,
             elsewhere={name: mix_up.joints(q, unit) for name, q in self.elsewhere.items()},
-        )  # fmt: skip
+        )
 
     @cached_property
     def flange(self) -> Floats:

@@ -214,10 +214,11 @@ def _duplicate_marker_warnings(markers: Floats | None) -> Iterator[dict[str, Any
     if pair is not None:
         a, b = pair
         yield {
-            "code": "markers_equal", "markers": [a, b],
+            "code": "markers_equal",
+            "markers": [a, b],
             "message": f"Markers {a} and {b} are equal to the last digit in every row: their columns hold one marker twice. "
             f"Correct the columns of one of them in the export or the column map, or leave marker {b} out.",
-        }  # fmt: skip
+        }
 
 
 def _refuse(
@@ -232,8 +233,11 @@ def _refuse(
     raise ObservationError(
         f"{said}: with base and tool registered {before:.3g} {unit} are left as the rows are, {after:.3g} {unit} without "
         f"that. Remedy: {'; or '.join(remedies[:3])}.",
-        code=FOREIGN, looks=list(sentences), **{f"before_{unit}": before, f"after_{unit}": after}, **more,
-    )  # fmt: skip
+        code=FOREIGN,
+        looks=list(sentences),
+        **{f"before_{unit}": before, f"after_{unit}": after},
+        **more,
+    )
 
 
 def _description_warnings(sample: Sample) -> Iterator[dict[str, Any]]:
@@ -253,14 +257,19 @@ def _description_warnings(sample: Sample) -> Iterator[dict[str, Any]]:
             f"Joints and positions do not belong together: {left}, and no mix-up of columns, signs, units, zeros or rows "
             "explains it. Remedy: join each measurement with the joints of its own pose again, by pose number or time, and "
             "check that the robot is the one that was measured.",
-            code=FOREIGN, looks=["Joints and positions do not belong together"], before_mm=before, shuffled_mm=shuffled,
-        )  # fmt: skip
+            code=FOREIGN,
+            looks=["Joints and positions do not belong together"],
+            before_mm=before,
+            shuffled_mm=shuffled,
+        )
     lacks = f"It looks to lack {found.lacking}. " if found.lacking else ""
     yield {
-        "code": "description_does_not_fit", "before_mm": before, "shuffled_mm": shuffled,
+        "code": "description_does_not_fit",
+        "before_mm": before,
+        "shuffled_mm": shuffled,
         "message": f"The robot's description does not fit the rows: {left}. {lacks}Correct the robot's table or URDF and add "
         "it again.",
-    }  # fmt: skip
+    }
 
 
 def _has_gross_misfit(sample: Sample) -> bool:
@@ -346,8 +355,10 @@ def _changed_in_order(sample: Sample) -> Finding | None:
     return Finding(
         (f"{what} looks changed by {mm(moved):.3g} mm from {where} on",),
         ("make a campaign of the rows before and one of those after it, and identify them apart",),
-        sample.fitted_placement.size, size, moved,
-    )  # fmt: skip
+        sample.fitted_placement.size,
+        size,
+        moved,
+    )
 
 
 def _cuts(sample: Sample) -> list[int]:

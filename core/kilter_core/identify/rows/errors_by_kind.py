@@ -93,18 +93,20 @@ class Shares:
         rows = []
         for share in self.each:
             unit, scale = display_unit_and_scale(share.kind.unit)
-            rows.append({
-                "kind": share.kind.name,
-                "unit": unit,
-                "numbers": share.kind.scalars(),
-                "noise": share.noise * scale,
-                "repeats": None if share.from_repeats is None else share.from_repeats * scale,
-                "train": _rms(train.get(share.kind.name), scale),
-                "validation": _rms(held.get(share.kind.name), scale),
-                "tells_alone": list(share.alone),
-                "known_because_of_it": list(share.only),
-                "sharpens": dict(share.sharper),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "kind": share.kind.name,
+                    "unit": unit,
+                    "numbers": share.kind.scalars(),
+                    "noise": share.noise * scale,
+                    "repeats": None if share.from_repeats is None else share.from_repeats * scale,
+                    "train": _rms(train.get(share.kind.name), scale),
+                    "validation": _rms(held.get(share.kind.name), scale),
+                    "tells_alone": list(share.alone),
+                    "known_because_of_it": list(share.only),
+                    "sharpens": dict(share.sharper),
+                }
+            )
         return {"measurements": rows, "known_together": list(self.together)}
 
 

@@ -44,11 +44,18 @@ class Influence:
         for c in np.argsort(-self.moved.mean(axis=0), kind="stable"):
             unit, scale = display_unit_and_scale(self.units[c])
             column = mm(self.moved[:, c])
-            rows.append({
-                "name": self.names[c], "step": float(self.steps[c]) * scale, "unit": unit,
-                "mean_mm": float(column.mean()), "min_mm": float(column.min()), "max_mm": float(column.max()),
-                "mean_k": float(k[:, c].mean()), "leads": float(first[c]),
-            })  # fmt: skip
+            rows.append(
+                {
+                    "name": self.names[c],
+                    "step": float(self.steps[c]) * scale,
+                    "unit": unit,
+                    "mean_mm": float(column.mean()),
+                    "min_mm": float(column.min()),
+                    "max_mm": float(column.max()),
+                    "mean_k": float(k[:, c].mean()),
+                    "leads": float(first[c]),
+                }
+            )
         return rows
 
 

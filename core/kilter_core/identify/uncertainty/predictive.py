@@ -65,11 +65,15 @@ class Predictive:
     def to_document(self) -> dict[str, Any]:
         """JSON-able, SI."""
         return {
-            "names": list(self.names), "matrix": self.covariance.tolist(), "units": "SI",
-            "inadequacy_m": self.inadequacy, "noise_m": self.noise,
-            "freedom": self.freedom if np.isfinite(self.freedom) else None, "noise_of": self.noise_of or None,
+            "names": list(self.names),
+            "matrix": self.covariance.tolist(),
+            "units": "SI",
+            "inadequacy_m": self.inadequacy,
+            "noise_m": self.noise,
+            "freedom": self.freedom if np.isfinite(self.freedom) else None,
+            "noise_of": self.noise_of or None,
             "inadequacy_rad": self.inadequacy_turn,
-        }  # fmt: skip
+        }
 
     def judging(self, measurement: Measurement) -> Predictive | None:
         """The same with the noise of what is measured there; None where that is of another kind and nobody says its noise.

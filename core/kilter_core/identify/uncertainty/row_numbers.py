@@ -46,10 +46,12 @@ class RowNumbers:
                 part = part.project_on_span(block.slopes.span, root, told)
             parts.append(part)
         return RowNumbers(
-            np.concatenate([p.A for p in parts], axis=1), np.concatenate([p.r for p in parts], axis=1),
-            np.concatenate([p.L for p in parts], axis=1), np.concatenate([p.told for p in parts], axis=1),
+            np.concatenate([p.A for p in parts], axis=1),
+            np.concatenate([p.r for p in parts], axis=1),
+            np.concatenate([p.L for p in parts], axis=1),
+            np.concatenate([p.told for p in parts], axis=1),
             tuple(group for p in parts for group in p.group),
-        )  # fmt: skip
+        )
 
     def project_on_span(self, span: Floats, root: Floats | None, told: Floats) -> RowNumbers:
         """As the numbers that move along a ``span (N, R, k)``, each row's own; a robust loss weighs them by a ``root``."""

@@ -65,7 +65,11 @@ def _estimate_scatter_shares(inverse: Floats, mean: Floats, scaled: Floats, flat
     M[0, 1:] = M[1:, 0] = np.einsum("gij,gij->j", scaled_inverse, flat @ scaled_inverse)
     M[1:, 1:] = np.sum((scaled.transpose(0, 2, 1) @ scaled_inverse) ** 2, axis=0)
     weighed = np.einsum("gij,gj->gi", inverse, mean)
-    v = np.concatenate([[np.einsum("gi,gij,gj->", weighed, flat, weighed)],
-                        np.sum(np.einsum("gij,gi->gj", scaled, weighed) ** 2, axis=0)])  # fmt: skip
+    v = np.concatenate(
+        [
+            [np.einsum("gi,gij,gj->", weighed, flat, weighed)],
+            np.sum(np.einsum("gij,gi->gj", scaled, weighed) ** 2, axis=0),
+        ]
+    )
     root = np.linalg.cholesky(M + 1e-9 * np.trace(M) * np.eye(n + 1))
     return np.asarray(scipy.optimize.nnls(root.T, np.linalg.solve(root, v))[0])

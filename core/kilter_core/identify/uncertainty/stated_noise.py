@@ -75,9 +75,16 @@ class BeyondNoise:
         rows = order[: int(np.searchsorted(reach, SHARE)) + 1]
         near, signs = near_a_sign(fit)
         return BeyondNoise(
-            noise, left, rows, float(reach[len(rows) - 1]), near[rows], float(near.mean()), signs,
-            bool(of_masses(fit.problem.model).any()), bool(signs) and fit.problem.loss == "linear",
-        )  # fmt: skip
+            noise,
+            left,
+            rows,
+            float(reach[len(rows) - 1]),
+            near[rows],
+            float(near.mean()),
+            signs,
+            bool(of_masses(fit.problem.model).any()),
+            bool(signs) and fit.problem.loss == "linear",
+        )
 
     def widen(self, fit: Fit) -> Fit:
         """The fit as uncertain as that: covariance times the reduced chi-square."""
@@ -88,12 +95,17 @@ class BeyondNoise:
         rows = (self.rows if numbers is None else numbers[self.rows]) + 1
         near = rows[self.near]
         return {
-            "code": "more_than_stated_noise", "stated_mm": mm(self.noise), "left_mm": mm(self.left),
-            "factor": self.factor, "widened_by": self.widening, "rows": rows.tolist(), "near_sign_change": near.tolist(),
+            "code": "more_than_stated_noise",
+            "stated_mm": mm(self.noise),
+            "left_mm": mm(self.left),
+            "factor": self.factor,
+            "widened_by": self.widening,
+            "rows": rows.tolist(),
+            "near_sign_change": near.tolist(),
             "message": f"The fit leaves {mm(self.left):.3g} mm in a coordinate, {self.factor:.2g} times the noise of "
             f"{mm(self.noise):.3g} mm that is known of the rows: the model lacks something. {self._describe_rows(rows, near)} "
             f"{self._intervals()}{self._remedy()}",
-        }  # fmt: skip
+        }
 
     def _describe_rows(self, rows: Ints, near: Ints) -> str:
         listed = ", ".join(map(str, rows))
@@ -112,9 +124,10 @@ class BeyondNoise:
         if not self.signs:
             return "See what is missing with `kilter gap`, or repeat poses if the noise itself is larger than stated."
         masses = (
-            "weigh the links and the payload and correct them" if self.carried
+            "weigh the links and the payload and correct them"
+            if self.carried
             else 'take masses as "uncertain" instead of exact, or weigh the links and the payload and correct them'
-        )  # fmt: skip
+        )
         return (
             f"With {', '.join(self.signs)} a wrong mass gives rows the wrong sign: {masses}; see with `kilter gap` whether "
             "another effect is missing; repeat poses if the noise itself is larger than stated."

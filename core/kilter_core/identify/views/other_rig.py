@@ -55,8 +55,12 @@ def refuse_misplaced_corners(views: Pixels) -> None:
                 f"the board stands they are off by {far} (median of {len(seen)} views, which spread over {spread:.3g} px). "
                 "It is the description of another board, its columns and rows are swapped, or corners are numbered otherwise: "
                 "give the corners in the order of u1_px, v1_px, ... as `kilter see` does.",
-                code="corners_misplaced", camera=camera.name, board=board.name, off_px=min(off, spread), spread_px=spread,
-            )  # fmt: skip
+                code="corners_misplaced",
+                camera=camera.name,
+                board=board.name,
+                off_px=min(off, spread),
+                spread_px=spread,
+            )
 
 
 def refuse_other_camera(begin: Calibration, rows: Observations, rig: Rig, camera: int) -> None:
@@ -89,8 +93,11 @@ def refuse_other_camera(begin: Calibration, rows: Observations, rig: Rig, camera
         f"{cy:.4g} px) camera {stated.name!r} and the arm agree to {freed.sigma_px:.2g} px, with those stated ({given}, lens "
         f"{stated.model}) to {held.sigma_px:.2g} px: these are of another camera, zoom, focus or picture size. Find them anew "
         '(`kilter see --intrinsics brown`), or let the fit find them ("intrinsics": "free", with a lens).',
-        code="intrinsics_differ", camera=stated.name, stated_px=held.sigma_px, own_px=freed.sigma_px,
-    )  # fmt: skip
+        code="intrinsics_differ",
+        camera=stated.name,
+        stated_px=held.sigma_px,
+        own_px=freed.sigma_px,
+    )
 
 
 def _own_intrinsics(rig: Rig, place: int, zoom: float, views: Views, rows: Observations, held: FittedRig) -> FittedRig:

@@ -23,17 +23,21 @@ def bad_timing(fit: Fit) -> Iterator[dict[str, Any]]:
         late = found.pictures
         side = "after" if late.s > 0.0 else "before"
         yield _timing_warning(
-            "pictures_late", late, found.views,
+            "pictures_late",
+            late,
+            found.views,
             f"Pictures were taken {_format_delay(late)} {side} their joints were read: corners are off along the motion by "
             f"{late.rms_px:.2g} px (rms). Let the arm rest at every pose, or move the times of the pictures by that much.",
-        )  # fmt: skip
+        )
     if _clear(found.lines):
         lines = found.lines
         yield _timing_warning(
-            "rolling_shutter", lines, found.views,
+            "rolling_shutter",
+            lines,
+            found.views,
             f"The camera reads its picture line by line, over {_format_delay(lines)}, while the arm moves: corners are off by "
             f"{lines.rms_px:.2g} px (rms). Let the arm rest at every pose, or take a camera with a global shutter.",
-        )  # fmt: skip
+        )
 
 
 def _clear(one: Delay) -> bool:
@@ -46,6 +50,11 @@ def _format_delay(one: Delay) -> str:
 
 def _timing_warning(code: str, one: Delay, views: int, message: str) -> dict[str, Any]:
     return {
-        "code": code, "time_s": one.s, "u95_s": QUANTILE * one.sigma, "rms_px": one.rms_px,
-        "views": views, "p_value": one.chance, "message": message,
-    }  # fmt: skip
+        "code": code,
+        "time_s": one.s,
+        "u95_s": QUANTILE * one.sigma,
+        "rms_px": one.rms_px,
+        "views": views,
+        "p_value": one.chance,
+        "message": message,
+    }

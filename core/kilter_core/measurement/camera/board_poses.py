@@ -128,8 +128,10 @@ def _from_afar(local: Floats, flats: Floats, seen: Bools) -> Iterator[tuple[Floa
     seen_ahead = seen_ahead[..., :2] / seen_ahead[..., 2:]
     board = np.column_stack([local[:, :2], np.ones(len(local))])
     weighed = board.T @ (board * seen[..., None])
-    found = np.linalg.solve(weighed + 1e-12 * np.trace(weighed, axis1=1, axis2=2)[:, None, None] * np.eye(3),
-                            board.T @ (seen_ahead * seen[..., None])).transpose(0, 2, 1)  # fmt: skip
+    found = np.linalg.solve(
+        weighed + 1e-12 * np.trace(weighed, axis1=1, axis2=2)[:, None, None] * np.eye(3),
+        board.T @ (seen_ahead * seen[..., None]),
+    ).transpose(0, 2, 1)
     size = np.maximum(np.linalg.norm(found[:, :, :2], ord=2, axis=(1, 2)), 1e-12)[:, None]
     across = found[:, :, :2] / size[:, None]
     place = np.concatenate([found[:, :, 2], np.ones((len(found), 1))], axis=1) / size

@@ -97,9 +97,15 @@ def _estimate_shape(name: str, modes: Floats, left: _Left, pose: Ints) -> BoardS
     apart = modes[int(z.argmax())] - modes[int(z.argmin())]
     explained = (X[:, :, :BENDS] @ (bent * size[:BENDS]))[r != 0.0]
     return BoardShape(
-        name, (float(bent[0]), float(bent[1])), float(bent[2]), float(np.ptp(z)), float(np.sqrt(apart @ C @ apart)),
-        float(f.sf(statistic, BENDS, free)), float(np.sqrt(np.mean(explained**2))), count,
-    )  # fmt: skip
+        name,
+        (float(bent[0]), float(bent[1])),
+        float(bent[2]),
+        float(np.ptp(z)),
+        float(np.sqrt(apart @ C @ apart)),
+        float(f.sf(statistic, BENDS, free)),
+        float(np.sqrt(np.mean(explained**2))),
+        count,
+    )
 
 
 def _modes(corners: Floats) -> Floats | None:

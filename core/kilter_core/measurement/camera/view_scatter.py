@@ -63,9 +63,7 @@ def estimate_view_scatter(e: Floats, C: Floats, rest: float, numbers: float, use
     e, noise = e[some] * np.sqrt(lost), square * C[some]
     place, turn = _widths(e, noise)
     low, high, mean = _interval(e, noise, place, turn)
-    return ViewScatter(
-        mean, low, high, turn, float(np.sqrt(square)), whole / freedom / max(square, 1e-300), freedom
-    )  # fmt: skip
+    return ViewScatter(mean, low, high, turn, float(np.sqrt(square)), whole / freedom / max(square, 1e-300), freedom)
 
 
 def shrunk(e: Floats, C: Floats, found: ViewScatter) -> Floats:
@@ -160,10 +158,12 @@ class ToolErrors:
     def concatenate(parts: Sequence[ToolErrors]) -> ToolErrors:
         """Errors of several parts of the views, as of folds; rows count within their part."""
         return ToolErrors(
-            np.concatenate([part.rows for part in parts]), np.concatenate([part.motion for part in parts]),
-            np.concatenate([part.covariance for part in parts]), sum(part.rest for part in parts),
+            np.concatenate([part.rows for part in parts]),
+            np.concatenate([part.motion for part in parts]),
+            np.concatenate([part.covariance for part in parts]),
+            sum(part.rest for part in parts),
             sum(part.numbers for part in parts),
-        )  # fmt: skip
+        )
 
     @property
     def sigma_px(self) -> float:

@@ -112,8 +112,10 @@ class RowRules:
             raise ObservationError(
                 f"Column {column.name!r} spreads over {spreads[column]:.3g} m, but the arm reaches {reach:.3g} m: "
                 f"{astray['message'] if astray else why} {core_identify.WAY_OUT}",
-                column=column.name, spread_m=spreads[column], **({"rows": astray["rows"]} if astray else {}),
-            )  # fmt: skip
+                column=column.name,
+                spread_m=spreads[column],
+                **({"rows": astray["rows"]} if astray else {}),
+            )
 
     def _check_column(self, column: Column, cells: Floats) -> None:
         if not column.may_be_empty and column.quantity not in self._beside:

@@ -63,9 +63,13 @@ def _collect_suspicious_rows(database: Database, campaign: Campaign) -> Suspicio
     count += len({one.row for one in found})
     found.sort(key=lambda one: (one.row, ORDER.index(one.said_by), one.version_id or ""))
     return SuspiciousRows(
-        campaign=campaign.id, name=campaign.name, rows=campaign.rows, count=count, found=found[:MOST_SAID],
+        campaign=campaign.id,
+        name=campaign.name,
+        rows=campaign.rows,
+        count=count,
+        found=found[:MOST_SAID],
         sentence=sentence(campaign.rows, count),
-    )  # fmt: skip
+    )
 
 
 def sentence(rows: int, count: int) -> str:

@@ -29,9 +29,7 @@ def keep_small() -> None:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError):
         return
-    for setting, value in (
-        (M_ARENA_MAX, ARENAS), (M_TRIM_THRESHOLD, LARGE_BYTES), (M_MMAP_THRESHOLD, LARGE_BYTES)
-    ):  # fmt: skip
+    for setting, value in ((M_ARENA_MAX, ARENAS), (M_TRIM_THRESHOLD, LARGE_BYTES), (M_MMAP_THRESHOLD, LARGE_BYTES)):
         mallopt(setting, value)
 
 

@@ -22,10 +22,15 @@ LAST_WORDS = 4000
 STRANGERS = 1000  # of the kernel's scores: before a worker, and long before what corrects an arm
 # Several threads would count their stacks against the memory, and there is one slot.
 PLAIN = {
-    "PATH": "/usr/bin:/bin", "LC_ALL": "C.UTF-8", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1",
-    "ARROW_DEFAULT_MEMORY_POOL": "system", "ARROW_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1",
+    "PATH": "/usr/bin:/bin",
+    "LC_ALL": "C.UTF-8",
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
+    "ARROW_NUM_THREADS": "1",
+    "PYTHONDONTWRITEBYTECODE": "1",
     "MALLOC_ARENA_MAX": "2",
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -60,9 +65,14 @@ def run(module: str, folder: Path, arguments: Sequence[str], limits: Limits, env
     told = ",".join(str(value) for value in asdict(limits).values())
     with (folder / "words").open("wb") as words:
         process = subprocess.Popen(
-            [sys.executable, "-I", "-m", module, *arguments], cwd=folder, stdin=subprocess.DEVNULL, stdout=words,
-            stderr=words, start_new_session=True, env={**PLAIN, **given, "TMPDIR": str(folder), LIMITS: told},
-        )  # fmt: skip
+            [sys.executable, "-I", "-m", module, *arguments],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=words,
+            stderr=words,
+            start_new_session=True,
+            env={**PLAIN, **given, "TMPDIR": str(folder), LIMITS: told},
+        )
         late = False
         try:
             code = process.wait(limits.seconds)
@@ -98,9 +108,12 @@ def confine() -> Limits:
         raise ServiceError("This module is started by the server alone.", code="payload_invalid")
     limits = Limits(*(int(value) for value in told.split(",")))
     for what, most in (
-        (resource.RLIMIT_AS, limits.memory_mb << 20), (resource.RLIMIT_CPU, limits.seconds),
-        (resource.RLIMIT_FSIZE, limits.output_mb << 20), (resource.RLIMIT_CORE, 0), (resource.RLIMIT_NOFILE, 256),
-    ):  # fmt: skip
+        (resource.RLIMIT_AS, limits.memory_mb << 20),
+        (resource.RLIMIT_CPU, limits.seconds),
+        (resource.RLIMIT_FSIZE, limits.output_mb << 20),
+        (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_NOFILE, 256),
+    ):
         resource.setrlimit(what, (most, most))
     os.nice(5)
     end_before_others(STRANGERS)

@@ -331,11 +331,14 @@ def _json_tables(path: Path, named: Names) -> Iterator[pa.Table]:
         if len(column) != longest:
             raise _cell_error(len(column) + 1, name, "is missing: give every column as many values")
         _cells(name, column, name in named)
-    yield pa.table({
-        name: pa.array(map(str, column), pa.string(), size=longest) if name in named
-        else pa.array(map(_float, column), pa.float64(), size=longest)
-        for name, column in document.items()
-    })  # fmt: skip
+    yield pa.table(
+        {
+            name: pa.array(map(str, column), pa.string(), size=longest)
+            if name in named
+            else pa.array(map(_float, column), pa.float64(), size=longest)
+            for name, column in document.items()
+        }
+    )
 
 
 def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

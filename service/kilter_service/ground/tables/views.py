@@ -29,10 +29,16 @@ def rig_from_conditions(conditions: Mapping[str, Any]) -> Rig | None:
 def _camera(one: Mapping[str, Any]) -> Camera:
     sigmas = one.get("sigmas_px")
     return Camera(
-        one["name"], one["mount"], (one["width_px"], one["height_px"]), (one["fx_px"], one["fy_px"]),
-        (one["cx_px"], one["cy_px"]), one.get("distortion_model", "none"), tuple(one.get("distortion") or ()),
-        one.get("intrinsics") or ("fixed" if sigmas is None else "prior"), None if sigmas is None else tuple(sigmas),
-    )  # fmt: skip
+        one["name"],
+        one["mount"],
+        (one["width_px"], one["height_px"]),
+        (one["fx_px"], one["fy_px"]),
+        (one["cx_px"], one["cy_px"]),
+        one.get("distortion_model", "none"),
+        tuple(one.get("distortion") or ()),
+        one.get("intrinsics") or ("fixed" if sigmas is None else "prior"),
+        None if sigmas is None else tuple(sigmas),
+    )
 
 
 def _board(one: Mapping[str, Any]) -> Board:

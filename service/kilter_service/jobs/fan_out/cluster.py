@@ -37,8 +37,9 @@ class DaskCluster:
             raise ServiceError(
                 f"KILTER_DASK names {address}, and a package is missing: pip install distributed, in the release that "
                 "constraints.txt names, or unset KILTER_DASK.",
-                code="cluster_away", address=address,
-            )  # fmt: skip
+                code="cluster_away",
+                address=address,
+            )
         self._address = address
 
     def pays(self, parts: int, each_s: float) -> bool:
@@ -63,14 +64,16 @@ class DaskCluster:
             raise CoreError(
                 f"The scheduler of the cluster at {self._address} cannot read a part of the job: {error.__cause__}. Install "
                 "the same Kilter for the scheduler as for its workers, and ask for the job again.",
-                code="cluster_differs", address=self._address,
-            ) from error  # fmt: skip
+                code="cluster_differs",
+                address=self._address,
+            ) from error
         except KilledWorker as error:
             raise CoreError(
                 f"Workers of the cluster at {self._address} that computed a part of the job ended, one after the other: "
                 f"their memory may be full. Give them more, and see their logs. ({error})",
-                code="part_ended", address=self._address,
-            ) from error  # fmt: skip
+                code="part_ended",
+                address=self._address,
+            ) from error
         finally:
             with suppress(Exception):  # a scheduler that is gone has nothing left to cancel
                 executor.shutdown(wait=False)
@@ -89,8 +92,9 @@ class DaskCluster:
         return ServiceError(
             f"The Dask scheduler at {self._address} does not answer. Start it, or correct KILTER_DASK, and ask for the job "
             "again; without KILTER_DASK the worker computes in processes of its own.",
-            code="cluster_away", address=self._address,
-        )  # fmt: skip
+            code="cluster_away",
+            address=self._address,
+        )
 
 
 class _Watch:

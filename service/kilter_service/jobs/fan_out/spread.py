@@ -131,8 +131,9 @@ class FanOut:
                 raise CoreError(
                     f"Processes that computed parts of the job have ended {breaks} times without an answer: the memory may "
                     "be full. Set a smaller KILTER_WORKER_PROCESSES, or give the machine more memory.",
-                    code="part_ended", parts=len(left),
-                )  # fmt: skip
+                    code="part_ended",
+                    parts=len(left),
+                )
 
 
 def _round(

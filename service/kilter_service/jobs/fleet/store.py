@@ -108,7 +108,14 @@ def robots_of_fleet_job(session: Session, fleet_id: str) -> list[FleetRobotRecor
     one = FleetRobotRow
     query = (
         select(
-            RobotRow.name, one.before_id, one.refusal, one.judged, one.job_id, JobRow.request, JobRow.state, JobRow.error,
+            RobotRow.name,
+            one.before_id,
+            one.refusal,
+            one.judged,
+            one.job_id,
+            JobRow.request,
+            JobRow.state,
+            JobRow.error,
             VersionRow.id,
         )
         .join(RobotRow, RobotRow.id == one.robot_id)
@@ -116,7 +123,7 @@ def robots_of_fleet_job(session: Session, fleet_id: str) -> list[FleetRobotRecor
         .outerjoin(VersionRow, VersionRow.job_id == one.job_id)
         .where(one.fleet_id == fleet_id)
         .order_by(RobotRow.name)
-    )  # fmt: skip
+    )
     return [FleetRobotRecord(*found) for found in session.execute(query)]
 
 

@@ -40,14 +40,16 @@ def poses_from_rows(
     """Rows of a plan as poses; ``factors`` say how much more is known after each."""
     return [
         Pose(
-            q=rows.q[k], kind=kind, change=change,
+            q=rows.q[k],
+            kind=kind,
+            change=change,
             payload_kg=None if rows.payload_kg is None else float(rows.payload_kg[k]),
             payload_com=_centre(rows, k),
             direction=None if rows.direction is None else tuple(int(s) for s in rows.direction[k]),
             information_factor=round(float(factors[k]), 3) if len(factors) else None,
         )
         for k in range(len(rows))
-    ]  # fmt: skip
+    ]
 
 
 def _centre(rows: Observations, k: int) -> tuple[float, float, float] | None:
@@ -71,10 +73,12 @@ def _row(robot: Robot, pose: Pose) -> dict[str, Any]:
         name: round(float(v * k), DIGITS) for name, k, v in zip(_names(robot), joint_scale(robot), q, strict=True)
     }
     row |= {
-        "kind": pose.kind, "change": pose.change, "payload_kg": pose.payload_kg,
+        "kind": pose.kind,
+        "change": pose.change,
+        "payload_kg": pose.payload_kg,
         "direction": None if pose.direction is None else list(pose.direction),
         "information_factor": pose.information_factor,
-    }  # fmt: skip
+    }
     if pose.payload_com is not None:
         row["payload_com_mm"] = [round(to_mm(value), DIGITS) for value in pose.payload_com]
     numbers = {"pose_id": pose.pose_id, "session": pose.session}

@@ -69,9 +69,14 @@ def run_drift_check(job: JobInput, rows: Observations, known: Predictive) -> Che
     calibration = applied_calibration(job)
     noise = counted_noise(job, known)
     return core_watch.check(
-        calibration, rows, known, noise=noise, new_setup=options.new_setup, fitted_c=job.fit.temperatures_c,
+        calibration,
+        rows,
+        known,
+        noise=noise,
+        new_setup=options.new_setup,
+        fitted_c=job.fit.temperatures_c,
         conditions=build_check_conditions(job, noise),
-    )  # fmt: skip
+    )
 
 
 def comparable_rows(job: JobInput) -> Observations:
@@ -86,8 +91,9 @@ def comparable_rows(job: JobInput) -> Observations:
         raise ObservationError(
             f"The version was fitted to rows of campaign {campaign}: they agree with it whatever the arm does. Measure some "
             "poses again, and check with them.",
-            code="rows_shared", campaign=campaign,
-        )  # fmt: skip
+            code="rows_shared",
+            campaign=campaign,
+        )
     unknown = _unknown_sides(job)
     return rows.select(~unknown) if unknown.any() else rows
 
@@ -137,21 +143,35 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
     causes = [documents[one.cause.name] for one in found.causes]
     since = last_otherwise(causes, to_mm(found.noise), found.poses, job.fit.agreeing)
     return {
-        "version_id": job.version_id, "verdict": found.verdict, "sentence": wire.sentence(found, since),
+        "version_id": job.version_id,
+        "verdict": found.verdict,
+        "sentence": wire.sentence(found, since),
         "agreed_at": None if since is None else since.isoformat(),
-        "remedy": wire.remedy(found, applied_calibration(job).names), "causes": causes,
-        "looked_at": list(documents.values()), "p_value": found.p_value, "false_alarm": core_watch.FALSE_ALARM,
-        "chi_square": found.chi_square, "numbers": found.numbers, "poses": found.poses,
-        "lengths": "by_views" if found.by_views else "at_tool", "misfit_mm": to_mm(found.misfit),
+        "remedy": wire.remedy(found, applied_calibration(job).names),
+        "causes": causes,
+        "looked_at": list(documents.values()),
+        "p_value": found.p_value,
+        "false_alarm": core_watch.FALSE_ALARM,
+        "chi_square": found.chi_square,
+        "numbers": found.numbers,
+        "poses": found.poses,
+        "lengths": "by_views" if found.by_views else "at_tool",
+        "misfit_mm": to_mm(found.misfit),
         "noise_mm": to_mm(found.noise),
-        "expected_mm": to_mm(known.inadequacy), "smallest": wire.smallest_documents(found),
-        "unseen": [wire.cause_words(one) for one in found.unseen], "joint_log": found.joint_log,
-        "new_setup": list(found.new_setup), "setup_mm": to_mm(found.conditions.setup),
-        "within_k": found.conditions.within_k, "scatter": found.scatter,
+        "expected_mm": to_mm(known.inadequacy),
+        "smallest": wire.smallest_documents(found),
+        "unseen": [wire.cause_words(one) for one in found.unseen],
+        "joint_log": found.joint_log,
+        "new_setup": list(found.new_setup),
+        "setup_mm": to_mm(found.conditions.setup),
+        "within_k": found.conditions.within_k,
+        "scatter": found.scatter,
         "temperature_c": None if rows.temperature_c is None else float(rows.temperature_c.mean()),
-        "fitted_c": job.fit.temperatures_c, "warnings": list(_warnings(job, known)), "refit": list(found.new_setup),
+        "fitted_c": job.fit.temperatures_c,
+        "warnings": list(_warnings(job, known)),
+        "refit": list(found.new_setup),
         "metrics": {campaign: _errors(job, rows, known, found) for campaign in measured},
-    }  # fmt: skip
+    }
 
 
 def _warnings(job: JobInput, known: Predictive) -> Iterator[dict[str, Any]]:

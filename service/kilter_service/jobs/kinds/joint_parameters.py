@@ -210,9 +210,13 @@ def _row(p: JointParameter) -> dict[str, Any]:
     """A parameter in degrees; the stiffness of a joint is given with its compliance."""
     scale = 1.0 if p.unit == "s" else to_deg(1.0)
     row: dict[str, Any] = {
-        "name": p.name, "unit": p.unit.replace("rad", "deg"), "readings": p.readings, "identifiable": p.value is not None,
-        "value": None if p.value is None else p.value * scale, "sigma": None if p.sigma is None else p.sigma * scale,
-    }  # fmt: skip
+        "name": p.name,
+        "unit": p.unit.replace("rad", "deg"),
+        "readings": p.readings,
+        "identifiable": p.value is not None,
+        "value": None if p.value is None else p.value * scale,
+        "sigma": None if p.sigma is None else p.sigma * scale,
+    }
     row |= {"nominal": 0.0, "change": row["value"]}  # a nominal joint has neither backlash nor compliance
     if p.reason is not None:
         row["reason"] = p.reason

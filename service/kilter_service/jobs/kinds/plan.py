@@ -139,10 +139,11 @@ def _check(job: JobInput, progress: Progress) -> dict[str, Any]:
         progress=progress,
     )
     shown = {
-        "false_alarm": core_watch.FALSE_ALARM, "smallest": wire.smallest_documents(plan.found),
+        "false_alarm": core_watch.FALSE_ALARM,
+        "smallest": wire.smallest_documents(plan.found),
         "unseen": [wire.cause_words(one) for one in plan.found.unseen],
         "faint": [wire.faint_sentence(one) for one in plan.faint],
-    }  # fmt: skip
+    }
     return {**poses_document(job.robot, [Pose(row) for row in plan.q]), **shown}
 
 
@@ -308,9 +309,11 @@ def _separate(job: JobInput, progress: Progress) -> dict[str, Any]:
 
 def _about(p: Proposal) -> dict[str, Any]:
     return {
-        "kind": p.kind, "change": p.change or None, "poses": len(p.rows),
+        "kind": p.kind,
+        "change": p.change or None,
+        "poses": len(p.rows),
         "information_factor": round(float(p.after[-1] / max(p.before, 1e-12)), 3),
-    }  # fmt: skip
+    }
 
 
 def _count(job: JobInput) -> int:

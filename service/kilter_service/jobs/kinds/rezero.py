@@ -39,14 +39,22 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     report |= {"warnings": [remark], REZEROED: {"campaign": campaign, "start": job.version_id, "names": found.names}}
     own = [row for row in report["parameters"] if row["name"] in found.names]
     result = {
-        "sentence": said, "start": job.version_id, "causes": [wire.cause_document(one) for one in found.changed_causes],
-        "parameters": own, "p_before": found.before.p_value, "p_after": found.after.p_value,
-        "metrics": report["metrics"], "warnings": [],
-    }  # fmt: skip
+        "sentence": said,
+        "start": job.version_id,
+        "causes": [wire.cause_document(one) for one in found.changed_causes],
+        "parameters": own,
+        "p_before": found.before.p_value,
+        "p_after": found.after.p_value,
+        "metrics": report["metrics"],
+        "warnings": [],
+    }
     content = VersionContent(
-        found.calibration.to_document(), to_json_types(report), found.known.to_document(), options.limits or CorrectionLimits(),
+        found.calibration.to_document(),
+        to_json_types(report),
+        found.known.to_document(),
+        options.limits or CorrectionLimits(),
         parent_id=job.version_id,
-    )  # fmt: skip
+    )
     return JobOutput(to_json_types(result), content)
 
 
@@ -88,7 +96,7 @@ def _report(job: JobInput, found: Rezeroed) -> dict[str, Any]:
     return start | {
         "parameters": core_identify.build_parameter_rows(found.calibration, names, sigma, told),
         "metrics": {"train": {stage: errors[stage] for stage in STAGES} | {"budget": budget}},
-    }  # fmt: skip
+    }
 
 
 KIND = JobKind(REZERO, run, preview_job=preview_job)

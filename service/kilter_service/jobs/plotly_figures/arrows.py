@@ -62,15 +62,25 @@ def _in_space(tails: Floats, heads: Floats, red: Any) -> list[Document]:
         path = _paths(np.stack([tails[which], heads[which]], axis=1))
         x, y, z = (_numbers(path[:, k]) for k in range(3))
         return {
-            "type": "scatter3d", "mode": "lines", "name": name, "x": x, "y": y, "z": z,
+            "type": "scatter3d",
+            "mode": "lines",
+            "name": name,
+            "x": x,
+            "y": y,
+            "z": z,
             "line": {"color": colour, "width": 3},
-        }  # fmt: skip
+        }
 
     x, y, z = (_numbers(tails[:, k]) for k in range(3))
     dots = {
-        "type": "scatter3d", "mode": "markers", "name": "where the tool was", "x": x, "y": y, "z": z,
+        "type": "scatter3d",
+        "mode": "markers",
+        "name": "where the tool was",
+        "x": x,
+        "y": y,
+        "z": z,
         "marker": {"color": GREY, "size": 5},
-    }  # fmt: skip
+    }
     made = [dots, lines(~red, "measured minus predicted", BLUE)]
     return made + ([lines(red, f"the {int(red.sum())} worst", RED)] if red.any() else [])
 
@@ -78,9 +88,13 @@ def _in_space(tails: Floats, heads: Floats, red: Any) -> list[Document]:
 def _space(title: str) -> Document:
     scene: Document = {f"{axis}axis": {"title": {"text": f"{axis} of the base, mm"}} for axis in AXES}
     return {
-        "title": {"text": title}, "scene": scene | {"aspectmode": "data"}, "width": 900, "height": 760,
-        "margin": {"t": 90}, "legend": LEGEND | {"y": 0.0},
-    }  # fmt: skip
+        "title": {"text": title},
+        "scene": scene | {"aspectmode": "data"},
+        "width": 900,
+        "height": 760,
+        "margin": {"t": 90},
+        "legend": LEGEND | {"y": 0.0},
+    }
 
 
 def _from_three_sides(tails: Floats, heads: Floats, red: Any) -> list[Document]:
@@ -88,37 +102,60 @@ def _from_three_sides(tails: Floats, heads: Floats, red: Any) -> list[Document]:
     for n, (i, j, _) in enumerate(VIEWS):
         axes = {} if n == 0 else {"xaxis": f"x{n + 1}", "yaxis": f"y{n + 1}"}
         flat_tails, flat_heads = tails[:, [i, j]], heads[:, [i, j]]
-        data.append({
-            "type": "scatter", "mode": "markers", "name": "where the tool was", "showlegend": n == 0, **axes,
-            "x": _numbers(flat_tails[:, 0]), "y": _numbers(flat_tails[:, 1]), "marker": {"color": GREY, "size": 4},
-        })  # fmt: skip
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": "where the tool was",
+                "showlegend": n == 0,
+                **axes,
+                "x": _numbers(flat_tails[:, 0]),
+                "y": _numbers(flat_tails[:, 1]),
+                "marker": {"color": GREY, "size": 4},
+            }
+        )
         for which, name, colour in (
             (~red, "measured minus predicted", BLUE),
             (red, f"the {int(red.sum())} worst", RED),
         ):
             if which.any():
                 path = _paths(_arrow_polylines(flat_tails[which], flat_heads[which]))
-                data.append({
-                    "type": "scatter", "mode": "lines", "name": name, "showlegend": n == 0, **axes,
-                    "x": _numbers(path[:, 0]), "y": _numbers(path[:, 1]), "line": {"color": colour, "width": 1.2},
-                })  # fmt: skip
+                data.append(
+                    {
+                        "type": "scatter",
+                        "mode": "lines",
+                        "name": name,
+                        "showlegend": n == 0,
+                        **axes,
+                        "x": _numbers(path[:, 0]),
+                        "y": _numbers(path[:, 1]),
+                        "line": {"color": colour, "width": 1.2},
+                    }
+                )
     return data
 
 
 def _sides(title: str) -> Document:
     made: Document = {
-        "title": {"text": title}, "width": 1300, "height": 560, "margin": {"t": 90},
+        "title": {"text": title},
+        "width": 1300,
+        "height": 560,
+        "margin": {"t": 90},
         "legend": LEGEND,
-    }  # fmt: skip
+    }
     for n, (i, j, side) in enumerate(VIEWS):
         own = "" if n == 0 else str(n + 1)
         made[f"xaxis{own}"] = {
-            "title": {"text": f"{AXES[i]}, mm ({side})"}, "domain": [0.355 * n, 0.355 * n + 0.29],
+            "title": {"text": f"{AXES[i]}, mm ({side})"},
+            "domain": [0.355 * n, 0.355 * n + 0.29],
             "anchor": f"y{own}",
-        }  # fmt: skip
+        }
         made[f"yaxis{own}"] = {
-            "title": {"text": f"{AXES[j]}, mm"}, "scaleanchor": f"x{own}", "scaleratio": 1, "anchor": f"x{own}",
-        }  # fmt: skip
+            "title": {"text": f"{AXES[j]}, mm"},
+            "scaleanchor": f"x{own}",
+            "scaleratio": 1,
+            "anchor": f"x{own}",
+        }
     return made
 
 

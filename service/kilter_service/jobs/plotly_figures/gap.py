@@ -64,10 +64,14 @@ def _visits(curve: EffectCurve) -> Iterator[Document]:
         y = [value for k in own for value in (visits.y[k] - visits.half[k], visits.y[k] + visits.half[k], None)]
         yield _line(x, y, "95 % interval", colour, THIN, named=False)
         yield {
-            "type": "scatter", "mode": "markers", "name": curve_words.visit(direction), "showlegend": True,
-            "x": [visits.x[k] for k in own], "y": [visits.y[k] for k in own],
+            "type": "scatter",
+            "mode": "markers",
+            "name": curve_words.visit(direction),
+            "showlegend": True,
+            "x": [visits.x[k] for k in own],
+            "y": [visits.y[k] for k in own],
             "marker": {"color": colour, "size": DOT_PX},
-        }  # fmt: skip
+        }
 
 
 def _band(side: CurveSide, low: Sequence[float], high: Sequence[float]) -> Document:
@@ -80,9 +84,14 @@ def _line(
     x: Sequence[float | None], y: Sequence[float | None], name: str, colour: str, width: float, *, named: bool = True
 ) -> Document:
     return {
-        "type": "scatter", "mode": "lines", "name": name, "showlegend": named, "x": list(x), "y": list(y),
+        "type": "scatter",
+        "mode": "lines",
+        "name": name,
+        "showlegend": named,
+        "x": list(x),
+        "y": list(y),
         "line": {"color": colour, "width": width},
-    }  # fmt: skip
+    }
 
 
 def _format_direction_gap(curve: EffectCurve) -> str:
@@ -122,9 +131,14 @@ def _gap_bar(bars: Sequence[Mapping[str, Any]], unit: str) -> Document:
 
     def trace(name: str, key: str, colour: str) -> Document:
         return {
-            "type": "bar", "orientation": "h", "name": name, "y": labels, "x": [bar[key] for bar in bars],
-            "marker": {"color": [colour] * (len(bars) - 1) + [GREY]}, "showlegend": True,
-        }  # fmt: skip
+            "type": "bar",
+            "orientation": "h",
+            "name": name,
+            "y": labels,
+            "x": [bar[key] for bar in bars],
+            "marker": {"color": [colour] * (len(bars) - 1) + [GREY]},
+            "showlegend": True,
+        }
 
     data = [trace("rows that were fitted", "value", BLUE)]
     if bars[0]["held_out"] is not None:
@@ -138,8 +152,10 @@ def _intervals(bars: Sequence[Mapping[str, Any]]) -> Document:
     ends = [bar.get("held_out_interval") for bar in bars]
     if not any(ends):
         return {}
-    lengths = [(0.0, 0.0) if end is None else (end[1] - bar["held_out"], bar["held_out"] - end[0])
-               for bar, end in zip(bars, ends, strict=True)]  # fmt: skip
+    lengths = [
+        (0.0, 0.0) if end is None else (end[1] - bar["held_out"], bar["held_out"] - end[0])
+        for bar, end in zip(bars, ends, strict=True)
+    ]
     above, below = zip(*lengths, strict=True)
     return {"error_x": {"type": "data", "array": list(above), "arrayminus": list(below), "symmetric": False}}
 
@@ -147,9 +163,13 @@ def _intervals(bars: Sequence[Mapping[str, Any]]) -> Document:
 def _by_angle(one: Mapping[str, Any], unit: str) -> Document:
     def points(name: str, y: str, colour: str) -> Document:
         return {
-            "type": "scatter", "mode": "markers", "name": name, "x": one["q_deg"], "y": one[y],
+            "type": "scatter",
+            "mode": "markers",
+            "name": name,
+            "x": one["q_deg"],
+            "y": one[y],
             "marker": {"color": colour, "size": 4},
-        }  # fmt: skip
+        }
 
     joint = one["joint"]
     data = [points("residual before", "before", GREY), points("residual after", "after", BLUE)]
@@ -165,9 +185,14 @@ def _by_label(rows: Sequence[Mapping[str, Any]], what: str, unit: str) -> Docume
     def bars(name: str, colour: str) -> Document:
         spread = {"type": "data", "array": [r[f"{name}_sd"] for r in rows]}
         return {
-            "type": "bar", "orientation": "h", "name": name, "y": names, "x": [r[f"{name}_mean"] for r in rows],
-            "error_x": spread, "marker": {"color": colour},
-        }  # fmt: skip
+            "type": "bar",
+            "orientation": "h",
+            "name": name,
+            "y": names,
+            "x": [r[f"{name}_mean"] for r in rows],
+            "error_x": spread,
+            "marker": {"color": colour},
+        }
 
     title = f"Residual by {what[0].lower()}{what[1:]}: mean and standard deviation"
     made = bar_layout(title, f"residual, {unit}", names, 2, barmode="group")
@@ -180,9 +205,13 @@ def _contribution(rows: Sequence[Mapping[str, Any]], unit: str) -> Document:
 
     def bars(name: str, colour: str) -> Document:
         return {
-            "type": "bar", "orientation": "h", "name": name, "y": labels, "x": [r[name] for r in rows],
+            "type": "bar",
+            "orientation": "h",
+            "name": name,
+            "y": labels,
+            "x": [r[name] for r in rows],
             "marker": {"color": colour},
-        }  # fmt: skip
+        }
 
     made = bar_layout("How far each named effect moves the tool", f"displacement, {unit}", labels, 2, barmode="group")
     return {"data": [bars("rms", GREEN), bars("largest", GREY)], "layout": made}
@@ -191,8 +220,14 @@ def _contribution(rows: Sequence[Mapping[str, Any]], unit: str) -> Document:
 def _aliases(matrix: Mapping[str, Any]) -> Document:
     labels = distinct_labels(matrix["labels"])
     trace = {
-        "type": "heatmap", "x": labels, "y": labels, "z": matrix["values"], "zmin": 0, "zmax": 1, "colorscale": "Blues",
-    }  # fmt: skip
+        "type": "heatmap",
+        "x": labels,
+        "y": labels,
+        "z": matrix["values"],
+        "zmin": 0,
+        "zmax": 1,
+        "colorscale": "Blues",
+    }
     side = FRAME_PX + 120 + ROW_PX * max(8, len(labels))
     made = layout("How well signatures correlate after the geometry is fitted", "", "", width=side + 80, height=side)
     made["xaxis"] |= {"automargin": True, "tickangle": -60}

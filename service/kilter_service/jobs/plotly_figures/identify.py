@@ -116,15 +116,22 @@ def _bars(worst: Sequence[Row], labels: Sequence[str]) -> Iterator[Document]:
         own = [row if row.use == use else None for row in worst]
         if any(own):
             yield {
-                "type": "bar", "orientation": "h", "name": use, "showlegend": True, "y": list(labels),
+                "type": "bar",
+                "orientation": "h",
+                "name": use,
+                "showlegend": True,
+                "y": list(labels),
                 "marker": {"color": colour},
                 "x": [None if row is None else round(row.size, 5) for row in own],
                 "hovertext": ["" if row is None else "dx {:.4g} dy {:.4g} dz {:.4g} mm".format(*row.mm) for row in own],
-            }  # fmt: skip
+            }
 
 
-STAGES = (("nominal", "before, nominal", GREY), ("registration_only", "registration only", ORANGE),
-          ("identified", "identified", BLUE))  # fmt: skip
+STAGES = (
+    ("nominal", "before, nominal", GREY),
+    ("registration_only", "registration only", ORANGE),
+    ("identified", "identified", BLUE),
+)
 PER_DECADE, MOST_BINS = 8, 60
 SMALLEST_MM = 1e-6
 MOST_MEASURED, FEW_MEASURED = 300, 50
@@ -158,16 +165,30 @@ def uncertainty_figure(found: Identification, rows: Observations, seed: int) -> 
             "cmax": high,
         }
         bar = {"colorbar": {"title": {"text": "± mm"}}} if n == 0 else {}
-        data.append({
-            "type": "scatter", "mode": "markers", "name": "within the limits", "showlegend": False, **axes,
-            "x": round_values(to_mm(space.points[:, i]), 1), "y": round_values(to_mm(space.points[:, j]), 1),
-            "marker": {"size": 6, **colour, **bar},
-        })  # fmt: skip
-        data.append({
-            "type": "scatter", "mode": "markers", "name": "rows that were fitted", "showlegend": n == 0, **axes,
-            "x": round_values(to_mm(space.measured[some, i]), 1), "y": round_values(to_mm(space.measured[some, j]), 1),
-            "marker": {"size": 4 if len(some) > FEW_MEASURED else 9, "color": RED, "symbol": "x"},
-        })  # fmt: skip
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": "within the limits",
+                "showlegend": False,
+                **axes,
+                "x": round_values(to_mm(space.points[:, i]), 1),
+                "y": round_values(to_mm(space.points[:, j]), 1),
+                "marker": {"size": 6, **colour, **bar},
+            }
+        )
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": "rows that were fitted",
+                "showlegend": n == 0,
+                **axes,
+                "x": round_values(to_mm(space.measured[some, i]), 1),
+                "y": round_values(to_mm(space.measured[some, j]), 1),
+                "marker": {"size": 4 if len(some) > FEW_MEASURED else 9, "color": RED, "symbol": "x"},
+            }
+        )
     title = f"Where the tool is known to, 95 %: ±{three_digits(low)} to ±{three_digits(high)} mm per coordinate"
     return {"predicted_error": {"data": data, "layout": _two_views(title)}}
 
@@ -177,13 +198,16 @@ def _two_views(title: str) -> Document:
         return {"title": {"text": words}, **more}
 
     return {
-        "title": {"text": title}, "width": 1000, "height": 560, "margin": {"t": 90},
+        "title": {"text": title},
+        "width": 1000,
+        "height": 560,
+        "margin": {"t": 90},
         "legend": LEGEND,
         "xaxis": axis("x of the base, mm", domain=[0.0, 0.45]),
         "yaxis": axis("z of the base, mm", scaleanchor="x", scaleratio=1),
         "xaxis2": axis("x of the base, mm", domain=[0.55, 1.0], anchor="y2"),
         "yaxis2": axis("y of the base, mm", anchor="x2", scaleanchor="x2", scaleratio=1),
-    }  # fmt: skip
+    }
 
 
 def _histogram(errors: RowErrors, kind: str) -> Document:
@@ -196,11 +220,17 @@ def _histogram(errors: RowErrors, kind: str) -> Document:
     for name, label, colour in STAGES:
         counts = np.histogram(sizes[name], edges)[0]
         rms, median = np.sqrt(np.mean(sizes[name] ** 2)), np.median(sizes[name])
-        data.append({
-            "type": "scatter", "mode": "lines", "x": round_values(edges, 7),
-            "name": f"{label}: median {three_digits(median)}, rms {three_digits(rms)} mm", "y": [*counts.tolist(), 0],
-            "line": {"color": colour, "shape": "hv"}, "fill": "tozeroy",
-        })  # fmt: skip
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "x": round_values(edges, 7),
+                "name": f"{label}: median {three_digits(median)}, rms {three_digits(rms)} mm",
+                "y": [*counts.tolist(), 0],
+                "line": {"color": colour, "shape": "hv"},
+                "fill": "tozeroy",
+            }
+        )
     number = len(sizes["identified"])
     made = layout(f"Errors of {number} {kind} rows", "error, mm (each division ten times the one before)", "rows")
     made["xaxis"] |= {"type": "log"}

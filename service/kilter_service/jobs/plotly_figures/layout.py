@@ -78,8 +78,13 @@ def add_captions(figures: Mapping[str, Document], robot: str, campaigns: Sequenc
         f"<br><sup>{plain_text(shorten_label(robot))}, version {version}<br>measured: {plain_text(named)}{more}</sup>"
     )
     return {
-        name: {**figure, "layout": {
-            **figure["layout"], "meta": meta, "title": {"text": figure["layout"]["title"]["text"] + under},
-        }}
+        name: {
+            **figure,
+            "layout": {
+                **figure["layout"],
+                "meta": meta,
+                "title": {"text": figure["layout"]["title"]["text"] + under},
+            },
+        }
         for name, figure in figures.items()
-    }  # fmt: skip
+    }

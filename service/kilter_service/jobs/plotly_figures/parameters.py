@@ -68,16 +68,29 @@ def _bars(panel: Sequence[Row], n: int, drawn: Sequence[Row]) -> list[Document]:
             continue
         ends = [_interval(p) for p in panel]
         first = next(p for p in drawn if _kind(p) == kind)
-        out.append({
-            "type": "bar", "orientation": "h", "name": kind, "legendgroup": kind, "showlegend": first in panel, **axes,
-            "y": names, "x": [_digits(_change(p)) if mine else None for p, mine in zip(panel, own, strict=True)],
-            "marker": {"color": colour},
-            "error_x": {
-                "type": "data", "symmetric": False, "thickness": 1.2, "color": "#202124",
-                "array": [_digits(above) if mine else None for (_, above), mine in zip(ends, own, strict=True)],
-                "arrayminus": [_digits(below) if mine else None for (below, _), mine in zip(ends, own, strict=True)],
-            },
-        })  # fmt: skip
+        out.append(
+            {
+                "type": "bar",
+                "orientation": "h",
+                "name": kind,
+                "legendgroup": kind,
+                "showlegend": first in panel,
+                **axes,
+                "y": names,
+                "x": [_digits(_change(p)) if mine else None for p, mine in zip(panel, own, strict=True)],
+                "marker": {"color": colour},
+                "error_x": {
+                    "type": "data",
+                    "symmetric": False,
+                    "thickness": 1.2,
+                    "color": "#202124",
+                    "array": [_digits(above) if mine else None for (_, above), mine in zip(ends, own, strict=True)],
+                    "arrayminus": [
+                        _digits(below) if mine else None for (below, _), mine in zip(ends, own, strict=True)
+                    ],
+                },
+            }
+        )
     return out
 
 
@@ -90,18 +103,27 @@ def _layout(title: str, units: Sequence[str], panels: Sequence[Sequence[Row]]) -
     heights = [float(len(panel)) for panel in panels]
     whole = sum(heights) + GAP_ROWS * (len(panels) - 1)
     made: Document = {
-        "title": {"text": title}, "barmode": "overlay", "height": round(FRAME_PX + ROW_PX * max(4.0, whole)),
-        "margin": {"t": 110}, "legend": {"orientation": "h", "yanchor": "bottom", "y": 1.0},
-    }  # fmt: skip
+        "title": {"text": title},
+        "barmode": "overlay",
+        "height": round(FRAME_PX + ROW_PX * max(4.0, whole)),
+        "margin": {"t": 110},
+        "legend": {"orientation": "h", "yanchor": "bottom", "y": 1.0},
+    }
     top = 1.0
     for n, (unit, height) in enumerate(zip(units, heights, strict=True)):
         own, low = "" if n == 0 else str(n + 1), max(0.0, top - height / whole)
         made[f"xaxis{own}"] = {
-            "title": {"text": f"change, {unit}" if unit else "change"}, "anchor": f"y{own}", "zeroline": True,
-        }  # fmt: skip
+            "title": {"text": f"change, {unit}" if unit else "change"},
+            "anchor": f"y{own}",
+            "zeroline": True,
+        }
         made[f"yaxis{own}"] = {
-            "title": {"text": ""}, "domain": [low, top], "anchor": f"x{own}", "automargin": True, "type": "category",
+            "title": {"text": ""},
+            "domain": [low, top],
+            "anchor": f"x{own}",
+            "automargin": True,
+            "type": "category",
             "autorange": "reversed",
-        }  # fmt: skip
+        }
         top = low - GAP_ROWS / whole
     return made

@@ -79,9 +79,14 @@ def _message(event: str, job: str, found: DriftHistory) -> dict[str, Any]:
     alarmed = alarmed if event == BEGAN else []
     since = alarmed[0].since if alarmed else None
     return {
-        "event": event, "job_id": job, "robot": found.robot, "version_id": found.version_id, "at": utc_now().isoformat(),
-        "state": found.state, "sentence": found.sentence,
+        "event": event,
+        "job_id": job,
+        "robot": found.robot,
+        "version_id": found.version_id,
+        "at": utc_now().isoformat(),
+        "state": found.state,
+        "sentence": found.sentence,
         "remedy": REMEDY.format(robot=found.robot) if event == BEGAN else "",
         "since": None if since is None else since.isoformat(),
         "causes": [{"name": one.name, "words": one.words} for one in alarmed],
-    }  # fmt: skip
+    }

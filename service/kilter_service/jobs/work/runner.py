@@ -188,9 +188,14 @@ def verdict_message(
         return None
     causes = [{"name": one["name"], "words": one["words"]} for one in result.get("causes") or []]
     return {
-        "event": "check", "job_id": job, "robot": robot, "campaigns": [one.id for one in used],
-        "at": utc_now().isoformat(), **{name: result.get(name) for name in SAID}, "causes": causes,
-    }  # fmt: skip
+        "event": "check",
+        "job_id": job,
+        "robot": robot,
+        "campaigns": [one.id for one in used],
+        "at": utc_now().isoformat(),
+        **{name: result.get(name) for name in SAID},
+        "causes": causes,
+    }
 
 
 def with_doubts(output: JobOutput, job: JobInput) -> JobOutput:

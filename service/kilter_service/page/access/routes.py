@@ -38,10 +38,14 @@ def show_tokens(request: Request, database: DatabaseOfApp) -> HTMLResponse:
 
 @router.post("/access")
 def add(
-    request: Request, database: DatabaseOfApp, actor: Admin, name: Annotated[TokenName, Form()],
-    role: Annotated[Role, Form()], robot: Annotated[list[str] | None, Form()] = None,
+    request: Request,
+    database: DatabaseOfApp,
+    actor: Admin,
+    name: Annotated[TokenName, Form()],
+    role: Annotated[Role, Form()],
+    robot: Annotated[list[str] | None, Form()] = None,
     days: Annotated[int, Form(ge=0, le=3650)] = 365,
-) -> HTMLResponse:  # fmt: skip
+) -> HTMLResponse:
     """Make a token; its secret is in this answer and nowhere else."""
     wanted = NewToken(name=name, role=role, robots=robot or None, days=days or None)
     return render(request, "access/made.html", 201, made=service.add(database, wanted, actor))

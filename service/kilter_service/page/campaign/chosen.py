@@ -117,9 +117,15 @@ def chosen(database: Database, campaign_id: str, text: str, version: str) -> Cho
         found.append(Row(row, file, row - starts[file - 1], joints, error, sigma))
     name = display_name(versions.get(database, judge)) if judge and left else ""
     return Chosen(
-        campaign, judge if left else "", name, [joint.name for joint in arm.joints], joint_units(arm), found, len(rows),
+        campaign,
+        judge if left else "",
+        name,
+        [joint.name for joint in arm.joints],
+        joint_units(arm),
+        found,
+        len(rows),
         ranges(rows),
-    )  # fmt: skip
+    )
 
 
 def named_rows(database: Database, campaign_id: str, text: str) -> tuple[Campaign, list[int]]:

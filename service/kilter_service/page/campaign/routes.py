@@ -109,10 +109,14 @@ def show_campaign(
 
 @router.get("/campaigns/{campaign}/series.json")
 def series(
-    campaign: str, database: DatabaseOfApp, column: Annotated[str, Query(max_length=64)], first: Rows = 1,
-    last: Rows = 0, width: Annotated[int, Query(ge=1, le=10_000)] = 800,
+    campaign: str,
+    database: DatabaseOfApp,
+    column: Annotated[str, Query(max_length=64)],
+    first: Rows = 1,
+    last: Rows = 0,
+    width: Annotated[int, Query(ge=1, le=10_000)] = 800,
     keep: Annotated[str, Query(max_length=6000, pattern=r"^([0-9]{1,12}(,[0-9]{1,12})*)?$")] = "",
-) -> JSONResponse:  # fmt: skip
+) -> JSONResponse:
     """Return a column as points to draw; rows to keep are always among them."""
     kept = [int(row) for row in keep.split(",") if row]
     return JSONResponse(service.series(database, campaign, column, first, last, width, kept))
@@ -158,9 +162,12 @@ def rows_file(campaign: str, database: DatabaseOfApp, rows: Ranges, version: Sho
 
 @router.post("/campaigns/{campaign}/rows/aside")
 async def aside(
-    campaign: str, request: Request, database: DatabaseOfApp, actor: Admin,
+    campaign: str,
+    request: Request,
+    database: DatabaseOfApp,
+    actor: Admin,
     rows: Annotated[str, Form(max_length=MOST_TEXT)],
-) -> Response:  # fmt: skip
+) -> Response:
     """Store a campaign without rows, and go to the form of a job that takes it."""
     with get_scratch(request).folder_for("aside") as folder:
         made = await compute(request, store_without_rows, database, campaign, rows, actor, folder)
@@ -169,9 +176,12 @@ async def aside(
 
 @router.post("/campaigns/{campaign}/change")
 def change(
-    campaign: str, request: Request, database: DatabaseOfApp, name: Annotated[str, Form(max_length=200)],
+    campaign: str,
+    request: Request,
+    database: DatabaseOfApp,
+    name: Annotated[str, Form(max_length=200)],
     notes: Annotated[str, Form(max_length=20_000)] = "",
-) -> Response:  # fmt: skip
+) -> Response:
     """Name a campaign, or note something on it."""
     keeping.change(database, campaign, Change(name=name, notes=notes.replace("\r\n", "\n")))
     return _back(request, campaign)

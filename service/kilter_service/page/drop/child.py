@@ -128,9 +128,11 @@ def _inspect_file(path: Path) -> Document:
     kind = "marker-csv" if found["kind"].endswith("csv") and found.get("markers") else found["kind"]
     remarks = [*found["notes"], *found["warnings"], *_problems(found)] if found["ready"] else []
     return {
-        "kind": kind, "ready": found["ready"], "device": found.get("device"),
+        "kind": kind,
+        "ready": found["ready"],
+        "device": found.get("device"),
         "remarks": [text for text in remarks if not text.startswith("ready for")],
-    }  # fmt: skip
+    }
 
 
 def _describe_kind(seen: Document) -> Document:
@@ -172,10 +174,13 @@ def _write_prepared_rows(prepared: Any, reader: str) -> Document:
         raise FileError(f"The file has {prepared.rows} rows, at most {MOST_ROWS} are read: split it.")
     Path("rows").write_bytes(prepared.content)
     return {
-        "media": prepared.content_type, "sha256": prepared.sha256, "reader": reader,
-        "notes": list(prepared.notes)[:MOST_REMARKS], "warnings": list(prepared.warnings)[:MOST_REMARKS],
+        "media": prepared.content_type,
+        "sha256": prepared.sha256,
+        "reader": reader,
+        "notes": list(prepared.notes)[:MOST_REMARKS],
+        "warnings": list(prepared.warnings)[:MOST_REMARKS],
         "lines": list(prepared.lines[:MOST_LINES]),
-    }  # fmt: skip
+    }
 
 
 def _describe_source_columns(path: Path) -> Document:
@@ -193,11 +198,14 @@ def _describe_column(columns: Any, name: str, rows: int) -> Document:
     numbers = columns.numbers(name)
     finite = [value for value in numbers or () if math.isfinite(value)]
     return {
-        "name": name, "key": columns.key(name), "unit": columns.unit(name),
+        "name": name,
+        "key": columns.key(name),
+        "unit": columns.unit(name),
         "first": [str(text)[:24] for text in columns.texts(name)[:FIRST]],
-        "low": min(finite) if finite else None, "high": max(finite) if finite else None,
+        "low": min(finite) if finite else None,
+        "high": max(finite) if finite else None,
         "empty": None if numbers is None else max(0, rows - len(numbers)),
-    }  # fmt: skip
+    }
 
 
 def _short(value: Any, depth: int = 0) -> Any:

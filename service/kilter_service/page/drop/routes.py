@@ -41,9 +41,19 @@ MOST_SAID = 32 << 20
 MOST_REFUSAL = 2000
 WRITTEN = ("understood.json", "rows")
 NOTHING: dict[str, Any] = {
-    "kind": "", "reader": "", "map": "", "more": 0, "open": [], "guessed": [], "unused": [], "notes": [], "warnings": [],
-    "remarks": [], "source": [], "lines": [],
-}  # fmt: skip
+    "kind": "",
+    "reader": "",
+    "map": "",
+    "more": 0,
+    "open": [],
+    "guessed": [],
+    "unused": [],
+    "notes": [],
+    "warnings": [],
+    "remarks": [],
+    "source": [],
+    "lines": [],
+}
 ELSEWHERE = "`kilter upload` reads it on your own machine, without these limits."
 
 
@@ -161,9 +171,14 @@ def understood(robot: str, draft: str, request: Request, database: DatabaseOfApp
 
 @router.post("/robots/{robot}/campaigns/new/{draft}/columns")
 async def columns(
-    robot: str, draft: str, request: Request, database: DatabaseOfApp,
-    column: Texts, target: Texts, unit: Texts,
-) -> HTMLResponse:  # fmt: skip
+    robot: str,
+    draft: str,
+    request: Request,
+    database: DatabaseOfApp,
+    column: Texts,
+    target: Texts,
+    unit: Texts,
+) -> HTMLResponse:
     """Read the file with another column map, as the form has it."""
     found = _draft(request, robot, draft)
     kinds = await run_in_threadpool(service.joint_kinds, database, robot)
@@ -174,9 +189,12 @@ async def columns(
 
 @router.post("/robots/{robot}/campaigns/new/{draft}/map")
 async def written(
-    robot: str, draft: str, request: Request, database: DatabaseOfApp,
+    robot: str,
+    draft: str,
+    request: Request,
+    database: DatabaseOfApp,
     text: Annotated[str, Form(max_length=service.LONGEST_MAP)],
-) -> HTMLResponse:  # fmt: skip
+) -> HTMLResponse:
     """Read the file with another column map, as it was written."""
     found = _draft(request, robot, draft)
     return await _reread_and_render(request, database, found, lambda: service.write(found, text))
@@ -210,10 +228,21 @@ async def otherwise(robot: str, draft: str, request: Request, database: Database
 
 @router.post("/robots/{robot}/campaigns/new/{draft}/store")
 async def store(
-    robot: str, draft: str, request: Request, database: DatabaseOfApp, sha256: Short, name: Short,
-    role: Short = "train", device: Short = "", payload_kg: Short = "", temperature_c: Short = "", notes: Text = "",
-    measured_at: Short = "", instrument: Short = "", payload_com_mm: Short = "",
-) -> Response:  # fmt: skip
+    robot: str,
+    draft: str,
+    request: Request,
+    database: DatabaseOfApp,
+    sha256: Short,
+    name: Short,
+    role: Short = "train",
+    device: Short = "",
+    payload_kg: Short = "",
+    temperature_c: Short = "",
+    notes: Text = "",
+    measured_at: Short = "",
+    instrument: Short = "",
+    payload_com_mm: Short = "",
+) -> Response:
     """Store the rows as a campaign."""
     found = _draft(request, robot, draft)
     conditions: dict[str, object] = {
@@ -263,11 +292,20 @@ def _render_draft(
     kinds = service.joint_kinds(database, draft.robot)
     shown = None if draft.facts is None else describe_facts(draft.facts, draft.understood.get("lines") or ())
     return render(
-        request, template, robot=draft.robot, draft=draft, found=draft.understood, seen=shown, ways=service.ways(),
-        instruments=instruments.list_instruments(database, Page()).instruments, problem=problem,
-        here=_place(request, draft), meant=service.meant_for(database, draft), rig=rig.describe_parts(draft.rig),
+        request,
+        template,
+        robot=draft.robot,
+        draft=draft,
+        found=draft.understood,
+        seen=shown,
+        ways=service.ways(),
+        instruments=instruments.list_instruments(database, Page()).instruments,
+        problem=problem,
+        here=_place(request, draft),
+        meant=service.meant_for(database, draft),
+        rig=rig.describe_parts(draft.rig),
         **service.column_map_form(draft, kinds),
-    )  # fmt: skip
+    )
 
 
 def _job_query(draft: Draft) -> str:

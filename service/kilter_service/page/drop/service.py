@@ -32,9 +32,14 @@ from kilter_service.robots import service as robots
 NUMBER = re.compile(r"\d+")
 MARKERS = 4
 OF_JOINTS = {
-    "q": "reading", "link": "link-side encoder", "cmd": "command", "dir": "direction it came from", "qd": "speed",
-    "qdd": "acceleration", "tau": "torque",
-}  # fmt: skip
+    "q": "reading",
+    "link": "link-side encoder",
+    "cmd": "command",
+    "dir": "direction it came from",
+    "qd": "speed",
+    "qdd": "acceleration",
+    "tau": "torque",
+}
 OF_ROWS = {
     "Position": ("x", "y", "z", "sx", "sy", "sz"),
     "Orientation": ("qw", "qx", "qy", "qz", "phi", "theta", "psi"),

@@ -8,6 +8,12 @@ ERROR, CORRECTED, INTERVAL = RED, BLUE, BLUE  # an interval is a band of a quart
 BESIDE = SKY  # the second of two: the other side, the other version, the largest beside the mean
 FITTED, HELD_OUT, SET_ASIDE, CHOSEN = GREY, GREEN, ORANGE, PURPLE  # what was done with a row
 MEANINGS = {
-    "error": ERROR, "corrected": CORRECTED, "interval": INTERVAL, "fitted": FITTED, "held-out": HELD_OUT,
-    "set-aside": SET_ASIDE, "chosen": CHOSEN, "beside": BESIDE,
-}  # fmt: skip
+    "error": ERROR,
+    "corrected": CORRECTED,
+    "interval": INTERVAL,
+    "fitted": FITTED,
+    "held-out": HELD_OUT,
+    "set-aside": SET_ASIDE,
+    "chosen": CHOSEN,
+    "beside": BESIDE,
+}

@@ -51,9 +51,14 @@ class Plot:
             self.width = room_for(self.width)
 
     def line(
-        self, xs: Sequence[float], ys: Sequence[float], label: str = "", number: int = 0, colour: str = "",
+        self,
+        xs: Sequence[float],
+        ys: Sequence[float],
+        label: str = "",
+        number: int = 0,
+        colour: str = "",
         width: float = LINE,
-    ) -> Plot:  # fmt: skip
+    ) -> Plot:
         """Draw a line through points; a value that is not finite leaves a gap."""
         style = _stroke(colour or COLOURS[number % len(COLOURS)], DASHES[number % len(DASHES)], width)
         self._key(label, f'<line x1="0" y1="6" x2="22" y2="6" {style}/>')
@@ -63,9 +68,15 @@ class Plot:
         return self
 
     def points(
-        self, xs: Sequence[float], ys: Sequence[float], label: str = "", number: int = 0, colour: str = "",
-        names: Sequence[str] = (), rows: Sequence[str] = (),
-    ) -> Plot:  # fmt: skip
+        self,
+        xs: Sequence[float],
+        ys: Sequence[float],
+        label: str = "",
+        number: int = 0,
+        colour: str = "",
+        names: Sequence[str] = (),
+        rows: Sequence[str] = (),
+    ) -> Plot:
         """Draw points; ``names`` are shown when one is pointed at, ``rows`` (``CAMPAIGN/ROW``) tell which row each is."""
         fill = colour or COLOURS[number % len(COLOURS)]
         self._key(label, _mark(11, 6, fill, number))
@@ -77,9 +88,15 @@ class Plot:
         return self
 
     def bars(
-        self, places: Sequence[float], values: Sequence[float], width: float, label: str = "", number: int = 0,
-        colour: str = "", errors: Sequence[tuple[float, float]] = (),
-    ) -> Plot:  # fmt: skip
+        self,
+        places: Sequence[float],
+        values: Sequence[float],
+        width: float,
+        label: str = "",
+        number: int = 0,
+        colour: str = "",
+        errors: Sequence[tuple[float, float]] = (),
+    ) -> Plot:
         """Draw bars from zero (the axis's low end where it is logarithmic); ``errors`` are the ends of intervals."""
         fill = colour or COLOURS[number % len(COLOURS)]
         self._key(label, f'<rect x="3" y="0" width="16" height="12" fill="{fill}"/>')

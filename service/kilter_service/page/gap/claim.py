@@ -52,7 +52,9 @@ GATES: Mapping[str, tuple[str, Say]] = {
     ),
     "held_out": (
         "Held-out poses gain by it",
-        lambda e: _format_or_missing(e.held_out, lambda v: f"{number(v, 2)} standard deviations; more than 3 are needed"),
+        lambda e: _format_or_missing(
+            e.held_out, lambda v: f"{number(v, 2)} standard deviations; more than 3 are needed"
+        ),
     ),
     "unseen_poses": (
         "Poses that took no part in the search judged it",
@@ -62,10 +64,14 @@ GATES: Mapping[str, tuple[str, Say]] = {
     "plausible": (
         "Its amplitude is plausible for an arm",
         lambda e: _format_or_missing(
-            e.plausible, lambda v: "within" if v <= 0 else f"{number(v, 2)} standard deviations beyond what is plausible"
+            e.plausible,
+            lambda v: "within" if v <= 0 else f"{number(v, 2)} standard deviations beyond what is plausible",
         ),
     ),
-    "seen": ("Its amplitude differs from zero", lambda e: "zero is outside" if e.seen else "zero is inside its interval"),
+    "seen": (
+        "Its amplitude differs from zero",
+        lambda e: "zero is outside" if e.seen else "zero is inside its interval",
+    ),
     "inclusion": (
         "It is named again on resampled poses",
         lambda e: _format_or_missing(e.inclusion, lambda v: f"in {percent(v)} of the resamples"),
@@ -86,7 +92,7 @@ GATES: Mapping[str, tuple[str, Say]] = {
         "The confirmation does not contradict it",
         lambda e: _format_or_missing(e.confirmation, lambda v: f"amplitudes {number(v, 2)} standard deviations apart"),
     ),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)

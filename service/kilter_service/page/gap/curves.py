@@ -82,9 +82,14 @@ def _bin(points: Sequence[Point]) -> Bin:
     middle = math.fsum(rest) / count
     spread = math.sqrt(math.fsum((r - middle) ** 2 for r in rest) / (count - 1))
     return Bin(
-        points[0].angle, points[-1].angle, count, math.fsum(p.angle for p in points) / count, mean,
-        student(count - 1) * spread / math.sqrt(count), math.fsum(p.curve for p in points) / count,
-    )  # fmt: skip
+        points[0].angle,
+        points[-1].angle,
+        count,
+        math.fsum(p.angle for p in points) / count,
+        mean,
+        student(count - 1) * spread / math.sqrt(count),
+        math.fsum(p.curve for p in points) / count,
+    )
 
 
 def student(freedom: int) -> float:
@@ -148,10 +153,14 @@ def _curve(joint: int, points: list[Point], unit: str) -> Curve:
     shown = points[:: -(-len(points) // MOST_POINTS)]
     values = [p.residual for p in shown] + [p.curve for p in points] + [b.mean for b in flat]
     drawn = Plot(
-        f"Residual along what joint {joint} moves", around(f"angle of joint {joint}, deg", [p.angle for p in points]),
-        around(f"residual, {unit}", values), width=440.0, height=320.0, table=_table(bins, unit),
+        f"Residual along what joint {joint} moves",
+        around(f"angle of joint {joint}, deg", [p.angle for p in points]),
+        around(f"residual, {unit}", values),
+        width=440.0,
+        height=320.0,
+        table=_table(bins, unit),
         description=_describe_bins(joint, flat, named),
-    )  # fmt: skip
+    )
     drawn.points([p.angle for p in shown], [p.residual for p in shown], "one visit", colour=GREY)
     for place, (side, means) in enumerate(zip(sides, bins, strict=True)):
         _side(drawn, side, means, place, len(sides), named)
@@ -169,9 +178,13 @@ def _side(drawn: Plot, side: list[Point], means: list[Bin], place: int, of: int,
     for each in means:
         drawn.line([each.angle] * 2, [each.mean - each.half, each.mean + each.half], colour=colour)
     drawn.points(
-        [b.angle for b in means], [b.mean for b in means], f"mean of a bin, 95 % interval{tail}", 1 + place, colour,
+        [b.angle for b in means],
+        [b.mean for b in means],
+        f"mean of a bin, 95 % interval{tail}",
+        1 + place,
+        colour,
         [f"{number(b.mean)} ± {number(b.half, 2)}, curve {number(b.curve)}, {b.count} visits" for b in means],
-    )  # fmt: skip
+    )
 
 
 def _describe_bins(joint: int, bins: list[Bin], named: bool) -> str:

@@ -38,7 +38,12 @@ def search_again(database: Database, job: GapJob, campaign: str, use: Use) -> Jo
         {"campaigns": [*job.campaigns, campaign]} if use == "rows" else {"confirmation": [*job.confirmation, campaign]}
     )
     asked = {
-        "kind": "gap", "robot": job.robot, "campaigns": job.campaigns, "validation": job.validation,
-        "confirmation": job.confirmation, "options": job.options.model_dump(mode="json", exclude_unset=True), **more,
-    }  # fmt: skip
+        "kind": "gap",
+        "robot": job.robot,
+        "campaigns": job.campaigns,
+        "validation": job.validation,
+        "confirmation": job.confirmation,
+        "options": job.options.model_dump(mode="json", exclude_unset=True),
+        **more,
+    }
     return jobs.submit(database, GAP.request.model_validate(asked))

@@ -86,6 +86,10 @@ def heat_map(matrix: AliasMatrix | None) -> HeatMap | None:
         return None
     shown = [label.replace("_", " ") for label in labels[:MOST_LABELS]]
     return HeatMap(
-        "How well signatures correlate", shown, shown, [row[:MOST_LABELS] for row in values[:MOST_LABELS]], cell=CELL,
+        "How well signatures correlate",
+        shown,
+        shown,
+        [row[:MOST_LABELS] for row in values[:MOST_LABELS]],
+        cell=CELL,
         description="1: the two move the tool alike in these rows, after the geometry is fitted; 0: not at all alike.",
-    )  # fmt: skip
+    )

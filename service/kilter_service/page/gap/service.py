@@ -159,9 +159,15 @@ def heat_map(places: Sequence[Place]) -> HeatMap | None:
     columns = [*joints, *([WHOLE] if any(column == WHOLE for _, column in cells) else [])]
     values = [[cells.get((row, column), math.nan) for column in columns] for row in rows]
     return HeatMap(
-        "Where the model was wrong", rows, columns, values, low=1.0, high=max(2.0, *cells.values()), cell=CELL,
+        "Where the model was wrong",
+        rows,
+        columns,
+        values,
+        low=1.0,
+        high=max(2.0, *cells.values()),
+        cell=CELL,
         description=_describe_largest(cells),
-    )  # fmt: skip
+    )
 
 
 def stands_out(place: Place) -> bool:

@@ -32,9 +32,10 @@ def list_jobs(request: Request, database: DatabaseOfApp, robot: str = "") -> HTM
 
 @router.get("/jobs/compare")
 def compare(
-    request: Request, database: DatabaseOfApp,
+    request: Request,
+    database: DatabaseOfApp,
     job: Annotated[list[str] | None, Query(max_length=MOST_SEARCHES)] = None,
-) -> Response:  # fmt: skip
+) -> Response:
     """Compare searches that were ticked in the list, by the versions that they made."""
     wanted = list(dict.fromkeys(job or []))
     if len(wanted) < 2:

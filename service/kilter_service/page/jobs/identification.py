@@ -80,9 +80,16 @@ def correlation_map(groups: list[CorrelatedGroup], known: Covariance | None) -> 
         return None
     values = [[_correlation(matrix, places[a], places[b]) for b in wanted] for a in wanted]
     return HeatMap(
-        "Correlation of parameters that go together", wanted, wanted, values, low=-1.0, high=1.0, diverging=True,
-        cell=34.0, description="Near 1 or -1 the data tell only a combination of the two.",
-    )  # fmt: skip
+        "Correlation of parameters that go together",
+        wanted,
+        wanted,
+        values,
+        low=-1.0,
+        high=1.0,
+        diverging=True,
+        cell=34.0,
+        description="Near 1 or -1 the data tell only a combination of the two.",
+    )
 
 
 def _correlation(matrix: list[list[float]], a: int, b: int) -> float:
@@ -98,10 +105,13 @@ def influence_chart(found: list[Influence]) -> Plot | None:
     ends = [(one.min_mm or 0.0, one.max_mm or 0.0) for one in rows]
     unit, moved = in_columns([[one.mean_mm, one.min_mm, one.max_mm] for one in rows])
     plot = Plot(
-        "Influence of the parameters on the tool", category_axis("parameter", [one.name for one in rows]),
-        lengths("movement of the tool", [*means, *(high for _, high in ends)], zero=True), width=760.0,
-        table=(["Parameter", "Change", "Its unit", f"Mean, {unit}", f"Least, {unit}", f"Largest, {unit}"],
-               [[one.name, number(one.step), one.unit or "", *sizes]
-                for one, sizes in zip(rows, moved, strict=True)]),
-    )  # fmt: skip
+        "Influence of the parameters on the tool",
+        category_axis("parameter", [one.name for one in rows]),
+        lengths("movement of the tool", [*means, *(high for _, high in ends)], zero=True),
+        width=760.0,
+        table=(
+            ["Parameter", "Change", "Its unit", f"Mean, {unit}", f"Least, {unit}", f"Largest, {unit}"],
+            [[one.name, number(one.step), one.unit or "", *sizes] for one, sizes in zip(rows, moved, strict=True)],
+        ),
+    )
     return plot.bars([k + 0.5 for k in range(len(rows))], means, 0.6, "mean over the poses", errors=ends)

@@ -37,9 +37,12 @@ def new(robot: str, request: Request, database: DatabaseOfApp, kind: str = "iden
 
 @router.get("/robots/{robot}/jobs/campaigns")
 def campaigns(
-    robot: str, request: Request, database: DatabaseOfApp, kind: Annotated[str, Query(max_length=40)] = "identify",
+    robot: str,
+    request: Request,
+    database: DatabaseOfApp,
+    kind: Annotated[str, Query(max_length=40)] = "identify",
     sought: Annotated[str, Query(max_length=200)] = "",
-) -> HTMLResponse:  # fmt: skip
+) -> HTMLResponse:
     """Find campaigns for the form of a new job."""
     found = service.sought(database, robot, kind, sought)
     template = "jobs/campaigns_part.html" if is_part(request) else "jobs/campaigns.html"

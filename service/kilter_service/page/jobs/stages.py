@@ -52,9 +52,12 @@ def bars(errors: StageErrors | None, where: str, other: Mapping[str, str] = NO_O
         return None
     shown = [getattr(one, name) or 0.0 for _, one in stages for name, _, _ in BARS]
     plot = Plot(
-        f"Errors of the tool on {where}", category_axis("", [title for title, _ in stages]), lengths("error", shown, zero=True),
-        description=_means(stages), table=table(errors, other),
-    )  # fmt: skip
+        f"Errors of the tool on {where}",
+        category_axis("", [title for title, _ in stages]),
+        lengths("error", shown, zero=True),
+        description=_means(stages),
+        table=table(errors, other),
+    )
     for number, (name, label, shift) in enumerate(BARS):
         values = [getattr(one, name) for _, one in stages]
         places = [k + 0.5 + shift for k, value in enumerate(values) if value is not None]

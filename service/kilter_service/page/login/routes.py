@@ -65,9 +65,14 @@ def _start_login_session(request: Request, database: Database, token_sha256: Cal
         return render(request, "login.html", 401, then=_local_path(then), problem=error.message)
     answer = redirect(request, get_root_path(request) + _local_path(then))
     answer.set_cookie(
-        service.COOKIE, service.create_login(database, sha256), max_age=service.HOURS * 3600, httponly=True,
-        samesite="strict", secure=_is_secure(request), path=get_root_path(request) or "/",
-    )  # fmt: skip
+        service.COOKIE,
+        service.create_login(database, sha256),
+        max_age=service.HOURS * 3600,
+        httponly=True,
+        samesite="strict",
+        secure=_is_secure(request),
+        path=get_root_path(request) or "/",
+    )
     return answer
 
 

@@ -30,10 +30,16 @@ def new(request: Request) -> HTMLResponse:
 
 @router.post("/new-robot/check")
 async def check(
-    request: Request, name: Short, preset: Short = "", text: Annotated[str, Form(max_length=LONGEST)] = "", file: Short = "",
-    table: Short = "", base_link: Short = "", tip_link: Short = "",
+    request: Request,
+    name: Short,
+    preset: Short = "",
+    text: Annotated[str, Form(max_length=LONGEST)] = "",
+    file: Short = "",
+    table: Short = "",
+    base_link: Short = "",
+    tip_link: Short = "",
     compensation: Annotated[ControllerCompensation, Form()] = "unknown",
-) -> HTMLResponse:  # fmt: skip
+) -> HTMLResponse:
     """Show what a description comes to."""
     told = service.Told(name.strip(), preset, text, file, table, base_link.strip(), tip_link.strip(), compensation)
     with get_scratch(request).folder_for("new-robot") as folder:

@@ -117,11 +117,14 @@ def _budget_tables(budget: Budget | None) -> tuple[Table | None, Table | None, s
 
 
 def _merits(found: Acceptance) -> Table:
-    return table(MERIT, [
-        (f"{one.name} ({one.rows} rows), {label}", errors)
-        for one in found.campaigns[:MOST_CAMPAIGNS]
-        for label, errors in (("base and tool fitted only", one.before), ("calibrated", one.after))
-    ])  # fmt: skip
+    return table(
+        MERIT,
+        [
+            (f"{one.name} ({one.rows} rows), {label}", errors)
+            for one in found.campaigns[:MOST_CAMPAIGNS]
+            for label, errors in (("base and tool fitted only", one.before), ("calibrated", one.after))
+        ],
+    )
 
 
 def _budget(budget: Budget) -> Table:
@@ -152,9 +155,13 @@ def _views(found: Acceptance, worst: JudgedCampaign, decided: bool) -> list[Plot
     for title, across, up in VIEWS:
         xs, ys = ([place[axis] for place in worst.at_mm] for axis in (across, up))
         plot = Plot(
-            f"Measured places {title}", around(f"{'xyz'[across]}, mm", xs), around(f"{'xyz'[up]}, mm", ys), WIDE, TALL,
+            f"Measured places {title}",
+            around(f"{'xyz'[across]}, mm", xs),
+            around(f"{'xyz'[up]}, mm", ys),
+            WIDE,
+            TALL,
             f"Measured places {title}{against}",
-        )  # fmt: skip
+        )
         for number, side in enumerate((WITHIN, BAND, BEYOND) if decided else (MEASURED,)):
             some = [k for k, one in enumerate(sides) if one == side]
             if some:

@@ -116,7 +116,13 @@ def _moves_of_version(version: str, name: str, found: AtPose) -> Said:
     moved = to_mm(found.moved)
     parts = [Part(one.name, to_mm(one.size), to_mm_if_known(one.low), to_mm_if_known(one.high)) for one in found.parts]
     return Said(
-        version, name, to_mm(found.tool).tolist(), float(np.linalg.norm(moved)), moved.tolist(),
-        "" if found.status == "OK" else found.status, parts, found.missing,
+        version,
+        name,
+        to_mm(found.tool).tolist(),
+        float(np.linalg.norm(moved)),
+        moved.tolist(),
+        "" if found.status == "OK" else found.status,
+        parts,
+        found.missing,
         to_mm_if_known(found.sigma),
-    )  # fmt: skip
+    )

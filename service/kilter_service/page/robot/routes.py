@@ -111,10 +111,12 @@ def compensation(
 
 @router.post("/robots/{robot}/repairs")
 def add_repair(
-    robot: str, database: DatabaseOfApp, actor: Admin,
+    robot: str,
+    database: DatabaseOfApp,
+    actor: Admin,
     what: Annotated[str, Form(max_length=LONGEST)] = "",
     at: Annotated[str, Form(max_length=LONGEST_DATE)] = "",
-) -> Response:  # fmt: skip
+) -> Response:
     """Record what was done to an arm."""
     repairs.add(database, robot, parse_repair(what, at), actor)
     return Response(status_code=204, headers=ANEW)
@@ -137,9 +139,16 @@ def worst(robot: str, request: Request, database: DatabaseOfApp, version: ID, ca
 
 @router.get("/robots/{robot}/pose")
 def pose(
-    robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp, version: ID = "", other: ID = "",
-    campaign: ID = "", row: Annotated[int, Query(ge=0, le=10**12)] = 0, q: Annotated[str, Query(max_length=1500)] = "",
-) -> HTMLResponse:  # fmt: skip
+    robot: str,
+    request: Request,
+    database: DatabaseOfApp,
+    settings: SettingsOfApp,
+    version: ID = "",
+    other: ID = "",
+    campaign: ID = "",
+    row: Annotated[int, Query(ge=0, le=10**12)] = 0,
+    q: Annotated[str, Query(max_length=1500)] = "",
+) -> HTMLResponse:
     """Show what one or two versions say of a pose."""
     found = asked_pose.predict_by_versions(database, settings, robot, q, (version, other), campaign if row else "", row)
     template = "robot/pose_part.html" if is_part(request) else "robot/pose.html"

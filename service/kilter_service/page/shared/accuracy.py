@@ -69,9 +69,20 @@ def _read(held_out: bool, block: StageErrors, found: Errors) -> Accuracy:
     ends = interval(found, block.n)
     low, high = ends or (None, None)
     return Accuracy(
-        held_out, block.n, found.mean_mm, low, high, found.p95_mm, found.max_mm, _mean(block.nominal),
-        _mean(block.registration_only), widest(found, block.n), block.place_mm, block.left_out, _mean(block.best_rigid),
-    )  # fmt: skip
+        held_out,
+        block.n,
+        found.mean_mm,
+        low,
+        high,
+        found.p95_mm,
+        found.max_mm,
+        _mean(block.nominal),
+        _mean(block.registration_only),
+        widest(found, block.n),
+        block.place_mm,
+        block.left_out,
+        _mean(block.best_rigid),
+    )
 
 
 def _mean(found: Errors | None) -> float | None:

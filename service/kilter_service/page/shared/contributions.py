@@ -35,12 +35,17 @@ class Moved:
         rms, largest = [one.rms_mm or 0.0 for one in self.effects], [one.largest_mm or 0.0 for one in self.effects]
         unit, rows = in_columns(list(zip(rms, largest, strict=True)))
         drawn = Plot(
-            "Movement of the tool by each effect", category_axis("", names), lengths("movement", [*rms, *largest], zero=True),
-            width, 260.0,
+            "Movement of the tool by each effect",
+            category_axis("", names),
+            lengths("movement", [*rms, *largest], zero=True),
+            width,
+            260.0,
             description="Two bars for each effect: root mean square and largest movement of the tool.",
-            table=(["effect", f"rms, {unit}", f"largest, {unit}"],
-                   [[name, *sizes] for name, sizes in zip(names, rows, strict=True)]),
-        )  # fmt: skip
+            table=(
+                ["effect", f"rms, {unit}", f"largest, {unit}"],
+                [[name, *sizes] for name, sizes in zip(names, rows, strict=True)],
+            ),
+        )
         drawn.bars([k + 0.32 for k in range(len(names))], rms, 0.3, "root mean square", 0, colours[0])
         drawn.bars([k + 0.68 for k in range(len(names))], largest, 0.3, "largest", 1, colours[1])
         return drawn

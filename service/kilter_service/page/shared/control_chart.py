@@ -156,9 +156,14 @@ def _sums(found: DriftHistory, axis: Days) -> Plot | None:
     ]
     highest = max([charts[0].limit, *(max(_heights(one)) for one in charts)])
     drawn = Plot(
-        "Cumulative sums", axis, Axis("sum, standard deviations of a check", 0.0, 1.08 * highest), WIDTH, HEIGHT,
-        description=_said_of_sums(charts), table=_sums_table(summed),
-    )  # fmt: skip
+        "Cumulative sums",
+        axis,
+        Axis("sum, standard deviations of a check", 0.0, 1.08 * highest),
+        WIDTH,
+        HEIGHT,
+        description=_said_of_sums(charts),
+        table=_sums_table(summed),
+    )
     _mark_events(drawn, found, axis, labelled=False)
     for place, one in enumerate(charts):
         sums = [_higher(up, down) for up, down in zip(one.up, one.down, strict=True)]
@@ -223,9 +228,12 @@ def _chance(one: CheckOfRobot) -> str:
 def _sums_table(charts: Sequence[ControlChart]) -> tuple[list[str], list[list[str]]]:
     rows = [
         [
-            one.words, f"{number(last_value(one))} {one.unit}", f"{number(one.scatter)} {one.unit}",
-            number(height(one)), "" if one.since is None else f"{one.since:%Y-%m-%d}",
+            one.words,
+            f"{number(last_value(one))} {one.unit}",
+            f"{number(one.scatter)} {one.unit}",
+            number(height(one)),
+            "" if one.since is None else f"{one.since:%Y-%m-%d}",
         ]
         for one in charts
-    ]  # fmt: skip
+    ]
     return ["Of", "Last check", "Scatter", "Sum", "Since"], rows

@@ -27,12 +27,16 @@ def cumulative(
         return None
     unit, errors = in_columns([[_error_at_share(xs, ys, 50.0), xs[-1]] for _, xs, ys in traces])
     plot = Plot(
-        f"Share of {where} with at most an error", lengths("error", [x for one in traces for x in one[1]], log=True),
-        around("share of rows, %", [0.0, 100.0], zero=True), height=height,
+        f"Share of {where} with at most an error",
+        lengths("error", [x for one in traces for x in one[1]], log=True),
+        around("share of rows, %", [0.0, 100.0], zero=True),
+        height=height,
         description="The further left a curve rises, the smaller the errors.",
-        table=(["Model", f"Half of the rows are below, {unit}", f"All are below, {unit}"],
-               [[one[0], *row] for one, row in zip(traces, errors, strict=True)]),
-    )  # fmt: skip
+        table=(
+            ["Model", f"Half of the rows are below, {unit}", f"All are below, {unit}"],
+            [[one[0], *row] for one, row in zip(traces, errors, strict=True)],
+        ),
+    )
     for place, (name, xs, ys) in enumerate(traces):
         plot.line(xs, ys, name, len(traces) - 1 - place, colour)
     return plot

@@ -16,8 +16,10 @@ from kilter_service.versions import service as versions
 
 ID = re.compile(r"(?:\b[Vv]ersion )?\b(ver|cmp|job)_[0-9a-f]{16}\b")
 KINDS: Mapping[str, Callable[[Database, str], Any]] = {
-    "ver": versions.get, "cmp": campaigns.get, "job": jobs.get,
-}  # fmt: skip
+    "ver": versions.get,
+    "cmp": campaigns.get,
+    "job": jobs.get,
+}
 
 
 def in_names(database: Database, text: str) -> str:

@@ -46,9 +46,15 @@ def select_jobs(database: Database, robot: str | None, wanted: Asked) -> tuple[L
     by = wanted.sort if wanted.sort.removeprefix("-") in ORDERS else "-asked"
     words = [(one, _kinds_matching_word(one)) for one in wanted.search.split()]
     sought = WantedJobs(
-        robot, wanted.filters.get("kind"), wanted.filters.get("state"), words, by.removeprefix("-"), by.startswith("-"),
-        sorted(KINDS, key=lambda kind: KINDS[kind].casefold()), STATES,
-    )  # fmt: skip
+        robot,
+        wanted.filters.get("kind"),
+        wanted.filters.get("state"),
+        words,
+        by.removeprefix("-"),
+        by.startswith("-"),
+        sorted(KINDS, key=lambda kind: KINDS[kind].casefold()),
+        STATES,
+    )
     shown, page, found, total = jobs.find_jobs(database, sought, wanted.page, AT_ONCE)
     return Listed(shown, jobs.places(database), None), Part(shown, found, total, replace(wanted, page=page), "-asked")
 

@@ -109,11 +109,16 @@ def describe_facts(facts: Facts, lines: Sequence[int] = (), campaign: str = "") 
     """Put facts in words and figures; ``campaign`` is the id of the one that has these rows."""
     noise, why = _noise(facts)
     return Seen(
-        facts, _headline(facts), noise, why, [_column(one) for one in facts.columns], _coverage(facts.joints),
+        facts,
+        _headline(facts),
+        noise,
+        why,
+        [_column(one) for one in facts.columns],
+        _coverage(facts.joints),
         _places(facts, campaign),
         [_narrow(joint) for joint in facts.joints if joint.share is not None and joint.share < LITTLE],
         [(_format_row_place(one.row, lines), one.why) for one in facts.doubtful.rows],
-    )  # fmt: skip
+    )
 
 
 def _format_row_place(row: int, lines: Sequence[int]) -> str:

@@ -46,10 +46,14 @@ def _curve_effect_name(curve: EffectCurve) -> str:
 
 def _plot(curve: EffectCurve) -> Plot:
     drawn = Plot(
-        title(curve), around(across(curve), _places(curve)), around(upwards(curve), _values(curve)), width=WIDTH,
+        title(curve),
+        around(across(curve), _places(curve)),
+        around(upwards(curve), _values(curve)),
+        width=WIDTH,
         height=HEIGHT,
-        table=_table(curve), description=" ".join(_describe_curve(curve)),
-    )  # fmt: skip
+        table=_table(curve),
+        description=" ".join(_describe_curve(curve)),
+    )
     for side in curve.sides:
         if side.low is not None and side.high is not None:
             drawn.band(side.x, side.low, side.high, "", 0 if side.direction != -1.0 else 1)
@@ -79,9 +83,13 @@ def _dots(drawn: Plot, curve: EffectCurve, direction: float | None) -> None:
         drawn.line([visits.x[k]] * 2, [visits.y[k] - visits.half[k], visits.y[k] + visits.half[k]], "", 0, colour, THIN)
     says = [f"{number(visits.y[k])} ± {number(visits.half[k], 2)}, model {number(visits.curve[k])}" for k in own]
     drawn.points(
-        [visits.x[k] for k in own], [visits.y[k] for k in own], visit(direction),
-        PLACE_OF[direction or 0.0] if direction is not None else 0, colour, says,
-    )  # fmt: skip
+        [visits.x[k] for k in own],
+        [visits.y[k] for k in own],
+        visit(direction),
+        PLACE_OF[direction or 0.0] if direction is not None else 0,
+        colour,
+        says,
+    )
 
 
 def _mark_distance(drawn: Plot, curve: EffectCurve) -> None:

@@ -72,9 +72,13 @@ def plot(read: Steps, colours: tuple[str, str] = (FITTED, HELD_OUT)) -> Plot:
     floor = read.noise.held_out if read.noise.held_out is not None else read.noise.fitted
     values = [step.fitted for step in read.steps] + held + [floor] + [s.high for s in read.steps if s.high is not None]
     drawn = Plot(
-        "The gap closing step by step", category_axis("", [step.label for step in read.steps]),
-        around(f"rms error, {read.unit}", values, zero=True), height=340.0, table=_table(read), description=describe(read),
-    )  # fmt: skip
+        "The gap closing step by step",
+        category_axis("", [step.label for step in read.steps]),
+        around(f"rms error, {read.unit}", values, zero=True),
+        height=340.0,
+        table=_table(read),
+        description=describe(read),
+    )
     shift = WIDTH / 2 if held else 0.0
     places = [place + 0.5 for place in range(len(read.steps))]
     drawn.bars(
@@ -106,10 +110,12 @@ def _table(read: Steps) -> tuple[list[str], list[list[str]]]:
     head = ["Step", f"Fitted poses, {read.unit}", f"Held-out poses, {read.unit}", "95 % interval"]
     rows = [
         [
-            step.label, number(step.fitted), number(step.held_out),
+            step.label,
+            number(step.fitted),
+            number(step.held_out),
             "–" if step.low is None else f"{number(step.low)} to {number(step.high)}",
         ]
         for step in [*read.steps, read.noise]
-    ]  # fmt: skip
+    ]
     shown = 2 if all(step.held_out is None for step in read.steps) else len(head)
     return head[:shown], [row[:shown] for row in rows]

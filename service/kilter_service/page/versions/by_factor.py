@@ -93,9 +93,10 @@ def _causes(rows: looking.Rows) -> list[Cause]:
         where = np.where(sign < 0, 0.0, np.where(sign > 0, 1.0, np.nan))
         out.append(Cause(f"by the direction {joint.name} came from", joint.name, where, ("from above", "from below")))
     for title, label, values in (
-        ("by the load", "load, kg", seen.payload_kg), ("by the temperature", "temperature, °C", seen.temperature_c),
+        ("by the load", "load, kg", seen.payload_kg),
+        ("by the temperature", "temperature, °C", seen.temperature_c),
         ("by the time", "time, s", seen.t),
-    ):  # fmt: skip
+    ):
         if values is not None:
             out.append(Cause(title, label, np.asarray(values, dtype=np.float64)))
     return out
@@ -108,11 +109,13 @@ def _course(seen: Seen, cause: Cause) -> Plot:
     bins = [one for one in found if one is not None]
     drawn = _drawn(there, seen.sizes)
     plot = Plot(
-        f"Error {cause.title}", around(cause.label, cause.values[there].tolist()),
-        lengths("error", seen.sizes[drawn].tolist(), zero=True), width=560.0,
+        f"Error {cause.title}",
+        around(cause.label, cause.values[there].tolist()),
+        lengths("error", seen.sizes[drawn].tolist(), zero=True),
+        width=560.0,
         description="A mean that rises or falls beyond its intervals says that the model misses something there.",
         table=_table("From about", [f"{one[0]:.4g}" for one in bins], bins),
-    )  # fmt: skip
+    )
     for held, label, number in ((False, "fitted", 0), (True, "held out", 1)):
         part = drawn[seen.held_out[drawn] == held]
         if len(part):
@@ -134,10 +137,14 @@ def _levels(seen: Seen, cause: Cause) -> Plot:
             names.append(name)
             bars.append(found)
     plot = Plot(
-        f"Error {cause.title}", category_axis(cause.label, names), lengths("mean error", [one[3] for one in bars], zero=True),
-        width=280.0, height=240.0, description="Whiskers are the 95 % interval of the mean.",
+        f"Error {cause.title}",
+        category_axis(cause.label, names),
+        lengths("mean error", [one[3] for one in bars], zero=True),
+        width=280.0,
+        height=240.0,
+        description="Whiskers are the 95 % interval of the mean.",
         table=_table("Direction", names, bars),
-    )  # fmt: skip
+    )
     return plot.bars(
         [k + 0.5 for k in range(len(bars))], [one[1] for one in bars], 0.5, errors=[(one[2], one[3]) for one in bars]
     )

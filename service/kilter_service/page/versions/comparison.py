@@ -143,11 +143,16 @@ def _bars(left: Sequence[Left]) -> Plot:
     values = [[one.numbers[measure] for measure in BARS] for one in left]
     unit, sizes = in_columns(list(zip(*values, strict=True)))
     drawn = Plot(
-        "Errors on the same rows", category_axis("", names), lengths("error", [v for row in values for v in row], zero=True),
-        height=280.0, description="Mean, 95th percentile and largest error of each version on the rows chosen.",
-        table=([f"error, {unit}", *(one.name for one in left)],
-               [[name, *row] for name, row in zip(names, sizes, strict=True)]),
-    )  # fmt: skip
+        "Errors on the same rows",
+        category_axis("", names),
+        lengths("error", [v for row in values for v in row], zero=True),
+        height=280.0,
+        description="Mean, 95th percentile and largest error of each version on the rows chosen.",
+        table=(
+            [f"error, {unit}", *(one.name for one in left)],
+            [[name, *row] for name, row in zip(names, sizes, strict=True)],
+        ),
+    )
     width = 0.7 / len(left)
     for number, (one, row) in enumerate(zip(left, values, strict=True)):
         places = [k + 0.5 + (number - (len(left) - 1) / 2) * width for k in range(len(BARS))]
@@ -162,12 +167,16 @@ def _curve(left: Sequence[Left]) -> Plot:
     curves = [one[: len(shares)] for one in found]
     unit, sizes = in_columns(np.transpose([one[len(shares) :] for one in found]).tolist())
     drawn = Plot(
-        "Share of the rows within an error", lengths("error", [float(c[-1]) for c in curves], zero=True),
-        around("rows within it, %", [0.0, 100.0], zero=True), height=280.0,
+        "Share of the rows within an error",
+        lengths("error", [float(c[-1]) for c in curves], zero=True),
+        around("rows within it, %", [0.0, 100.0], zero=True),
+        height=280.0,
         description="Cumulative curves: how many of the rows have at most a given error. Further left is better.",
-        table=(["rows, %", *(f"{one.name}, {unit}" for one in left)],
-               [[f"{share}", *row] for share, row in zip(told, sizes, strict=True)]),
-    )  # fmt: skip
+        table=(
+            ["rows, %", *(f"{one.name}, {unit}" for one in left)],
+            [[f"{share}", *row] for share, row in zip(told, sizes, strict=True)],
+        ),
+    )
     for number, (one, curve) in enumerate(zip(left, curves, strict=True)):
         drawn.line(curve.tolist(), shares.tolist(), one.name, number)
     return drawn

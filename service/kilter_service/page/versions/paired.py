@@ -47,8 +47,10 @@ def _maps(
         rows += [f"{one}/{number}" for number in found.row[kept].tolist()]
     at, gain = np.concatenate(places), np.array(gains)
     drawn = _drawn(gain)
-    return [_map(title, at[drawn], gain[drawn], [rows[int(k)] for k in drawn], axes, names)
-            for title, axes in (("From above", (0, 1)), ("From the side", (0, 2)))]  # fmt: skip
+    return [
+        _map(title, at[drawn], gain[drawn], [rows[int(k)] for k in drawn], axes, names)
+        for title, axes in (("From above", (0, 1)), ("From the side", (0, 2)))
+    ]
 
 
 def _drawn(gain: Floats) -> Ints:
@@ -63,10 +65,13 @@ def _map(
 ) -> Plot:
     across, up = axes
     plot = Plot(
-        title, around(f"{'xyz'[across]}, mm", at[:, across].tolist()), around(f"{'xyz'[up]}, mm", at[:, up].tolist()),
-        width=480.0, height=340.0,
+        title,
+        around(f"{'xyz'[across]}, mm", at[:, across].tolist()),
+        around(f"{'xyz'[up]}, mm", at[:, up].tolist()),
+        width=480.0,
+        height=340.0,
         description=f"{title}: at which measured places {names[1]} is better than {names[0]}, and where it is worse.",
-    )  # fmt: skip
+    )
     most = largest(gain)
     for better, label, number, colour in (
         (True, f"{names[1]} better", 1, SKY),

@@ -80,11 +80,17 @@ def reach_shown(database: Database, version_id: str, temperature_c: float | None
     out = to_mm(np.hypot(seen.points[:, 0], seen.points[:, 1]))
     up = to_mm(seen.points[:, 2])
     plot = Plot(
-        "Where the version corrects", around("distance from the axis of the base, mm", out.tolist(), zero=True),
-        around("height above the base, mm", up.tolist()), width=560.0, height=380.0,
+        "Where the version corrects",
+        around("distance from the axis of the base, mm", out.tolist(), zero=True),
+        around("height above the base, mm", up.tolist()),
+        width=560.0,
+        height=380.0,
         description="Each point is a pose drawn within the joint limits, at the place of its tool.",
-        table=(["What", "Share", "Poses", f"Most that is left, {unit(most)}"], [[a, b, str(c), d] for a, b, c, d in rows]),
-    )  # fmt: skip
+        table=(
+            ["What", "Share", "Poses", f"Most that is left, {unit(most)}"],
+            [[a, b, str(c), d] for a, b, c, d in rows],
+        ),
+    )
     scale = np.array(joint_scale(seen.robot))
     for word in sorted(found.counts, key=_drawn):
         mine = np.flatnonzero(words == word)
@@ -135,9 +141,12 @@ def history(robot: str, request: Request, database: DatabaseOfApp) -> HTMLRespon
 
 @router.get("/robots/{robot}/versions/compare")
 def chosen(
-    robot: str, request: Request, database: DatabaseOfApp,
-    version: Annotated[list[str] | None, Query(max_length=comparison.MOST_VERSIONS)] = None, rows: bool = False,
-) -> Response:  # fmt: skip
+    robot: str,
+    request: Request,
+    database: DatabaseOfApp,
+    version: Annotated[list[str] | None, Query(max_length=comparison.MOST_VERSIONS)] = None,
+    rows: bool = False,
+) -> Response:
     """Compare versions that were ticked: two of them in full, of more each with the first, many rows once asked for."""
     wanted = list(dict.fromkeys(version or []))
     if len(wanted) == 2:

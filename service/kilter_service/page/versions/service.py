@@ -85,11 +85,16 @@ def history(database: Database, robot: str, asked: Asked, log: Asked) -> History
         one.model_copy(update={"objections": objections_in_names(database, one.objections)}) for one in shown.shown
     ]
     return History(
-        robots.get(database, robot), _select_versions_page(found, asked), replace(shown, shown=named),
-        tag_of_robot(database, robot), errors_by_version(found),
-        next((one.version for one in found if one.version.active), None), entries[0] if entries else None,
-        {one.version.id: display_name(one.version) for one in found}, today.of_robot(database, robot).sentences[0],
-    )  # fmt: skip
+        robots.get(database, robot),
+        _select_versions_page(found, asked),
+        replace(shown, shown=named),
+        tag_of_robot(database, robot),
+        errors_by_version(found),
+        next((one.version for one in found if one.version.active), None),
+        entries[0] if entries else None,
+        {one.version.id: display_name(one.version) for one in found},
+        today.of_robot(database, robot).sentences[0],
+    )
 
 
 def _select_versions_page(found: Sequence[Listed], asked: Asked) -> Part[Listed]:
@@ -148,11 +153,13 @@ def errors_by_version(found: Sequence[Listed]) -> Plot | None:
     unit, sizes = in_columns([[mean, *both] for mean, both in zip(means, ends, strict=True)])
     table = [[name, mean, f"{low} to {high}"] for name, (mean, low, high) in zip(names, sizes, strict=True)]
     drawn = Plot(
-        "Held-out error of each version", category_axis("version, oldest first", names),
-        lengths("mean error", [0.0, *means, *(high for _, high in ends)], zero=True), height=260.0,
+        "Held-out error of each version",
+        category_axis("version, oldest first", names),
+        lengths("mean error", [0.0, *means, *(high for _, high in ends)], zero=True),
+        height=260.0,
         description="A bar for each version, with the 95 % interval of its mean error on the poses held out of its own fit.",
         table=(["version", f"mean error, {unit}", f"95 % interval, {unit}"], table),
-    )  # fmt: skip
+    )
     active = [version.active for version, _ in known]
     for which, label, number, colour in ((True, "active", 0, ""), (False, "not active", 1, GREY)):
         some = [k for k, one in enumerate(active) if one is which]

@@ -153,6 +153,11 @@ def remove(database: Database, robot: str, link: str) -> None:
 
 def _mesh_from_record(robot: str, record: MeshRecord) -> Mesh:
     return Mesh(
-        robot=robot, link=record.link, format=record.format, unit=record.unit, triangles=record.triangles,
-        sha256=record.sha256, created_at=record.created_at,
-    )  # fmt: skip
+        robot=robot,
+        link=record.link,
+        format=record.format,
+        unit=record.unit,
+        triangles=record.triangles,
+        sha256=record.sha256,
+        created_at=record.created_at,
+    )

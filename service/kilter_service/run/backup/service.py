@@ -60,8 +60,11 @@ def compare(path: Path) -> list[str] | None:
     said += [
         f"Table {name} was not there when the backup was written." for name in sorted(found.keys() - written.keys())
     ]
-    return said + [_difference(name, written[name], found[name]) for name in sorted(written.keys() & found.keys())
-                   if written[name] != found[name]]  # fmt: skip
+    return said + [
+        _difference(name, written[name], found[name])
+        for name in sorted(written.keys() & found.keys())
+        if written[name] != found[name]
+    ]
 
 
 def remove(path: Path) -> None:

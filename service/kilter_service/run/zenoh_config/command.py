@@ -54,10 +54,16 @@ def run(settings: Settings, given: argparse.Namespace) -> None:
     if given.authorities:
         trusted += given.authorities.read_bytes()
     written = write_folders(
-        folder, settings.site, tuple(roles["hosts"]), roles["port"],
-        {name: tuple(robots) for name, robots in roles["controllers"].items()}, settings.ros2_domain, authority, trusted,
+        folder,
+        settings.site,
+        tuple(roles["hosts"]),
+        roles["port"],
+        {name: tuple(robots) for name, robots in roles["controllers"].items()},
+        settings.ros2_domain,
+        authority,
+        trusted,
         _issued_from_arguments(given),
-    )  # fmt: skip
+    )
     (folder / RECORD).write_text(json.dumps(roles, indent=1), encoding="utf-8")
     print(f"Copy each folder to its machine, and nothing of {folder / 'authority'}:")
     for place in written:

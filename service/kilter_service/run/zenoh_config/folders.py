@@ -48,26 +48,42 @@ def access_control(site: str, controllers: Mapping[str, tuple[str, ...]]) -> dic
     subjects.append({"id": "observer", "cert_common_names": [OBSERVER]})
     policies.append({"rules": [rule["id"] for rule in made], "subjects": ["observer"]})
     return {
-        "enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies,
-    }  # fmt: skip
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
 
 
 def ros_access_control(domain: int) -> dict[str, Any]:
     """Rules of a router of ROS: its nodes on the same machine, and the adaptor by its certificate."""
     every = _rule("ros", "both", _EVERY_MESSAGE, [f"{domain}/**", "@ros2_lv/**", "kilter/@v1/**"])
     subjects: list[dict[str, Any]] = [
-        {"id": "nodes", "interfaces": ["lo"]}, {"id": "adaptor", "cert_common_names": [ROS]},
-    ]  # fmt: skip
+        {"id": "nodes", "interfaces": ["lo"]},
+        {"id": "adaptor", "cert_common_names": [ROS]},
+    ]
     policies = [{"rules": ["ros"], "subjects": ["nodes", "adaptor"]}]
     return {
-        "enabled": True, "default_permission": "deny", "rules": [every], "subjects": subjects, "policies": policies,
-    }  # fmt: skip
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": [every],
+        "subjects": subjects,
+        "policies": policies,
+    }
 
 
 _EVERY_MESSAGE = [
-    "put", "delete", "declare_subscriber", "query", "reply", "declare_queryable", "liveliness_token",
-    "liveliness_query", "declare_liveliness_subscriber",
-]  # fmt: skip
+    "put",
+    "delete",
+    "declare_subscriber",
+    "query",
+    "reply",
+    "declare_queryable",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+]
 
 
 def _rule(name: str, flow: str, messages: list[str], key_exprs: list[str]) -> dict[str, Any]:
@@ -200,9 +216,16 @@ def _config(tls_of_role: dict[str, Any], mode: str, connect: str | None, more: d
 
 
 def write_folders(
-    folder: Path, site: str, hosts: tuple[str, ...], port: int, controllers: Mapping[str, tuple[str, ...]],
-    domain: int, authority: Authority, trusted: bytes, given: Issued | None = None,
-) -> list[Path]:  # fmt: skip
+    folder: Path,
+    site: str,
+    hosts: tuple[str, ...],
+    port: int,
+    controllers: Mapping[str, tuple[str, ...]],
+    domain: int,
+    authority: Authority,
+    trusted: bytes,
+    given: Issued | None = None,
+) -> list[Path]:
     """Write the folder of each role; returns them. ``given`` is a certificate of the corrector from elsewhere."""
     connect = f"tls/{hosts[0]}:{port}"
     issued = given or issue(authority, CORRECTOR, hosts)

@@ -112,9 +112,15 @@ def _compile_answer() -> Any:
         rows, program_rows = memory.shape[0], words[ROWS]
         info = memory[rows - 1]
         status = correct_setpoint(
-            memory[:program_rows], memory[program_rows : rows - n - 3], memory[rows - n - 3 : rows - 2],
-            numbers[IN + 4 : IN + 4 + width * n], width, dt, numbers[OUT + 7 : OUT + 7 + n], info,
-        )  # fmt: skip
+            memory[:program_rows],
+            memory[program_rows : rows - n - 3],
+            memory[rows - n - 3 : rows - 2],
+            numbers[IN + 4 : IN + 4 + width * n],
+            width,
+            dt,
+            numbers[OUT + 7 : OUT + 7 + n],
+            info,
+        )
         if status != 0:
             # A refused setpoint leaves no trace in the track: it is refused again, and the answer says so.
             return status
@@ -286,8 +292,14 @@ class FastPath:
         if clock.transit_ns is None:
             return False
         words = (
-            clock.seq, clock.transit_ns, clock.seen_ns, clock.sent_ns, clock.pace_ns, clock.applied_ns, clock.answered_ns,
-        )  # fmt: skip
+            clock.seq,
+            clock.transit_ns,
+            clock.seen_ns,
+            clock.sent_ns,
+            clock.pace_ns,
+            clock.applied_ns,
+            clock.answered_ns,
+        )
         if not all(abs(word) < MOST for word in words):
             return False
         self._words[SEQ : ANSWERED + 1] = words

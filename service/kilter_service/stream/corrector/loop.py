@@ -171,9 +171,12 @@ class StreamLoop:
     def _put(self, out: str, answer: bytes | None) -> None:
         if answer is not None:
             self.session.put(
-                out, answer, encoding=zenoh.Encoding(ENCODING),
-                priority=zenoh.Priority.REAL_TIME, congestion_control=zenoh.CongestionControl.DROP,
-            )  # fmt: skip
+                out,
+                answer,
+                encoding=zenoh.Encoding(ENCODING),
+                priority=zenoh.Priority.REAL_TIME,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
 
 
 class HousekeepingThread(threading.Thread):
@@ -274,9 +277,12 @@ class HousekeepingThread(threading.Thread):
         key = keys.RobotKeys(spec.site, robot).active
         signed = self._loop.gate.masters.sign_announcement(key, spec.site, robot, document)
         self._loop.session.put(
-            key, signed, encoding=zenoh.Encoding.APPLICATION_JSON, priority=zenoh.Priority.DATA_HIGH,
+            key,
+            signed,
+            encoding=zenoh.Encoding.APPLICATION_JSON,
+            priority=zenoh.Priority.DATA_HIGH,
             congestion_control=zenoh.CongestionControl.BLOCK,
-        )  # fmt: skip
+        )
 
     def _answer_queries(self) -> None:
         while self._queries:
@@ -325,9 +331,12 @@ class HousekeepingThread(threading.Thread):
                 served.status_key, self._loop.spec.site, served.robot, json.dumps(document).encode()
             )
             self._loop.session.put(
-                served.status_key, signed, encoding=zenoh.Encoding.APPLICATION_JSON,
-                priority=zenoh.Priority.DATA_LOW, congestion_control=zenoh.CongestionControl.DROP,
-            )  # fmt: skip
+                served.status_key,
+                signed,
+                encoding=zenoh.Encoding.APPLICATION_JSON,
+                priority=zenoh.Priority.DATA_LOW,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
             place = {"robot": served.robot, "stream": keys.stream_from_key(served.status_key)}
             told.append({**place, **document, "by_time": counters.by_time})
         # A supervisor that does not read must not hold up this thread: then it is not told.

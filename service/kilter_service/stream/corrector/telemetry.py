@@ -109,8 +109,9 @@ class Telemetry:
         for robot, stream in places - self._ways.keys():
             self._ways[robot, stream] = self._session.declare_publisher(
                 keys.RobotKeys(self._spec.site, robot).stream(stream, "live"),
-                priority=zenoh.Priority.BACKGROUND, congestion_control=zenoh.CongestionControl.DROP,
-            )  # fmt: skip
+                priority=zenoh.Priority.BACKGROUND,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
 
     def _sign_document(self, place: tuple[str, str], document: dict[str, Any]) -> bytes:
         """Sign a document as the corrector signs whatever it announces."""

@@ -137,13 +137,22 @@ def of_robot(database: Database, robot: str, wish: Wish) -> Acceptance:
     rows = sum(one.campaign.rows for one in parts)
     low, high = _span(parts)
     return Acceptance(
-        robot=robot, robot_sha256=stored.sha256, version_id=version_id, version_name=version.name,
-        version_sha256=version.sha256, tolerance_mm=wish.tolerance_mm, decision=decision, rule=RULE,
-        sentence=sentence(decision, wish.tolerance_mm, rows, worst, provable, lacking), rows=rows,
-        provable_mm=provable, span_mm={axis: (low[k], high[k]) for k, axis in enumerate("xyz")},
-        campaigns=[one.campaign for one in parts], lacking=lacking,
+        robot=robot,
+        robot_sha256=stored.sha256,
+        version_id=version_id,
+        version_name=version.name,
+        version_sha256=version.sha256,
+        tolerance_mm=wish.tolerance_mm,
+        decision=decision,
+        rule=RULE,
+        sentence=sentence(decision, wish.tolerance_mm, rows, worst, provable, lacking),
+        rows=rows,
+        provable_mm=provable,
+        span_mm={axis: (low[k], high[k]) for k, axis in enumerate("xyz")},
+        campaigns=[one.campaign for one in parts],
+        lacking=lacking,
         warnings=[*left_out, *(said for one in parts for said in guard_band_warnings(one.campaign))],
-    )  # fmt: skip
+    )
 
 
 class Part(NamedTuple):

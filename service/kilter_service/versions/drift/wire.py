@@ -94,9 +94,15 @@ def cause_document(one: Judged) -> dict[str, Any]:
         number = {"name": name, "unit": unit, "change": float(change * factor), "u95": u95}
         numbers.append({**number, "summed": float(summed * factor), "summed_u95": summed_u95})
     return {
-        "name": one.cause.name, "kind": one.cause.kind, "joint": one.cause.joint, "words": cause_words(one.cause),
-        "numbers": numbers, "gain": one.gain, "bic": one.bic, "refuted": one.refuted,
-    }  # fmt: skip
+        "name": one.cause.name,
+        "kind": one.cause.kind,
+        "joint": one.cause.joint,
+        "words": cause_words(one.cause),
+        "numbers": numbers,
+        "gain": one.gain,
+        "bic": one.bic,
+        "refuted": one.refuted,
+    }
 
 
 def smallest_documents(found: Check) -> list[dict[str, Any]]:

@@ -72,11 +72,21 @@ def judge_pairs(database: Database, found: Pairs, a: Side, b: Side) -> PairedErr
     better, worse = int((means > EQUAL_MM).sum()), int((means < -EQUAL_MM).sum())
     less, low, high = _interval(means)
     numbers = PairedErrors(
-        campaigns=list(dict.fromkeys(found.tables[0]["campaign"].tolist())), held_out=found.held_out,
-        rows=len(difference), poses=len(means), counted="rows" if len(means) == len(difference) else "poses",
-        better=better, worse=worse, chance=chance(better, worse), mean_a_mm=float(first.mean()),
-        mean_b_mm=float(second.mean()), less_mm=less, low_mm=low, high_mm=high, sentence="",
-    )  # fmt: skip
+        campaigns=list(dict.fromkeys(found.tables[0]["campaign"].tolist())),
+        held_out=found.held_out,
+        rows=len(difference),
+        poses=len(means),
+        counted="rows" if len(means) == len(difference) else "poses",
+        better=better,
+        worse=worse,
+        chance=chance(better, worse),
+        mean_a_mm=float(first.mean()),
+        mean_b_mm=float(second.mean()),
+        less_mm=less,
+        low_mm=low,
+        high_mm=high,
+        sentence="",
+    )
     aside = [int(np.asarray(table["set_aside"], dtype=bool)[found.used].sum()) for table in found.tables]
     told = [sentence(numbers, a.name, b.name), *_aside(aside, (a.name, b.name))]
     return numbers.model_copy(update={"sentence": " ".join(told)})

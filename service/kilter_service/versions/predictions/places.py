@@ -111,9 +111,15 @@ def _build_places(part: Part, calibration: Calibration, report: dict[str, Any]) 
     order = np.argsort(row)
     row, at, left = row[order], at[kept][order], left[order]
     return Places(
-        calibration.robot, row + 1, part.rows.q[row], at, {name: left[:, k] for k, name in enumerate(STAGES)},
-        ~part.fitted[row], np.isin(row + 1, list(part.set_aside)), len(kept),
-    )  # fmt: skip
+        calibration.robot,
+        row + 1,
+        part.rows.q[row],
+        at,
+        {name: left[:, k] for k, name in enumerate(STAGES)},
+        ~part.fitted[row],
+        np.isin(row + 1, list(part.set_aside)),
+        len(kept),
+    )
 
 
 @dataclass(frozen=True)

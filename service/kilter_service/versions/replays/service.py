@@ -130,6 +130,12 @@ def _compare(
     points = [calibration.predict(Observations(q=one[both])).position for one in (before, now)] if both.any() else []
     tool = np.linalg.norm(points[1] - points[0], axis=1).max() if points else 0.0
     return Change(
-        robot, version_id, to_deg(moved[:, ~sliding].max(initial=0.0)), to_mm(moved[:, sliding].max(initial=0.0)),
-        to_mm(tool), len(q), int(np.sum(refused[0] != refused[1])), before_upgrade is not None,
-    )  # fmt: skip
+        robot,
+        version_id,
+        to_deg(moved[:, ~sliding].max(initial=0.0)),
+        to_mm(moved[:, sliding].max(initial=0.0)),
+        to_mm(tool),
+        len(q),
+        int(np.sum(refused[0] != refused[1])),
+        before_upgrade is not None,
+    )

@@ -64,8 +64,11 @@ def _format_effect_at_joints(name: str, joints: Sequence[int]) -> str:
 def _missing_from_effect(effect: NamedEffect, corrected: Iterable[dict[str, Any]]) -> NamedMissing:
     joints = set(effect.joints or [])
     alike: list[AtJoints] = [effect, *((effect.alias_set or []) if _is_undecided(effect) else [])]
-    there = any(one.get("id") == like.id and set(like.joints or []) <= _joints(one, set(like.joints or []))
-                for one in corrected for like in alike)  # fmt: skip
+    there = any(
+        one.get("id") == like.id and set(like.joints or []) <= _joints(one, set(like.joints or []))
+        for one in corrected
+        for like in alike
+    )
     return NamedMissing(id=effect.id, joints=sorted(joints), words=format_claim(effect), corrected=there)
 
 
@@ -155,9 +158,17 @@ def _today_by_robot(session: Session, robots: Mapping[int, str], searched: Searc
 
 def _today_without_version(robot: str, searched: SearchToday | None) -> Today:
     found = Today(
-        robot=robot, version_id=None, newest=None, own=None, changed=False, larger_by_mm=None, compared="",
-        not_evaluated=[], missing=searched, sentences=[],
-    )  # fmt: skip
+        robot=robot,
+        version_id=None,
+        newest=None,
+        own=None,
+        changed=False,
+        larger_by_mm=None,
+        compared="",
+        not_evaluated=[],
+        missing=searched,
+        sentences=[],
+    )
     return found.model_copy(update={"sentences": sentences.describe_today(found)})
 
 
@@ -243,17 +254,26 @@ def _errors(
 ) -> ErrorsToday:
     found = [campaigns[one] for one in used if one in campaigns]
     return ErrorsToday(
-        source=source, job_id=job, at=at, campaigns=[_campaign(one) for one in found], refit=refit or [],
-        rows=sentences.rows(source, refit or []), errors=errors,
-    )  # fmt: skip
+        source=source,
+        job_id=job,
+        at=at,
+        campaigns=[_campaign(one) for one in found],
+        refit=refit or [],
+        rows=sentences.rows(source, refit or []),
+        errors=errors,
+    )
 
 
 def _campaign(found: Measured) -> MeasuredCampaign:
     days = days_since(found.measured_at)
     return MeasuredCampaign(
-        id=found.id, name=found.name, measured_at=found.measured_at, stated=found.stated, age_days=days,
+        id=found.id,
+        name=found.name,
+        measured_at=found.measured_at,
+        stated=found.stated,
+        age_days=days,
         when=sentences.describe_measurement_time(found.measured_at, days, stated=found.stated),
-    )  # fmt: skip
+    )
 
 
 def _larger(newest: ErrorsToday, own: ErrorsToday) -> float | None:

@@ -70,8 +70,14 @@ def active(session: Session, of: Collection[int]) -> dict[int, Active]:
     last = select(func.max(ActivationRow.id)).where(ActivationRow.robot_id.in_(of)).group_by(ActivationRow.robot_id)
     row = VersionRow
     columns = (
-        row.robot_id, row.id, row.job_id, row.created_at, row.campaigns, row.report["metrics"], row.calibration["effects"],
-    )  # fmt: skip
+        row.robot_id,
+        row.id,
+        row.job_id,
+        row.created_at,
+        row.campaigns,
+        row.report["metrics"],
+        row.calibration["effects"],
+    )
     query = select(*columns).join(ActivationRow, ActivationRow.version_id == row.id).where(ActivationRow.id.in_(last))
     line = _lines(session, of)
     return {
@@ -101,11 +107,18 @@ def measured_campaigns(session: Session, of: Collection[int]) -> dict[int, dict[
     begins = func.substr(row.notes, 1, rest.READ)
     query = (
         select(
-            row.robot_id, row.id, row.name, row.measured_at, row.retired_at, begins, UploadRow.sha256, UploadRow.created_at
+            row.robot_id,
+            row.id,
+            row.name,
+            row.measured_at,
+            row.retired_at,
+            begins,
+            UploadRow.sha256,
+            UploadRow.created_at,
         )
         .join(UploadRow, UploadRow.campaign_id == row.id)
         .where(row.robot_id.in_(of), row.staged.is_(False))
-    )  # fmt: skip
+    )
     retired: set[str] = set()
     out: dict[int, dict[str, Measured]] = {}
     for robot, key, name, stated, ended, notes, sha256, sent in session.execute(query):

@@ -21,10 +21,17 @@ log = logging.getLogger("kilter.api")
 
 NOTED = frozenset(
     {
-        "token_missing", "token_wrong", "token_ended", "role_too_low", "token_limited",
-        "origin_refused", "proxy_only", "host_refused", "csrf_missing",
+        "token_missing",
+        "token_wrong",
+        "token_ended",
+        "role_too_low",
+        "token_limited",
+        "origin_refused",
+        "proxy_only",
+        "host_refused",
+        "csrf_missing",
     }
-)  # fmt: skip
+)
 MOST_GROUPS = 10
 FIRST_S, LONGEST_S = 5.0, 600.0
 METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})

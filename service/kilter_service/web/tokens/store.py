@@ -44,9 +44,14 @@ def add(
                 id=other.id,
             )
     row = TokenRow(
-        id=f"tok_{uuid.uuid4().hex[:16]}", name=name, sha256=sha256, role=role,
-        robots=None if robots is None else sorted(set(robots)), created_by=actor, expires_at=expires_at,
-    )  # fmt: skip
+        id=f"tok_{uuid.uuid4().hex[:16]}",
+        name=name,
+        sha256=sha256,
+        role=role,
+        robots=None if robots is None else sorted(set(robots)),
+        created_by=actor,
+        expires_at=expires_at,
+    )
     session.add(row)
     session.flush()
     return _record(row)
@@ -108,6 +113,13 @@ def left_s(session: Session) -> float:
 def _record(row: TokenRow) -> TokenRecord:
     role: Role = row.role  # type: ignore[assignment]  # checked when it was stored, and again by the model
     return TokenRecord(
-        row.id, row.name, role, row.robots, row.created_at, row.created_by, row.expires_at, row.revoked_at,
+        row.id,
+        row.name,
+        role,
+        row.robots,
+        row.created_at,
+        row.created_by,
+        row.expires_at,
+        row.revoked_at,
         row.revoked_by,
-    )  # fmt: skip
+    )

@@ -31,8 +31,15 @@ def describe_dataset(path: Path, hints: LogHints) -> Document:
     ]
     problems = [{"what": text} for text in _refusal_messages(dataset, partial(refuse_leader, dataset))]
     duration_s = dataset.frames / dataset.fps if dataset.fps else None
-    return {"kind": "joint-log", "rows": dataset.frames, "rate_hz": dataset.fps, "duration_s": duration_s, "notes": notes,
-            "warnings": warnings, "problems": problems}  # fmt: skip
+    return {
+        "kind": "joint-log",
+        "rows": dataset.frames,
+        "rate_hz": dataset.fps,
+        "duration_s": duration_s,
+        "notes": notes,
+        "warnings": warnings,
+        "problems": problems,
+    }
 
 
 def _refusal_messages(dataset: Dataset, check: Callable[[], object]) -> list[str]:

@@ -16,8 +16,14 @@ REMEDIES = (
     ("is beyond its limit", "Teach these targets within reach."),
     ("is held at its limit", "Teach these targets further from the limit."),
     ("DAMPED", "Teach these targets further from the singularity."),
-    ("out of reach", "Check that robot, base and tool are those of the program: kilter robot check shows the arm at zero."),
-    ("have its configuration", "Compare its zero, limits and signs with the controller's: kilter robot check, --signs."),
+    (
+        "out of reach",
+        "Check that robot, base and tool are those of the program: kilter robot check shows the arm at zero.",
+    ),
+    (
+        "have its configuration",
+        "Compare its zero, limits and signs with the controller's: kilter robot check, --signs.",
+    ),
     ("several joints reach it", AS_JOINTS),
     ("past a singularity", AS_JOINTS),
     ("singularity", AS_JOINTS),
@@ -35,7 +41,10 @@ REMEDIES = (
     (r"changes \$", SET_BEFORE),
     ("is set several times", SET_BEFORE),
     ("displaces it", AS_JOINTS),
-    ("orientation is not kept", "Keep the orientation of the target in the move ($ORI_TYPE=#VAR, mode 0, SingArea \\Wrist)."),
+    (
+        "orientation is not kept",
+        "Keep the orientation of the target in the move ($ORI_TYPE=#VAR, mode 0, SingArea \\Wrist).",
+    ),
     ("stands still", AS_JOINTS),
     ("moves, or its tool", AS_JOINTS),
     ("tracks", AS_JOINTS),
@@ -61,7 +70,7 @@ REMEDIES = (
     ("its inverse needs six", ""),  # says itself what to give
     ("corrected twice", "Do not filter what such a controller corrects."),
     ("does not state E", "State the axis in each pose, or --track with none."),
-)  # fmt: skip
+)
 MOST = 3
 
 

@@ -133,9 +133,11 @@ class IpaLasertracker(Reader[Table]):
         """Columns as they stand in the file, and how it is sent."""
         found = describe_table(head)
         return found | {
-            "kind": self.name, "device": self.name, "ready": True,
+            "kind": self.name,
+            "device": self.name,
+            "ready": True,
             "notes": [f"ready for kilter upload --device {self.name}", *found["notes"]],
-        }  # fmt: skip
+        }
 
     def read(self, path: Path, hints: Hints = NO_HINTS) -> Table:
         """Read the series."""

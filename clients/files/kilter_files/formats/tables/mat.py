@@ -207,13 +207,17 @@ def _places_in_matrices(name: str, shape: tuple[int, ...]) -> list[str]:
     if shape[:2] in MATRICES:
         return [
             f"{name}{left}{i + first},{j + first},:{right}"
-            for left, right, first in (("[", "]", 0), ("(", ")", 1)) for i in range(shape[0]) for j in range(shape[1])
-        ]  # fmt: skip
+            for left, right, first in (("[", "]", 0), ("(", ")", 1))
+            for i in range(shape[0])
+            for j in range(shape[1])
+        ]
     if shape[1:] in MATRICES:
         return [
             f"{name}{left}:,{i + first},{j + first}{right}"
-            for left, right, first in (("[", "]", 0), ("(", ")", 1)) for i in range(shape[1]) for j in range(shape[2])
-        ]  # fmt: skip
+            for left, right, first in (("[", "]", 0), ("(", ")", 1))
+            for i in range(shape[1])
+            for j in range(shape[2])
+        ]
     return []
 
 

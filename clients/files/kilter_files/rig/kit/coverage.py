@@ -73,10 +73,12 @@ def coverage(rows: Sequence[Row], joints: Sequence[Mapping[str, Any]], chain: Ma
     sought = Sought(chain, seen, limits, lambda: sights(rows, flange(chain, seen), rig))
     loads = count_gravity_directions(sought, held) if rows else []
     missing = [
-        *_counts(len(rows), len(poses)), *_loads(payloads, known), *_sides(rows, joints),
+        *_counts(len(rows), len(poses)),
+        *_loads(payloads, known),
+        *_sides(rows, joints),
         *(_travel(one, joints[one[0]]["name"], sought if loads else None) for one in _short(q, limits)),
         *(one.missing for one in loads if one.missing),
-    ]  # fmt: skip
+    ]
     return Capture(len(rows), len(poses), known, tuple(missing), tuple(loads))
 
 

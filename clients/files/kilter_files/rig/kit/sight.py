@@ -125,9 +125,12 @@ def _is_view_of_pair(row: Mapping[str, Any], named: Mapping[str, tuple[Any, int]
 
 
 def _fit_seen_board(
-    camera: Mapping[str, Any], board: Mapping[str, Any], views: Sequence[Mapping[str, Any]], own: Sequence[int],
+    camera: Mapping[str, Any],
+    board: Mapping[str, Any],
+    views: Sequence[Mapping[str, Any]],
+    own: Sequence[int],
     flange: Floats,
-) -> SeenBoard | None:  # fmt: skip
+) -> SeenBoard | None:
     corners = np.array(board["corners_mm"], dtype=float)
     if corners.ndim != 2 or np.ptp(corners[:, 2]) > FLAT * np.ptp(corners):
         return None
@@ -159,8 +162,15 @@ def _sight_with_margins(sight: Sight, flange: Floats, pixels: Floats) -> Sight |
     facing, depths = _facing(before), before[:, 2, 3]
     side = 1.0 if np.median(facing) > 0.0 else -1.0
     least = side * float(np.quantile(np.maximum(side * facing, 0.0)[side * facing > 0.0], 0.1))
-    return Sight(sight.camera, sight.corners, sight.tool_side, sight.world_side, margin, least,
-                 (float(depths.min()), float(depths.max())))  # fmt: skip
+    return Sight(
+        sight.camera,
+        sight.corners,
+        sight.tool_side,
+        sight.world_side,
+        margin,
+        least,
+        (float(depths.min()), float(depths.max())),
+    )
 
 
 def _facing(before: Floats) -> Floats:
@@ -243,8 +253,10 @@ def _refine_poses(sight: Sight, flange: Floats, pixels: Floats, far_px: float) -
 
 
 def _apply_pose_step(sight: Sight, step: Floats) -> Sight:
-    A, B = (side @ _pose(rotations(own[None, :3])[0], own[3:]) for side, own in
-            ((sight.tool_side, step[:6]), (sight.world_side, step[6:])))  # fmt: skip
+    A, B = (
+        side @ _pose(rotations(own[None, :3])[0], own[3:])
+        for side, own in ((sight.tool_side, step[:6]), (sight.world_side, step[6:]))
+    )
     return Sight(sight.camera, sight.corners, A, B)
 
 

@@ -19,9 +19,12 @@ REACH_M = 0.3  # how far away it is held
 
 
 def result_sentences(
-    result: Mapping[str, Any], joints: Sequence[Mapping[str, Any]], offsets: Sequence[Mapping[str, Any]], reach_m: float,
+    result: Mapping[str, Any],
+    joints: Sequence[Mapping[str, Any]],
+    offsets: Sequence[Mapping[str, Any]],
+    reach_m: float,
     untold: Mapping[int, str],
-) -> list[str]:  # fmt: skip
+) -> list[str]:
     """Sentences, the largest first, then where no backlash was seen, and which zeros are not told.
 
     ``offsets`` are the zero offsets of an exported table (real less reading), ``reach_m`` where a load may be, ``untold``
@@ -31,9 +34,7 @@ def result_sentences(
     parameters = {name: one for name, one in stated.items() if name not in {f"backlash_load_{j}" for j in untold}}
     numbers = {str(joint["name"]): j for j, joint in enumerate(joints, 1)}
     zeros = [one for one in offsets if "offset_deg" in one and one["joint"] in numbers]
-    found = [
-        *_backlash(parameters, joints), *_sag(parameters, joints, reach_m), *_zeros(zeros, numbers, parameters)
-    ]  # fmt: skip
+    found = [*_backlash(parameters, joints), *_sag(parameters, joints, reach_m), *_zeros(zeros, numbers, parameters)]
     told = (text for _, text in sorted(found, key=lambda one: -one[0]))
     return [*told, *_no_backlash(parameters, joints), *untold.values(), *_unknown_zero_sentences(zeros, numbers)]
 

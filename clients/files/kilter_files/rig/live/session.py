@@ -142,13 +142,20 @@ class Session:
     def _publish(self, shot: Shot, views: list[View], rests: bool) -> None:
         picture = b"" if shot.grey is None else drawn(shot.grey, views, rests)
         state = {
-            "source": self.source, "number": self.numbers, "size": self.size, "picture": shot.name,
-            "corners": sum(len(view.places) for view in views), "rests": rests, "taken": len(self.taken),
-            "wanted": self.wanted, "message": self.message, "gates": self.gates,
+            "source": self.source,
+            "number": self.numbers,
+            "size": self.size,
+            "picture": shot.name,
+            "corners": sum(len(view.places) for view in views),
+            "rests": rests,
+            "taken": len(self.taken),
+            "wanted": self.wanted,
+            "message": self.message,
+            "gates": self.gates,
             "cells": [[(x, y) in self.cells for x in range(CELLS[0])] for y in range(CELLS[1])],
             "refusal": None if self.refusal is None else self.refusal.to_document(),
             "full": self.full,
-        }  # fmt: skip
+        }
         with self._lock:
             self._state = state
             self._picture = picture or self._picture

@@ -63,10 +63,16 @@ def unroll(rgb: Pixels, camera: Camera, sheet: Sheet) -> Ring:
     map_x, map_y = at[:, 0].reshape(shape), at[:, 1].reshape(shape)
     # OpenCV counts pixels of the result in 16 bits.
     parts = [
-        cv2.remap(rgb, map_x[:, k : k + 16_000], map_y[:, k : k + 16_000], cv2.INTER_LINEAR,
-                  borderMode=cv2.BORDER_CONSTANT, borderValue=(255, 255, 255))
+        cv2.remap(
+            rgb,
+            map_x[:, k : k + 16_000],
+            map_y[:, k : k + 16_000],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=(255, 255, 255),
+        )
         for k in range(0, count, 16_000)
-    ]  # fmt: skip
+    ]
     light = np.concatenate(parts, axis=1).astype(np.float64).transpose(2, 0, 1)
     return Ring(sheet, 1.0 - light / _paper(light), out, turn, per_period)
 

@@ -14,9 +14,11 @@ from kilter_core.correct import JOINT_LIMIT, NOT_FINITE, OK, RATE_LIMIT, TOO_LAR
 from kilter_core.errors import OptionError
 
 REFUSED = {
-    NOT_FINITE: "NOT_FINITE", JOINT_LIMIT: "JOINT_LIMIT", TOO_LARGE: "CORRECTION_TOO_LARGE",
+    NOT_FINITE: "NOT_FINITE",
+    JOINT_LIMIT: "JOINT_LIMIT",
+    TOO_LARGE: "CORRECTION_TOO_LARGE",
     RATE_LIMIT: "RATE_LIMIT",
-}  # fmt: skip
+}
 ROBOT_BYTES = 48  # of a robot's name in a program
 
 

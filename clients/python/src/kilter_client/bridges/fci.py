@@ -174,9 +174,14 @@ class Rejoined:
         self._off, self._since_s = (tuple(place), tuple(speed), tuple(curve)), CYCLE_S
         d, w, a = (max(map(abs, one)) for one in (place, speed, curve))
         self._over_s = max(
-            REJOIN_S, 10.0 * self._ahead_s, math.sqrt(2.0 * 5.78 * d / MOST_RAD_S2), 2.0 * 4.0 * w / MOST_RAD_S2,
-            (180.0 * d / MOST_RAD_S3) ** (1.0 / 3.0), math.sqrt(108.0 * w / MOST_RAD_S3), 27.0 * a / MOST_RAD_S3,
-        )  # fmt: skip
+            REJOIN_S,
+            10.0 * self._ahead_s,
+            math.sqrt(2.0 * 5.78 * d / MOST_RAD_S2),
+            2.0 * 4.0 * w / MOST_RAD_S2,
+            (180.0 * d / MOST_RAD_S3) ** (1.0 / 3.0),
+            math.sqrt(108.0 * w / MOST_RAD_S3),
+            27.0 * a / MOST_RAD_S3,
+        )
 
     def _first_step(self, state: Any) -> Joints:
         """One cycle further along the way back, by its acceleration: planned anew each time, by its place alone it would
@@ -227,9 +232,15 @@ class Fci:
     """
 
     def __init__(
-        self, franka: Any, address: str, setpoints: Setpoints, correction: Correction, line: Line, realtime: bool,
+        self,
+        franka: Any,
+        address: str,
+        setpoints: Setpoints,
+        correction: Correction,
+        line: Line,
+        realtime: bool,
         clock: Callable[[], float] = time.perf_counter,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._clock, self._opened_s = clock, math.inf  # when the last state went out
         self._read_s, self._out_of_step = math.inf, 0  # when it was read; for how many more states no command goes out
         self._franka, self._address, self._realtime = franka, address, realtime

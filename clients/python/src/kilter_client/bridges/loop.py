@@ -139,9 +139,15 @@ class Loop:
     """
 
     def __init__(
-        self, port: socket.socket, wire: Wire, correction: Correction, line: Line, cycle_s: float, gone_after_s: float,
+        self,
+        port: socket.socket,
+        wire: Wire,
+        correction: Correction,
+        line: Line,
+        cycle_s: float,
+        gone_after_s: float,
         expected: Address | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._port, self._wire, self._correction, self._line = port, wire, correction, line
         self._cycle_s, self._gone_after_s = cycle_s, gone_after_s
         self._expected = expected

@@ -50,14 +50,16 @@ def fetch_startup_version(robot: str, version: str | None, force: bool) -> Found
         if version is None and arm["active_version"] is None:
             raise ConflictError(
                 f"Robot {robot} has no active version: activate one with `kilter activate`, or name one with --version.",
-                code="no_active_version", robot=robot,
-            )  # fmt: skip
+                code="no_active_version",
+                robot=robot,
+            )
         found = kilter.versions.get(version or arm["active_version"], robot=robot)
         if found["robot"] != robot:
             raise NotFoundError(
                 f"Version {found['id']} is of robot {found['robot']}, not of {robot}: name one of `kilter versions {robot}`.",
-                code="version_not_found", robot=robot,
-            )  # fmt: skip
+                code="version_not_found",
+                robot=robot,
+            )
         if version is not None and found["retired_at"] is not None:
             raise ConflictError(
                 f"Version {found['id']} is retired: restore it, or name another.", code="retired", robot=robot

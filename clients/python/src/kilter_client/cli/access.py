@@ -151,10 +151,17 @@ def _show_session(document: dict[str, Any]) -> None:
 
 def _show_list(document: dict[str, Any]) -> None:
     rows = [
-        (one["id"], one["name"], one["role"], _robots(one), one["created_by"], (one["expires_at"] or "never")[:10],
-         (one["revoked_at"] or "")[:10])
+        (
+            one["id"],
+            one["name"],
+            one["role"],
+            _robots(one),
+            one["created_by"],
+            (one["expires_at"] or "never")[:10],
+            (one["revoked_at"] or "")[:10],
+        )
         for one in document["tokens"]
-    ]  # fmt: skip
+    ]
     show_rows(("token", "name", "role", "robots", "made by", "expires", "revoked"), rows)
 
 

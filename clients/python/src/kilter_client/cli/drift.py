@@ -28,10 +28,13 @@ from kilter_client.verbs.inputs import parse_time
 Rows = Annotated[
     Path | None,
     typer.Argument(
-        help="Poses that were measured again, three or more.", metavar="FILE", exists=True, dir_okay=False,
+        help="Poses that were measured again, three or more.",
+        metavar="FILE",
+        exists=True,
+        dir_okay=False,
         show_default=False,
     ),
-]  # fmt: skip
+]
 
 
 def register(app: typer.Typer) -> None:

@@ -29,10 +29,13 @@ Views = Annotated[
 Output = Annotated[
     Path | None,
     typer.Option(
-        "--output", "-o", metavar="FILE", help="Write the poses as CSV, with loads and directions where they matter.",
+        "--output",
+        "-o",
+        metavar="FILE",
+        help="Write the poses as CSV, with loads and directions where they matter.",
         dir_okay=False,
     ),
-]  # fmt: skip
+]
 
 
 class PosesByDefault(WithDefault):
@@ -43,8 +46,10 @@ class PosesByDefault(WithDefault):
 
 group = typer.Typer(
     help="Plan poses to measure; without a command, for the purpose that is named.",
-    rich_markup_mode=None, no_args_is_help=True, cls=PosesByDefault,
-)  # fmt: skip
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    cls=PosesByDefault,
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -126,9 +131,18 @@ def check(
     needs_result(no_wait, output=output)
     joints = None if without_joints is None else [int(k) for k in arguments.numbers("--without-joints", without_joints)]
     chosen = arguments.options(
-        option, purpose="check", count=poses, version=start, noise_mm=noise_mm, floor_mm=floor_mm, box_mm=_corners(box),
-        keep_out_mm=_zones(keep_out), within="limits" if anywhere else None, without_joints=joints, seed=seed,
-    )  # fmt: skip
+        option,
+        purpose="check",
+        count=poses,
+        version=start,
+        noise_mm=noise_mm,
+        floor_mm=floor_mm,
+        box_mm=_corners(box),
+        keep_out_mm=_zones(keep_out),
+        within="limits" if anywhere else None,
+        without_joints=joints,
+        seed=seed,
+    )
     files = partial(_write, output, as_json)
     run_job("plan", robot, None, None, chosen, no_wait, as_json, needs_campaign=False, files=files, name=name)
 

@@ -85,9 +85,14 @@ def _dots(canvas: Any, axes: Any, points: list[list[float]], trace: Trace) -> No
         colour = {"facecolors": "none", "edgecolors": marker.get("color")}
     lined = symbol == "x" or "facecolors" in colour
     drawn = axes.scatter(
-        *points, s=(DOT * 1.4 * marker.get("size", 4)) ** 2, label=trace.get("name"), marker=symbol,
-        linewidths=SYMBOL_LINE if lined else 0, **colour, **({} if len(points) == 3 else {"rasterized": True}),
-    )  # fmt: skip
+        *points,
+        s=(DOT * 1.4 * marker.get("size", 4)) ** 2,
+        label=trace.get("name"),
+        marker=symbol,
+        linewidths=SYMBOL_LINE if lined else 0,
+        **colour,
+        **({} if len(points) == 3 else {"rasterized": True}),
+    )
     if "colorbar" in marker:
         bar = canvas.colorbar(drawn, ax=canvas.axes, shrink=0.8)
         bar.set_label(words(marker["colorbar"]["title"]["text"]))

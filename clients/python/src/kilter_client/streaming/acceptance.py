@@ -65,10 +65,16 @@ class Acceptance:
             self._drawn = list(DRAWS.unpack(os.urandom(DRAWS.size)))  # many at once: each call takes a microsecond
         sent = (now + self._zero_ns) & ~RANDOM | self._drawn.pop() & RANDOM
         data = encode(
-            values, joints=joints, seq=self._seq, t_send_ns=sent,
+            values,
+            joints=joints,
+            seq=self._seq,
+            t_send_ns=sent,
             t_apply_ns=((t_apply_ns or now) + self._zero_ns) & WHOLE,
-            flags=flags, version=self._version, points=points, step_ns=step_ns,
-        )  # fmt: skip
+            flags=flags,
+            version=self._version,
+            points=points,
+            step_ns=step_ns,
+        )
         self._wanted = wanted
         self._shape = (POINT if points is None else CHUNK, joints, points or 1, step_ns)
         self.echo = data[8:32]

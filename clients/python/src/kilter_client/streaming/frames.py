@@ -14,9 +14,22 @@ POINT, CHUNK = 0, 1
 QD, QDD, VERSION, RESET, SETTLED = 0x0001, 0x0002, 0x0004, 0x0008, 0x0010
 DYNAMIC, RAMPING, REVERSING, DAMPED, RESIDUAL, SATURATED, SLOWED, UNSURE = (1 << k for k in range(8, 16))
 STATUSES = (
-    "OK", "STALE", "SEQ_GAP", "SEQ_BACK", "BAD_FRAME", "NOT_FINITE", "JOINT_LIMIT", "CORRECTION_TOO_LARGE",
-    "RATE_LIMIT", "NO_VERSION", "VERSION_MISMATCH", "OVERLOAD", "NO_SESSION", "UNSIGNED", "SESSION_EXPIRED",
-)  # fmt: skip
+    "OK",
+    "STALE",
+    "SEQ_GAP",
+    "SEQ_BACK",
+    "BAD_FRAME",
+    "NOT_FINITE",
+    "JOINT_LIMIT",
+    "CORRECTION_TOO_LARGE",
+    "RATE_LIMIT",
+    "NO_VERSION",
+    "VERSION_MISMATCH",
+    "OVERLOAD",
+    "NO_SESSION",
+    "UNSIGNED",
+    "SESSION_EXPIRED",
+)
 
 
 class Made:
@@ -146,6 +159,19 @@ def decode(data: bytes) -> Answer | None:
         return None
     q = struct.unpack_from(f"<{points * joints}d", data, start)
     return Answer(
-        seq, flags, version, epoch, STATUSES[status], mask, processing_ns, joints, q, sent, apply, kind, points, step_ns,
+        seq,
+        flags,
+        version,
+        epoch,
+        STATUSES[status],
+        mask,
+        processing_ns,
+        joints,
+        q,
+        sent,
+        apply,
+        kind,
+        points,
+        step_ns,
         left_nm,
-    )  # fmt: skip
+    )

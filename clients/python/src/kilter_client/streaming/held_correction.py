@@ -60,15 +60,28 @@ class Carried:
         if self.delta == delta:  # as nearly always
             self._statistics.corrected += 1
             return Setpoint(
-                answer.q, source="corrected", wanted=wanted, status="OK", flags=answer.flags, round_trip_s=trip,
-                left_nm=answer.left_nm, lag=(0.0,) * len(wanted), lag_mm=0.0,
-            )  # fmt: skip
+                answer.q,
+                source="corrected",
+                wanted=wanted,
+                status="OK",
+                flags=answer.flags,
+                round_trip_s=trip,
+                left_nm=answer.left_nm,
+                lag=(0.0,) * len(wanted),
+                lag_mm=0.0,
+            )
         self._statistics.slowed += 1
         lag = tuple(map(sub, delta, self.delta))
         return Setpoint(
-            _sum(wanted, self.delta), source="slowed", wanted=wanted, status="OK", flags=answer.flags,
-            round_trip_s=trip, lag=lag, lag_mm=self._in_use.at_tool_mm(lag),
-        )  # fmt: skip
+            _sum(wanted, self.delta),
+            source="slowed",
+            wanted=wanted,
+            status="OK",
+            flags=answer.flags,
+            round_trip_s=trip,
+            lag=lag,
+            lag_mm=self._in_use.at_tool_mm(lag),
+        )
 
     def follow_chunk(
         self, rows: Sequence[tuple[float, ...]], q: Sequence[float], steps_s: Sequence[float]

@@ -25,9 +25,15 @@ class Sessions:
     """Sessions of one stream. ``signed`` None: sign when a session can be had, or when it must be."""
 
     def __init__(
-        self, site: str, robot: str, stream: str, endpoints: Sequence[str], found: dict[str, Any], signed: bool | None,
+        self,
+        site: str,
+        robot: str,
+        stream: str,
+        endpoints: Sequence[str],
+        found: dict[str, Any],
+        signed: bool | None,
         take_over: bool = False,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._take_over = take_over
         self._address = (site, robot, stream)
         self._endpoints = endpoints

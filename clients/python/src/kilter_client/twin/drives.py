@@ -126,10 +126,17 @@ def _unmapped_statements(
         ("damping", [float(model.dof_damping[d].ravel()[0]) for d in dofs], motion),
         ("armature", [float(model.dof_armature[d]) for d in dofs], motion),
         ("kv of the drive", [_drive_damping(model, drives.get(j)) for j in places], motion),
-        ("spring of the joint", [float(model.jnt_stiffness[j].ravel()[0]) for j in places],
-         "no effect is a spring beside the drive; gravity_spring is nearest"),
-        ("force limit", [_drive_force_limit(model, drives.get(j)) for j in places], "a drive at its limit is not calibrated"),
-    ]  # fmt: skip
+        (
+            "spring of the joint",
+            [float(model.jnt_stiffness[j].ravel()[0]) for j in places],
+            "no effect is a spring beside the drive; gravity_spring is nearest",
+        ),
+        (
+            "force limit",
+            [_drive_force_limit(model, drives.get(j)) for j in places],
+            "a drive at its limit is not calibrated",
+        ),
+    ]
     for what, values, why in told:
         listed = list_nonzero(values)
         if listed:

@@ -104,9 +104,13 @@ class _Copy:
         self.sites = [_pose(data.site_xpos[k], data.site_xmat[k]) for k in range(self.model.nsite)]
         self.bodies = [int(self.model.jnt_bodyid[j]) for j in self.ids]
         self.base = base_in_model(
-            path, names, twin.nominal[:-1], data.xanchor[self.ids], data.xaxis[self.ids],
+            path,
+            names,
+            twin.nominal[:-1],
+            data.xanchor[self.ids],
+            data.xaxis[self.ids],
             self.poses[int(self.model.body_parentid[self.bodies[0]])],
-        )  # fmt: skip
+        )
 
     def apply(self, site: str | None) -> None:
         """Move the bodies, set the drives, and place the tool."""
@@ -152,10 +156,19 @@ class _Copy:
         degrees = 57.29577951308232 if self.spec.compiler.degree and joint.type == mujoco.mjtJoint.mjJNT_HINGE else 1.0
         k = int(behind.dofadr[0])
         joint.parent.add_joint(
-            name=f"{self.names[j]}{BACKLASH}", type=joint.type, axis=joint.axis, pos=joint.pos, stiffness=0.0, frictionloss=0.0,
-            limited=mujoco.mjtLimited.mjLIMITED_TRUE, range=degrees * behind.range, armature=float(twin.dof_armature[k]),
-            damping=float(behind.damping[0]), solref_limit=twin.jnt_solref[behind.id], solimp_limit=twin.jnt_solimp[behind.id],
-        )  # fmt: skip
+            name=f"{self.names[j]}{BACKLASH}",
+            type=joint.type,
+            axis=joint.axis,
+            pos=joint.pos,
+            stiffness=0.0,
+            frictionloss=0.0,
+            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            range=degrees * behind.range,
+            armature=float(twin.dof_armature[k]),
+            damping=float(behind.damping[0]),
+            solref_limit=twin.jnt_solref[behind.id],
+            solimp_limit=twin.jnt_solimp[behind.id],
+        )
 
     def _move_site(self, name: str, move: Floats) -> None:
         k = find_element_id(self.model, "site", name, self.path)
@@ -168,8 +181,10 @@ class _Copy:
         table = _curves_only(self.twin.table)
         if table is None:
             return
-        drives = {self.twin.joints[j]: next(a.name for a in self.spec.actuators if a.target == name)
-                  for j, name in enumerate(self.names)}  # fmt: skip
+        drives = {
+            self.twin.joints[j]: next(a.name for a in self.spec.actuators if a.target == name)
+            for j, name in enumerate(self.names)
+        }
         self.spec.add_text(name=TABLE, data=json.dumps(table | {"drives": drives}))
         self.spec.nuserdata = max(self.spec.nuserdata, 2 * len(self.names) + 1)
 

@@ -83,18 +83,22 @@ def read_measured_rows(content: bytes, joints: int, conditions: Mapping[str, Any
     seen = np.array([_column_numbers(table, "u1_px")] if of_views else points, dtype=np.float64).T
     corners = [name for name in names if name.endswith("_px") and name[0] == "u"]
     whole = np.flatnonzero(
-        [sum(bool(row[name]) for name in corners) >= FEWEST_CORNERS for row in table] if of_views
+        [sum(bool(row[name]) for name in corners) >= FEWEST_CORNERS for row in table]
+        if of_views
         else np.isfinite(seen).all(axis=1)
-    )  # fmt: skip
+    )
     if len(whole) < FEWEST_POINTS:
         what = f"views of {FEWEST_CORNERS} corners or more" if of_views else "measured points"
         raise UsageError(f"The campaign has {len(whole)} {what}: base and tool need {FEWEST_POINTS} or more.")
     chosen = whole[np.unique(np.linspace(0, len(whole) - 1, min(most, len(whole))).round().astype(int))]
     return MeasuredRows(
-        np.array(readings, dtype=np.float64).T[chosen], np.nan_to_num(np.array(sides, dtype=np.float64).T[chosen]),
-        np.nan_to_num(np.array(payload, dtype=np.float64))[chosen], None if of_views else seen[chosen],
-        [table[k] for k in chosen] if of_views else (), rig,
-    )  # fmt: skip
+        np.array(readings, dtype=np.float64).T[chosen],
+        np.nan_to_num(np.array(sides, dtype=np.float64).T[chosen]),
+        np.nan_to_num(np.array(payload, dtype=np.float64))[chosen],
+        None if of_views else seen[chosen],
+        [table[k] for k in chosen] if of_views else (),
+        rig,
+    )
 
 
 def _column(table: list[dict[str, str]], names: set[str], name: str, units: Sequence[str]) -> list[float] | None:
@@ -183,8 +187,11 @@ class _Arm:
     def from_model(cls, model: Any, settings: Settings, path: Path) -> _Arm:
         joints = [find_element_id(model, "joint", name, path) for name in settings.joints]
         site = find_element_id(model, "site", settings.tool, path)
-        drives = {int(model.actuator_trnid[a, 0]): a for a in range(model.nu)
-                  if int(model.actuator_trntype[a]) == JOINT and model.actuator_biasprm[a, 1] < 0.0}  # fmt: skip
+        drives = {
+            int(model.actuator_trnid[a, 0]): a
+            for a in range(model.nu)
+            if int(model.actuator_trntype[a]) == JOINT and model.actuator_biasprm[a, 1] < 0.0
+        }
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
         if settings.timestep_s is not None:
             model.opt.timestep = settings.timestep_s

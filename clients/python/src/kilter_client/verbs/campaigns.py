@@ -27,16 +27,29 @@ MOST_LINES = 8  # of a file that are named in a refusal
 
 
 def upload(
-    robot: ResourceReference, data: Data, *, columns: Sequence[str] | None = None, name: str | None = None,
-    role: Literal["train", "validation", "confirmation"] = "train", device: str | None = None,
-    column_map: str | PathLike[str] | None = None, preset: str | None = None, euler: str | None = None,
-    joints: str | PathLike[str] | None = None, payload_kg: float | None = None,
-    payload_com_mm: Sequence[float] | None = None, temperature_c: float | None = None,
-    tool_force_n: Sequence[float] | None = None, tool_moment_nm: Sequence[float] | None = None,
-    calibration: str | PathLike[str] | None = None, notes: str = "",
-    measured_at: datetime | date | str | None = None, instrument: str | None = None, campaign: ResourceReference | None = None,
+    robot: ResourceReference,
+    data: Data,
+    *,
+    columns: Sequence[str] | None = None,
+    name: str | None = None,
+    role: Literal["train", "validation", "confirmation"] = "train",
+    device: str | None = None,
+    column_map: str | PathLike[str] | None = None,
+    preset: str | None = None,
+    euler: str | None = None,
+    joints: str | PathLike[str] | None = None,
+    payload_kg: float | None = None,
+    payload_com_mm: Sequence[float] | None = None,
+    temperature_c: float | None = None,
+    tool_force_n: Sequence[float] | None = None,
+    tool_moment_nm: Sequence[float] | None = None,
+    calibration: str | PathLike[str] | None = None,
+    notes: str = "",
+    measured_at: datetime | date | str | None = None,
+    instrument: str | None = None,
+    campaign: ResourceReference | None = None,
     progress: Watching = True,
-) -> Steps[typed.campaigns.Uploaded]:  # fmt: skip
+) -> Steps[typed.campaigns.Uploaded]:
     """Upload measurements as a campaign of a robot; the same rows again change nothing.
 
     Args:
@@ -69,9 +82,12 @@ def upload(
 
     """
     conditions = build_conditions(
-        payload_kg=payload_kg, payload_com_mm=payload_com_mm, temperature_c=temperature_c,
-        tool_force_n=tool_force_n, tool_moment_nm=tool_moment_nm,
-    )  # fmt: skip
+        payload_kg=payload_kg,
+        payload_com_mm=payload_com_mm,
+        temperature_c=temperature_c,
+        tool_force_n=tool_force_n,
+        tool_moment_nm=tool_moment_nm,
+    )
     if campaign is not None and (name or notes or conditions or measured_at or instrument or calibration):
         raise UsageError("campaign= adds to a campaign that has its name, notes and conditions already.")
     device_name = device or preset or ""

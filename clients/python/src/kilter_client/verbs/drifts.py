@@ -67,14 +67,30 @@ def drift(
     if campaign is None:
         assert data is not None
         sent = yield from campaigns.upload(
-            robot, data, name=name or None, role="validation", device=device, column_map=column_map,
-            payload_kg=payload_kg, temperature_c=temperature_c, measured_at=measured_at,
-            instrument=instrument, progress=progress,
-        )  # fmt: skip
+            robot,
+            data,
+            name=name or None,
+            role="validation",
+            device=device,
+            column_map=column_map,
+            payload_kg=payload_kg,
+            temperature_c=temperature_c,
+            measured_at=measured_at,
+            instrument=instrument,
+            progress=progress,
+        )
         asked = jobs.request_body("drift", robot, sent.campaign_id, options, None, name)
         return cast("DriftResult", (yield from jobs.run(asked, progress, timeout_s)))
-    _refuse_known({"device": device, "column_map": column_map, "payload_kg": payload_kg,
-                   "temperature_c": temperature_c, "measured_at": measured_at, "instrument": instrument})  # fmt: skip
+    _refuse_known(
+        {
+            "device": device,
+            "column_map": column_map,
+            "payload_kg": payload_kg,
+            "temperature_c": temperature_c,
+            "measured_at": measured_at,
+            "instrument": instrument,
+        }
+    )
     asked = jobs.request_body("drift", robot, reference("campaign", campaign), options, None, name)
     return cast("DriftResult", (yield from jobs.run(asked, progress, timeout_s)))
 

@@ -51,9 +51,12 @@ def dry_run(
 
     """
     conditions = build_conditions(
-        payload_kg=payload_kg, payload_com_mm=payload_com_mm, temperature_c=temperature_c,
-        tool_force_n=tool_force_n, tool_moment_nm=tool_moment_nm,
-    )  # fmt: skip
+        payload_kg=payload_kg,
+        payload_com_mm=payload_com_mm,
+        temperature_c=temperature_c,
+        tool_force_n=tool_force_n,
+        tool_moment_nm=tool_moment_nm,
+    )
     prepared = prepare_rows(data, columns, device, column_map, preset, euler, joints)
     file, arm = fspath(data) if isinstance(data, str | PathLike) else default_name(data), reference("robot", robot)
     servos, prepared = yield from compare_calibration_file(arm, calibration, prepared, file)

@@ -341,12 +341,15 @@ def _report(programs: Sequence[Program], done: AllDone, texts: Mapping[str, str]
     worst = max(done, key=_change)
     held: list[dict[str, Any]] = [
         {
-            "file": one.program.path.name, "line": one.target.line, "name": one.target.name, "status": one.status,
+            "file": one.program.path.name,
+            "line": one.target.line,
+            "name": one.target.name,
+            "status": one.status,
             "at_limits": one.at_limits or None,
         }
         for one in done
         if one.status != "OK"
-    ]  # fmt: skip
+    ]
     diffs = [_diff(one, texts[one.path.name]) for one in programs]
     return {
         "texts": dict(texts),

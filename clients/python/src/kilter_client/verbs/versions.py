@@ -161,9 +161,17 @@ def correct(
     """
     chosen = None if not version else reference("version", version)
     answer = yield from calls.correct(
-        reference("robot", robot), prepare_rows(trajectory, columns), chosen, form, payload_kg, payload_com_mm,
-        task=task, strict=strict, at_limit=at_limit, hold=hold,
-    )  # fmt: skip
+        reference("robot", robot),
+        prepare_rows(trajectory, columns),
+        chosen,
+        form,
+        payload_kg,
+        payload_com_mm,
+        task=task,
+        strict=strict,
+        at_limit=at_limit,
+        hold=hold,
+    )
     corrected = Corrected(answer.content)
     corrected.media_type = answer.headers.get("content-type", "").partition(";")[0]
     corrected.left_out = tuple(filter(None, answer.headers.get("kilter-not-corrected", "").split(", ")))

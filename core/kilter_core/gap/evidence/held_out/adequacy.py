@@ -79,19 +79,24 @@ class Adequacy:
         ratio = float(np.sqrt(max(self.lack_of_fit, 0.0)))
         return (
             {
-                "code": "noise_too_large", "ratio": ratio,
+                "code": "noise_too_large",
+                "ratio": ratio,
                 "message": f"What is left is {ratio:.2f} times the noise, less than noise of that size leaves: the repeats "
                 "drifted or were disturbed, or a stated sigma is too large. No claim rests on the size of this noise. "
                 "Repeat ten poses with one other pose in between, or state the sigma of the instrument.",
             },
-        )  # fmt: skip
+        )
 
     def to_document(self) -> dict[str, Any]:
         """Plain numbers."""
         return {
-            "chi2": self.chi2, "freedom": self.nu, "chi2_per_freedom": self.chi2 / max(self.nu, 1.0),
-            "lack_of_fit_f": self.lack_of_fit, "p_value": self.p_value, "p_value_low": self.p_value_low,
-        }  # fmt: skip
+            "chi2": self.chi2,
+            "freedom": self.nu,
+            "chi2_per_freedom": self.chi2 / max(self.nu, 1.0),
+            "lack_of_fit_f": self.lack_of_fit,
+            "p_value": self.p_value,
+            "p_value_low": self.p_value_low,
+        }
 
 
 def adequacy(problem: LinearizedProblem, condition: Ints, chosen: Sequence[int]) -> Adequacy:

@@ -62,10 +62,12 @@ def _row(
     lengths = slice(kind.part.start, noise.lengths) if kind.of_tool and noise.lengths else kind.part
     repeats = _repeats(kind, prepared, problem)
     out: dict[str, Any] = {
-        "kind": kind.name, "unit": unit, "numbers": int(np.count_nonzero(fitted[1][:, kind.part])),
+        "kind": kind.name,
+        "unit": unit,
+        "numbers": int(np.count_nonzero(fitted[1][:, kind.part])),
         "noise": float(np.sqrt(np.mean(np.diag(noise.row)[lengths]))) * scale,
         "repeats": None if repeats is None else repeats * scale,
-    }  # fmt: skip
+    }
     for prefix, (errors, seen) in (("", fitted), ("validation_", held)):
         for name, each in zip(("before", "after"), errors, strict=True):
             size = _rms(kind, source, each, seen)

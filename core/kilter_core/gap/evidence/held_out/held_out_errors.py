@@ -351,7 +351,8 @@ def noise_document(settings: ProblemSettings) -> dict[str, Any]:
     scales = np.full(len(noise.row), scale)
     scales[noise.lengths or len(scales) :] = DEG
     return {
-        "source": noise.source, "absolute": noise.absolute,
+        "source": noise.source,
+        "absolute": noise.absolute,
         "freedom": float(noise.freedom) if np.isfinite(noise.freedom) else None,
         f"within_visit_{unit}": None if noise.within is None else noise.within * scale,
         f"re_approach_{unit}": None if noise.between is None else noise.between * scale,
@@ -359,7 +360,7 @@ def noise_document(settings: ProblemSettings) -> dict[str, Any]:
         "correlated_samples": settings.inflation,
         "drift": None if noise.drift is None else noise.drift.to_document(unit, scale),
         **rounding_document(settings.rounding, settings.source),
-    }  # fmt: skip
+    }
 
 
 def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dict[str, Any]:
@@ -388,9 +389,14 @@ def gap_document(prepared: Prepared, search: SearchResult, held: HeldOut) -> dic
     known = problem.settings.noise.absolute and r0**2 > (1.0 + apart) * sigma**2 and bool(search.chosen)
     closure = (r0**2 - r1**2) / (r0**2 - sigma**2) if known else None
     numbers = {
-        "before": fit_rms(prepared.problem), "after": fit_rms(problem), "noise": coordinate, "noise_rms": noise,
-        "validation_before": r0, "validation_after": r1, "validation_noise_rms": sigma,
-    }  # fmt: skip
+        "before": fit_rms(prepared.problem),
+        "after": fit_rms(problem),
+        "noise": coordinate,
+        "noise_rms": noise,
+        "validation_before": r0,
+        "validation_after": r1,
+        "validation_noise_rms": sigma,
+    }
     if held.every is not None:
         numbers["validation_after_all"] = source.rms(held.every @ held.lower.T)
     unit, scale = display_unit_and_scale("rad" if joint else "m")

@@ -63,9 +63,11 @@ class Misfit:
     def to_document(self) -> dict[str, Any]:
         """Plain numbers and whether it is too small to matter."""
         return {
-            "misfit_mm": self.rms_mm, "misfit_upper_mm": self.upper_mm, "matters_mm": self.floor_mm,
+            "misfit_mm": self.rms_mm,
+            "misfit_upper_mm": self.upper_mm,
+            "matters_mm": self.floor_mm,
             "too_small_to_matter": self.too_small,
-        }  # fmt: skip
+        }
 
 
 def misfit(found: SearchResult, fit: Adequacy, rows: Observations, options: GapOptions) -> Misfit:
@@ -129,6 +131,8 @@ def moves_u95_mm(found: SearchResult, k: int) -> float:
     covariance = final_effect_amounts(found).covariance[np.ix_(places, places)]
     # What a length follows: that of the sum of its squares, for lengths add up as the root of one quadratic form.
     size = source.rms(each @ amount)
-    slope = [(source.rms(each @ (amount + step)) ** 2 - source.rms(each @ (amount - step)) ** 2) / (4.0 * step.max() * size)
-             for step in np.diag(np.sqrt(np.diag(covariance)))]  # fmt: skip
+    slope = [
+        (source.rms(each @ (amount + step)) ** 2 - source.rms(each @ (amount - step)) ** 2) / (4.0 * step.max() * size)
+        for step in np.diag(np.sqrt(np.diag(covariance)))
+    ]
     return QUANTILE * mm(float(np.sqrt(slope @ covariance @ np.array(slope))))

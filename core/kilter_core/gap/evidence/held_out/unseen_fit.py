@@ -69,11 +69,16 @@ class UnseenFit:
     def to_document(self) -> dict[str, Any]:
         """Plain numbers."""
         return {
-            "chi2": self.chi2, "freedom": self.freedom, "chi2_per_freedom": self.chi2 / self.freedom,
-            "p_value": self.p_value, "poses": self.poses, "left_mm": mm(self.left), "noise_mm": mm(self.noise),
+            "chi2": self.chi2,
+            "freedom": self.freedom,
+            "chi2_per_freedom": self.chi2 / self.freedom,
+            "p_value": self.p_value,
+            "poses": self.poses,
+            "left_mm": mm(self.left),
+            "noise_mm": mm(self.noise),
             "refuted": self.refutes_model,
             **({} if self.all_rows is None else dict(zip(("chi2_all", "freedom_all"), self.all_rows, strict=True))),
-        }  # fmt: skip
+        }
 
 
 def unseen_fit(held: HoldoutEvaluator, matters_mm: float) -> UnseenFit | None:

@@ -111,10 +111,15 @@ def smallest_rows(library: Library, judged: Testability) -> list[dict[str, Any]]
     out = []
     for seen in visible(library, judged):
         unit, scale = display_unit_and_scale(seen.unit)
-        out.append({
-            "id": seen.id, "parameter": seen.parameter, "unit": unit, "smallest_detectable": seen.smallest * scale,
-            "visibility": seen.visibility,
-        })  # fmt: skip
+        out.append(
+            {
+                "id": seen.id,
+                "parameter": seen.parameter,
+                "unit": unit,
+                "smallest_detectable": seen.smallest * scale,
+                "visibility": seen.visibility,
+            }
+        )
     return out
 
 

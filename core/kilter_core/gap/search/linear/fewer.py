@@ -88,7 +88,14 @@ class Rest:
         whole, copies = self.of.schur_complement_and_copies
         along, before = np.ascontiguousarray(copies[:, self.at]), self.of.conditioned_gram
         return replace(
-            before, whole=whole, c=before.c + along @ self.b, yy=self.yy, nu=self.of.gram.nu - self.rank,
-            taken=tuple(self.of.columns[n] for n in self.stay), K=-(along @ self.own), along=along,
-            copies=copies[:, self.stay] + along @ self.copied, exchanges={},
-        )  # fmt: skip
+            before,
+            whole=whole,
+            c=before.c + along @ self.b,
+            yy=self.yy,
+            nu=self.of.gram.nu - self.rank,
+            taken=tuple(self.of.columns[n] for n in self.stay),
+            K=-(along @ self.own),
+            along=along,
+            copies=copies[:, self.stay] + along @ self.copied,
+            exchanges={},
+        )

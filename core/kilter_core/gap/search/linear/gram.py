@@ -160,9 +160,16 @@ class Gram:
         c = self.c - K @ self.c[index]
         c[index] = 0.0
         return replace(
-            self, c=c, yy=self.yy - self.reduction(index), nu=self.nu - self.rank(index),
-            taken=tuple(index), K=K, along=along, copies=K, exchanges={},
-        )  # fmt: skip
+            self,
+            c=c,
+            yy=self.yy - self.reduction(index),
+            nu=self.nu - self.rank(index),
+            taken=tuple(index),
+            K=K,
+            along=along,
+            copies=K,
+            exchanges={},
+        )
 
     def with_data(self, c: Floats, yy: float) -> Gram:
         """The same candidates with other data."""

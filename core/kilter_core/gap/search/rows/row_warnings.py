@@ -65,7 +65,7 @@ def rounding_warnings(one: Rounding | None, source: Source, held: bool) -> Itera
         "code": "rounded_readings",
         "message": f"The joint readings are multiples of {' and '.join(said)}: rounding moves the tool by "
         f"{mm(coordinate(one, source)):.2g} mm, rms of a coordinate, {counted}. Record the readings with more digits.",
-    }  # fmt: skip
+    }
 
 
 def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
@@ -87,7 +87,7 @@ def noise_warnings(noise: Noise, joint: bool) -> Iterator[Warning_]:
             "message": "The noise is that of poses visited again from other sides or under other loads, and what these do "
             "could not all be fitted: noise is this at most, and no claim is confirmed by it. Come back to ten poses thrice "
             "in the same way.",
-        }  # fmt: skip
+        }
     elif noise.most:
         yield {
             "code": "drift_not_separated",
@@ -103,12 +103,13 @@ def instrument_warnings(noise: Noise, stated: float | None) -> Iterator[Warning_
     ratio = noise.coordinate / stated
     within = "" if noise.within is None else f" ({mm(noise.within):.3g} mm without leaving the pose)"
     yield {
-        "code": "noise_beyond_instrument", "ratio": ratio,
+        "code": "noise_beyond_instrument",
+        "ratio": ratio,
         "message": f"Repeats differ by {mm(noise.coordinate):.3g} mm (standard deviation of a coordinate){within}, "
         f"{ratio:.2g} times what the instrument states ({mm(stated):.3g} mm): something moves between visits. Hysteresis "
         "and friction memory of the joints (presliding), a loose mount or nest, or warming do that; errors smaller than this "
         "cannot be seen. Approach poses from the same side and on the same way, and check mounts.",
-    }  # fmt: skip
+    }
 
 
 def outlier_warnings(problem: LinearizedProblem) -> Iterator[Warning_]:
@@ -116,7 +117,8 @@ def outlier_warnings(problem: LinearizedProblem) -> Iterator[Warning_]:
     used = problem.settings.used
     if not used.all():
         yield {
-            "code": "outliers", "visits": int(np.sum(~used)),
+            "code": "outliers",
+            "visits": int(np.sum(~used)),
             "message": f"{int(np.sum(~used))} of {len(used)} visits could be explained by nothing in the library and were set "
             "aside.",
-        }  # fmt: skip
+        }

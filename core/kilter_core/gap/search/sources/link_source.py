@@ -49,11 +49,15 @@ class LinkSource(Source):
         segment = segments(observations)
         n = model.robot.n_joints * (int(segment.max()) + 1)
         return LinkSource(
-            model, observations, np.ptp(np.nan_to_num(observations.link_q), axis=0) > 0.0, segment, n_library,
+            model,
+            observations,
+            np.ptp(np.nan_to_num(observations.link_q), axis=0) > 0.0,
+            segment,
+            n_library,
             with_torque(model.batch(observations), observations),
             Prior(np.zeros(n), np.full(n, 0.1)).append_prior(Prior.from_parameters(started)),
             np.array([p.prior_sigma for p in library]),
-        )  # fmt: skip
+        )
 
     @property
     def observations(self) -> Observations:

@@ -41,9 +41,14 @@ class ToolSource(Source):
         chosen = [model.parameters[k] for k in free]
         library = model.parameters[len(model.names) - n_library :]
         return ToolSource(
-            model, measurement, free, n_library, model.batch(measurement.observations),
-            Prior.from_parameters(chosen, model.of_type), np.array([p.prior_sigma for p in library]),
-        )  # fmt: skip
+            model,
+            measurement,
+            free,
+            n_library,
+            model.batch(measurement.observations),
+            Prior.from_parameters(chosen, model.of_type),
+            np.array([p.prior_sigma for p in library]),
+        )
 
     @property
     def soft(self) -> Bools:

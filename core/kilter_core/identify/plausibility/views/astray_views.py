@@ -58,11 +58,13 @@ def astray_views(seen: ViewResiduals, far: Bools, numbers: Ints) -> Iterator[dic
     size = mm(sizes(seen, ~far))
     rows, off_mm = (numbers[seen.rows[far]] + 1).tolist(), size[far].tolist()
     yield {
-        "code": "views_astray", "rows": rows, "off_mm": off_mm,
+        "code": "views_astray",
+        "rows": rows,
+        "off_mm": off_mm,
         "message": f"Rows {rows_off(rows, off_mm)} are far from where the others put the tool, which are off by "
         f"{float(np.median(size[~far])):.2g} mm (median): joints of another picture, an arm that moved, or corners that are "
         "wrong. Look at these pictures, correct their joints or leave these rows out, and identify again.",
-    }  # fmt: skip
+    }
 
 
 def rows_off(rows: Sequence[int], off_mm: Sequence[float]) -> str:

@@ -27,10 +27,17 @@ def bent_boards(fit: Fit) -> Iterator[dict[str, Any]]:
         (x, y), twist = (mm(v) for v in one.bows), mm(one.twist)
         size, half = mm(one.size), mm(QUANTILE * one.sigma)
         yield {
-            "code": "board_not_flat", "board": one.board, "size_mm": size, "u95_mm": half, "bow_x_mm": x, "bow_y_mm": y,
-            "twist_mm": twist, "rms_px": one.rms_px, "p_value": one.chance,
+            "code": "board_not_flat",
+            "board": one.board,
+            "size_mm": size,
+            "u95_mm": half,
+            "bow_x_mm": x,
+            "bow_y_mm": y,
+            "twist_mm": twist,
+            "rms_px": one.rms_px,
+            "p_value": one.chance,
             "message": f"Board {one.board} is not flat: from its highest to its lowest corner {size:.2g} mm (95 %: within "
             f"{half:.1g} mm), a bow of {x:.2g} mm along x and {y:.2g} mm along y and a twist of {twist:.2g} mm in z of its "
             f"frame. It moves corners by {one.rms_px:.2g} px (rms). Glue it to a stiff plate and measure anew, or add this to "
             "the heights in its `corners_mm`; if another board says the same, the lens needs another model.",
-        }  # fmt: skip
+        }

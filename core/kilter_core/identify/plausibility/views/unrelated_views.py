@@ -162,8 +162,10 @@ def _refuse_far(far: list[tuple[int, float]], given: float) -> None:
         f"Rows {rows_off(rows, off_mm)}: the board is that far from where their joints would have it, in the others "
         f"{mm(given):.2g} mm (median). Their joints are of other pictures. Join these rows with the joints of their own poses, "
         "or leave them out.",
-        code="views_astray", rows=rows, off_mm=off_mm,
-    )  # fmt: skip
+        code="views_astray",
+        rows=rows,
+        off_mm=off_mm,
+    )
 
 
 def _refuse_scale(sample: _Sample) -> None:
@@ -180,8 +182,11 @@ def _refuse_scale(sample: _Sample) -> None:
     raise ObservationError(
         scale_sentence(name, size, 1e2 * QUANTILE * sigma)
         + f" With that camera and arm agree to {mm(left):.2g} mm, as stated to {mm(before):.2g} mm.",
-        code="board_scale_differs", board=name, larger_percent=size, u95_percent=1e2 * QUANTILE * sigma,
-    )  # fmt: skip
+        code="board_scale_differs",
+        board=name,
+        larger_percent=size,
+        u95_percent=1e2 * QUANTILE * sigma,
+    )
 
 
 def scale_sentence(board: str, percent: float, half: float) -> str:
@@ -216,10 +221,11 @@ def _mirrored_sense_warnings(sample: _Sample, reversed_: dict[int, float], given
         if left < AS_GOOD * given and np.ptp(sample.rows.q[:, j]) > 0.1:
             name = sample.begin.robot.joints[j].name
             yield {
-                "code": "mirrored_sense", "joint": name,
+                "code": "mirrored_sense",
+                "joint": name,
                 "message": f"Joint {name} fits these pictures as well with the opposite sense: camera and board would stand "
                 "elsewhere. Add views in which further joints move, or move that joint alone and see which way the board goes.",
-            }  # fmt: skip
+            }
 
 
 def _sample(begin: Calibration, rows: Observations) -> _Sample | None:

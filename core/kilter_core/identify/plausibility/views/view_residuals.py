@@ -68,8 +68,9 @@ class ViewResiduals:
         unknowns = views.resolve_rig(prediction).unknowns
         parts = []
         described: tuple[tuple[bool, Sequence[Camera | Board]], ...] = (
-            (True, views.rig.cameras), (False, views.rig.boards)
-        )  # fmt: skip
+            (True, views.rig.cameras),
+            (False, views.rig.boards),
+        )
         for camera, each in described:
             for k, one in enumerate(each):
                 own = [i for i, (u, _) in enumerate(unknowns) if (u.camera, u.place, u.what) == (camera, k, "pose")]

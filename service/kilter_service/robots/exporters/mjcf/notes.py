@@ -66,9 +66,10 @@ def held_out(errors: StageErrors | None) -> str:
     if errors is None or errors.identified is None:
         return "No measured poses were held out: how good the twin is where it was not fitted is not known."
     models = (
-        ("nominal", errors.registration_only), ("rigid, calibrated", errors.best_rigid),
+        ("nominal", errors.registration_only),
+        ("rigid, calibrated", errors.best_rigid),
         ("with the effects", errors.identified),
-    )  # fmt: skip
+    )
     said = ", ".join(f"{name} {_mm(found)}" for name, found in models if found is not None)
     return f"Held-out measured poses ({errors.n}), mean error of the tool, base and tool fitted: {said}."
 

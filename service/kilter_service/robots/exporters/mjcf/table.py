@@ -49,14 +49,23 @@ def _joint(joint: JointForm) -> dict[str, Any]:
 
 def _curve(curve: Curve, names: list[str]) -> dict[str, Any]:
     return {
-        "joint": names[curve.joint], "shape": curve.shape.name.lower(), "driver": names[curve.driver], "a": curve.a,
-        "b": curve.b, "factor": curve.factor, "constants": list(curve.constants), "powers": list(curve.powers),
+        "joint": names[curve.joint],
+        "shape": curve.shape.name.lower(),
+        "driver": names[curve.driver],
+        "a": curve.a,
+        "b": curve.b,
+        "factor": curve.factor,
+        "constants": list(curve.constants),
+        "powers": list(curve.powers),
         "twist": curve.twist,
-    }  # fmt: skip
+    }
 
 
 def _bending(row: BendingRow, names: list[str]) -> dict[str, Any]:
     return {
-        "joint": names[row.joint], "of_joint": row.of_joint.tolist(), "of_end": row.of_end.tolist(),
-        "link": row.link.tolist(), "reach": list(row.reach),
-    }  # fmt: skip
+        "joint": names[row.joint],
+        "of_joint": row.of_joint.tolist(),
+        "of_end": row.of_end.tolist(),
+        "link": row.link.tolist(),
+        "reach": list(row.reach),
+    }

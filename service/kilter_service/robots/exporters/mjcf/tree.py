@@ -145,9 +145,13 @@ def _axis(body: Element, name: str, kind: str, drive: Drive) -> None:
     SubElement(body, "joint", own)
     if drive.backlash > 0.0:
         backlash = {
-            "name": f"{name}_backlash", "type": form, "axis": "0 0 1", "range": f"{-drive.backlash!r} {drive.backlash!r}",
-            "armature": repr(drive.backlash_armature), "damping": repr(drive.backlash_armature * BACKLASH_RATE),
-        }  # fmt: skip
+            "name": f"{name}_backlash",
+            "type": form,
+            "axis": "0 0 1",
+            "range": f"{-drive.backlash!r} {drive.backlash!r}",
+            "armature": repr(drive.backlash_armature),
+            "damping": repr(drive.backlash_armature * BACKLASH_RATE),
+        }
         SubElement(body, "joint", backlash | LIMITS)
 
 
@@ -157,9 +161,15 @@ def _mount(base: Element, compliance: tuple[float, float] | None) -> None:
         if c > 0.0:
             armature = MOUNT_ARMATURE_S2 / c
             SubElement(
-                base, "joint", name=f"base_{name}", type="hinge", axis=axis, stiffness=repr(1.0 / c),
-                armature=repr(armature), damping=repr(2.0 * (armature / c) ** 0.5),
-            )  # fmt: skip
+                base,
+                "joint",
+                name=f"base_{name}",
+                type="hinge",
+                axis=axis,
+                stiffness=repr(1.0 / c),
+                armature=repr(armature),
+                damping=repr(2.0 * (armature / c) ** 0.5),
+            )
 
 
 def _masses(body: Element, axes: Axes, joint: int) -> None:
@@ -194,6 +204,13 @@ def _drawn(body: Element, T: Floats, thick: float) -> None:
     """A rod to the next frame, to look at: it weighs nothing and touches nothing."""
     if np.linalg.norm(T[:3, 3]) > thick:
         SubElement(
-            body, "geom", type="capsule", fromto=f"0 0 0 {numbers(T[:3, 3])}", size=repr(thick), mass="0",
-            contype="0", conaffinity="0", rgba="0.6 0.65 0.7 1",
-        )  # fmt: skip
+            body,
+            "geom",
+            type="capsule",
+            fromto=f"0 0 0 {numbers(T[:3, 3])}",
+            size=repr(thick),
+            mass="0",
+            contype="0",
+            conaffinity="0",
+            rgba="0.6 0.65 0.7 1",
+        )

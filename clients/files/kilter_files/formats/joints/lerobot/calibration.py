@@ -109,9 +109,10 @@ def read_calibration(path: Path) -> Calibration:
         raise fault(path, "holds no servos", "Take the file that lerobot-calibrate wrote.")
     if found.keys() >= OLD_FIELDS:
         raise fault(
-            path, "is a calibration of the old zero (lists, from before LeRobot 0.2)",
+            path,
+            "is a calibration of the old zero (lists, from before LeRobot 0.2)",
             "Calibrate again with lerobot-calibrate; data recorded with it are read with --zero old.",
-        )  # fmt: skip
+        )
     servos = {str(name): _servo(path, str(name), entry) for name, entry in found.items()}
     _refuse_twins(path, servos)
     return Calibration(path, servos, hashlib.sha256(content).hexdigest())
@@ -166,9 +167,7 @@ def refuse_outside(
 
 def _servo(path: Path, name: str, entry: Any) -> Servo:
     if not isinstance(entry, dict) or any(not _whole(entry.get(key)) for key in FIELDS):
-        raise fault(
-            path, f"servo {name!r} does not have whole numbers {', '.join(FIELDS)}", "Calibrate it again."
-        )  # fmt: skip
+        raise fault(path, f"servo {name!r} does not have whole numbers {', '.join(FIELDS)}", "Calibrate it again.")
     servo = Servo(*(int(entry[key]) for key in FIELDS))
     wrong = _impossible(servo)
     if wrong:

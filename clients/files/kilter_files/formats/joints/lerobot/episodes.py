@@ -144,8 +144,12 @@ def _signals(state: Floats, action: Floats | None) -> tuple[Floats, ...]:
     ends = min(ENDS, len(state))
     lag = np.full(state.shape[1], np.nan) if action is None else _lag(state, action)
     return (
-        np.median(state[:ends], axis=0), np.median(state[-ends:], axis=0), state.min(axis=0), state.max(axis=0), lag,
-    )  # fmt: skip
+        np.median(state[:ends], axis=0),
+        np.median(state[-ends:], axis=0),
+        state.min(axis=0),
+        state.max(axis=0),
+        lag,
+    )
 
 
 def _lag(state: Floats, action: Floats) -> Floats:

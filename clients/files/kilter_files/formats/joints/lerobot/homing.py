@@ -51,9 +51,10 @@ def with_zero_offsets(
         after = servo.homing_offset + SIGN[servos] * reversed_ * ticks
         if abs(after) > MOST_OFFSET:
             raise fault(
-                calibration.path, f"servo {name!r} would get a homing offset of {after}, it holds {MOST_OFFSET} either way",
+                calibration.path,
+                f"servo {name!r} would get a homing offset of {after}, it holds {MOST_OFFSET} either way",
                 "Move the horn by a tooth and calibrate again.",
-            )  # fmt: skip
+            )
         document[name]["homing_offset"] = after
         changes.append(Homed(name, servo.homing_offset, after, offset - ticks * TICK_DEG))
     return json.dumps(document, indent=4), changes

@@ -201,9 +201,10 @@ def _of_file(path: Path, recorded: Recorded) -> Iterator[Block]:
             for k, servo in enumerate(recorded.servos):
                 values[:, k] = recorded.calibration.degrees(servo, values[:, k], recorded.mode)
         yield Block(
-            values, np.asarray(batch.column("episode_index"), dtype=np.float64),
+            values,
+            np.asarray(batch.column("episode_index"), dtype=np.float64),
             np.asarray(batch.column("timestamp"), dtype=np.float64),
-        )  # fmt: skip
+        )
 
 
 def refuse_whole_rotations(path: Path, joints: Sequence[str], block: Block, last: Block | None, rows: int) -> None:

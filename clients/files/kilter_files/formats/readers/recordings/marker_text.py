@@ -120,9 +120,14 @@ def read_long(path: Path, layout: TextLayout, columns: LongColumns, rate_hz: flo
 
 
 def _recording(
-    path: Path, layout: TextLayout, columns: LongColumns, rate_hz: float | None, tools: list[str],
-    frames: NDArray[np.int64], cells: list[tuple[int, int, int, list[float]]],
-) -> Recording:  # fmt: skip
+    path: Path,
+    layout: TextLayout,
+    columns: LongColumns,
+    rate_hz: float | None,
+    tools: list[str],
+    frames: NDArray[np.int64],
+    cells: list[tuple[int, int, int, list[float]]],
+) -> Recording:
     at, tool, line = (np.array([cell[k] for cell in cells]) for k in range(3))
     values = np.array([cell[3] for cell in cells])
     unit = layout.units[columns.xyz[0]] or unit_above(layout) or "mm"
@@ -169,9 +174,14 @@ def _turns(path: Path, values: Floats, points: Floats, line: Floats) -> Floats:
 
 
 def _time(
-    path: Path, layout: TextLayout, columns: LongColumns, rate_hz: float | None,
-    frames: NDArray[np.int64], at: NDArray[np.int64], values: Floats,
-) -> tuple[Floats, float]:  # fmt: skip
+    path: Path,
+    layout: TextLayout,
+    columns: LongColumns,
+    rate_hz: float | None,
+    frames: NDArray[np.int64],
+    at: NDArray[np.int64],
+    values: Floats,
+) -> tuple[Floats, float]:
     if rate_hz is not None:
         return (frames - frames[0]) / rate_hz, rate_hz
     if columns.time is None:
@@ -292,9 +302,12 @@ def _notes(layout: TextLayout, columns: MarkerColumns, reader: _Reader) -> list[
         f"{layout.encoding} text, delimiter {delimiter}, decimal {layout.decimal!r}, first frame in line "
         f"{layout.first_line}",
         f"coordinates in {reader.unit}" + ("" if stated else ", which the file does not state"),
-        "time from the file" if columns.clock else "time from the frame counter" if columns.counter is not None
+        "time from the file"
+        if columns.clock
+        else "time from the frame counter"
+        if columns.counter is not None
         else "time from the rate",
-    ]  # fmt: skip
+    ]
 
 
 def _seconds(reader: _Reader, table: Floats) -> Floats:

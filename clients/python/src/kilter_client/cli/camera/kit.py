@@ -49,11 +49,15 @@ def kit(
     ],
     views: Annotated[
         list[Path] | None,
-        typer.Argument(help="Views of `kilter see`, CSV; left out: what to do.", metavar="VIEWS", exists=True, dir_okay=False),
+        typer.Argument(
+            help="Views of `kilter see`, CSV; left out: what to do.", metavar="VIEWS", exists=True, dir_okay=False
+        ),
     ] = None,
     cameras: Annotated[
         Path | None,
-        typer.Option("--cameras", metavar="FILE", help="Cameras and boards: the JSON that `kilter see` writes.", exists=True),
+        typer.Option(
+            "--cameras", metavar="FILE", help="Cameras and boards: the JSON that `kilter see` writes.", exists=True
+        ),
     ] = None,
     calibration: Annotated[
         Path | None,
@@ -61,7 +65,7 @@ def kit(
     ] = None,
     anyway: Annotated[bool, typer.Option("--anyway", help="Identify although views are missing.")] = False,
     as_json: Json = False,
-) -> None:  # fmt: skip
+) -> None:
     """Take a low-cost arm from views to one page: what it has, how far off the tool is; exit code 4 where views are missing.
 
     Without VIEWS it says what to print, to drive and to photograph.
@@ -80,8 +84,14 @@ def kit(
         rig = rig_conditions(cameras)
         seen = files_rig.capture_from_files(views, arm["joints"], kilter.robots.convert(arm["document"], "chain"), rig)
         refuse_readings_outside(calibration, views, names)
-        document = {"robot": robot, "views": seen.views, "poses": seen.poses, "payloads_kg": list(seen.payloads_kg),
-                    "missing": list(seen.missing), "loads": [asdict(one) for one in seen.pulled]}  # fmt: skip
+        document = {
+            "robot": robot,
+            "views": seen.views,
+            "poses": seen.poses,
+            "payloads_kg": list(seen.payloads_kg),
+            "missing": list(seen.missing),
+            "loads": [asdict(one) for one in seen.pulled],
+        }
         if not seen.missing or anyway:
             conditions = rig | servo_conditions(calibration)
             sent = [_sent(robot, file, conditions, as_json) for file in views]
@@ -105,15 +115,26 @@ def _arm(kilter: Kilter, robot: str, as_json: bool) -> dict[str, Any]:
 
 
 def _sent(robot: str, file: Path, conditions: dict[str, Any], as_json: bool) -> str:
-    wanted = {"name": file.name, "device": "camera", "role": "train", "conditions": conditions, "notes": "", "numbered": True,
-              "measured_at": None}  # fmt: skip
+    wanted = {
+        "name": file.name,
+        "device": "camera",
+        "role": "train",
+        "conditions": conditions,
+        "notes": "",
+        "numbered": True,
+        "measured_at": None,
+    }
     return str(send(robot, None, wanted, file, prepare(file), as_json)["campaign_id"])
 
 
 def _page(
-    kilter: Kilter, arm: Mapping[str, Any], campaigns: Sequence[str], held_out: Mapping[str, int],
-    untold: Mapping[int, str], as_json: bool,
-) -> dict[str, Any]:  # fmt: skip
+    kilter: Kilter,
+    arm: Mapping[str, Any],
+    campaigns: Sequence[str],
+    held_out: Mapping[str, int],
+    untold: Mapping[int, str],
+    as_json: bool,
+) -> dict[str, Any]:
     """Identify, and say what came of it."""
     loaded = [*files_rig.gravity_loaded_joints(len(arm["joints"]))]
     effects = [

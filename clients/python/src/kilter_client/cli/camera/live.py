@@ -75,9 +75,12 @@ def _session_document(
     boards = " ".join(f"--board {path}" for path in board)
     table = f" --joints {Path(where) / 'joints.csv'}" if joints is not None else ""
     return {
-        "views": session.taken.names, "pictures": session.numbers, "gates": session.gates, "folder": where,
+        "views": session.taken.names,
+        "pictures": session.numbers,
+        "gates": session.gates,
+        "folder": where,
         "next": f"kilter see {where} {boards}{table} -o views.csv",
-    }  # fmt: skip
+    }
 
 
 def _show(document: dict[str, Any]) -> None:

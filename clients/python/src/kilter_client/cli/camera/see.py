@@ -125,9 +125,13 @@ def _files(pictures: list[Path], joints: Path | None, every: int, starts_s: floa
 
 
 def _bag(
-    pictures: list[Path], joints: Path | None, every: int, topic: str | None, joints_topic: str | None,
+    pictures: list[Path],
+    joints: Path | None,
+    every: int,
+    topic: str | None,
+    joints_topic: str | None,
     order: tuple[str, ...],
-) -> tuple[Pictures, Poses] | None:  # fmt: skip
+) -> tuple[Pictures, Poses] | None:
     """The pictures and joints of a bag; None of files."""
     if not any(map(files_rig.is_bag, pictures)):
         if topic or joints_topic or order:

@@ -70,8 +70,10 @@ Speed = Annotated[float, typer.Option(min=0.1, max=500.0, help="Setpoints that m
 
 bridge = typer.Typer(
     help="Correct an arm from a process between its controller and its drives.",
-    no_args_is_help=True, rich_markup_mode=None, cls=Group,
-)  # fmt: skip
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    cls=Group,
+)
 
 
 def register(app: typer.Typer) -> None:

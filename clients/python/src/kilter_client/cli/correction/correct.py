@@ -106,9 +106,17 @@ def correct(
     with on_interrupt(partial(_not_written, output)), Kilter() as kilter:
         used = version or kilter.robots.get(robot).get("active_version")
         content = kilter.correct(
-            robot, trajectory, version=used, form=form, payload_kg=payload_kg, payload_com_mm=centre,
-            task=task and task.value, strict=strict, at_limit=at_limit and at_limit.value, hold=hold,
-        )  # fmt: skip
+            robot,
+            trajectory,
+            version=used,
+            form=form,
+            payload_kg=payload_kg,
+            payload_com_mm=centre,
+            task=task and task.value,
+            strict=strict,
+            at_limit=at_limit and at_limit.value,
+            hold=hold,
+        )
         found = None if used is None else kilter.versions.get(used, robot=robot)
         frames = {} if found is None else correction_frames(found)
     status = {} if form else verdicts(content, trajectory.content_type)

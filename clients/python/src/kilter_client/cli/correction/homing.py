@@ -51,7 +51,10 @@ def homing(
     calibration: Annotated[
         Path,
         typer.Argument(
-            help="The calibration with which the arm was measured.", metavar="JSON", exists=True, dir_okay=False,
+            help="The calibration with which the arm was measured.",
+            metavar="JSON",
+            exists=True,
+            dir_okay=False,
             show_default=False,
         ),
     ],
@@ -70,7 +73,7 @@ def homing(
     ] = False,
     robot: OfRobot = None,
     as_json: Json = False,
-) -> None:  # fmt: skip
+) -> None:
     """Put a version's zero offsets into a copy of LeRobot's calibration, to the tick, and show what changes.
 
     Only zeros that the version tells are written: those whose 95 % interval leaves 0 out.
@@ -91,8 +94,13 @@ def homing(
     write(output, text.encode())
     before = calibration.read_text(encoding="utf-8").splitlines()
     diff = list(difflib.unified_diff(before, text.splitlines(), str(calibration), str(output), lineterm="", n=0))
-    document = {"version_id": version, "output": str(output), "servos": _rows(changes, zeros), "diff": diff,
-                "calibration_compared": stated}  # fmt: skip
+    document = {
+        "version_id": version,
+        "output": str(output),
+        "servos": _rows(changes, zeros),
+        "diff": diff,
+        "calibration_compared": stated,
+    }
     emit(document, as_json, _show)
 
 
@@ -139,9 +147,14 @@ def _rows(changes: Sequence[Homed], zeros: Sequence[Mapping[str, Any]]) -> list[
     for change, one in zip(changes, zeros, strict=True):
         half = one["half_width_deg"]
         rows.append(
-            {**vars(change), "offset_deg": one["offset_deg"], "half_width_deg": half,
-             "half_width_ticks": None if half is None else half / files_rig.TICK_DEG, "state": one["state"]}
-        )  # fmt: skip
+            {
+                **vars(change),
+                "offset_deg": one["offset_deg"],
+                "half_width_deg": half,
+                "half_width_ticks": None if half is None else half / files_rig.TICK_DEG,
+                "state": one["state"],
+            }
+        )
     return rows
 
 
@@ -163,9 +176,16 @@ def _show(document: Mapping[str, Any]) -> None:
             else _format_half_width(one["half_width_ticks"])
         )
         rows.append(
-            (one["servo"], str(one["before"]), str(one["after"]), f"{one['after'] - one['before']:+d}", half,
-             f"{one['left_deg']:+.4f}", exported.STATES[one["state"]])
-        )  # fmt: skip
+            (
+                one["servo"],
+                str(one["before"]),
+                str(one["after"]),
+                f"{one['after'] - one['before']:+d}",
+                half,
+                f"{one['left_deg']:+.4f}",
+                exported.STATES[one["state"]],
+            )
+        )
     show_rows(("servo", "homing offset", "now", "ticks", "95 %", "left deg", "its zero is"), rows, numbers=True)
     for line in document["diff"]:
         print_line(line)

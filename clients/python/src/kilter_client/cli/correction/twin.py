@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 group = typer.Typer(
     help="Score a simulator's model on measured poses, and calibrate it.", rich_markup_mode=None, no_args_is_help=True
-)  # fmt: skip
+)
 MODELS = {"nominal": "registration_only", "without_effects": "without_effects", "identified": "identified"}
 WORDS = {"without_effects": STAGES["without_effects"]}
 EARLIER = "rigid"  # what `without_effects` was called; scripts may read it
@@ -129,7 +129,7 @@ def read(
     ] = None,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="The copy of --robot-file to write.")] = None,
     as_json: Json = False,
-) -> None:  # fmt: skip
+) -> None:
     """Read stiffness, friction and backlash that a model states as starting values of effects, and say what is left."""
     if (robot_file is None) != (output is None):
         raise UsageError(
@@ -201,19 +201,25 @@ def _document(
     errors = result["metrics"][campaign]
     mm = 1e3 * (apart.tool if isinstance(apart, ViewErrors) else apart)
     own = {
-        "mean_mm": float(mm.mean()), "rms_mm": float(np.sqrt(np.mean(mm**2))), "p95_mm": float(np.percentile(mm, 95)),
+        "mean_mm": float(mm.mean()),
+        "rms_mm": float(np.sqrt(np.mean(mm**2))),
+        "p95_mm": float(np.percentile(mm, 95)),
         "max_mm": float(mm.max()),
-    }  # fmt: skip
+    }
     others = {
         name: {key: errors[stage].get(key) for key in MEASURES} for name, stage in MODELS.items() if errors.get(stage)
     }
     if "without_effects" in others:
         others[EARLIER] = others["without_effects"]
     return {
-        "campaign_id": campaign, "version_id": result["version_id"], "model": str(model), "rows": len(mm),
-        "errors": others | {str(model): own}, "warnings": result.get("warnings") or [],
+        "campaign_id": campaign,
+        "version_id": result["version_id"],
+        "model": str(model),
+        "rows": len(mm),
+        "errors": others | {str(model): own},
+        "warnings": result.get("warnings") or [],
         "pixels": {"rms_px": apart.rms_px, "noise_px": apart.noise_px} if isinstance(apart, ViewErrors) else None,
-    }  # fmt: skip
+    }
 
 
 def _show(document: Mapping[str, Any]) -> None:

@@ -26,7 +26,7 @@ MEANS = {
     "rotation": "its servo counts from another rotation: it wraps within its range (calibrate the arm in the middle of its "
     "range and record again), or it was rotated from one end of its range to the other",
     "lag": "it stays behind its goal by another amount: load, gain or friction of the servo; its zero does not show in this",
-}  # fmt: skip
+}
 SIGNALS = {"start": "start", "end": "end", "low": "lowest", "high": "highest", "lag": "lag at rest"}
 
 
@@ -56,8 +56,14 @@ def episodes(
         vars(move) | {"signals": list(move.signals), "means": MEANS[move.what]}
         for move in files_formats.detect_joint_moves(found, least_deg)
     ]
-    document = {"dataset": str(dataset), "episodes": len(found.numbers), "joints": list(found.joints), "least_deg": least_deg,
-                "moves": moves, "untold": UNTOLD}  # fmt: skip
+    document = {
+        "dataset": str(dataset),
+        "episodes": len(found.numbers),
+        "joints": list(found.joints),
+        "least_deg": least_deg,
+        "moves": moves,
+        "untold": UNTOLD,
+    }
     emit(document, as_json, _show)
     if any(move["what"] in ("zero", "rotation") for move in moves):
         raise typer.Exit(MOVED)

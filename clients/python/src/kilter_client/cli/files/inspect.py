@@ -39,10 +39,13 @@ JointOrder = Annotated[
 Calibration = Annotated[
     Path | None,
     typer.Option(
-        "--calibration", metavar="JSON", help="LeRobot: the calibration of the arm that recorded the data set.",
-        exists=True, dir_okay=False,
+        "--calibration",
+        metavar="JSON",
+        help="LeRobot: the calibration of the arm that recorded the data set.",
+        exists=True,
+        dir_okay=False,
     ),
-]  # fmt: skip
+]
 NormMode = Annotated[
     Literal["RANGE_M100_100", "DEGREES"] | None,
     typer.Option("--norm-mode", help="LeRobot: what its numbers are, parts of the range or degrees."),
@@ -168,9 +171,13 @@ def _show_markers(document: dict[str, Any]) -> None:
     rows = []
     for marker in markers[:MARKERS_SHOWN]:
         noise = "" if marker["noise_mm"] is None else f"{marker['noise_mm']:.4f}"
-        span = "" if marker["low_mm"] is None else "  ".join(
-            f"{low:.1f}..{high:.1f}" for low, high in zip(marker["low_mm"], marker["high_mm"], strict=True)
-        )  # fmt: skip
+        span = (
+            ""
+            if marker["low_mm"] is None
+            else "  ".join(
+                f"{low:.1f}..{high:.1f}" for low, high in zip(marker["low_mm"], marker["high_mm"], strict=True)
+            )
+        )
         rows.append((marker["name"], f"{100 * marker['seen']:.1f} %", str(marker["longest_gap_frames"]), noise, span))
     if rows:
         show_rows(("marker", "seen", "longest gap", "noise mm", "x, y, z mm"), rows)

@@ -160,9 +160,14 @@ def match(
 
 
 def _log(
-    joints: Path, joints_map: Path | None, topic: str | None, order: list[str],
-    servos: tuple[Path | None, str | None, str], robot: str | None, as_json: bool,
-) -> JointLog:  # fmt: skip
+    joints: Path,
+    joints_map: Path | None,
+    topic: str | None,
+    order: list[str],
+    servos: tuple[Path | None, str | None, str],
+    robot: str | None,
+    as_json: bool,
+) -> JointLog:
     """Read the joint log, and say what was understood of it; ``servos`` are a data set's calibration, norm mode and zero."""
     likely = fetch_joint_names(robot) if has_format(joints, "bag") else ()
     log = read_joints(joints, joints_map, LogHints(topic, order, likely, *servos))
@@ -179,9 +184,16 @@ def _body(recording: Recording, tcp: str) -> Body:
 
 
 def _dwells(
-    found: Recording, log: JointLog, body: Body | None, by: str, options: Any, out: Path | None, robot: str | None,
-    wanted: dict[str, Any], as_json: bool,
-) -> dict[str, Any]:  # fmt: skip
+    found: Recording,
+    log: JointLog,
+    body: Body | None,
+    by: str,
+    options: Any,
+    out: Path | None,
+    robot: str | None,
+    wanted: dict[str, Any],
+    as_json: bool,
+) -> dict[str, Any]:
     matched = files_match.match_dwells(found, log, by, options[0], body, options[1])
     _print_match_report(matched.report, as_json)
     rows = matched.report["dwells"]
@@ -195,9 +207,14 @@ def _dwells(
 
 
 def _frames(
-    found: Recording, log: JointLog, body: Body | None, checks: Checks, robot: str | None, wanted: dict[str, Any],
+    found: Recording,
+    log: JointLog,
+    body: Body | None,
+    checks: Checks,
+    robot: str | None,
+    wanted: dict[str, Any],
     as_json: bool,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     from kilter_client.cli.files.parts import cut_parquet_parts
 
     pieces, warnings = files_match.match_frames(found, log, checks)

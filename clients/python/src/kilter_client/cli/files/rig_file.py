@@ -9,9 +9,19 @@ from typing import Any
 from kilter_client.errors import UsageError
 
 CAMERA = (
-    "name", "mount", "width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion_model", "distortion",
-    "intrinsics", "sigmas_px",
-)  # fmt: skip
+    "name",
+    "mount",
+    "width_px",
+    "height_px",
+    "fx_px",
+    "fy_px",
+    "cx_px",
+    "cy_px",
+    "distortion_model",
+    "distortion",
+    "intrinsics",
+    "sigmas_px",
+)
 BOARD = ("name", "mount", "corners_mm", "scale_sigma_percent")
 
 

@@ -263,19 +263,25 @@ CampaignName = Annotated[
 CamerasFile = Annotated[
     Path | None,
     typer.Option(
-        "--cameras", metavar="FILE", help="Cameras and boards of views: the JSON that `kilter see` writes.",
-        exists=True, dir_okay=False,
+        "--cameras",
+        metavar="FILE",
+        help="Cameras and boards of views: the JSON that `kilter see` writes.",
+        exists=True,
+        dir_okay=False,
     ),
-]  # fmt: skip
+]
 
 
 ServoCalibration = Annotated[
     Path | None,
     typer.Option(
-        "--calibration", metavar="JSON", help="LeRobot's calibration of the servos that read the joints.",
-        exists=True, dir_okay=False,
+        "--calibration",
+        metavar="JSON",
+        help="LeRobot's calibration of the servos that read the joints.",
+        exists=True,
+        dir_okay=False,
     ),
-]  # fmt: skip
+]
 
 DryRun = Annotated[
     bool,
@@ -335,9 +341,15 @@ def upload(
     servos, prepared = stated_servos(robot, calibration, prepared, file, dry_run) if calibration else ({}, prepared)
     _print_file_notes(file, prepared, as_json)
     wanted = {
-        "name": name or file.name, "device": device or preset or "", "role": role, "conditions": conditions | servos,
-        "notes": notes, "numbered": name is None, "measured_at": at, "instrument": instrument,
-    }  # fmt: skip
+        "name": name or file.name,
+        "device": device or preset or "",
+        "role": role,
+        "conditions": conditions | servos,
+        "notes": notes,
+        "numbered": name is None,
+        "measured_at": at,
+        "instrument": instrument,
+    }
     if dry_run:
         done = what_it_holds(robot, prepared, wanted, campaign, as_json)
     else:
@@ -368,9 +380,15 @@ def sent_file(
     prepared = checked_markers(file, prepare(file, device, column_map), unchecked=False)
     _print_file_notes(file, prepared, as_json)
     wanted = {
-        "name": name or file.name, "device": device or "", "role": role, "conditions": conditions, "notes": "",
-        "numbered": not name, "measured_at": parse_time(measured_at), "instrument": instrument,
-    }  # fmt: skip
+        "name": name or file.name,
+        "device": device or "",
+        "role": role,
+        "conditions": conditions,
+        "notes": "",
+        "numbered": not name,
+        "measured_at": parse_time(measured_at),
+        "instrument": instrument,
+    }
     return send(robot, None, wanted, file, prepared, as_json)
 
 

@@ -55,11 +55,14 @@ def show_history(found: Mapping[str, Any]) -> None:
     charts = sorted(found["charts"], key=_height, reverse=True)[:LISTED]
     rows = [
         (
-            one["words"], f"{number(_latest_value(one['values']), 3)} {one['unit']}", number(one["scatter"], 2),
-            f"{number(_height(one), 2)} of {number(one['limit'], 2)}", str(one["since"] or "")[:10],
+            one["words"],
+            f"{number(_latest_value(one['values']), 3)} {one['unit']}",
+            number(one["scatter"], 2),
+            f"{number(_height(one), 2)} of {number(one['limit'], 2)}",
+            str(one["since"] or "")[:10],
         )
         for one in charts
-    ]  # fmt: skip
+    ]
     if rows:
         show_rows(("chart", "last", "scatter", "sum", "since"), rows)
     elif found["checks"]:
@@ -85,11 +88,14 @@ def show_robots(found: Mapping[str, Any]) -> None:
     """Print how all robots stand, the worst first."""
     rows = [
         (
-            one["robot"], one["state"].replace("_", " "), str(one["checks"]),
-            "" if one["age_days"] is None else f"{one['age_days']} days ago", one["sentence"],
+            one["robot"],
+            one["state"].replace("_", " "),
+            str(one["checks"]),
+            "" if one["age_days"] is None else f"{one['age_days']} days ago",
+            one["sentence"],
         )
         for one in found["robots"]
-    ]  # fmt: skip
+    ]
     show_rows(("robot", "stands", "checks", "last", ""), rows)
 
 

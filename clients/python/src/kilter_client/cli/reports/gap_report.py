@@ -75,9 +75,14 @@ def _effects(effects: Sequence[Mapping[str, Any]], unit: str) -> None:
         aliases = ", ".join(_name(alias) for alias in effect.get("alias_set") or ())
         amounts = [_amount(p) for p in effect.get("parameters") or ()] or [("", "", "")]
         head = (
-            str(effect["id"]), _joints(effect), str(effect["verdict"]), number(effect.get("gain_mm"), 3),
-            *([] if unit == "deg" else [number(effect.get("moves_mm"), 3)]), number(effect.get("p_value"), 2), aliases,
-        )  # fmt: skip
+            str(effect["id"]),
+            _joints(effect),
+            str(effect["verdict"]),
+            number(effect.get("gain_mm"), 3),
+            *([] if unit == "deg" else [number(effect.get("moves_mm"), 3)]),
+            number(effect.get("p_value"), 2),
+            aliases,
+        )
         rows += [(*(head if k == 0 else ("",) * len(head)), *amount) for k, amount in enumerate(amounts)]
     moves = () if unit == "deg" else ("moves mm",)
     head_row = ("effect", "joints", "verdict", f"gain {unit}", *moves, "p", "or one of")
@@ -145,9 +150,11 @@ def _remarks(effect: Mapping[str, Any], unit: str) -> None:
     told = effect.get("replication")
     if told:
         words = {
-            "replicated": "was seen again with the same amplitude", "contradicted": "is contradicted",
-            "not_seen": "does not stand out", "not_testable": "cannot be tested",
-        }  # fmt: skip
+            "replicated": "was seen again with the same amplitude",
+            "contradicted": "is contradicted",
+            "not_seen": "does not stand out",
+            "not_testable": "cannot be tested",
+        }
         apart = f" ({number(told['apart_sigma'], 2)} sigma apart)" if told.get("apart_sigma") is not None else ""
         print_line(
             f"  in the confirmation {_name(effect)} {words[told['outcome']]}{apart}. {told.get('reason') or ''}".rstrip()

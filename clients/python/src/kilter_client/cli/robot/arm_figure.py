@@ -75,7 +75,7 @@ def _view(
         trace("axis seen end on", "markers", towards, marker={"color": AXIS, "size": 13, "symbol": "circle-open"}),
         trace("points on the axes", "markers", joints, marker={"color": MARK, "size": 5}),
         trace("base, flange and tool", "markers", ends, marker={"color": END, "size": 8, "symbol": "diamond"}),
-    ]  # fmt: skip
+    ]
     linked = _linkages(joints, axes)
     if linked:
         made.append(trace("linkages", "lines", linked, line={"color": END, "width": 2, "dash": "dash"}))
@@ -126,17 +126,24 @@ def _run(members: Sequence[str]) -> str:
 
 def _layout(title: str, shown: Sequence[Sequence[float]]) -> Figure:
     made: Figure = {
-        "title": {"text": title}, "width": 1500, "height": 620,
+        "title": {"text": title},
+        "width": 1500,
+        "height": 620,
         "legend": {"orientation": "h", "yanchor": "top", "y": -0.18, "itemsizing": "constant"},
-    }  # fmt: skip
+    }
     for n, (i, j, side) in enumerate(VIEWS):
         own, low = "" if n == 0 else str(n + 1), 0.355 * n
         made[f"xaxis{own}"] = {
-            "title": {"text": f"{LETTERS[i]}, mm ({side})"}, "domain": [low, low + 0.29], "range": list(shown[i]),
+            "title": {"text": f"{LETTERS[i]}, mm ({side})"},
+            "domain": [low, low + 0.29],
+            "range": list(shown[i]),
             "anchor": f"y{own}",
-        }  # fmt: skip
+        }
         made[f"yaxis{own}"] = {
-            "title": {"text": f"{LETTERS[j]}, mm"}, "range": list(shown[j]), "anchor": f"x{own}",
-            "scaleanchor": f"x{own}", "scaleratio": 1,
-        }  # fmt: skip
+            "title": {"text": f"{LETTERS[j]}, mm"},
+            "range": list(shown[j]),
+            "anchor": f"x{own}",
+            "scaleanchor": f"x{own}",
+            "scaleratio": 1,
+        }
     return made

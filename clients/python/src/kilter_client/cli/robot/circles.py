@@ -90,10 +90,13 @@ def read_points(file: Path) -> dict[str, Any]:
     columns = set(rows[0]) if rows else set()
     if set(MEASURED) | set(KNOWN) <= columns:
         points = [
-            {"name": row.get("name") or str(k), "known_mm": _numbers(file, k, row, KNOWN),
-             "measured_mm": _numbers(file, k, row, MEASURED)}
+            {
+                "name": row.get("name") or str(k),
+                "known_mm": _numbers(file, k, row, KNOWN),
+                "measured_mm": _numbers(file, k, row, MEASURED),
+            }
             for k, row in enumerate(rows, 1)
-        ]  # fmt: skip
+        ]
         return {"points": points}
     if not set(MEASURED) | {"feature"} <= columns:
         raise FileError(

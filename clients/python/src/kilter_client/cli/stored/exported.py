@@ -8,9 +8,12 @@ from kilter_client.cli.terminal.output import print_line
 from kilter_client.cli.terminal.tables import show_rows
 
 STATES = {
-    "known": "known", "uncertain": "not told apart from 0", "held": "not told: shared with base or tool, or not identified",
-    "unstated": "nobody says how well it is known", "shared": "goes with the table's other numbers: not to be entered alone",
-}  # fmt: skip
+    "known": "known",
+    "uncertain": "not told apart from 0",
+    "held": "not told: shared with base or tool, or not identified",
+    "unstated": "nobody says how well it is known",
+    "shared": "goes with the table's other numbers: not to be entered alone",
+}
 
 
 def _format_value(value: float | None) -> str:

@@ -96,11 +96,16 @@ def _show_one(one: dict[str, Any]) -> None:
 def _show(document: dict[str, Any]) -> None:
     rows = [
         (
-            one["name"], one["kind"], one["serial_number"], _mpe(one), one["mpe_standard"], one["certificate"] or "none",
+            one["name"],
+            one["kind"],
+            one["serial_number"],
+            _mpe(one),
+            one["mpe_standard"],
+            one["certificate"] or "none",
             one["valid_until"] or "not stated",
         )
         for one in document["instruments"]
-    ]  # fmt: skip
+    ]
     if rows:
         show_rows(("instrument", "kind", "serial number", "MPE", "by", "certificate", "valid until"), rows)
     else:

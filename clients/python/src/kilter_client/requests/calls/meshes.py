@@ -18,9 +18,13 @@ def list_meshes(robot: str) -> Steps[list[Document]]:
 def put(robot: str, link: str, content: bytes, form: Form, unit: str) -> Steps[Document]:
     """Give a link its shape."""
     request = Request(
-        "PUT", address("robots", robot, "meshes", link), params={"unit": unit}, content=content, again=True,
+        "PUT",
+        address("robots", robot, "meshes", link),
+        params={"unit": unit},
+        content=content,
+        again=True,
         headers={"Content-Type": f"model/{form}"},
-    )  # fmt: skip
+    )
     return read(request)
 
 
