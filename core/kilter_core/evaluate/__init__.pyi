@@ -3,7 +3,9 @@ from .iso9283 import criteria as criteria
 from .prediction import errors_by_row as errors_by_row
 from .prediction import evaluate as evaluate
 from .prediction import expected_error_half_widths as expected_error_half_widths
+from .prediction import expected_of as expected_of
 from .prediction import mean_errors as mean_errors
+from .prediction import rows_of as rows_of
 from .uncertainty.budget import Budget as Budget
 from .uncertainty.budget import K as K
 from .uncertainty.budget import PermissibleError as PermissibleError

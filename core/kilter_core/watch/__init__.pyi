@@ -11,6 +11,7 @@ from .history import Chart as Chart
 from .history import alarm_limit as alarm_limit
 from .history import chart as chart
 from .history import cusum_limit as cusum_limit
+from .history import limit_of as limit_of
 from .poses import CheckPlan as CheckPlan
 from .poses import Faint as Faint
 from .poses import check_poses as check_poses

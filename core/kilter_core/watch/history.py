@@ -175,3 +175,6 @@ def _design(count: int, temperature_c: Floats | None) -> Floats:
     if temperature_c is None or np.isnan(temperature_c).any() or np.ptp(temperature_c) < VARIED_K:
         return ones
     return np.column_stack([ones, temperature_c - temperature_c.mean()])
+
+
+limit_of = cusum_limit  # its name until 0.1; gone with 0.3
