@@ -12,37 +12,25 @@ from tests.blind.score import Record, decidable, figures
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "gap-finder-benchmark.md"
 INTRODUCTION = """# How often the gap finder is right
 
-The benchmark simulates arms with hidden physics and their measurement by a laser tracker,
-and gives the gap finder a robot document and a table of observations.
-The generator (`tests/blind/generator`) shares no code with Kilter: kinematics and loads by Pinocchio,
-finite motions joint by joint, hidden errors of every joint placement, tracker noise that grows with range and is mostly
-across the laser beam, scatter of each approach. There are three arms: the Katana 450, a six-axis elbow arm,
-and a seven-axis arm; 30, 60 or 118 poses, the base 2 to 8 m away and up to 0.3° from level.
+The benchmark simulates arms with hidden physics, measured by a laser tracker, and gives the gap finder a robot document
+and rows. Its generator (`tests/blind/generator`) shares no code with Kilter: Pinocchio's kinematics and loads, finite
+motions, errors of every joint placement, tracker noise that grows with range, scatter of each approach. There are three
+arms (Katana 450, a six-axis elbow arm, a seven-axis arm) and 30, 60 or 118 poses.
 
-No campaign is as its user believes. Link masses are wrong in every case (most by up to 10 %, some by up to 20 %,
-centres by up to 10 mm, the payload by up to 5 % and 8 mm). In some cases half of the joints stay within ±75°;
-repeats are few, or none, or three readings per stop minutes apart, or taken without leaving the pose;
-some readings are wrong, in some cases up to 15 % of the visits with the same error.
-In every third case that hides nothing, and in every tenth set, base or instrument moves slowly (steadily, settling,
-as a random walk, with the temperature), so that pooled repeats overstate the noise 1.4 to 5 times:
-this motion may then be named, but nothing in the arm: as its physical class (a drift, a walk, a settling, a step of
-the station), and by a name of its own only where it moved so.
-Effects outside the library: smooth curves of one joint (a hose, a belt, splines), bumps, fields, errors of the
-tracker's circles; and twins of members, which follow a clock as these do (a zero that settles, a link that warms late or
-bends, warm air): that something went with it may be said, not where. In every second case another campaign of the same arm
-on another day can replicate what was found.
+Link masses are wrong in every case (up to 10 or 20 %, centres by up to 10 mm, the payload by up to 5 % and 8 mm). In
+some cases half of the joints stay within ±75°, repeats are few, none or taken without leaving the pose, or up to 15 %
+of the visits are wrong. In every third case that hides nothing, and in every tenth set, base or instrument moves
+slowly. This motion may be named, but nothing in the arm. Effects outside the library are smooth curves of one joint,
+bumps, fields and errors of the tracker's circles, and twins of members that follow a clock as these do. In every
+second case a campaign of another day can replicate what was found.
 
-λ is the non-centrality of an effect: the square of its signature in units of the noise,
-after removing everything that geometry can imitate, computed on the poses searched (three quarters of them where there
-are 60 or more). ρ is the share of it that the nearest other effect can imitate, with at most one parameter more,
-or with any number when it can imitate all of it. The effects of a set are decidable when each has λ ≥ 30 and λ(1−ρ) ≥
+λ is the non-centrality of an effect, in units of the noise, after removing what geometry can imitate. ρ is the share
+of it that the nearest other effect can imitate. The effects of a set are decidable when each has λ ≥ 30 and λ(1−ρ) ≥
 11 in the presence of the others.
 
-`make blind N={n}` measured this ({runs} runs, seed {seed}). Bounds are exact 95 % bounds (Clopper and Pearson),
-by pose where several numbers come from one pose. Times are processor times, which do not depend on other load of the
-machine; `make bench-gap` measures how long a user waits. Of 1000 cases 400 hide nothing in the arm (140 of those
-drift), 480 hide sets of one, two or three decidable effects, 80 are outside the library; 40 twins of members stand beside them;
-2000 intervals of parameters take 1700 cases.
+`make blind N={n}` measured this ({runs} runs, seed {seed}). Bounds are exact 95 % bounds (Clopper and Pearson). Times
+are processor times; `make bench-gap` measures how long a user waits. Of 1000 cases 400 hide nothing in the arm (140 of
+those drift), 480 hide one, two or three decidable effects, 80 are outside the library, 40 are twins of members.
 
 | figure | aim | found | of | bounds |
 |---|---|---|---|---|
