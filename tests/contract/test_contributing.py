@@ -509,7 +509,7 @@ KINDS, FORMATS = (
     "service/kilter_service/robots/exporters/registry.py",
 )
 OPTIONS = "core/kilter_core/identify/options.py"
-JOB_PAGE = "docs/reference/job-options.md"
+JOB_PAGE = "docs/reference/job-options.md.in"
 ROWS, UNITS = "core/kilter_core/observations/rows.py", "service/kilter_service/contract/columns.py"
 COLUMNS_PAGE = "docs/reference/columns.md"
 PAGE, ROW = "docs/reference/effects.md", "| `toy_wobble` | a test | dq = w sin 3q | `toy_wobble`, deg | |\n"
