@@ -13,10 +13,6 @@ from typing import Any, get_type_hints
 
 import numpy as np
 import pytest
-from kilter_client.typed.fits import Metrics, Parameter
-from kilter_client.typed.identifications import IdentifyResult
-from kilter_client.typed.names import JOBS, MODULE_OF
-from kilter_client.typed.versions import Version
 
 import kilter_client
 from kilter_client import MissingPackageError, typed
@@ -24,6 +20,10 @@ from kilter_client.cli.reports.results import show_result
 from kilter_client.results.corrected import Corrected
 from kilter_client.results.record import Record, Records
 from kilter_client.results.rows import Rows
+from kilter_client.typed.fits import Metrics, Parameter
+from kilter_client.typed.identifications import IdentifyResult
+from kilter_client.typed.names import JOBS, MODULE_OF
+from kilter_client.typed.versions import Version
 from tools.contract.interface import promised_interface
 
 INTERFACE = promised_interface()

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 import pytest
+
+from kilter_client.results.record import scalar_names
 from kilter_client.typed.checks import AnyCheck, EvaluateCheck, GapCheck, RezeroCheck
 from kilter_client.typed.fits import Metrics
 from kilter_client.typed.jobs import PlanJob
 from kilter_client.typed.names import MODULE_OF
 from kilter_client.typed.versions import Version, VersionSummary
-
-from kilter_client.results.record import scalar_names
 from tools.contract import client_types
 from tools.contract.client_types import client_modules
 

@@ -10,10 +10,9 @@ from dataclasses import fields
 from importlib import import_module
 from typing import Any
 
-from kilter_client.typed.names import JOBS, MODULE_OF
-
 import kilter
 from kilter_client.results import corrected, dry_run, program, record, rows, shown, shown_jobs, tables
+from kilter_client.typed.names import JOBS, MODULE_OF
 
 MADE = "<!-- Made from the docstrings by `make contract`: change it there. -->\n"
 GROUPS = {
