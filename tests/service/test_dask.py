@@ -127,11 +127,12 @@ def test_the_blind_benchmark_runs_on_the_cluster(
 
 
 def test_a_worker_of_another_release_is_refused(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    of_worker = part.release()
     monkeypatch.setattr("kilter_service.jobs.fan_out.spread.release", lambda: "Kilter 9.9")
     with pytest.raises(CoreError, match=r"has Kilter .*numpy.* computed with Kilter 9\.9") as raised:
         fan_out(1, cluster.address)(where, [(0.0, "")] * 2, lambda *_: None)
     assert raised.value.code == "cluster_differs"
-    assert raised.value.context["worker"] == part.release()
+    assert raised.value.context["worker"] == of_worker
 
 
 def test_folds_give_the_same_numbers_when_a_worker_is_killed(cluster: Cluster, tmp_path: Path) -> None:
