@@ -111,7 +111,7 @@ def test_kernels_are_compiled_by_a_command_that_touches_nothing_else(tmp_path: P
 def test_kernels_of_another_release_do_not_count(tmp_path: Path) -> None:
     code = (
         "from kilter_core.arm.kernels import compiled; compiled._sources = lambda: b'other'\n"
-        "from kilter_service.run.doctor import checks; print(checks.kernels(None))"
+        "from kilter_service.run.doctor import commands; print(commands.kernels(None))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, timeout=120, check=True
