@@ -13,7 +13,7 @@ SENTENCES = {"message", "sentence", "detail"}
 # A sentence is put in the words of another surface, whole: nothing is decided by what it says.
 REWORDED = {
     "error_wording.py: COMMANDS.split(sentence)",
-    "upload.py: ROUTE.sub(lambda found: ROUTES.get(found[0], 'another command'), detail)",
+    "wording.py: ROUTE.sub(lambda found: ROUTES.get(found[0], 'another command'), detail)",
     "service.py: error.detail.replace(f'{path}', path.name)",
     "state.py: sentence.partition(': ')",
 }

@@ -76,7 +76,7 @@ def run(arguments: Sequence[str]) -> int:
         report_error(error, as_json)
         return CODE
     except KilterError as error:
-        from kilter_client.cli.files.upload import rephrase_error
+        from kilter_client.cli.terminal.wording import rephrase_error
 
         report_error(rephrase_error(error, arguments), as_json)
         return 1
