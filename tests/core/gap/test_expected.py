@@ -64,7 +64,8 @@ def test_a_search_draws_as_many_resamples_as_are_counted(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(stability, "_make_resampler", counted)
     probes: list[Probe] = []
-    monkeypatch.setattr(check, "probe", lambda *given: probes.append(check.probe(*given)) or probes[-1])
+    probe = check.probe
+    monkeypatch.setattr(check, "probe", lambda *given: probes.append(probe(*given)) or probes[-1])
     for poses in (80, 40):
         rows = campaign(katana(), HIDDEN, poses=poses, seed=5)
         check_gap(katana(), rows, QUICK)
