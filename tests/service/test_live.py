@@ -158,7 +158,7 @@ def test_what_is_not_signed_is_nothing(data: bytes) -> None:
 class SlowToClose:
     """A session whose end takes a while."""
 
-    connected = True
+    is_connected = True
     place = Place("a", "local", "", None, "", "")
 
     def messages(self) -> list[Any]:

@@ -53,9 +53,9 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> Any:
     vars(module)["READER"] = Toy()
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setattr(registry, "READERS", ("toy", *registry.READERS))
-    registry.readers.cache_clear()
+    registry.all_readers.cache_clear()
     yield
-    registry.readers.cache_clear()
+    registry.all_readers.cache_clear()
 
 
 def test_a_new_reader_is_a_module_and_a_line(tmp_path: Path, toy: None) -> None:
