@@ -21,7 +21,7 @@ from kilter_service.ground.references import retired
 from kilter_service.ground.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.robots.resolved import hash_canonical_json
-from kilter_service.versions.answers.store import last_kept
+from kilter_service.versions.answers.store import fetch_last_kept
 from kilter_service.versions.records import ActivationRecord, ListedVersion, VersionRecord
 
 if TYPE_CHECKING:
@@ -279,7 +279,7 @@ def active_version(session: Session, robot: str) -> ActiveVersion | None:
 
 def rules_of(session: Session, version_id: str) -> dict[str, Any] | None:
     """Return the task and rules that a version was activated under the last time; None where that is not known."""
-    found: dict[str, Any] | None = last_kept(session, ReplayRow.rules, version_id)
+    found: dict[str, Any] | None = fetch_last_kept(session, ReplayRow.rules, version_id)
     return found
 
 

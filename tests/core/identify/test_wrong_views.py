@@ -11,7 +11,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import Finding, ObservationError
-from kilter_core.gap.evidence.held_out.when import moved_part, not_said_by
+from kilter_core.gap.evidence.held_out.when import describe_moved_part, not_said_by
 from kilter_core.gap.find import find_gap
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.sentences import SENTENCES
@@ -145,7 +145,7 @@ def test_a_move_is_told_once_where_a_search_names_it(rows: list[int], turn: floa
     step = {"row": 31, "rows_95": rows, "moved_mm": 1.0, "u95_mm": 0.1, "rotated_deg": turn, "u95_deg": 0.01}
     camera = {"code": "camera_moved", "rows_95": [31, 33], "part": "camera", "name": "eye", "message": "It averages."}
     astray = {"code": "views_astray", "message": "Rows."}
-    part = moved_part(step, [astray, camera])
+    part = describe_moved_part(step, [astray, camera])
     words = {"effect": "base_step", "joint": 1, "before": 30, "likely": False, "by_views": True}
     found = Finding("moved_once", {**step, **part}, {**words, "moves_frame": turn is not None}).to_document(SENTENCES)
     left = [w["code"] for w in not_said_by([found], [astray, camera])]

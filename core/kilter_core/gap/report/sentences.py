@@ -27,11 +27,11 @@ def _moved_once(said: Mapping[str, Any]) -> str:
     sure = "" if low == high == said["row"] else f" (95 %: the first row after it is {low} to {high})"
     return (
         f"{who} {verb} between rows {said['before']} and {said['row']}{sure}, by {said['moved_mm']:.3g} mm "
-        f"(95 %: within {said['u95_mm']:.1g} mm) at the tool on average{_rotated(said)}. {_remedy(said)}"
+        f"(95 %: within {said['u95_mm']:.1g} mm) at the tool on average{_rotation_phrase(said)}. {_remedy(said)}"
     )
 
 
-def _rotated(said: Mapping[str, Any]) -> str:
+def _rotation_phrase(said: Mapping[str, Any]) -> str:
     if not said["moves_frame"]:
         return ""
     if said["rotated_deg"] is None:

@@ -24,7 +24,7 @@ class Replay:
     answers: bytes
 
 
-def last_kept(session: Session, what: type[ReplayRow] | InstrumentedAttribute[Any], version_id: str) -> Any:
+def fetch_last_kept(session: Session, what: type[ReplayRow] | InstrumentedAttribute[Any], version_id: str) -> Any:
     """Return what was kept with the last activation of a version, the row or a column of it; None where nothing was."""
     query = select(what).join(ActivationRow, ActivationRow.id == ReplayRow.activation_id)
     query = query.where(ActivationRow.version_id == version_id).order_by(ActivationRow.id.desc()).limit(1)
@@ -50,7 +50,7 @@ def add(session: Session, activation_id: int, replay: Replay, made_by: str = BY_
 
 def repeat(session: Session, activation_id: int, version_id: str) -> None:
     """Keep with an activation what was kept with the last one of the version, its task and rules too."""
-    before = last_kept(session, ReplayRow, version_id)
+    before = fetch_last_kept(session, ReplayRow, version_id)
     if before is not None:
         names = ("rules", "setpoints", "answers", "made_by", "code_version")
         session.add(ReplayRow(activation_id=activation_id, **{name: getattr(before, name) for name in names}))

@@ -165,7 +165,7 @@ def event_findings(
         }
         yield Finding(
             "moved_once",
-            step | moved_part(step, of_fit),
+            step | describe_moved_part(step, of_fit),
             {
                 "effect": candidate.id,
                 "joint": (candidate.joints or (0,))[0] + 1,
@@ -177,7 +177,7 @@ def event_findings(
         )
 
 
-def moved_part(step: Mapping[str, Any], of_fit: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def describe_moved_part(step: Mapping[str, Any], of_fit: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Return the camera or board whose move a step of base or tool, which rotates as a frame does, may be; else nothing."""
     if step["rotated_deg"] is None:
         return {}
