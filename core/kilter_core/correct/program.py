@@ -90,6 +90,11 @@ def _required_quantities(model: RobotModel, which: int, values: Floats, conditio
     return ()
 
 
+# How soft the signs of loads are in a correction: a joint must not jump from one side of its backlash to the other.
+#
+# A sign that is too soft leaves the backlash of a lightly loaded joint uncorrected, so what is soft for a shoulder
+# is not for a wrist: the width follows the load that each joint carries.
+
 SHARE = 0.005  # of the largest load of a joint
 LEAST_NM = 1e-6
 POSES = 64

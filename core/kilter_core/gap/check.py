@@ -39,6 +39,15 @@ from kilter_core.observations import Observations
 from kilter_core.observations.motions import is_trajectory
 from kilter_core.types import unheard
 
+# How long a search would take here, said before it is made: its beginning is made and timed, the rest follows from
+# that.
+#
+# Every stage of a search repeats a few pieces of work: a fit, a look for wrong readings, a null distribution, a
+# selection on the linearised problem. Each is done once, on the machine that will search, and the selection also
+# says how many names to expect, and whether they leave something: then no verdict waits for resamples, of which a
+# few are drawn, but both halves of the campaign are asked. How often a search repeats each piece was counted on
+# campaigns.
+
 T = TypeVar("T")
 
 clock: Callable[[], float] = time.perf_counter

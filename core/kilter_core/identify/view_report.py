@@ -36,6 +36,11 @@ from kilter_core.parameters import degrees, mm
 from kilter_core.transforms import inverse, rotation_log, xyz_rpy_from_pose
 from kilter_core.types import QUANTILE, Bools, Floats, Ints
 
+# Whether a camera or a board was bumped half-way: its places before and after, which a fit takes for one, averaged.
+#
+# What a step of its place takes off the squares of what views leave, with all parameters following, is scored at
+# every place between two views, by sums along the order of measurement.
+
 CHANCE = 1e-3  # of saying it of a rig that stood still, all parts and places together
 SHARE = 0.3  # of what is left that the step must explain: an arm measured in order can look like a little of one
 PER_SIDE = 4  # views on either side: fewer are wrong rows

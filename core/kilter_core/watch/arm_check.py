@@ -32,6 +32,12 @@ CHANCE = 0.01  # of an alarm where the noise of the day is larger
 FEWEST = 6.0  # numbers of repeated shots that tell the noise better than what a cause leaves
 
 
+# The noise of the day: how much more the rows of a check scatter than the version's own, as far as they show it.
+#
+# Repeated shots show it by themselves. Without them it is what the best single cause leaves, so that an alarm is what
+# stands out of the scatter, and not the scatter itself.
+
+
 @dataclass(frozen=True)
 class DayNoise:
     """Variance of the rows in units of the one that was expected, 1 to ``MOST``, with its ``freedom``.

@@ -28,6 +28,12 @@ from kilter_service.web.idempotency.key import OnceOnly
 from kilter_service.web.page_query import PageOfJobs
 from kilter_service.web.state import DatabaseOfApp
 
+# The life of jobs as server-sent events.
+#
+# One task looks at all jobs that are followed, with one query however many follow them; a follower waits for news
+# and costs nothing meanwhile. An event's id is made from what it says: a follower that comes back with it, here or
+# at another API process, is not told again what it knows.
+
 log = logging.getLogger("kilter.api")
 
 POLL_S = 0.2

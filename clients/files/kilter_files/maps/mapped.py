@@ -22,6 +22,10 @@ from kilter_files.tables.source import Source, row_line_numbers
 from kilter_files.tables.table import Table
 from kilter_files.tables.text_source import TextSource
 
+# The table [markers] of a column map: rows that measure one marker each, with a column that names it.
+#
+# One reflector is moved between nests: every row has its place once, and the nest that it sat in.
+
 NEST = "nest"  # the column while the rows are read; no contract column has that name
 PLACE = re.compile(r"([xyz])_(mm|m)")
 MOST = 99

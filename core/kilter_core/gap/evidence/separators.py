@@ -30,6 +30,14 @@ from kilter_core.observations.clock import read_clock
 from kilter_core.parameters import display_unit_and_scale
 from kilter_core.types import Bools, Floats
 
+# What went with the clock: whether poses were measured in random order, and else which joint, height or load rose
+# with it.
+#
+# A law of time may be named where nothing that follows the posture can be what went with it. Neighbours in the space
+# of the joints, of the tool, or along any one of them are then neighbours in time no more often than in a shuffled
+# order, and none of them rises or falls with the clock. Polynomials of the posture are too poor for this: what a
+# climbing arm leaves of them still goes along with the clock.
+
 NEIGHBOURS = 4  # visits nearest to one that say when it was
 SHUFFLES = 400  # of the clock
 RANDOM = 0.01  # chance of a random order beyond which it is taken for one

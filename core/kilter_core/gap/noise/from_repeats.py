@@ -20,6 +20,14 @@ from kilter_core.identify.rows.noise import pooled_columns
 from kilter_core.observations.groups import subtract_group_means, unbiased_deviations
 from kilter_core.types import Bools, Floats, Ints
 
+# The share of an approach that no repeat shows: how the noise is shaped where visits were read several times and not
+# repeated.
+#
+# Readings of a tracker scatter most across its line of sight, and how the arm comes to rest scatters alike in all
+# directions. By the shape of the readings alone a visit weighs too much along that line, and the test takes what the
+# approach did there for an effect. By their size alone priors would count for nothing beside the rows: masses known
+# to 10 % were fitted 9 of their standard deviations away, to take up what the arm did from one approach to the next.
+
 LEAST = 1e-4  # of the variance of the readings: an approach that is smaller changes no weight
 MOST = 1e4  # one that is larger makes all coordinates weigh alike
 SETTLED = 1e-2  # of the logarithm of that ratio

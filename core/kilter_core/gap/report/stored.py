@@ -41,6 +41,12 @@ from kilter_core.observations import Observations
 from kilter_core.parameters import indices
 from kilter_core.types import Ints
 
+# What the last fit leaves of a coordinate of the tool: its noise, and what it leaves beyond that, corrected for its
+# freedom.
+#
+# A version read both from the errors on the rows that were searched, which are smaller by what the parameters took
+# of them: its 95 % intervals held 92 % of new coordinates where the noise was that of the fit.
+
 
 def left_over(found: SearchResult, known: Posterior) -> Predictive | None:
     """What a version knows of itself; None where its rows are not single points or poses of the tool by an instrument."""

@@ -18,6 +18,12 @@ from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.select import MARGIN
 from kilter_core.types import Floats
 
+# Position against orientation: what moves a joint moves both, so an effect fitted to both must fit each.
+#
+# On a robot arm under a laser tracker with a probe, orientations showed what looked like backlash of the wrist; the
+# positions, which the same backlash must move, said the opposite. Such a name is an artefact of the instrument, not
+# of the arm.
+
 APART = 0.001  # chance of calling a true effect contradicted
 POSE = 6  # scalars of a full pose: position, then orientation
 SEEN = 1e-9

@@ -21,6 +21,11 @@ from kilter_core.gap.search.linear.linearized import Tick, ignore_step
 from kilter_core.gap.search.scan import Scorer, Scores
 from kilter_core.types import Bools, Floats, Ints
 
+# What exchanges could reach at most, from scans already made: of those that cannot win nothing is computed.
+#
+# Whatever a candidate explains beside some of a set, all of the set and the candidate explain too. So a scan beside
+# more members bounds what the same candidate can do beside fewer.
+
 ROUNDING = 0.2  # criterion points that rounded values, and rounding errors, may hide
 
 

@@ -15,6 +15,15 @@ from kilter_core.model import RobotModel
 from kilter_core.parameters import TypePrior
 from kilter_core.types import Floats, Ints
 
+# Mean and covariance of the arms of a type from a version of each: restricted maximum likelihood, and shrinkage.
+#
+# Each version knows its own parameters with a covariance of its own, so what versions differ by is two things: what
+# arms differ by, and what their fits do not know. Restricted likelihood (Patterson and Thompson 1971; Harville 1977)
+# tells them apart without the bias of having estimated the mean, and expectation-maximisation (Laird and Ware 1982)
+# climbs it without ever leaving covariances. A few arms cannot say how dozens of parameters correlate: the
+# covariance is drawn towards a diagonal one, as an inverse Wishart prior of ``K`` arms would. Its variances are
+# drawn towards what parameters of the same unit have in common (Smyth 2004).
+
 ROUNDS = 500
 SETTLED = 1e-4  # largest change of a standard deviation, as a share of it, that ends the climb
 COMMON = 4.0  # arms that what parameters of one unit have in common counts for

@@ -32,6 +32,14 @@ from kilter_core.observations import Observations
 from kilter_core.parameters import TypePrior
 from kilter_core.types import Floats, Progress
 
+# Signs of loads while masses are uncertain: as soft as the masses leave the loads, from their priors to what the
+# data say.
+#
+# An effect with a sharp sign is blind to the masses that decide where it changes: its loss is flat but for steps, so
+# a fit stays with the masses it began with. Read as its expectation over the masses the sign is a smooth curve; a
+# fit finds the masses by it, which then leave the loads less uncertain and the sign sharper, until nothing changes
+# any more. Where the masses are as stated nothing of that is needed: of the two fits the likelier stands.
+
 SHARPENINGS = 4
 CHANGED = 0.1  # of a width: less moves no sign that matters
 
@@ -161,6 +169,13 @@ def _as_used(prior: TypePrior, use: PriorUse) -> TypePrior:
 def _with_type_prior(start: Calibration, prior: TypePrior | None) -> Calibration:
     return replace(start, model=replace(start.model, of_type=prior))
 
+
+# Loads on the fitted chain: taken anew between fits, for what a fit moves of the chain moves the weights that hang
+# on it.
+#
+# A joint zero of one degree changes moments by percents. Within a fit the chain of the loads stands still, so the
+# Jacobian stays exact; a fit that moved it goes on with the loads it leads to, until they change nothing that the
+# data could show.
 
 ROUNDS = 3  # of loads: where the poses tell the chain, each moves it a hundredth as far as the one before
 # Norm of what new loads move of all rows, in sigmas: no parameter, nor any sum of them, moves by more than this share of

@@ -26,6 +26,11 @@ from kilter_service.page.shared.listed_jobs import page_of_jobs
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 
+# The seal of a passed check: Run is refused unless the check passed for exactly these inputs.
+#
+# The seal is a keyed hash of the job as it was checked and of its campaigns as they were then. Nothing is stored:
+# Run computes it anew, so it fits no other input and no campaign that has changed since.
+
 
 def compute_job_seal(database: Database, key: str, job: NewJob) -> str:
     """Return the seal of a job and its campaigns as they are now."""

@@ -15,6 +15,12 @@ from kilter_service.contract.units import MAX_ELEMENTS, MAX_JOINTS
 from kilter_service.robots.importers.urdf_masses import in_frame, merge_rigid_links
 from kilter_service.robots.importers.urdf_tree import FREE, MOVING, Body, UrdfJoint, UrdfTree, parse
 
+# Which constants of a URDF say what others say too: rotations about a joint's axis, and shifts along it.
+#
+# A joint's origin has six numbers. Rotating about the axis of the joint, or about that of the joint before, is what
+# their zero offsets do, and shifting along an axis is the same before the joint as behind it. Of each such set one
+# is identified: four numbers of a revolute joint, two of a prismatic one (Mooring, Roth and Driels 1991).
+
 SUFFIXES = ("x", "y", "z", "rz", "ry", "rx")
 LENGTH_M = 0.3  # of an arm: over it a rotation is compared with a shift
 ALIKE = 1e-6  # share within which two are alike, and the first is kept

@@ -27,6 +27,12 @@ from kilter_service.run.backup import store
 from kilter_service.run.backup.findings import Findings
 from kilter_service.run.backup.upgrade import keep_rules_and_answers
 
+# The manifest of a backup: a hash for every table, over all of its rows, taken when the backup was written.
+#
+# Chunks, robots, calibrations and shapes carry hashes of their own; reports, results, roles, tokens and activations
+# do not, and a flipped bit in one of them was restored without a word. The manifest is a table of the backup file
+# alone: it is compared with the file's own columns, before any migration, and taken out when the backup is restored.
+
 NAME = "kilter_manifest"
 INSERT = "INSERT INTO kilter_manifest VALUES (?, ?, ?)"
 SELECT = "SELECT name, rows, sha256 FROM kilter_manifest"

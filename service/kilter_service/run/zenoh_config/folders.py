@@ -21,6 +21,10 @@ from kilter_service.run.zenoh_config.authority import Authority, Issued, issue, 
 from kilter_service.stream.corrector import keys
 
 CORRECTOR, OBSERVER, ROS = "kilter-corrector", "kilter-observer", "kilter-ros"
+# What each role may do on which keys, as zenoh's access control at the corrector; what is not allowed is denied.
+#
+# Flows are seen from the corrector: ingress is what a role sends to it, egress what it gets.
+
 ANY_ROBOT = ("*",)
 SUBSCRIBE = ["declare_subscriber"]
 ASK = ["query", "declare_liveliness_subscriber", "liveliness_query"]

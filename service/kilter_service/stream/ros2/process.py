@@ -37,6 +37,11 @@ from kilter_service.stream.ros2 import cdr, names
 from kilter_service.stream.ros2.names import JOINT_STATE, JOINT_TRAJECTORY, Attachment, MessageType
 from kilter_service.web.health.pulse import Pulse
 
+# Messages of ROS 2 in, corrected messages out; by the same rules as the stream and the trajectory query.
+#
+# A message that cannot be corrected is counted and not passed on: ROS has no status beside the numbers, and
+# uncorrected numbers on the corrected topic would be the wrong ones.
+
 OTHER_PUBLISHER_NS = 1_000_000_000  # a second publisher is followed when the first was silent for this long
 
 

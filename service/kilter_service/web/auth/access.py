@@ -18,6 +18,12 @@ from kilter_service.web.auth.policy import Rule, rule_for_route
 from kilter_service.web.logins import service as logins
 from kilter_service.web.tokens import service as tokens
 
+# A token that is limited to robots: what a path names must be of one of them, before the body is read.
+#
+# Stores leave out what the caller may not see (`kilter_service.ground.caller`), so everything else is as unknown to
+# such a token as what does not exist: 404. The application says how what a path names is looked up: nothing here
+# knows the features.
+
 LookUp = Callable[[Session, str, str], None]
 
 

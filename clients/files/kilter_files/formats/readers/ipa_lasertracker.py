@@ -16,6 +16,10 @@ from kilter_files.tables.source import Layout
 from kilter_files.tables.table import Table
 from kilter_files.tables.text_source import TextSource
 
+# Fraunhofer IPA robot accuracy data: UR10 and Leica laser tracker with T-Mac, one CSV per series.
+#
+# Semicolons with decimal commas; joints in rad, position in mm, orientation in deg as intrinsic XYZ Euler angles.
+
 LAYOUT = Layout(delimiter=";", decimal=",")
 JOINTS = (
     "shoulder_pan_joint",

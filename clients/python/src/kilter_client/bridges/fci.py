@@ -23,6 +23,11 @@ from kilter_client.errors import KilterError
 if TYPE_CHECKING:
     from kilter_client.bridges.correction import Correction
 
+# Sockets that a robot's library opened: strangers are kept out of them by the system.
+#
+# libfranka takes whatever comes for a state of the robot: it ends the motion where the size is wrong, and answers
+# whoever sent it.
+
 DESCRIPTORS = Path("/proc/self/fd")  # of Linux, as libfranka is
 FIRST_S = 1.0  # within which a robot's first packet comes
 MOST_WAITING = 10_000

@@ -19,6 +19,10 @@ from kilter_client.bridges.news import TELL_S, Line
 if TYPE_CHECKING:
     from kilter_client.bridges.correction import Correction
 
+# How long answers took: a distribution that is kept up to date answer by answer, since nothing may hold up the loop.
+#
+# To sort the last 20 000 times takes 4 ms, a whole cycle of a KUKA controller.
+
 LAST = 20_000  # answers that count
 LEAST_S, OCTAVES, STEPS = 1e-6, 22, 32  # from 1 us to 4 s, in steps of 2.2 %
 

@@ -28,6 +28,12 @@ from kilter_core.observations.motions import is_trajectory
 from kilter_core.parameters import DEG, display_unit_and_scale
 from kilter_core.types import Bools, Floats, Ints
 
+# Whether held-out poses erred as an effect predicted: their errors without it, against what it changes there.
+#
+# The drop of squared errors alone has little power, because it counts the noise of every pose twice: an effect of
+# non-centrality λ on the held-out poses is √λ / 2 deviations outside it, and √λ out of the regression on what was
+# predicted. The prediction comes from other poses, so without an effect the slope is zero, whatever was chosen.
+
 MOST_LEVERAGE = 0.99
 
 

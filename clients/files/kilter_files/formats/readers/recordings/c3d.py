@@ -137,6 +137,11 @@ def unsigned_parameter(parameters: Mapping[str, Value], name: str) -> int | None
     return words[0] if len(words) == 1 else words[0] + (words[1] << 16)
 
 
+# C3D files of 3D points, as Optotrak, Qualisys and Vicon write them.
+#
+# Read here and not with a library: one that was tried stops at frame 65 535, takes files that are cut off for whole,
+# and holds every frame in memory.
+
 FULL = 0xFFFF  # a 16-bit counter that ran out
 HEAD_BYTES = 256 * SECTOR * 2  # header and the largest parameter section
 FASTEST_HZ = 1e6
