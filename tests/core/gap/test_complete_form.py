@@ -24,8 +24,10 @@ POSES = 80
 def robot() -> Robot:
     """The arm in plain DH: the second angle between parallel axes (beta) is no parameter."""
     arm = complete()
-    elements = tuple(e for e in arm.chain.elements if not (e.name or "").startswith("beta"))
-    return replace(arm, chain=replace(arm.chain, elements=elements))
+    kept = [k for k, e in enumerate(arm.chain.elements) if not (e.name or "").startswith("beta")]
+    elements = tuple(arm.chain.elements[k] for k in kept)
+    links = tuple(replace(link, element=sum(k <= link.element for k in kept) - 1) for link in arm.links)
+    return replace(arm, chain=replace(arm.chain, elements=elements), links=links)
 
 
 def rows(hidden_deg: float, seed: int, coupled: float = 0.0) -> Observations:
