@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.contract.sources import REPOSITORY, source
 from tools.draw_rooms import (
     CLIENT,
     CORE,
@@ -29,6 +30,7 @@ from tools.draw_rooms import (
 )
 
 MOST_FILES = 20  # in a folder
+MOST_IMPORTS = {"core/kilter_core/gap/find.py": 20}  # of modules that read like the method: a step from each
 LISTS = ("effects", "contract", "typed")  # of what stands side by side: an effect, a document in a file
 
 
@@ -48,6 +50,11 @@ def test_no_folder_is_a_heap(house: House) -> None:
     folders = {path.parent for path in house.folder.rglob("*.py") if path.parent.name not in LISTS}
     full = {str(folder.relative_to(house.folder)): len([*folder.glob("*.py")]) for folder in folders}
     assert {name: count for name, count in full.items() if count > MOST_FILES} == {}
+
+
+@pytest.mark.parametrize("module", MOST_IMPORTS)
+def test_a_module_that_reads_like_the_method_imports_little_beside_its_steps(module: str) -> None:
+    assert len(source(REPOSITORY / module).imported) <= MOST_IMPORTS[module]
 
 
 @pytest.mark.parametrize("house", HOUSES, ids=lambda house: house.name)

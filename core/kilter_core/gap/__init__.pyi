@@ -1,7 +1,5 @@
 from .check import GapCheck as GapCheck
 from .check import check_gap as check_gap
-from .evidence.held_out.holding_out import held_out_share as held_out_share
-from .evidence.held_out.holding_out import split_held_out_rows as split_held_out_rows
 from .find import find_gap as find_gap
 from .of_type import KnownType as KnownType
 from .of_type import known_type as known_type
@@ -13,3 +11,5 @@ from .report.separation import plan_separation as plan_separation
 from .report.separation import undecided_effect_pair as undecided_effect_pair
 from .search.requested import joints_by_effect as joints_by_effect
 from .search.scan import warm_up as warm_up
+from .study import held_out_share as held_out_share
+from .study import split_held_out_rows as split_held_out_rows

@@ -12,8 +12,6 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.gap.evidence.fits.intervals import MOST_ROWS
 from kilter_core.gap.evidence.halves import restrict_to_visits
-from kilter_core.gap.evidence.held_out.holding_out import split_held_out_rows
-from kilter_core.gap.evidence.replication import refuse_unfit
 from kilter_core.gap.evidence.similarity.testability import (
     Testability,
     Visible,
@@ -31,7 +29,7 @@ from kilter_core.gap.search.prepare import Prepared, prepare_data
 from kilter_core.gap.search.rows.outliers import outliers
 from kilter_core.gap.search.scan import Scorer, null_distribution
 from kilter_core.gap.search.select import HIDING, Selector
-from kilter_core.gap.search.start_model import beginning
+from kilter_core.gap.study import beginning, refuse_other_confirmation, split_held_out_rows
 from kilter_core.identify.comparison.compare import count_poses, thin_poses
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.model import Calibration
@@ -162,11 +160,8 @@ def check_gap(
     """
     options = options or GapOptions()
     begin = beginning(robot, start, observations, options)
-    if confirmation is not None:
-        for rows in (observations, validation):
-            if isinstance(rows, Observations):
-                refuse_unfit(robot, rows, confirmation)
-        refuse_mixed_up(begin, confirmation)
+    given = (one for one in (observations, validation) if isinstance(one, Observations))
+    refuse_other_confirmation(robot, begin, given, confirmation)
     searched, held = split_held_out_rows(observations, validation, options.seed)
     rows = _fewer(searched)
 

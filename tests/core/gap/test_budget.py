@@ -9,8 +9,8 @@ import pytest
 
 from kilter_core.errors import OptionError
 from kilter_core.gap import GapOptions, GapReport, budget, find_gap
+from kilter_core.gap.effect_search import AGAIN
 from kilter_core.gap.search.prepare import prepare_data
-from kilter_core.gap.search.re_evaluated_search import AGAIN
 from kilter_core.gap.search.re_evaluation import WRONG
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

@@ -16,7 +16,6 @@ from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.evidence.held_out import practical_size
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
-from kilter_core.gap.evidence.held_out.holding_out import held_out, split_held_out_rows
 from kilter_core.gap.evidence.held_out.practical_size import Misfit
 from kilter_core.gap.evidence.held_out.unseen_fit import UnseenFit
 from kilter_core.gap.evidence.replication import Confirmation, replication
@@ -30,6 +29,7 @@ from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.scan import Scorer, null_distribution
 from kilter_core.gap.search.select import Selector
+from kilter_core.gap.study import held_out, split_held_out_rows
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.shared_rows import shared_rows

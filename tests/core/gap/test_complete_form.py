@@ -9,7 +9,7 @@ import pytest
 
 from kilter_core.arm.chain import Axis
 from kilter_core.arm.robot import Robot
-from kilter_core.gap import GapOptions, find, find_gap
+from kilter_core.gap import GapOptions, find_gap, fit_assessment
 from kilter_core.gap.search.linear.complete_form import MissingDirection, incomplete_warnings, missing_directions
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
@@ -24,8 +24,10 @@ POSES = 80
 def robot() -> Robot:
     """The arm in plain DH: the second angle between parallel axes (beta) is no parameter."""
     arm = complete()
-    elements = tuple(e for e in arm.chain.elements if not (e.name or "").startswith("beta"))
-    return replace(arm, chain=replace(arm.chain, elements=elements))
+    kept = [k for k, e in enumerate(arm.chain.elements) if not (e.name or "").startswith("beta")]
+    elements = tuple(arm.chain.elements[k] for k in kept)
+    links = tuple(replace(link, element=sum(k <= link.element for k in kept) - 1) for link in arm.links)
+    return replace(arm, chain=replace(arm.chain, elements=elements), links=links)
 
 
 def rows(hidden_deg: float, seed: int, coupled: float = 0.0) -> Observations:
@@ -79,7 +81,7 @@ def test_nothing_is_confirmed_that_a_missing_rotation_explains_as_well(monkeypat
     (plain,) = find_gap(arm, measured, options).effects
     assert "complete_geometry" not in plain.gates
     one = MissingDirection(2, Axis.RY, 1e-3, 1e-9)
-    monkeypatch.setattr(find, "missing_directions", lambda *_: (one,))
+    monkeypatch.setattr(fit_assessment, "missing_directions", lambda *_: (one,))
     report = find_gap(arm, measured, options)
     row = report.to_document()["effects"][0]
     assert (row["verdict"], row["gates"]["complete_geometry"]) == ("provisional", False)

@@ -13,7 +13,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.gap import GapOptions, GapReport, find_gap
 from kilter_core.gap.check import check_gap
-from kilter_core.gap.evidence.held_out.holding_out import split_held_out_rows
+from kilter_core.gap.study import split_held_out_rows
 from kilter_core.observations import Observations
 from tests.core.campaigns import held, measured
 from tests.core.measurement.test_contacts import PLACES, PLAY, about, bars, in_sockets, pair, with_play

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_core.gap.search.linear.fewer import Fewer
-from kilter_core.gap.search.linear.gram import RIDGE, VISIBLE, Gram
-from kilter_core.gap.search.linear.recent import Recent
+from kilter_core.gap.search.linear.gram import RIDGE, VISIBLE, Gram, Recent
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Floats
 from tests.core.gap.test_reach import world

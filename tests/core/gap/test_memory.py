@@ -13,8 +13,8 @@ import pytest
 
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.linear import derivatives
+from kilter_core.gap.search.linear.gram import Recent
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, refit
-from kilter_core.gap.search.linear.recent import Recent
 from kilter_core.gap.search.linear.soft import Soft
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.gap.find import GapReport, find_gap
+from kilter_core.gap import GapReport, find_gap
 from kilter_core.gap.options import GapOptions
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.seen_poses import as_seen_poses

@@ -10,9 +10,9 @@ import pytest
 
 from kilter_client.cli.reports.gap_report import show_gap
 from kilter_client.cli.terminal.tables import number
-from kilter_core.gap import GapOptions, find, find_gap
-from kilter_core.gap.evidence.fits import widened as module
-from kilter_core.gap.evidence.fits.widened import refit_with_wider_priors
+from kilter_core.gap import GapOptions, effect_search, find_gap
+from kilter_core.gap.evidence.fits import last_refits as module
+from kilter_core.gap.evidence.fits.last_refits import refit_with_wider_priors
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.report.report import GapReport
 from kilter_core.gap.search import re_evaluation as renewal
@@ -135,7 +135,7 @@ def test_an_amplitude_held_by_its_range_is_told_at_its_end_with_what_the_rows_as
 def test_what_the_rows_hardly_know_keeps_its_prior_and_no_fit_leaves_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """Curves that imitate each other ran away on a real arm when their priors were widened."""
     seen: list[SearchResult] = []
-    monkeypatch.setattr(find, "refit_with_wider_priors", lambda found: seen.append(found) or found)
+    monkeypatch.setattr(effect_search, "refit_with_wider_priors", lambda found: seen.append(found) or found)
     searched(sized("thermal_drift", 1, LARGE["thermal_drift"]), "thermal_drift")
     (found,) = seen
     prior = found.problem.settings.source.library_sigma[found.columns]

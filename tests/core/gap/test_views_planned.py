@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.gap import plan_separation
-from kilter_core.gap.find import _Run, find_gap
+from kilter_core.gap import find, find_gap, plan_separation
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.next_poses import separate
 from kilter_core.identify import IdentifyOptions, identify
@@ -25,14 +24,15 @@ QUICK = GapOptions(effects=("backlash",), permutations=3, resamples=10, bootstra
 @pytest.mark.parametrize("scene", [eye_to_hand({}, STIFF), eye_in_hand({}, STIFF)], ids=["to_hand", "in_hand"])
 def test_the_deviation_that_planned_views_promise_comes_true(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     hiding, asked = erring(scene, play), []
-    monkeypatch.setattr(_Run, "_next_poses", lambda *given: asked.append(given) or ([], None))
+    monkeypatch.setattr(find, "plan_next_poses", lambda *given: asked.append(given) or ([], None))
     robot, rows = robot_from_document(scene.drawn.document()), seen_by(hiding, 5)
     find_gap(robot, rows, QUICK, validation=0.0)
-    [(run, found, (effect, *others))] = asked
+    [(study, search, (effect, *others))] = asked
     assert (effect.evidence.candidate.label, others) == ("backlash j2", [])
     amounts = np.array([one.value for one in effect.evidence.amplitudes])
-    given = (found.problem, run.prepared.visits.observations, effect.evidence.candidate, (), (), amounts, 15, 0)
-    new = next(p for p in separate(*given, None, run.by_views) if p.kind == "new")
+    searched, named = search.prepared.visits.observations, effect.evidence.candidate
+    given = (search.found.problem, searched, named, (), (), amounts, 15, 0)
+    new = next(p for p in separate(*given, None, study.by_views) if p.kind == "new")
     assert new.rows.direction is not None
     # Joint 2 stops by the side from which it came, which a measured pose repeats.
     sided = erring(scene, lambda q: -2e-4 * new.rows.direction * np.eye(6)[1])

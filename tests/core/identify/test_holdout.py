@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
-from kilter_core.gap.evidence.held_out.holding_out import held_out
+from kilter_core.gap.study import held_out
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.holdout import fold_splits, split
 from kilter_core.observations import Observations

@@ -19,7 +19,7 @@ from scipy.stats import f as f_distribution
 from scipy.stats import norm
 from scipy.stats import t as t_distribution
 
-from kilter_core.gap.evidence.amounts import amounts
+from kilter_core.gap.evidence.fits.final_fit import amounts
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.bases import orthonormal
 from kilter_core.gap.search.linear.linearized import LinearizedProblem

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kilter_core.effects.physical import JOINT_ZERO, STATION, THERMAL, joint_numbers
-from kilter_core.gap.evidence.amounts import amounts
+from kilter_core.gap.evidence.fits.final_fit import amounts
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.linearized import LinearizedProblem

@@ -171,8 +171,8 @@ def judge(
 ) -> Judged:
     """Pass one candidate through the gates: replicated, confirmed, class_confirmed, provisional, or contradicted.
 
-    ``settled`` as :func:`is_settled`; ``lacking`` says that rotations which the robot's description lacks do as well as all
-    that was named; ``beside`` is the evidence for everything that was.
+    ``settled`` says that nothing is left of which it may be a part; ``lacking`` that rotations which the robot's description
+    lacks do as well as all that was named; ``beside`` is the evidence for everything that was.
     """
     rivals = tuple(a for a in evidence.aliases if a.member or not a.candidate.empirical)
     numbers = _numbers(search, evidence, fit, library, bool(rivals))
@@ -215,11 +215,6 @@ def _beside_any_shape(search: SearchResult, evidence: Evidence) -> bool:
     others = (candidates[k] for k in search.chosen if k != evidence.place)
     near = (c.effects[0] for c in others if not c.joints or not at or at & set(c.joints))
     return any((e.supple or e.empirical) and e.physical_class(robot).id == own for e in near)
-
-
-def is_settled(fit: Adequacy, misfit: Misfit, refuted: bool, moves_mm: float) -> bool:
-    """Whether nothing is left of which an effect that moves the tool so far may be a part; held-out rows may refute it."""
-    return not refuted and (bool(fit.adequate) or misfit.is_negligible_for_effect(moves_mm))
 
 
 def _level(gates: dict[str, bool | None], claim: Claim, replication: Replication | None) -> str:

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from kilter_core.gap.evidence.claim import CLASS
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
-from kilter_core.gap.evidence.held_out.holding_out import POSES_TO_SPARE_SOME
 from kilter_core.gap.evidence.held_out.practical_size import Misfit
-from kilter_core.gap.evidence.held_out.unseen import Unseen
 from kilter_core.gap.evidence.held_out.unseen_fit import UnseenFit
 from kilter_core.gap.evidence.similarity.aliases import Alias
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.report.localization import Place
-from kilter_core.gap.report.sentences import documents
 from kilter_core.gap.report.stored import Stored
 from kilter_core.gap.report.told_apart import ToldApart
 from kilter_core.gap.search.candidates import Library, Untestable
+from kilter_core.gap.study import POSES_TO_SPARE_SOME
 from kilter_core.model import Calibration
 from kilter_core.parameters import display_unit_and_scale
 from kilter_core.types import Ints
@@ -122,22 +120,6 @@ class GapReport:
     def calibration(self) -> Calibration:
         """The final fit: geometry and named effects."""
         return self.stored.calibration
-
-    def with_unseen(self, unseen: tuple[Unseen, ...]) -> GapReport:
-        """The report that says at which joints named families stay nominal."""
-        return replace(
-            self,
-            not_testable=(*self.not_testable, *(u.untestable() for u in unseen)),
-            warnings=(*self.warnings, *documents(u.finding() for u in unseen)),
-        )
-
-    def with_row_numbers(self, searched: Ints, held: Ints) -> GapReport:
-        """The report with its rows numbered as among all that were given, of which some were searched and some held out."""
-        aside, other = (
-            tuple({**one, "row": int(numbers[one["row"]])} for one in rows)
-            for rows, numbers in ((self.set_aside, searched), (self.held_aside, held))
-        )
-        return replace(self, set_aside=aside, held_aside=other)
 
     def to_document(self) -> dict[str, Any]:
         """The gap result of the contract."""

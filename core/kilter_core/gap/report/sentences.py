@@ -96,6 +96,6 @@ SENTENCES: Sentences = {
 }
 
 
-def documents(findings: Iterable[Finding]) -> Iterator[dict[str, Any]]:
-    """Return findings of a search as they are stored and sent."""
-    return (one.to_document(SENTENCES) for one in findings)
+def documents(findings: Iterable[Finding | dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Return findings of a search as they are stored and sent; documents of others as they are."""
+    return (one.to_document(SENTENCES) if isinstance(one, Finding) else one for one in findings)

@@ -22,9 +22,14 @@ from kilter_core.effects.physical import (
     Separator,
     joint_numbers,
 )
+from kilter_core.gap.budget import PLANNING
+from kilter_core.gap.effect_search import SearchOutcome
+from kilter_core.gap.evidence.similarity.aliases import SAME
 from kilter_core.gap.evidence.similarity.smooth import TURN
-from kilter_core.gap.report.next_poses import Proposal
+from kilter_core.gap.evidence.verdict import SURE, Judged
+from kilter_core.gap.report.next_poses import Proposal, proposal_rows, separate
 from kilter_core.gap.search.candidates import Candidate
+from kilter_core.gap.study import Study
 from kilter_core.observations import Observations
 
 TOLD_APART = 22.0  # lambda (1 - rho squared) from which a name is wrong in one of a thousand
@@ -78,6 +83,33 @@ class ToldApart:
 
 
 Proposed = tuple[list[dict[str, Any]], ToldApart | None]  # poses as documents, and whether they tell two apart
+
+
+def plan_next_poses(study: Study, search: SearchOutcome, effects: Sequence[Judged]) -> Proposed:
+    """For the least certain effect: poses that separate it from its nearest rival, or sharpen it."""
+    found, robot, options = search.found, study.robot, study.options
+    if not effects or study.budget.over(PLANNING, "poses to measure next"):
+        return [], None
+    open_ = ((j, next(_separable_rivals(j, robot), None)) for j in effects)
+    weak = ((j, None) for j in effects if j.verdict not in SURE)
+    judged, rival = next((one for one in open_ if one[1]), None) or next(weak, (None, None))
+    if judged is None:
+        return [], None
+    target, values = judged.evidence.candidate, np.array([a.value for a in judged.evidence.amplitudes])
+    others = [k for k in found.columns if k not in target.columns]
+    rows, rivals = search.prepared.visits.observations, [] if rival is None else [rival]
+    asked_for = (options.next_poses, options.seed, None, study.by_views)
+    proposals = separate(found.problem, rows, target, rivals, others, values, *asked_for)
+    names = target.label, rival.label if rival else "geometry"
+    return proposal_rows(proposals, names, robot), assess_separation(proposals, target, rival, rows, robot)
+
+
+def _separable_rivals(judged: Judged, robot: Robot) -> Iterator[Candidate]:
+    """Rivals of an effect that some poses of this arm would tell from it."""
+    for a in judged.alias_set:
+        own = judged.evidence.candidate
+        if a.correlation < SAME and not a.member and not are_never_separable(own, a.candidate, robot):
+            yield a.candidate
 
 
 def assess_separation(

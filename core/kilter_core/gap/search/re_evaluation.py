@@ -15,11 +15,12 @@ import scipy.linalg
 
 from kilter_core.gap.budget import PREPARING, Budget, OutOfTimeError
 from kilter_core.gap.noise.from_repeats import FIT, Noise, add_approach_noise, noise_again, re_estimate_fit_noise
-from kilter_core.gap.search.linear.contrasts import fitted_away
+from kilter_core.gap.noise.visits import isolate_unused_visits
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, ignore_step, linearise_problem, refit
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.rows.outliers import LARGE, outliers, stands_out
-from kilter_core.types import Bools, Floats, Progress
+from kilter_core.observations.groups import subtract_group_means
+from kilter_core.types import Bools, Floats, Ints, Progress
 
 WRONG = "wrong readings beyond those set aside"
 CHANGED = 0.02  # of the noise, from which a fit is made again
@@ -167,3 +168,16 @@ def _of_repeats(
     if again is None or again is noise or not np.allclose(noise.visit, noise.even().visit, rtol=1e-9, atol=0.0):
         return again
     return again.even()
+
+
+def fitted_away(problem: LinearizedProblem, columns: Sequence[int], condition: Ints) -> float:
+    """How many scalars of the differences between visits of one ``condition (V,)`` the library columns fit.
+
+    The noise in them is gone from the residual. Geometry fits none: it is the same for all visits of a condition.
+    """
+    used = problem.settings.used
+    basis = problem.basis(columns)[:, problem.U.shape[1] :]
+    if not basis.shape[1]:
+        return 0.0
+    rows = basis.reshape(len(used), -1)
+    return float(np.sum(subtract_group_means(rows, isolate_unused_visits(condition, used)) ** 2))

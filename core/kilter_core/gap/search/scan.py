@@ -160,15 +160,6 @@ class Scorer:
             ("halves", self.number, n), (), lambda: _inverse_roots_and_ranks(gram, block.columns)
         )
 
-    def new_columns(self, beside: Sequence[int]) -> Ints:
-        """How many columns each candidate (K,) adds to some."""
-        out = np.zeros(len(self.candidates), dtype=np.int64)
-        new = np.ones(1 + max((int(block.columns.max()) for block in self.blocks), default=0), dtype=bool)
-        new[list(beside)] = False
-        for block in self.blocks:
-            out[block.place] = new[block.columns].sum(axis=1)
-        return out
-
     def tail_probability(self, gram: Gram, place: int, beside: Sequence[int] = ()) -> float:
         """Tail probability of one candidate beside some columns, as :meth:`scores` has it: of its own columns alone."""
         own, given = self.candidates[place].columns, gram.condition_on_columns(beside)

@@ -7,6 +7,7 @@ along x, while the version held 4.5 mm. So nothing that is told of a named effec
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,3 +93,15 @@ def inflation(search: SearchResult) -> float:
 def widening(found: SearchResult) -> float:
     """The same, never zero: what residuals may be divided by."""
     return max(inflation(found), SMALLEST)
+
+
+def amounts(search: SearchResult, columns: Sequence[int], X: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Amounts (K,) of unit library ``columns`` within their priors, and their covariance (K, K).
+
+    ``X (R, K)`` are their whitened derivatives in the data ``y (R,)`` asked, all else taken out of both.
+    """
+    problem, index = search.problem, list(columns)
+    prior = np.maximum(problem.settings.source.library_sigma[index] * problem.size[index], 1e-300)
+    variance = search.selector.variance(problem.gram, search.chosen)
+    covariance = np.asarray(np.linalg.inv(X.T @ X / variance + np.diag(1.0 / prior**2)), dtype=np.float64)
+    return covariance @ (X.T @ y) / variance, covariance

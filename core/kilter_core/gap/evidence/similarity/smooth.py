@@ -3,6 +3,9 @@
 Over ±75° q, sin q and cos q span every smooth curve, so a hose's torque fits as a scale error and an eccentricity, and a
 belt's as an eccentricity. Such a name is kept only where no smooth curve with as many parameters does as well, and where
 a curve added to it improves nothing; otherwise the name is "smooth error of joint k", and the names are its members.
+
+With an effect outside the library (a dent, a worn tooth, a loose cable) the nearest physical name fits it in part. So local
+bumps of the same joint are tried in place of a curve's name, and one that does as well takes the name away.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.stats import chi2
 
+from kilter_core.effects.local_bump import LocalBump
 from kilter_core.effects.physical import joint_numbers
 from kilter_core.effects.unknown_smooth_curve import UnknownSmoothCurve
 from kilter_core.gap.evidence.similarity.similarity import Alias, correlation
@@ -22,6 +26,7 @@ from kilter_core.gap.search.candidates import FAMILY, JOINT, Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.select import MARGIN
+from kilter_core.gap.search.sources.source import Source
 from kilter_core.model import RobotModel
 from kilter_core.types import Floats
 
@@ -32,6 +37,9 @@ SAME_SPACE = 0.9999  # correlation beyond which a curve is the name itself
 IMPROVES = 0.01  # chance at which a curve added to a name says that the name is not all
 MOST = 6  # parameters of a curve that takes a name's place
 EVEN = 0.5  # chance that a name is wrong when its class does as well
+BUMP_CENTRES = 12
+BUMP_WIDTHS = (0.06, 0.12, 0.25)  # of the joint's range, as standard deviations
+FAIR = 2.0  # price of a parameter, Akaike: taking a name away needs less proof than giving one
 
 
 def is_curve(candidate: Candidate) -> bool:
@@ -256,3 +264,41 @@ def _orthonormal(columns: Floats) -> Floats:
         return columns
     u, s, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(u[:, s > 1e-4])
+
+
+def local_bump_test(search: SearchResult, place: int, rows_q: Floats) -> bool:
+    """Whether a local bump of the candidate's joint, at its best centre and width, does as well in its place."""
+    candidate = search.selector.scorer.candidates[place]
+    source = search.problem.settings.source
+    if not _is_curve_of_one_joint(candidate) or candidate.id == LocalBump.id or not source.observes_tool:
+        return False
+    problem, selector = search.problem, search.selector
+    rest = selector.columns([k for k in search.chosen if k != place])
+    basis = problem.basis(rest)
+    r = residual_given(problem, rest)
+    variance = selector.variance(problem.gram, search.chosen)
+    S = problem.gram.reduction(selector.columns(search.chosen)) - problem.gram.reduction(rest)
+    own = S / variance - FAIR * len(candidate.columns)
+    (joint,) = candidate.joints or (0,)
+    columns = problem.soft(_bump_columns(search, source, joint, rows_q[:, joint]))
+    columns = columns - basis @ (basis.T @ columns)
+    size = np.sum(columns**2, axis=0)
+    seen = size > 1e-6 * size.max(initial=1e-300)
+    taken = (columns[:, seen].T @ r) ** 2 / size[seen]
+    # Centre and width are chosen too: they are parameters like the height.
+    return bool(taken.max(initial=0.0) / variance - 3.0 * FAIR > own)
+
+
+def _is_curve_of_one_joint(candidate: Candidate) -> bool:
+    """Whether it is a function of one joint's own angle, and nothing else."""
+    return len(candidate.joints or ()) == 1 and not candidate.effects[0].needs and not candidate.empirical
+
+
+def _bump_columns(search: SearchResult, source: Source, joint: int, q: Floats) -> Floats:
+    """Whitened effect (R, B) of rotating the joint by a bump of one radian, for all bumps."""
+    rotated = source.joint_columns(search.problem.values)(joint)
+    along = search.problem.settings.whitening.residual(rotated)
+    span = float(np.ptp(q))
+    centres = np.linspace(q.min(), q.max(), BUMP_CENTRES)
+    shapes = [np.exp(-0.5 * ((q - c) / (w * span)) ** 2) for c in centres for w in BUMP_WIDTHS]
+    return np.stack([(along * shape[:, None]).reshape(-1) for shape in shapes], axis=1)

@@ -1,4 +1,4 @@
-"""Amplitudes far beyond what is usual, fitted again under the size that the rows show: a prior would pull them towards zero.
+"""The last fit, made again until it changes no more: with signs of loads, then with priors, as the data leave them.
 
 The prior of an amplitude says how large it usually is, and keeps what the rows hardly show near zero while a search tries
 one effect after another. Of one that was named, twenty times larger than usual, it took several standard deviations, and
@@ -9,21 +9,47 @@ the geometry ran to the ends of their ranges, and the error of a real arm from 0
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from kilter_core.gap.evidence.fits.final_fit import by_rows
-from kilter_core.gap.evidence.fits.fitted_again import fitted_again, repeat_until_unchanged
+from kilter_core.gap.evidence.fits.final_fit import by_rows, jacobian_prior_covariance
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.ranges import library_parameters
+from kilter_core.gap.search.masses import blur_load_signs
+from kilter_core.gap.search.re_evaluation import under
+from kilter_core.gap.search.sources.source import Source
 from kilter_core.types import Bools
 
+CHANGED = 0.05  # of a blur: less moves no sign that matters
+SIGN_PASSES = 3  # narrower signs show the masses better, which narrows them again
 LARGER = 1.5  # times the prior deviation, from which an amplitude has a prior of its own size
 TOLD = 3.0  # of its standard deviations by the rows alone, beside those of all other names, from which they tell it
 WIDTH = 2.0  # of what the rows ask for: a prior that takes less than a tenth of a standard deviation of what is told
-PASSES = 2  # the first still finds it pulled
+PRIOR_PASSES = 2  # the first still finds it pulled
+
+
+def narrow_sign_uncertainty(found: SearchResult) -> SearchResult:
+    """The search with the blur of its signs made again from the posterior of the masses, and re-fitted; itself if unchanged.
+
+    While it searches the blur is that of the priors, because what is not named yet would narrow
+    nothing, or the wrong masses.
+    """
+    return repeat_until_unchanged(_narrow_signs_once, found, SIGN_PASSES)
+
+
+def _narrow_signs_once(found: SearchResult) -> SearchResult:
+    problem = found.problem
+    source = problem.settings.source
+    if not found.chosen or source.batch.blur is None:
+        return found
+    loads = np.flatnonzero(source.of_loads)
+    after = blur_load_signs(source, problem.values, jacobian_prior_covariance(found)[2][np.ix_(loads, loads)])
+    before = source.batch.blur
+    if after.batch.blur is None or np.all(np.abs(after.batch.blur - before) <= CHANGED * before):
+        return found
+    return refit_under_source(found, after)
 
 
 def refit_with_wider_priors(found: SearchResult) -> SearchResult:
@@ -31,7 +57,7 @@ def refit_with_wider_priors(found: SearchResult) -> SearchResult:
 
     A fit that leaves more than the one before is none.
     """
-    return repeat_until_unchanged(_once, found, PASSES)
+    return repeat_until_unchanged(_widen_priors_once, found, PRIOR_PASSES)
 
 
 def _physical_column_mask(found: SearchResult) -> Bools:
@@ -58,7 +84,7 @@ def _group_comparable_columns(found: SearchResult) -> Iterator[list[int]]:
                     yield alike
 
 
-def _once(found: SearchResult) -> SearchResult:
+def _widen_priors_once(found: SearchResult) -> SearchResult:
     problem, columns = found.problem, found.columns
     if not columns:
         return found
@@ -72,5 +98,22 @@ def _once(found: SearchResult) -> SearchResult:
     for alike in _group_comparable_columns(found):
         largest = max((times[k] for k in alike if k in times), default=0.0)
         sigma[alike] = prior[alike] * max(1.0, WIDTH * largest)
-    again = fitted_again(found, replace(source, library_sigma=sigma))  # type: ignore[type-var]
+    again = refit_under_source(found, replace(source, library_sigma=sigma))  # type: ignore[type-var]
     return found if again.problem.chi2 > problem.chi2 else again
+
+
+def refit_under_source(found: SearchResult, source: Source) -> SearchResult:
+    """The search with the same names, fitted with what another ``source`` says of them."""
+    problem = under(replace(found.problem.settings, source=source), found.problem, found.columns)
+    return replace(found, problem=problem, steps=found.extended_steps(problem, found.chosen))
+
+
+def repeat_until_unchanged(
+    once: Callable[[SearchResult], SearchResult], found: SearchResult, passes: int
+) -> SearchResult:
+    """The search after so many passes of ``once``, fewer where one returns what it was given."""
+    for _ in range(passes):
+        before, found = found, once(found)
+        if found is before:
+            break
+    return found
