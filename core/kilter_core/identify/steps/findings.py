@@ -35,7 +35,7 @@ class Outcome:
         return load_rows(self.fitted.arm, fit.names, fit.sigma, fit.problem.prior_sigma)
 
 
-CHECKS: tuple[Callable[[Outcome], Iterable[dict[str, Any]]], ...] = (
+CHECKS_AFTER: tuple[Callable[[Outcome], Iterable[dict[str, Any]]], ...] = (
     lambda one: fit_warnings(one.known.arm_fit, one.study.train, one.known.repeats),
     lambda one: () if one.fitted.learned is None else (one.fitted.learned.warning(),),
     lambda one: another_arm(one.fitted.arm),
@@ -55,4 +55,4 @@ CHECKS: tuple[Callable[[Outcome], Iterable[dict[str, Any]]], ...] = (
 
 def list_findings(outcome: Outcome) -> tuple[dict[str, Any], ...]:
     """Warnings of all checks, without those that another one explains."""
-    return tuple(unless_astray(finding for check in CHECKS for finding in check(outcome)))
+    return tuple(unless_astray(finding for check in CHECKS_AFTER for finding in check(outcome)))

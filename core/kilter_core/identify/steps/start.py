@@ -67,7 +67,7 @@ def prepare_study(
     train, validation = as_inputs(options.make_effects(), start, train, validation)
     begin = build_start_model(robot, train, options, start)
     study = Study(robot, begin, train, validation, options, prior, begin.marker_points)
-    study = replace(study, remarks=tuple(remark for check in CHECKS for remark in check(study)))
+    study = replace(study, remarks=tuple(remark for check in CHECKS_BEFORE for remark in check(study)))
     study = _lay_in_one_frame(study)
     begin, of_type = of_its_type(study.begin, study.train, options, fleet)
     progress(0.02, "splitting by pose")
@@ -112,7 +112,7 @@ def _check_validation(study: Study) -> Iterator[dict[str, Any]]:
         yield from of_held_out(refuse_mixed_up(study.begin, study.validation))
 
 
-CHECKS: tuple[Callable[[Study], Iterator[dict[str, Any]]], ...] = (_check_train, _check_validation)
+CHECKS_BEFORE: tuple[Callable[[Study], Iterator[dict[str, Any]]], ...] = (_check_train, _check_validation)
 
 
 def _lay_in_one_frame(study: Study) -> Study:
