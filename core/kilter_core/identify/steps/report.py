@@ -28,6 +28,7 @@ from kilter_core.identify.setup_frames import OwnFrame
 from kilter_core.identify.steps.findings import Outcome, list_findings
 from kilter_core.identify.uncertainty.intervals import Intervals
 from kilter_core.identify.uncertainty.predictive import Predictive, residual_sigma
+from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import degrees, mm
@@ -58,6 +59,7 @@ class Identification:
     inside: Ints | None = None  # rows of those given that were fitted, all when None
     fitted_rows: RowErrors | None = None
     kinds: dict[str, Any] = field(default_factory=dict)  # what each kind of measurement says
+    beyond: BeyondNoise | None = None  # more than the stated noise is left
     views: dict[str, Any] = field(default_factory=dict)  # cameras and boards, and what their views say of the tool
     fleet: FleetPrior | None = None  # what was known of the type, whether it was believed or not
     held_rows: RowErrors | None = None  # of the validation when that is rows of its own, else of those given
@@ -152,6 +154,7 @@ def assemble_identification(outcome: Outcome, metrics: dict[str, Any]) -> Identi
         inside=study.inside,
         fitted_rows=by_row.with_row_numbers(study.inside),
         kinds=Shares.from_fit(fitted.fit, fit.names).to_document(by_kind, held.kinds),
+        beyond=known.beyond,
         views=known.views,
         fleet=study.fleet,
         held_rows=held.rows,
