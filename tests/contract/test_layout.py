@@ -24,6 +24,7 @@ PYPROJECTS = ("pyproject.toml", "core/pyproject.toml", "clients/files/pyproject.
 CORE_MAY_IMPORT = {"kilter_core", "lazy_loader", "numpy", "scipy", "numba"}
 FORBIDDEN_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", "misc", "common"}
 MODULE_CAP, FUNCTION_CAP = 500, 55
+PAGES = {"core/kilter_core/identify/run.py": 15}  # most imports of a module that reads like its method
 HOUSES = ("core/kilter_core", "service/kilter_service", "clients/files/kilter_files")
 WRITTEN = {".py", ".pyi", ".js", ".css", ".html", ".c", ".h", ".hpp", ".cpp", ".m"}
 
@@ -106,6 +107,11 @@ def test_functions_are_short() -> None:
         if function.lines > FUNCTION_CAP
     ]
     assert not wrong
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_of_a_method_takes_each_step_from_one_module(page: str) -> None:
+    assert len(source(REPOSITORY / page).imported) <= PAGES[page]
 
 
 def test_nothing_is_left_for_later() -> None:

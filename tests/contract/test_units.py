@@ -31,10 +31,7 @@ AT_THE_EDGE = (
     "core/kilter_core/parameters.py",  # where the core has its functions for it
 )
 # Times, in nanoseconds, microseconds and milliseconds.
-NO_LENGTHS = (
-    "service/kilter_service/stream/corrector/fast_path.py",
-    "core/kilter_core/identify/views/timing.py",
-)
+NO_LENGTHS = ("service/kilter_service/stream/corrector/fast_path.py",)
 # Where the core converts by itself: options whose names are promised, factors that data are tried with, and the simulated
 # arm's data. Number of lines; only ever fewer.
 STILL = {

@@ -4,7 +4,6 @@ from .bar_length import scale_bar_readings as scale_bar_readings
 from .check import IdentificationCheck as IdentificationCheck
 from .check import check_identification as check_identification
 from .comparison.compare import FEWEST_POSES as FEWEST_POSES
-from .comparison.compare import Difference as Difference
 from .comparison.compare import count_poses as count_poses
 from .comparison.compare import errors_by_pose as errors_by_pose
 from .comparison.compare import lacking as lacking
@@ -12,6 +11,7 @@ from .comparison.compare import pool_setup_errors as pool_setup_errors
 from .comparison.compare import said_of_misfit as said_of_misfit
 from .comparison.compare import setups as setups
 from .comparison.compare import thin_poses as thin_poses
+from .comparison.model_comparison import Difference as Difference
 from .estimate import refit_frames as refit_frames
 from .estimate import registration_only as registration_only
 from .fit.row_errors import RowErrors as RowErrors
@@ -38,9 +38,9 @@ from .plausibility.views.unrelated_views import far_views as far_views
 from .report import build_parameter_rows as build_parameter_rows
 from .rows.measurement_of_rows import between_rows as between_rows
 from .rows.measurement_of_rows import measurement_for as measurement_for
-from .run import Identification as Identification
 from .run import identify as identify
 from .setup_frames import with_own_frames as with_own_frames
+from .steps.report import Identification as Identification
 from .uncertainty.predictive import Predictive as Predictive
 from .uncertainty.predictive import acting as acting
 from .uncertainty.workspace import Workspace as Workspace

@@ -1,4 +1,11 @@
-"""Masses that are never quite as stated: their errors are carried, with their priors, beside the effects that follow loads."""
+"""Masses that are never quite as stated: their errors are carried, with their priors, beside the effects that follow loads.
+
+Beside an effect that follows the sign of a load, masses cannot be carried as parameters without many fits, since no slope
+tells where a sign changes. They can be drawn: masses and centres as their standard deviations allow, each draw with the
+loads and signs that it has, and the step that the fit would take from there, by the slopes that it has there: an amplitude
+that wrong signs have put near zero is seen by the right ones only. The values stay as they are, and no fit is taken again:
+errors of the masses are considered in the covariance, not estimated (Schmidt).
+"""
 
 from __future__ import annotations
 
@@ -11,13 +18,15 @@ from kilter_core.arm.loads.slopes import EACH, links_with_mass
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect
 from kilter_core.effects.load_error import LoadError
-from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.fit.least_squares import Fit, Problem
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.registry import METHODS
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
 from kilter_core.parameters import metres, mm
 from kilter_core.types import Bools, Floats
+
+DRAWS = 60  # of masses and centres
 
 
 def with_masses(
@@ -152,3 +161,28 @@ def _as_known(effect: LoadError, options: IdentifyOptions) -> LoadError:
         mass_share=effect.mass_share if share is None else share / 100.0,
         centre_m=effect.centre_m if centre is None else metres(centre),
     )
+
+
+def beside_drawn_masses(plain: Fit, fit: Fit, errors: LoadError) -> Fit:
+    """The ``fit`` with what errors of masses and centres as wide as ``errors`` states add to its covariance.
+
+    ``plain`` is the same fit as it ended. Predictions need none of it: loads that are off act on them as they did on the
+    rows, and what that left is known.
+    """
+    before = plain.problem.wholly()
+    model = replace(before.model, effects=(*before.model.effects, errors))
+    moving = before.free >= model.n_geometric  # what loads act through; the chain's own columns hardly follow them
+    problem = Problem(model, before.measurement, before.free[moving], before.weights, before.loss, whole=True)
+    if len(plain.J) > sum(block.r.size for block in plain.residual.blocks):
+        return fit  # a filter goes on from what it knew
+    parameters = errors.parameters(model.robot)
+    rng = np.random.default_rng(0)
+    half = rng.standard_normal((DRAWS // 2, len(parameters))) * [p.prior_sigma for p in parameters]
+    drawn = np.clip(np.vstack([half, -half]), [p.lower for p in parameters], [p.upper for p in parameters])
+    J, steps = before.linearise(plain.values, plain.residual).J.copy(), []
+    for one in drawn:
+        here = problem.linearise(np.concatenate([plain.values, one]))
+        J[:, moving] = here.J
+        steps.append(np.linalg.solve(*before.derivatives(plain.values, replace(here, J=J))))
+    moved = np.array(steps) * before.prior_sigma
+    return replace(fit, covariance=fit.covariance + moved.T @ moved / len(drawn))

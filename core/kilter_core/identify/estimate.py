@@ -143,11 +143,8 @@ def estimate(
             continue
         sigmas = _bounded_below(left, stated)
         if len(unobservable) != len(held):
-            values, known, held = (
-                _restore_unobservable(fit, unobservable, still),
-                None if len(unobservable) else known,
-                unobservable,
-            )
+            values, held = _restore_unobservable(fit, unobservable, still), unobservable
+            known = None if len(unobservable) else known
     return replace(fit, iterations=walked)
 
 

@@ -53,30 +53,21 @@ class Learned:
         """Say in words what was kept, or why nothing was."""
         names = ", ".join(self.ids)
         if self.kept:
-            code, text = (
-                "learned_kept",
-                (
-                    f"{names} is learned, not physics: it has no cause, and holds only near the poses it was learned from. "
-                    "Look for the cause with a gap job."
-                ),
+            text = (
+                f"{names} is learned, not physics: it has no cause, and holds only near the poses it was learned from. "
+                "Look for the cause with a gap job."
             )
         elif self.p_value is None:
-            code, text = (
-                "learned_left_out",
-                (
-                    f"{names} was left out: {self.poses} poses are too few to test it on poses held out, "
-                    f"{FEWEST_POSES} are needed."
-                ),
+            text = (
+                f"{names} was left out: {self.poses} poses are too few to test it on poses held out, "
+                f"{FEWEST_POSES} are needed."
             )
         else:
-            code, text = (
-                "learned_left_out",
-                (
-                    f"{names} was left out: it does not predict poses held out better (p = {self.p_value:.2g}). "
-                    "Nothing is left that the joint angles explain; measure more poses, or do without it."
-                ),
+            text = (
+                f"{names} was left out: it does not predict poses held out better (p = {self.p_value:.2g}). "
+                "Nothing is left that the joint angles explain; measure more poses, or do without it."
             )
-        return {"code": code, "message": text}
+        return {"code": "learned_kept" if self.kept else "learned_left_out", "message": text}
 
 
 def select_learned_effects(

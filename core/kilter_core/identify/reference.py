@@ -9,7 +9,9 @@ import numpy as np
 
 from kilter_core.errors import OptionError
 from kilter_core.identify.estimate import registration_only
+from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.registry import METHODS
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.parameters import mm
@@ -35,6 +37,18 @@ def register_nominal(start: Calibration, shown: Measurement, loss: str = "linear
 
     """
     return registration_only(Calibration.nominal(start.robot), shown, loss)
+
+
+def place_nominal(begin: Calibration, shown: Measurement, options: IdentifyOptions, prior: Prior | None) -> Calibration:
+    """The nominal robot in fitted frames; where a filter continues, in those of its start: two poses cannot fit any."""
+    if is_continued(options, prior):
+        return begin.nominal_in_wanted_frames()
+    return register_nominal(begin, shown, options.loss)
+
+
+def is_continued(options: IdentifyOptions, prior: Prior | None) -> bool:
+    """Whether a filter goes on from what is known."""
+    return METHODS[options.method].continues and prior is not None
 
 
 def wanted_frames(
@@ -82,12 +96,11 @@ def refuse_contradicted(
 
 def frame_sources(calibration: Calibration) -> dict[str, str]:
     """Where the wanted frames of a calibration come from: "robot" (its own) or "registration"."""
-    return {which: _frame_source(calibration, which) for which in ("base", "tool")}
-
-
-def _frame_source(calibration: Calibration, which: str) -> str:
-    wanted, own = getattr(calibration, f"wanted_{which}"), getattr(calibration.robot, f"T_{which}")
-    return "robot" if wanted is None or np.array_equal(wanted, own) else "registration"
+    sources = {}
+    for which in ("base", "tool"):
+        wanted, own = getattr(calibration, f"wanted_{which}"), getattr(calibration.robot, f"T_{which}")
+        sources[which] = "robot" if wanted is None or np.array_equal(wanted, own) else "registration"
+    return sources
 
 
 def _can_keep_start_frames(start: Calibration, shown: Measurement, options: IdentifyOptions) -> bool:

@@ -18,26 +18,18 @@ from kilter_core.arm.robot import Robot
 from kilter_core.effects import BASE, TOOL, Batch, Effect, Local
 from kilter_core.effects.base import Derivative, linear
 from kilter_core.errors import OptionError, TooFewPosesError
-from kilter_core.identify.comparison.model_comparison import PoseErrors
-from kilter_core.identify.comparison.other_setups import elsewhere
 from kilter_core.identify.estimate import bounded_loss, frames_alone
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.fit.row_errors import RowErrors
 from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
-from kilter_core.identify.rows.errors_by_kind import KindErrors, pool_kind_errors, squared_errors_by_kind
-from kilter_core.identify.rows.measurement_of_rows import measurement_for
 from kilter_core.identify.views.cameras import Cameras, rig_from_calibration
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts
-from kilter_core.measurement.metrics import Errors
 from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter, degrees, mm
 from kilter_core.transforms import inverse, rotation_log
-from kilter_core.types import Bools, Floats, Ints
-
-Stages = Mapping[str, Calibration]
+from kilter_core.types import Bools, Floats
 
 FEWEST_POSES = 4  # three fit any triangle: nothing would be left to see an error by
 ROUNDS = 3  # of registering base and tool in turn, for the start
@@ -186,7 +178,7 @@ class Frames:
         T = calibration.model.absorb_frame_increments(calibration.values)[0].T_base
         for code, lay in list(self.lays.items())[1:]:
             six = np.array([values[f"setup_{code}_{name}"] for name in FRAME_NAMES])
-            out.append(_frame_shift(code, "train", T, inverse(lay) @ T @ increment(six)))
+            out.append(frame_shift(code, "train", T, inverse(lay) @ T @ increment(six)))
         return out
 
 
@@ -281,58 +273,13 @@ def marginal(fit: Fit) -> Fit:
     return replace(fit, problem=problem, J=own - Q @ (Q.T @ own), covariance=fit.covariance[np.ix_(arm, arm)])
 
 
-def held_out(
-    stages: Stages,
-    geometry: Calibration | None,
-    frames: Frames | None,
-    rows: Observations,
-    options: IdentifyOptions,
-    train: Measurement,
-) -> tuple[dict[str, Errors], PoseErrors, RowErrors, KindErrors, list[OwnFrame]]:
-    """Errors of each stage on rows that were not fitted, pose by pose, row by row and by kind too, and the set-ups whose base
-    came from them.
-
-    What a new set-up cannot know, where the robot stands in its frame, is fitted to its own rows for every stage but the
-    nominal robot. The ``geometry`` alone, where there is one, is a stage too (``geometry_fitted``), of errors and of poses.
-    """
-    new = _new_codes(frames, rows)
-    compared = dict(stages) if geometry is None else {**stages, "geometry_fitted": geometry}
-    own: list[OwnFrame] = []
-    parts: dict[str, list[Errors]] = {name: [] for name in compared}
-    poses: list[PoseErrors] = []
-    by_row: list[RowErrors] = []
-    kinds: list[KindErrors] = []
-    which = ("base",) if frames is None else frames.own
-    for code in [None, *new]:
-        mask = np.ones(len(rows), bool) if rows.setup is None or not new else _setup_mask(rows.setup, code, new)
-        if not mask.any():
-            continue
-        shown = measurement_for(rows.select(mask), options, train.marker_points, train)
-        here = {
-            name: stage if code is None or name == "nominal" else with_own_frames(stage, shown, options.loss, which)
-            for name, stage in compared.items()
-        }
-        for name in compared:
-            parts[name].append(Errors.from_calibration(here[name], shown))
-        apart = elsewhere(here["identified"], shown) if frames is None else ()
-        poses.append(replace(PoseErrors.from_calibrations(here, shown), remarks=tuple(apart)))
-        kinds.append(squared_errors_by_kind({name: here[name] for name in stages}, shown))
-        by_row.append(RowErrors.from_stages({name: here[name] for name in stages}, shown, np.flatnonzero(mask)))
-        if code is not None:
-            before, after = without_frames(stages["identified"]), here["identified"]
-            own += [_validation_frame_shift(code, one, before, after) for one in which]
-    held = {name: Errors.concatenate(found) for name, found in parts.items()}
-    return held, PoseErrors.concatenate(poses), RowErrors.concatenate(by_row), pool_kind_errors(kinds), own
-
-
-def _new_codes(frames: Frames | None, rows: Observations) -> list[int]:
+def split_by_setup(frames: Frames | None, rows: Observations) -> list[tuple[int | None, Bools]]:
+    """Which rows (N,) are of the set-ups that were fitted (None), and which of each other one."""
     if frames is None or rows.setup is None:
-        return []
-    return [int(code) for code in np.unique(rows.setup) if int(code) not in frames.lays]
-
-
-def _setup_mask(setup: Ints, code: int | None, new: list[int]) -> Bools:
-    return ~np.isin(setup, new) if code is None else setup == code
+        return [(None, np.ones(len(rows), bool))]
+    new = [int(code) for code in np.unique(rows.setup) if int(code) not in frames.lays]
+    found = [(None, ~np.isin(rows.setup, new)), *((code, np.asarray(rows.setup == code)) for code in new)]
+    return [one for one in found if one[1].any()]
 
 
 def with_own_frames(
@@ -350,13 +297,8 @@ def with_own_frames(
     return frames_alone(Calibration(model, values, measurement.marker_points), measurement, options)
 
 
-def _validation_frame_shift(code: int, which: str, before: Calibration, after: Calibration) -> OwnFrame:
-    """How far a frame of held-out rows is from that of the version."""
-    frame = f"T_{which}"
-    return _frame_shift(code, "validation", getattr(before.model, frame), getattr(after.model, frame), which)
-
-
-def _frame_shift(code: int, use: str, before: Floats, after: Floats, which: str = "base") -> OwnFrame:
+def frame_shift(code: int, use: str, before: Floats, after: Floats, which: str = "base") -> OwnFrame:
+    """How far a frame (4, 4) of a set-up is from that of the version."""
     between = inverse(before) @ after
     turned = float(np.linalg.norm(rotation_log(between[None, :3, :3])))
     return OwnFrame(code, use, float(np.linalg.norm(between[:3, 3])), turned, which)

@@ -14,22 +14,19 @@ from kilter_core.errors import CoreError
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.plausibility.views.astray_views import astray, astray_views
 from kilter_core.identify.plausibility.views.unrelated_views import shuffled_control
-from kilter_core.identify.plausibility.views.view_residuals import NUMBERS, Part, ViewResiduals
+from kilter_core.identify.plausibility.views.view_residuals import NUMBERS, Part, ViewResiduals, astray, astray_views
 from kilter_core.identify.rows.measurement_of_rows import measurement_for
 from kilter_core.identify.scale_gauge import contradicted_scale
 from kilter_core.identify.uncertainty.by_views import by_views, predictive_of_views, rig_sigmas, view_scatter
 from kilter_core.identify.uncertainty.clustered import with_clustered_covariance
 from kilter_core.identify.uncertainty.held_arm import by_held_arm, holds_arm
 from kilter_core.identify.uncertainty.left_open import left_open
-from kilter_core.identify.uncertainty.predictive import Predictive
-from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
 from kilter_core.identify.views.cameras import rig_from_calibration, rig_from_values, with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.view_scatter import ToolErrors, ViewScatter
 from kilter_core.model import Calibration
-from kilter_core.model.placed_rig import Place, PlacedRig
+from kilter_core.model.placed_rig import Place
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import read_clock
 from kilter_core.parameters import degrees, mm
@@ -189,18 +186,12 @@ def camera_moved(found: Found, moved: Moved | None, numbers: Ints) -> dict[str, 
     }
 
 
-def on_the_robot(calibration: Calibration) -> PlacedRig | None:
-    """The rig of a calibration with fixed parts in the robot's base frame and the others in that of its flange."""
+def cameras_document(calibration: Calibration, known: Mapping[str, float]) -> dict[str, Any]:
+    """``cameras`` and ``boards`` of a result, fixed ones in the robot's base frame, others in that of its flange."""
     rig, model = rig_from_calibration(calibration), calibration.model.absorb_frame_increments(calibration.values)[0]
-    return None if rig is None else rig.transform_frames(base=inverse(model.T_base), tool=model.T_tool)
-
-
-def cameras_document(calibration: Calibration, sigmas: Mapping[str, float] | None = None) -> dict[str, Any]:
-    """``cameras`` and ``boards`` of a result; empty where none measured."""
-    rig = on_the_robot(calibration)
     if rig is None:
         return {}
-    known = sigmas or {}
+    rig = rig.transform_frames(base=inverse(model.T_base), tool=model.T_tool)
     cameras = [
         {
             "name": one.name,
@@ -229,19 +220,6 @@ def cameras_document(calibration: Calibration, sigmas: Mapping[str, float] | Non
         for one, place in zip(rig.rig.boards, rig.boards, strict=True)
     ]
     return {"cameras": cameras, "boards": boards}
-
-
-def pixels_document(found: ViewScatter, open_rms: float, open_high: float) -> dict[str, Any]:
-    """How noisy corners are, and how far off the tool is in views that were fitted, the noise of the views taken off; and how
-    far off it may be by what the fit leaves open, m.
-    """
-    return {
-        "noise_px": found.sigma_px,
-        "between_views": found.beyond,
-        "train": tool_document(found),
-        "validation": None,
-        "left_open": {"rms_mm": mm(open_rms), "high_mm": mm(open_high)},
-    }
 
 
 def tool_document(found: ViewScatter) -> dict[str, float]:
@@ -353,20 +331,30 @@ def with_own_scatter(fit: Fit) -> tuple[Fit, ViewScatter | None]:
     return by_held_arm(fit, found) if holds_arm(fit) else by_views(fit, found), found
 
 
-def predictive_from_views_only(fit: Fit, found: ViewScatter | None) -> Predictive | None:
-    """What is known of the tool from views alone; None where there is a tracker."""
-    return None if found is None else predictive_of_views(fit, found)
+def views_document(
+    calibration: Calibration, fit: Fit, found: ViewScatter | None, begin: Calibration, held: ToolErrors | None
+) -> dict[str, Any]:
+    """Cameras and boards of a result; empty where no camera measured.
 
-
-def views_document(calibration: Calibration, fit: Fit, found: ViewScatter | None) -> dict[str, Any]:
-    """Cameras and boards of a result and, from views alone, ``pixels``; empty where no camera measured."""
-    if fit.problem.measurement.pixels is None:
+    From views alone also ``pixels``: how noisy corners are, how far off the tool is in views that were fitted and ``held``
+    out, the noise of the views taken off, how far off it may be by what the fit leaves open, and what shuffled joints leave.
+    """
+    measurement = fit.problem.measurement
+    if measurement.pixels is None:
         return {}
     said = cameras_document(calibration, rig_sigmas(fit))
     if found is None:
         return said
-    open_ = left_open(calibration, predictive_of_views(fit, found), fit.problem.measurement.observations)
-    return {**said, "pixels": pixels_document(found, open_.rms, open_.high)}
+    open_ = left_open(calibration, predictive_of_views(fit, found), measurement.observations)
+    pixels = {
+        "noise_px": found.sigma_px,
+        "between_views": found.beyond,
+        "train": tool_document(found),
+        "validation": None if held is None else tool_document(held.scatter()),
+        "left_open": {"rms_mm": mm(open_.rms), "high_mm": mm(open_.high)},
+        **shuffled_control(begin, measurement.observations),
+    }
+    return {**said, "pixels": pixels}
 
 
 WRONG_VIEWS = ("views_astray", "camera_moved", "board_scale_differs")  # codes of warnings of :func:`wrong_views`
@@ -419,24 +407,10 @@ def tell_less(
     }
 
 
-def with_control(said: dict[str, Any], begin: Calibration, train: Observations) -> dict[str, Any]:
-    """The same with what shuffled joints leave, where views alone were fitted."""
-    if "pixels" not in said:
-        return said
-    return {**said, "pixels": {**said["pixels"], **shuffled_control(begin, train)}}
-
-
 def held_views(identified: Calibration, held: Observations, train: Measurement) -> ToolErrors | None:
     """Motions of the tool that explain views that were not fitted; None without views."""
     views = Measurement.from_observations(held, held=True, anchor=train).pixels
     return None if views is None else views.tool_errors(identified)
-
-
-def with_validation_views(said: dict[str, Any], held: ToolErrors | None) -> dict[str, Any]:
-    """The same with how far off the tool is in views that were not fitted, where there are such."""
-    if "pixels" not in said or held is None:
-        return said
-    return {**said, "pixels": {**said["pixels"], "validation": tool_document(held.scatter())}}
 
 
 def wrong_views(
@@ -459,11 +433,3 @@ def wrong_views(
         if moved is None or moved.clear:
             yield camera_moved(found, moved, numbers)
     yield from contradicted_scale(fit)
-
-
-def wrong(
-    fit: Fit, begin: Calibration, options: IdentifyOptions, inside: Ints | None, beyond: BeyondNoise | None
-) -> tuple[dict[str, Any], ...]:
-    """Warnings of rows that leave more than their noise, and of views that are wrong."""
-    more = () if beyond is None else (beyond.warning(inside),)
-    return (*more, *wrong_views(fit, begin, options, inside))

@@ -15,8 +15,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.gap.find import find_gap
 from kilter_core.gap.options import GapOptions
-from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.run import Identification
+from kilter_core.identify import Identification, IdentifyOptions, identify
 from kilter_core.identify.seen_poses import as_seen_poses
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

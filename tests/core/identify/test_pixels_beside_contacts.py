@@ -13,8 +13,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
-from kilter_core.identify import Folds, IdentifyOptions, identify
-from kilter_core.identify.run import Identification
+from kilter_core.identify import Folds, Identification, IdentifyOptions, identify
 from kilter_core.identify.seen_poses import as_seen_poses
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

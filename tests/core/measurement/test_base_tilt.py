@@ -14,8 +14,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.gap import find_gap
 from kilter_core.gap.options import GapOptions
-from kilter_core.identify import Folds, IdentifyOptions, identify
-from kilter_core.identify.run import Identification
+from kilter_core.identify import Folds, Identification, IdentifyOptions, identify
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

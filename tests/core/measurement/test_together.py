@@ -10,8 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.identify import Folds, IdentifyOptions, identify
-from kilter_core.identify.run import Identification
+from kilter_core.identify import Folds, Identification, IdentifyOptions, identify
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

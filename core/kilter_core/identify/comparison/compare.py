@@ -13,7 +13,6 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import CoreError, NotConvergedError
-from kilter_core.identify.comparison.model_comparison import Difference
 from kilter_core.identify.estimate import registration_only
 from kilter_core.identify.plausibility.plausibility import refuse_foreign
 from kilter_core.measurement import Measurement
@@ -119,15 +118,3 @@ def count_poses(observations: Observations) -> int:
 def pool_setup_errors(errors: Sequence[Floats]) -> Floats:
     """Errors of several set-ups as one."""
     return np.concatenate(errors) if errors else np.zeros(0)
-
-
-__all__ = [
-    "Difference",
-    "count_poses",
-    "errors_by_pose",
-    "lacking",
-    "pool_setup_errors",
-    "said_of_misfit",
-    "setups",
-    "thin_poses",
-]

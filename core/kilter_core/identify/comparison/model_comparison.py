@@ -20,10 +20,8 @@ from kilter_core.types import Floats
 
 BY_CHANCE = 1.0  # standard errors of the mean difference of poses
 MUCH = 1.01  # times the rms error: worse however few poses made it so
-
 ERRORS_OF_DOUBT = 2.0  # standard errors of the mean difference: chance alone goes beyond in one of forty comparisons
 SHARE_OF_DOUBT = 0.01  # of the other's error: with thousands of poses any difference is certain, a small one no harm
-
 WORSE_THAN_REGISTRATION = "heldout_worse_than_registration"
 WORSE_THAN_GEOMETRY = "worse_than_geometry"
 

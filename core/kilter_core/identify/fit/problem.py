@@ -21,9 +21,7 @@ from kilter_core.parameters import Prior
 from kilter_core.types import Bools, Floats, Ints
 
 HOLD = 1e8  # stiffness of a held direction against a prior of 1
-MOST_NUMBERS = (
-    400_000  # rows times columns that are whitened, or whose derivatives are made, at a time: arrays of 20 MB
-)
+MOST_NUMBERS = 400_000  # rows times columns that are whitened or derived at a time: arrays of 20 MB
 
 
 @dataclass(frozen=True)

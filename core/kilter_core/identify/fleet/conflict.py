@@ -27,9 +27,7 @@ from kilter_core.types import Floats
 CONFLICT = 0.01  # chance of an arm of the type to be as odd, below which the type is not believed
 TOO_ODD = 4.0  # times as wide as the type spreads, from which on it is no longer one of the type
 NOTICED = 1.05  # widenings below are none
-TELLING = (
-    0.1  # variance that the type expects, in those of the noise, from which on a number tells something of the arm
-)
+TELLING = 0.1  # variance that the type expects, in those of the noise, from which on a number tells of the arm
 RARE, LOOSE = 0.02, 20.0  # share of the parameters that are of another make, and how much wider those are
 MOST_ODD = 0.1  # share of the parameters beyond which the arm itself is of another make
 TAILS = 4.0  # freedom of Student's t for a whole arm

@@ -18,9 +18,7 @@ from kilter_core.observations import Observations
 from kilter_core.parameters import Prior, TypePrior
 from kilter_core.types import Floats
 
-MOST = (
-    0.26  # times the expected error without the type that this may move the tool by: 3 % more on average over the noise
-)
+MOST = 0.26  # times the expected error without the type that this may move the tool by: 3 % more on average
 WIDTHS = np.geomspace(1.0, 30.0, 35)  # 10 % apart; the widest is about an ordinary prior
 POSES = 200  # where both are compared, between the joint readings of the rows
 

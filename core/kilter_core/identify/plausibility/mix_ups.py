@@ -229,10 +229,8 @@ def _couplings(robot: Robot) -> Iterator[MixUp]:
 
 def _directions(robot: Robot) -> Floats:
     """Vectors (n, 3) about which the joints' own axes rotate, as they count, all joints at zero."""
-    screws, moving = (
-        screws_of_chain(robot.chain),
-        [k for k, e in enumerate(robot.chain.elements) if e.joint is not None],
-    )
+    screws = screws_of_chain(robot.chain)
+    moving = [k for k, e in enumerate(robot.chain.elements) if e.joint is not None]
     return (screws.direction * screws.ratio[:, None])[[moving.index(k) for k in robot.chain.primary]]
 
 

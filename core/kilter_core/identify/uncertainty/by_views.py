@@ -111,11 +111,8 @@ def _frames(rig: PlacedRig, fit: Fit) -> list[tuple[str, Floats]]:
     T = inverse(fit.calibration().model.T_base)
     at = {key: (rig.cameras if key[0] else rig.boards)[key[1]] for key in (room, tool)}
     base = ("base", -_adjoint(T @ at[room].pose) @ at[room].twist @ _pose_increment_rows(fit, *room))
-    return (
-        [base]
-        if ball
-        else [base, ("tool", _adjoint(at[tool].pose) @ at[tool].twist @ _pose_increment_rows(fit, *tool))]
-    )
+    flange = ("tool", _adjoint(at[tool].pose) @ at[tool].twist @ _pose_increment_rows(fit, *tool))
+    return [base] if ball else [base, flange]
 
 
 def _pose_increment_rows(fit: Fit, camera: bool, place: int) -> Floats:

@@ -18,10 +18,7 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.spread import evenly
 
-FRAMES = (
-    *(f"base_{k}" for k in FRAME_NAMES),
-    *(f"tool_{k}" for k in FRAME_NAMES[:3]),
-)  # rotated, the tool moves no point
+FRAMES = (*(f"base_{k}" for k in FRAME_NAMES), *(f"tool_{k}" for k in FRAME_NAMES[:3]))  # rotated, no point moves
 MOST = 500  # rows at which it is looked
 SEEN = 1e-9  # share of the largest singular value of what frames move below which they move nothing
 UPPER = 0.975

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.identify.plausibility.views.astray_views import rows_off
+from kilter_core.identify.plausibility.views.view_residuals import rows_off
 from kilter_core.identify.views.other_rig import refuse_misplaced_corners, refuse_other_camera
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.board_poses import board_poses
@@ -206,11 +206,9 @@ def shuffled_control(begin: Calibration, rows: Observations) -> dict[str, float 
     Both are None where too few views tell a pose, or hand-eye finds nothing.
     """
     sample = _sample(begin, rows)
-    left = (
-        (np.inf, np.inf)
-        if sample is None
-        else (sample.hand_eye_residual(sample.rows.q), sample.residual_with_shuffled_joints())
-    )
+    if sample is None:
+        return {"given_mm": None, "shuffled_mm": None}
+    left = sample.hand_eye_residual(sample.rows.q), sample.residual_with_shuffled_joints()
     given, shuffled = (mm(one) if np.isfinite(one) else None for one in left)
     return {"given_mm": given, "shuffled_mm": shuffled}
 

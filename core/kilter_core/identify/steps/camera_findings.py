@@ -1,4 +1,4 @@
-"""What cameras alone cannot tell apart, by name, each with what would settle it.
+"""What to know of cameras and boards before trusting a fit: what they cannot tell apart, bent boards, late pictures.
 
 A camera's place takes what the first joint's zero or height does, a board's what the last joint's does, a board's scale what
 all lengths do together. Which of the two a fit gives it to is a choice, and no pixel contradicts it.
@@ -17,8 +17,16 @@ from kilter_core.identify.identifiable.identifiability import identifiable
 from kilter_core.identify.scale_gauge import free_scale
 from kilter_core.identify.setup_frames import of_the_arm
 from kilter_core.identify.views.cameras import unknown_rig
+from kilter_core.measurement.camera.board_shape import board_shapes
+from kilter_core.measurement.camera.view_motion import Delay, timing
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import format_part_name
+from kilter_core.parameters import mm
+from kilter_core.types import QUANTILE
+
+CHANCE = 1e-3  # of saying it of a flat board, all boards together, or of pictures in time
+LITTLE_M = 2e-5  # from the highest to the lowest corner: no printed sheet is flatter
+LITTLE_PX = 0.05  # rms of a corner, below which a delay is not worth a word
 
 TRACKER = "a few points that a tracker or a measuring arm takes in the robot's own base"
 SETTLES = {
@@ -95,4 +103,80 @@ def _gauge_warning(gauge: str, names: list[str], what: str, other: str) -> dict[
         "parameters": names,
         "message": f"{what} ({', '.join(names)}) cannot be told from {other} by these pixels: it keeps what it was given. To "
         f"settle it, {SETTLES[gauge]}.",
+    }
+
+
+def bent_boards(fit: Fit) -> Iterator[dict[str, Any]]:
+    """Warnings ``board_not_flat``; nothing where no camera measured, or too little."""
+    views = fit.problem.measurement.pixels
+    if views is None:
+        return
+    prediction = fit.calibration().predict(views.observations)
+    found = list(board_shapes(views, prediction, views.resolve_rig(prediction)))
+    for one in found:
+        if one.chance * len(found) > CHANCE or one.size - QUANTILE * one.sigma < LITTLE_M:
+            continue
+        (x, y), twist = (mm(v) for v in one.bows), mm(one.twist)
+        size, half = mm(one.size), mm(QUANTILE * one.sigma)
+        yield {
+            "code": "board_not_flat",
+            "board": one.board,
+            "size_mm": size,
+            "u95_mm": half,
+            "bow_x_mm": x,
+            "bow_y_mm": y,
+            "twist_mm": twist,
+            "rms_px": one.rms_px,
+            "p_value": one.chance,
+            "message": f"Board {one.board} is not flat: from its highest to its lowest corner {size:.2g} mm (95 %: within "
+            f"{half:.1g} mm), a bow of {x:.2g} mm along x and {y:.2g} mm along y and a twist of {twist:.2g} mm in z of its "
+            f"frame. It moves corners by {one.rms_px:.2g} px (rms). Glue it to a stiff plate and measure anew, or add this to "
+            "the heights in its `corners_mm`; if another board says the same, the lens needs another model.",
+        }
+
+
+def bad_timing(fit: Fit) -> Iterator[dict[str, Any]]:
+    """Warnings ``pictures_late`` and ``rolling_shutter``; nothing of views of an arm at rest."""
+    views = fit.problem.measurement.pixels
+    found = None if views is None else timing(views, fit.calibration())
+    if found is None:
+        return
+    if _clear(found.pictures):
+        late = found.pictures
+        side = "after" if late.s > 0.0 else "before"
+        yield _timing_warning(
+            "pictures_late",
+            late,
+            found.views,
+            f"Pictures were taken {_format_delay(late)} {side} their joints were read: corners are off along the motion by "
+            f"{late.rms_px:.2g} px (rms). Let the arm rest at every pose, or move the times of the pictures by that much.",
+        )
+    if _clear(found.lines):
+        lines = found.lines
+        yield _timing_warning(
+            "rolling_shutter",
+            lines,
+            found.views,
+            f"The camera reads its picture line by line, over {_format_delay(lines)}, while the arm moves: corners are off by "
+            f"{lines.rms_px:.2g} px (rms). Let the arm rest at every pose, or take a camera with a global shutter.",
+        )
+
+
+def _clear(one: Delay) -> bool:
+    return one.chance < CHANCE and one.rms_px > LITTLE_PX
+
+
+def _format_delay(one: Delay) -> str:
+    return f"{abs(one.s):.3g} s (95 %: within {QUANTILE * one.sigma:.1g} s)"
+
+
+def _timing_warning(code: str, one: Delay, views: int, message: str) -> dict[str, Any]:
+    return {
+        "code": code,
+        "time_s": one.s,
+        "u95_s": QUANTILE * one.sigma,
+        "rms_px": one.rms_px,
+        "views": views,
+        "p_value": one.chance,
+        "message": message,
     }

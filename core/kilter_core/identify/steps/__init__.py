@@ -1,0 +1,1 @@
+"""The steps of an identification in their order: start, fit, validation, uncertainty, findings, report."""
