@@ -45,3 +45,14 @@ def test_who_only_reads_may_take_its_time(postgresql: str) -> None:
         with reader.noting() as session:
             assert session.execute(text("SHOW idle_in_transaction_session_timeout")).scalar() == "10s"
         reader.close()
+
+
+def test_a_connection_in_use_is_closed_when_its_thread_is_done(postgresql: str) -> None:
+    """Else it stays open at the server until Python collects it, and says so in whatever test runs then."""
+    with database_of(postgresql) as url:
+        database_ = Database(url)
+        with database_.reading() as session:
+            driver = session.connection().connection.dbapi_connection
+            database_.close()
+        assert driver is not None
+        assert driver.closed

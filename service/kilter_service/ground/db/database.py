@@ -15,6 +15,7 @@ from typing import Any
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
 from sqlalchemy.orm import Session, sessionmaker
+from sqlalchemy.pool import ConnectionPoolEntry
 
 from kilter_service.ground.db import audited, sealed, seals
 from kilter_service.ground.db.audited_rows import AuditedTokens
@@ -44,6 +45,8 @@ class Database:
         self.engine = open_engine(url, connect_timeout_s)
         file = self.engine.url.database if self.engine.dialect.name == "sqlite" else None
         self._folder = Path(file).parent if file else None
+        self._closed = False
+        event.listen(self.engine, "checkin", self._close_if_late)
         self.sealer = seals.sealer()
         self.audited_tokens = AuditedTokens()
         self._changing = sessionmaker(self.engine, expire_on_commit=False)
@@ -86,8 +89,13 @@ class Database:
             yield session
 
     def close(self) -> None:
-        """Close all connections."""
+        """Close all connections; those that a thread still uses, when it is done with them."""
+        self._closed = True
         self.engine.dispose()
+
+    def _close_if_late(self, _connection: Any, record: ConnectionPoolEntry) -> None:
+        if self._closed:  # SQLAlchemy drops it unclosed then: the server learns of it when Python collects it
+            record.invalidate()
 
 
 def open_engine(url: str, connect_timeout_s: int = CONNECT_TIMEOUT_S) -> Engine:
