@@ -57,19 +57,24 @@ def test_a_calibration_without_copying_an_id(
     assert f"campaign 'latest' is {second} ('held-out.csv')\n" in err
     version = kilter.versions.list(robot)[0]
     assert version["name"] == "monday"
-    assert f"version {version['id']}" in out
+    numbered = f"{robot} v1"
+    assert numbered in out
+    assert version["id"] not in out  # people read numbers, programs ids
     job = version["job_id"]
     assert command.json("jobs", "show", "latest", "--robot", robot)["id"] == job
     assert command.json("jobs", "show", job[:14], "--robot", robot)["name"] == "monday"
     out, err = command("activate", "latest", "--robot", robot)
-    assert f"version 'latest' is {version['id']} ('monday')" in err
-    assert f"{version['id']} is active" in out
+    assert f"version 'latest' is {numbered} ('monday')" in err
+    assert f"{numbered} is active" in out
+    for named in ((robot, "v1"), (numbered,), ("v1", "--robot", robot)):  # as a person types it, in quotes or not
+        assert command.json("activate", *named)["id"] == version["id"]
     out, err = command("version", version["id"][:14])
-    assert f"version {version['id'][:14]!r} is {version['id']} ('monday') of robot {robot!r}" in err
+    assert f"version {version['id'][:14]!r} is {numbered} ('monday') of robot {robot!r}" in err
     assert command.json("export", "monday", "--robot", robot, "-o", tmp_path / "v.json")["version_id"] == version["id"]
     assert command.json("diff", "latest", "monday", "--robot", robot)["a"] == version["id"]
+    assert command.json("diff", robot, "v1", "nominal")["a"] == version["id"]
     out, err = command("evaluate", robot, "-c", second[4:14], "--version", "monday")
-    assert f"version 'monday' is {version['id']}" in err
+    assert f"version 'monday' is {numbered}" in err
     assert "monday" in command("versions", robot)[0]
     assert "monday" in command("jobs", "list", "--robot", robot)[0]
 

@@ -155,20 +155,21 @@ def test_what_has_no_name_is_called_by_what_it_is_and_when_it_was_made(there: Ma
             created_at=at, started_at=None, finished_at=None,
         ),
     ]  # fmt: skip
-    assert [display_name(one) for one in unnamed] == ["version of 2026-11-02 14:05:09", "search of 2026-11-02 14:05:09"]
-    assert display_name(unnamed[0].model_copy(update={"name": "spring"})) == "spring"
+    numbered = f"{there.robot} v{version['number']}"
+    assert [display_name(one) for one in unnamed] == [numbered, "search of 2026-11-02 14:05:09"]
+    assert display_name(unnamed[0].model_copy(update={"name": "spring"})) == f"spring (v{version['number']})"
 
 
 def test_a_row_of_jobs_and_of_versions_needs_no_id(there: Made) -> None:
     client = there.client
     client.patch(f"/v1/versions/{there.good}", json={"name": ""}).raise_for_status()
     try:
-        made = datetime.fromisoformat(client.get(f"/v1/versions/{there.good}").json()["created_at"])
+        numbered = f"{there.robot} v{client.get(f'/v1/versions/{there.good}').json()['number']}"
         compared = f"/versions/{there.poor}/compare/{there.good}"
         for view in (f"/robots/{there.robot}/versions", compared, f"/robots/{there.robot}"):
-            assert f"version of {made:%Y-%m-%d %H:%M:%S}" in words(client.get(view).raise_for_status().text), view
+            assert numbered in words(client.get(view).raise_for_status().text), view
         done = words(client.get("/audit").raise_for_status().text)
-        assert f"activated the version of {made:%Y-%m-%d %H:%M:%S} of {there.robot}" in done
+        assert f"activated version {numbered} of {there.robot}" in done
     finally:
         client.patch(f"/v1/versions/{there.good}", json={"name": "version 2"}).raise_for_status()
     jobs = words(client.get("/jobs").text)

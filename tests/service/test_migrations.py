@@ -51,6 +51,40 @@ def test_file_names_of_migrations_carry_their_date() -> None:
     assert all(Path(name).stem[:15].replace("-", "").isdigit() for name in names)
 
 
+def test_versions_of_before_the_numbers_are_counted_as_they_were_made(database: Database) -> None:
+    command.downgrade(revision.configuration(database.url), "0022")
+    made = {"a": (1, "ver_7", "2026-01-02"), "b": (1, "ver_3", "2026-01-01"), "c": (2, "ver_1", "2026-01-01")}
+    with database.engine.begin() as connection:
+        for robot in (1, 2):
+            connection.execute(
+                text("INSERT INTO robots (id, name, document, created_at) VALUES (:id, :name, '{}', '2026-01-01')"),
+                {"id": robot, "name": f"arm {robot}"},
+            )
+        for job, (robot, version, at) in made.items():
+            values = {"job": job, "robot": robot, "version": version, "at": at}
+            connection.execute(
+                text(
+                    "INSERT INTO jobs (id, kind, robot_id, request, state, fraction, stage, attempts, cancel_requested, "
+                    "created_at) VALUES (:job, 'identify', :robot, '{}', 'succeeded', 1, 'done', 1, false, :at)"
+                ),
+                values,
+            )
+            connection.execute(
+                text(
+                    "INSERT INTO versions (id, robot_id, job_id, sha256, calibration, report, covariance, campaigns, "
+                    "limits, code_version, created_at) "
+                    "VALUES (:version, :robot, :job, '', '{}', '{}', '{}', '[]', '{}', '0', :at)"
+                ),
+                values,
+            )
+    revision.migrate(database)
+    with database.engine.connect() as connection:
+        numbers = dict(connection.execute(text("SELECT id, number FROM versions")).all())
+        counts = dict(connection.execute(text("SELECT id, versions_made FROM robots")).all())
+    assert numbers == {"ver_3": 1, "ver_7": 2, "ver_1": 1}
+    assert counts == {1: 2, 2: 1}
+
+
 def test_activations_of_before_the_guard_were_not_forced(database: Database) -> None:
     command.downgrade(revision.configuration(database.url), "0002")
     with database.engine.begin() as connection:

@@ -75,7 +75,9 @@ def test_prefixes_names_and_latest_stand_for_one_id(shelf: Shelf) -> None:
     staged = shelf.campaign("ffffffffffffffff", "not whole", staged=True)
     for reference, by in ((first, "id"), ("cmp_646", "prefix"), ("646e", "prefix"), ("monday", "name")):
         found = shelf.resolve("campaign", reference)
-        assert found == {"kind": "campaign", "id": first, "robot": "katana", "name": "monday", "by": by}
+        assert found == {
+            "kind": "campaign", "id": first, "robot": "katana", "name": "monday", "by": by, "number": 0,
+        }  # fmt: skip
     assert shelf.resolve("campaign", "tuesday, after the crash: Größe")["id"] == second
     assert shelf.resolve("campaign", "latest", "katana")["id"] == second
     assert shelf.resolve("campaign", "latest")["id"] == second  # one robot has campaigns
@@ -85,6 +87,47 @@ def test_prefixes_names_and_latest_stand_for_one_id(shelf: Shelf) -> None:
     assert shelf.resolve("job", "latest", "katana")["id"] == shelf.resolve("job", "job_0a")["id"] == job
     # A word of three letters that happens to be hexadecimal is no id: names are mistyped.
     assert shelf.resolve("campaign", "646")["code"] == "campaign_not_found"
+
+
+def test_versions_are_counted_for_each_robot_and_named_by_number(shelf: Shelf) -> None:
+    client, first, second = shelf.client, shelf.version("0a"), shelf.version("0b")
+    listed = client.get("/v1/robots/katana/versions").json()["versions"]
+    assert {one["id"]: one["number"] for one in listed} == {first: 1, second: 2}
+    for reference, robot in (("katana v2", None), ("v2", "katana"), ("v2", None)):
+        found = shelf.resolve("version", reference, robot)
+        assert (found["id"], found["robot"], found["number"], found["by"]) == (second, "katana", 2, "number")
+    assert shelf.resolve("version", second)["number"] == 2
+    assert client.get("/v1/versions/katana v2").json()["id"] == second
+    for reference in ("katana v3", "other v1", "katana v0", "katana v02"):
+        assert shelf.resolve("version", reference)["code"] == "version_not_found"
+        refused(client.get(f"/v1/versions/{reference}"), 404, "version_not_found")
+    campaign = shelf.campaign("646e", "monday")
+    asked = {"kind": "evaluate", "robot": "katana", "campaigns": [campaign], "options": {"version": "katana v2"}}
+    job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+    with shelf.database.reading() as session:
+        assert session.get_one(JobRow, job).request["options"]["version"] == second
+    asked["robot"] = "other"
+    assert client.post("/v1/jobs", json=asked).status_code == 400
+    assert client.post("/v1/versions/katana v2/activate").json()["id"] == second
+
+
+def test_a_number_is_never_given_twice(shelf: Shelf) -> None:
+    shelf.version("0a")
+    purged = shelf.version("0b")
+    shelf.client.post(f"/v1/versions/{purged}/purge").raise_for_status()
+    shelf.version("0c")
+    listed = shelf.client.get("/v1/robots/katana/versions").json()["versions"]
+    assert [one["number"] for one in listed] == [3, 1]
+    assert shelf.resolve("version", "katana v2")["code"] == "version_not_found"
+
+
+def test_a_name_that_reads_as_the_number_of_another_is_not_guessed(shelf: Shelf) -> None:
+    first, second = shelf.version("0a"), shelf.version("0b", name="katana v1")
+    asked = {"kind": "version", "reference": "katana v1"}
+    refused(shelf.client.get("/v1/resolve", params=asked), 409, "reference_ambiguous", first, second, "give the id")
+    renamed = shelf.client.patch(f"/v1/versions/{first}", json={"name": "v2"})
+    refused(renamed, 400, "name_invalid", "'v2'", "is the number of one")
+    assert shelf.client.patch(f"/v1/versions/{first}", json={"name": "wrist v2"}).status_code == 200
 
 
 def test_an_ambiguous_reference_lists_the_candidates(shelf: Shelf) -> None:

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from kilter_service.contract.units import COMPENSATION, ControllerCompensation, Listed, Strict
 
 Kind = Literal["campaign", "version", "job"]
-By = Literal["id", "prefix", "name", "latest"]
+By = Literal["id", "prefix", "name", "latest", "number"]
 Title = Annotated[str, Field(max_length=200)]
 Notes = Annotated[str, Field(max_length=20_000)]
 TITLE = "What people call it, at most 200 characters; unique for its robot while it is in use."
@@ -26,6 +26,7 @@ class ResolvedReference(Strict):
     robot: str = Field(description="Name of the robot it belongs to.")
     name: str = Field(description="What people call it; empty: it has no name.")
     by: By = Field(description="How it was found: what the reference was.")
+    number: int = Field(0, description="Which version of its robot it is, from 1; 0: it is no version.")
 
 
 class Change(Strict):

@@ -64,6 +64,9 @@ class VersionSummary(Strict):
     name: str = Field("", description=TITLE)
     notes: str = Field("", description="What people noted on it.")
     retired_at: datetime | None = Field(None, description=RETIRED_AT)
+    number: int = Field(
+        0, description="Which version of its robot it is, from 1: `tour v2` names the second of `tour`."
+    )
 
 
 class ActivationWish(Strict):

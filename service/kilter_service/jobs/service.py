@@ -37,6 +37,7 @@ def submit(database: Database, job: NewJob, once: Once = NOT_REPEATED) -> Job:
         known = once.first_answer(session, body, JOB)
         if known is not None:
             return known
+        job = _with_version_id(session, job, kind)
         validate_job(session, job, kind)
     kind.check(job.options)  # may import the core and take its time: outside
     with database.transaction() as session:
@@ -47,6 +48,16 @@ def submit(database: Database, job: NewJob, once: Once = NOT_REPEATED) -> Job:
         job_id = store.add(session, validate_job(session, job, kind), job, asked)  # robot and campaigns are still there
         queued = once.keep(session, body, wire.job(store.get(session, job_id)))
     return queued
+
+
+def _with_version_id(session: Session, job: NewJob, kind: JobKind) -> NewJob:
+    """Return a job whose version is named by its id: it may be asked for as `tour v2`."""
+    option = kind.contract.version_option
+    named = getattr(job.options, option) if option else None
+    if named is None:
+        return job
+    options = job.options.model_copy(update={option: references.version_id(session, str(named))})
+    return job.model_copy(update={"options": options})
 
 
 def validate_job(session: Session, job: NewJob, kind: JobKind) -> int:

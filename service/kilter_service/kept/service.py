@@ -34,6 +34,10 @@ def resolve(database: Database, kind: Kind, reference: str, robot: str | None) -
             found = store.newest(session, kind, robot_id)
             return _resolve_single(session, kind, reference, robot, robot_id, found, "latest")
         named = store.find_by_name(session, kind, robot_id, reference)
+        numbered = store.find_by_number(session, robot_id, reference) if kind == "version" else []
+        if numbered:  # somebody may have called another version so: then neither is guessed
+            both = {one.id: one for one in (*numbered, *_prefer_in_use(named))}
+            return _resolve_single(session, kind, reference, robot, robot_id, list(both.values()), "number")
         if named:
             newest_job = named[:1] if kind == "job" else named
             return _resolve_single(session, kind, reference, robot, robot_id, _prefer_in_use(newest_job), "name")
@@ -62,7 +66,9 @@ def _resolve_single(
         raise _nothing(session, kind, reference, robot, robot_id)
     if len(found) > 1:
         raise _several(kind, reference, found, by)
-    return ResolvedReference(kind=kind, id=found[0].id, robot=found[0].robot, name=found[0].name, by=by)
+    return ResolvedReference(
+        kind=kind, id=found[0].id, robot=found[0].robot, name=found[0].name, by=by, number=found[0].number
+    )
 
 
 def _nothing(session: Session, kind: Kind, reference: str, robot: str | None, robot_id: int | None) -> ServiceError:
@@ -82,8 +88,9 @@ def _several(kind: Kind, reference: str, found: Sequence[Found], by: str) -> Ser
     listed = ", ".join(_describe_match(one, True) for one in found[:MOST_NAMED])
     more = f" and {len(found) - MOST_NAMED} more" if len(found) > MOST_NAMED else ""
     several_robots = len({one.robot for one in found}) > 1
-    remedy = "name its robot (--robot)" if by == "latest" or (by == "name" and several_robots) else "type more of it"
-    if by == "name" and not several_robots:
+    chosen = by in ("name", "number")
+    remedy = "name its robot (--robot)" if by == "latest" or (chosen and several_robots) else "type more of it"
+    if chosen and not several_robots:
         remedy = "give the id"
     return ServiceError(
         f"{reference!r} may be any of {len(found)} {kind}s, {listed}{more}: {remedy}.",
@@ -94,8 +101,9 @@ def _several(kind: Kind, reference: str, found: Sequence[Found], by: str) -> Ser
 
 
 def _describe_match(one: Found, with_robot: bool) -> str:
+    number = f" v{one.number}" if one.number else ""
     name = f" {one.name!r}" if one.name else ""
-    return f"{one.id}{name}" + (f" of robot {one.robot!r}" if with_robot else "")
+    return f"{one.id}{number}{name}" + (f" of robot {one.robot!r}" if with_robot else "")
 
 
 def tombstones(database: Database, robot: str | None, page: Page) -> TombstoneList:

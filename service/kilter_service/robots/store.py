@@ -212,6 +212,13 @@ def by_id(session: Session, robot_id: int) -> StoredRobot:
     return _robot_from_row(session.get_one(RobotRow, robot_id))
 
 
+def count_version(session: Session, robot_id: int) -> int:
+    """Count one more version of a robot, and return its number."""
+    row = session.get_one(RobotRow, robot_id)
+    row.versions_made += 1
+    return row.versions_made
+
+
 def others_in_use(session: Session, robot_id: int) -> list[StoredRobot]:
     """Return the other robots in use that the caller may see, oldest first."""
     query = select(RobotRow).where(RobotRow.id != robot_id, RobotRow.retired_at.is_(None)).order_by(RobotRow.id)

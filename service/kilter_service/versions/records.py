@@ -41,6 +41,7 @@ class VersionRecord:
     name: str
     notes: str
     retired_at: datetime | None
+    number: int
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,7 @@ class ListedVersion:
     name: str
     notes: str
     retired_at: datetime | None
+    number: int
     effects: list[dict[str, Any]]
     metrics: dict[str, Any]
 

@@ -21,6 +21,7 @@ from kilter_service.contract.versions import (
 from kilter_service.ground.tables.reading import CSV, JSON, PARQUET
 from kilter_service.robots.exporters.registry import FORMATS
 from kilter_service.versions import activation, keeping, service
+from kilter_service.versions.addressed import AddressedVersion, FirstVersion, SecondVersion
 from kilter_service.versions.if_match import ExpectedState, tag_of_robot
 from kilter_service.versions.predictions import differences
 from kilter_service.versions.predictions import preview as previews
@@ -65,38 +66,38 @@ def rollback(
 
 
 @router.get("/versions/{version}")
-def get(version: str, database: DatabaseOfApp) -> Version:
+def get(version: AddressedVersion, database: DatabaseOfApp) -> Version:
     """Show a version with all it holds."""
     return service.get(database, version)
 
 
 @router.patch("/versions/{version}")
-def change(version: str, wanted: Change, database: DatabaseOfApp, _: Admin) -> Version:
+def change(version: AddressedVersion, wanted: Change, database: DatabaseOfApp, _: Admin) -> Version:
     """Name a version, or note something on it; what it holds stays as it is."""
     return keeping.change(database, version, wanted)
 
 
 @router.post("/versions/{version}/retire")
-def retire(version: str, database: DatabaseOfApp, actor: Admin) -> Version:
+def retire(version: AddressedVersion, database: DatabaseOfApp, actor: Admin) -> Version:
     """Take a version out of use; the active one cannot be."""
     return keeping.retire(database, version, actor)
 
 
 @router.post("/versions/{version}/restore")
-def restore(version: str, database: DatabaseOfApp, _: Admin) -> Version:
+def restore(version: AddressedVersion, database: DatabaseOfApp, _: Admin) -> Version:
     """Bring a retired version back into use."""
     return keeping.restore(database, version)
 
 
 @router.post("/versions/{version}/purge")
-def purge(version: str, database: DatabaseOfApp, actor: Admin) -> Tombstone:
+def purge(version: AddressedVersion, database: DatabaseOfApp, actor: Admin) -> Tombstone:
     """Delete a version that nothing cites, for good; its hash is kept."""
     return keeping.purge(database, version, actor)
 
 
 @router.post("/versions/{version}/activate")
 def activate(
-    version: str,
+    version: AddressedVersion,
     database: DatabaseOfApp,
     settings: SettingsOfApp,
     response: Response,
@@ -115,7 +116,7 @@ def activate(
 
 
 @router.get("/versions/{version}/preview")
-def preview(version: str, database: DatabaseOfApp, settings: SettingsOfApp) -> VersionPreview:
+def preview(version: AddressedVersion, database: DatabaseOfApp, settings: SettingsOfApp) -> VersionPreview:
     """Say how a version would correct, without activating it: its largest correction, where, and what it leaves out.
 
     The poses are those that the robot was driven to in its campaigns, else poses drawn within its limits.
@@ -125,8 +126,8 @@ def preview(version: str, database: DatabaseOfApp, settings: SettingsOfApp) -> V
 
 @router.get("/versions/{a}/diff/{b}")
 def diff(
-    a: str,
-    b: str,
+    a: FirstVersion,
+    b: SecondVersion,
     database: DatabaseOfApp,
     campaign: Annotated[list[str] | None, Query(max_length=MAX_NAMED)] = None,
 ) -> VersionDiff:
@@ -150,7 +151,7 @@ def diff(
     },
 )
 def residuals(
-    version: str,
+    version: AddressedVersion,
     database: DatabaseOfApp,
     campaign: Annotated[list[str] | None, Query(max_length=MAX_NAMED)] = None,
     format: Literal["csv", "parquet", "json"] = "csv",  # noqa: A002 (the name of the export's parameter)
@@ -172,7 +173,7 @@ def residuals(
     response_class=Response,
     responses={200: {"content": EXPORTS, "description": "The file"}},
 )
-def export(version: str, database: DatabaseOfApp, format: str = "json") -> Response:  # noqa: A002 (the contract's name)
+def export(version: AddressedVersion, database: DatabaseOfApp, format: str = "json") -> Response:  # noqa: A002 (the contract's name)
     """Download a version in the format of another tool; the header Kilter-Notes says what the file leaves out."""
     file = service.export_version(database, version, format)
     headers = {"Content-Disposition": f'attachment; filename="{file.name}"'}

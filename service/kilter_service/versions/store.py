@@ -95,7 +95,7 @@ def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
     version_id = f"ver_{job_id.removeprefix('job_')}"
     if session.get(VersionRow, version_id) is not None:
         return version_id
-    chain = robots.by_id(session, robot_id).sha256
+    chain, number = robots.by_id(session, robot_id).sha256, robots.count_version(session, robot_id)
     session.add(
         VersionRow(
             id=version_id,
@@ -112,6 +112,7 @@ def add(session: Session, robot_id: int, job_id: str, new: NewVersion) -> str:
             campaigns=new.campaigns,
             limits=new.limits,
             code_version=new.code_version,
+            number=number,
         )
     )
     session.flush()
@@ -194,6 +195,7 @@ def list_versions(session: Session, robot_id: int, page: Page = ALL, with_retire
         row.name,
         row.notes,
         row.retired_at,
+        row.number,
         row.calibration["effects"],
         row.report["metrics"],
     )
@@ -211,10 +213,11 @@ def list_versions(session: Session, robot_id: int, page: Page = ALL, with_retire
             name=name,
             notes=notes,
             retired_at=retired_at,
+            number=number,
             effects=effects or [],
             metrics=metrics or {},
         )
-        for key, parent, job, created, code, name, notes, retired_at, effects, metrics in found
+        for key, parent, job, created, code, name, notes, retired_at, number, effects, metrics in found
     ]
 
 

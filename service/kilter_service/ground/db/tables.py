@@ -30,7 +30,7 @@ class RobotRow(Row):
     """A robot: the document it was posted as, and the chain (SI) that this was resolved to, which is what counts.
 
     ``left_out`` is what of the document the chain does not have. A robot from before the chains that no longer resolves
-    has none.
+    has none. ``versions_made`` counts purged versions too, so that no number is given twice.
     """
 
     __tablename__ = "robots"
@@ -46,6 +46,7 @@ class RobotRow(Row):
     controller_compensation: Mapped[str] = mapped_column(String(16), default="unknown", server_default="unknown")
     retired_at: Mapped[datetime | None]
     retired_by: Mapped[str] = mapped_column(String(64), default="", server_default="")
+    versions_made: Mapped[int] = mapped_column(default=0, server_default="0")
 
 
 class CampaignRow(Row):
@@ -147,7 +148,8 @@ class EndedJobsRow(Row):
 class VersionRow(Row):
     """A set of identified parameters; what it says is never changed after it is stored, what people call it may be.
 
-    ``sha256`` covers calibration and limits (``hash_scheme`` 1), and the robot's chain too (2).
+    ``sha256`` covers calibration and limits (``hash_scheme`` 1), and the robot's chain too (2). ``number`` counts the
+    versions of its robot from 1.
     """
 
     __tablename__ = "versions"
@@ -169,6 +171,7 @@ class VersionRow(Row):
     notes: Mapped[str] = mapped_column(default="", server_default="")
     retired_at: Mapped[datetime | None]
     retired_by: Mapped[str] = mapped_column(String(64), default="", server_default="")
+    number: Mapped[int] = mapped_column(default=0, server_default="0")
 
 
 class ActivationRow(Row):

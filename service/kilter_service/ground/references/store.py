@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import datetime
 from typing import Any, Literal, NamedTuple
 
-from sqlalchemy import ColumnElement, Select, and_, or_, select
+from sqlalchemy import ColumnElement, Select, and_, literal, or_, select
 
 from kilter_service.contract.references import Kind
 from kilter_service.ground.caller import allowed_robots, may_see
@@ -23,6 +24,7 @@ TABLES: Mapping[Kind, Table] = {"campaign": CampaignRow, "version": VersionRow, 
 PREFIXES: Mapping[Kind, str] = {"campaign": "cmp_", "version": "ver_", "job": "job_"}
 KEPT: Mapping[Whose, type[Any]] = {"campaign": CampaignRow, "version": VersionRow, "robot": RobotRow}
 LATEST = "latest"
+NUMBERED = re.compile(r"(?:(?P<robot>.+) )?v(?P<number>[1-9][0-9]{0,8})")
 NOMINAL = "nominal"  # of versions: the nominal robot, which a comparison may name
 
 
@@ -34,6 +36,22 @@ class Found(NamedTuple):
     name: str
     created_at: datetime
     in_use: bool
+    number: int
+
+
+def find_by_number(session: Session, robot_id: int | None, text: str) -> list[Found]:
+    """Return the version that `tour v2` names, or `v2` where its robot is known; of each robot where it is not."""
+    parts = NUMBERED.fullmatch(text)
+    if parts is None:
+        return []
+    query = _select_references("version", robot_id).where(VersionRow.number == int(parts["number"]))
+    return _fetch_references(session, query.where(RobotRow.name == parts["robot"]) if parts["robot"] else query)
+
+
+def version_id(session: Session, text: str) -> str:
+    """Return the id of the version that `tour v2` names; any other text as it is, which may be an id."""
+    named = find_by_number(session, None, text) if " " in text else []
+    return named[0].id if named else text
 
 
 def find_by_id_prefix(session: Session, kind: Kind, robot_id: int | None, text: str) -> list[Found]:
@@ -61,9 +79,17 @@ def newest(session: Session, kind: Kind, robot_id: int | None, most: int = 1) ->
     return [found for one in everywhere for found in newest(session, kind, one, most)]
 
 
-def _select_references(kind: Kind, robot_id: int | None) -> Select[str, str, str, datetime, bool]:
+def _select_references(kind: Kind, robot_id: int | None) -> Select[str, str, str, datetime, bool, int]:
     table = TABLES[kind]
-    query = select(table.id, RobotRow.name.label("robot"), table.name, table.created_at, _in_use(kind).label("in_use"))
+    number = VersionRow.number if kind == "version" else literal(0)
+    query = select(
+        table.id,
+        RobotRow.name.label("robot"),
+        table.name,
+        table.created_at,
+        _in_use(kind).label("in_use"),
+        number.label("number"),
+    )
     query = query.join(RobotRow, RobotRow.id == table.robot_id)
     if kind == "campaign":
         query = query.where(CampaignRow.staged.is_(False))
@@ -82,7 +108,7 @@ def _in_use(kind: Kind) -> ColumnElement[bool]:
     return JobRow.state.not_in(("failed", "cancelled"))
 
 
-def _fetch_references(session: Session, query: Select[str, str, str, datetime, bool]) -> list[Found]:
+def _fetch_references(session: Session, query: Select[str, str, str, datetime, bool, int]) -> list[Found]:
     return [Found(*row) for row in session.execute(query)]
 
 
@@ -115,8 +141,16 @@ def check_form(kind: Kind, name: str) -> None:
 
     """
     reserved = (LATEST,) if kind == "campaign" else (LATEST, NOMINAL)  # a job names the version that it makes
-    if name.strip() in reserved or name.strip().startswith(tuple(PREFIXES.values())) or name != name.strip():
+    number = NUMBERED.fullmatch(name)
+    is_number = kind == "version" and number is not None and number["robot"] is None
+    if (
+        name.strip() in reserved
+        or name.strip().startswith(tuple(PREFIXES.values()))
+        or name != name.strip()
+        or is_number
+    ):
         what = "begins or ends with a space" if name != name.strip() else "looks like an id"
+        what = "is the number of one" if is_number else what
         words = " or ".join(map(repr, reserved))
         raise ServiceError(
             f"The name {name!r} of a {kind} {what}: give one that is not {words}, does not begin with "

@@ -192,7 +192,9 @@ class _Names:
         if key not in self._found:
             try:
                 one = GET[kind](self._database, key)
-                self._found[key] = f"{kind} {one.name}" if one.name else f"the {display_name(one)}", one.robot
+                numbered = getattr(one, "number", 0)
+                named = one.name or (display_name(one) if numbered else "")
+                self._found[key] = f"{kind} {named}" if named else f"the {display_name(one)}", one.robot
             except CoreError:
                 self._found[key] = f"{kind} {key}", ""
         return self._found[key]

@@ -19,6 +19,7 @@ from kilter_service.page.route import PageRoute
 from kilter_service.page.shell import environment, render, source
 from kilter_service.versions.acceptance.routes import LARGEST_MM, REFITS, Refit
 from kilter_service.versions.acceptance.service import Wish
+from kilter_service.versions.addressed import AddressedVersion
 from kilter_service.web.state import DatabaseOfApp, get_scratch
 
 CHILD = "kilter_service.page.report.child"
@@ -72,7 +73,9 @@ WishOfReport = Annotated[Wish | None, Depends(wish_from_query)]
 
 
 @router.get("/versions/{version}/report")
-def of_version(version: str, request: Request, database: DatabaseOfApp, wish: WishOfReport) -> HTMLResponse:
+def of_version(
+    version: AddressedVersion, request: Request, database: DatabaseOfApp, wish: WishOfReport
+) -> HTMLResponse:
     """Show the report of a version; where a tolerance is stated, with the decision about it on the first page."""
     sheet = service.of_version(database, version, wish)
     return render(
@@ -87,7 +90,7 @@ def of_job(job: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
 
 
 @router.get("/versions/{version}/report.pdf")
-def version_pdf(version: str, request: Request, database: DatabaseOfApp, wish: WishOfReport) -> Response:
+def version_pdf(version: AddressedVersion, request: Request, database: DatabaseOfApp, wish: WishOfReport) -> Response:
     """Return the report of a version as PDF."""
     return _pdf(request, database, service.of_version(database, version, wish))
 

@@ -26,6 +26,7 @@ from kilter_service.page.versions import by_factor, comparison, looking_ahead, s
 from kilter_service.page.versions.looking_ahead import REFUSED
 from kilter_service.page.words import bare, largest, percent, unit
 from kilter_service.versions import activation
+from kilter_service.versions.addressed import AddressedVersion, FirstVersion, SecondVersion
 from kilter_service.versions.if_match import Expected
 from kilter_service.versions.predictions.workspace import workspace
 from kilter_service.web.auth.access import Admin
@@ -157,26 +158,28 @@ def chosen(
 
 
 @router.get("/versions/{version}")
-def version(version: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+def version(version: AddressedVersion, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show a version."""
     return render(request, "versions/version.html", shown=service.version(database, version))
 
 
 @router.get("/versions/{version}/exports")
-def exports(version: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+def exports(version: AddressedVersion, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show the files that a version can be downloaded as, and what each leaves out."""
     files = looking_ahead.exports(database, version)
     return render(request, "versions/exports.html", version=version, files=files)
 
 
 @router.get("/versions/{version}/contributions")
-def effects(version: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+def effects(version: AddressedVersion, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show how far each effect of a version moves the tool."""
     return render(request, "versions/contributions.html", moved=contributions.moved_by_each(database, version))
 
 
 @router.get("/versions/{version}/workspace")
-def show_workspace(version: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
+def show_workspace(
+    version: AddressedVersion, request: Request, database: DatabaseOfApp, settings: SettingsOfApp
+) -> HTMLResponse:
     """Show where a version corrects, damps and refuses."""
     shown = reach_shown(database, version, settings.temperature_c)
     return render(request, "versions/workspace.html", shown=shown)
@@ -184,14 +187,19 @@ def show_workspace(version: str, request: Request, database: DatabaseOfApp, sett
 
 @router.get("/versions/{version}/by-factor")
 def factors(
-    version: str, request: Request, database: DatabaseOfApp, campaign: Annotated[list[str] | None, Query()] = None
+    version: AddressedVersion,
+    request: Request,
+    database: DatabaseOfApp,
+    campaign: Annotated[list[str] | None, Query()] = None,
 ) -> HTMLResponse:
     """Show what a version leaves of rows by joint, direction, load and time."""
     return render(request, "versions/by_factor.html", figures=by_factor.figures(database, version, campaign or []))
 
 
 @router.get("/versions/{version}/activation")
-def look_ahead(version: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
+def look_ahead(
+    version: AddressedVersion, request: Request, database: DatabaseOfApp, settings: SettingsOfApp
+) -> HTMLResponse:
     """Show what would change by activating a version; the first half of activating it."""
     ahead = looking_ahead.correction_ahead(database, version, settings.temperature_c)
     return render(request, "versions/activation.html", ahead=ahead)
@@ -199,7 +207,7 @@ def look_ahead(version: str, request: Request, database: DatabaseOfApp, settings
 
 @router.post("/versions/{version}/activate")
 def activate(
-    version: str,
+    version: AddressedVersion,
     request: Request,
     database: DatabaseOfApp,
     settings: SettingsOfApp,
@@ -240,8 +248,8 @@ def roll_back(
 
 @router.get("/versions/{a}/compare/{b}")
 def compare(
-    a: str,
-    b: str,
+    a: FirstVersion,
+    b: SecondVersion,
     request: Request,
     database: DatabaseOfApp,
     campaign: Annotated[list[str] | None, Query(max_length=comparison.MOST_CAMPAIGNS)] = None,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from kilter_client.cli.groups import FirstLevel
+from kilter_client.cli.groups import FirstLevel, join_version_words
 from kilter_client.cli.quick_start import with_quick_values, without_httpx_command
 from kilter_client.cli.terminal.interrupt import CODE, UNKNOWN, InterruptedCommandError
 from kilter_client.cli.terminal.output import report_error, report_usage
@@ -65,6 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit code."""
     as_json = "--json" in arguments
+    arguments = join_version_words(arguments)
     without_httpx_command()
     with_quick_values()
     try:

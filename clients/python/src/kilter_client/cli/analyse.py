@@ -138,7 +138,7 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example: kilter gap ur10 --campaign cmp_1f --validation 0.25 --figures gap --poses next.csv")(
         gap
     )
-    app.command(epilog="Example: kilter evaluate ur10 --campaign cmp_2a --version ver_7c --refit base,tool")(evaluate)
+    app.command(epilog="Example: kilter evaluate ur10 --campaign cmp_2a --version ur10 v2 --refit base,tool")(evaluate)
 
 
 @with_flags(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import import_module
 from typing import Any, ClassVar
@@ -12,6 +12,9 @@ import typer
 from typer.core import TyperGroup
 
 from kilter_client.cli.catalogue import CATALOGUE, ENTRIES
+
+VERSION_NUMBER = re.compile("v[1-9][0-9]*")
+NO_ROBOT = re.compile("-.*|ver_.*|latest|nominal|" + VERSION_NUMBER.pattern)
 
 
 class Group(TyperGroup):
@@ -63,6 +66,26 @@ class FirstLevel(TyperGroup):
         for heading, entries in CATALOGUE.items():
             with formatter.section(heading):
                 formatter.write_dl([(name.ljust(width), entry.summary) for name, entry in entries.items()])
+
+
+def join_version_words(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments of a command line with `tour v2` as one, as a person types it without quotes.
+
+    Where --robot is given, a number stands by itself.
+    """
+    if "--robot" in arguments or not any(map(VERSION_NUMBER.fullmatch, arguments[2:])):
+        return list(arguments)
+    level: Any = command(arguments[0]) if arguments[0] in ENTRIES else None
+    first = 1
+    while hasattr(level, "get_command") and first < len(arguments):  # a command or a group of them is no robot
+        level, first = level.get_command(None, arguments[first]), first + 1
+    joined = list(arguments[: first + 1])
+    for one in arguments[first + 1 :]:
+        if VERSION_NUMBER.fullmatch(one) and NO_ROBOT.fullmatch(joined[-1]) is None:
+            joined[-1] += f" {one}"
+        else:
+            joined.append(one)
+    return joined
 
 
 def command(name: str) -> Any:

@@ -42,9 +42,9 @@ _NOTHING = (
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
-    app.command(epilog="Example: kilter homing my_arm.json ver_7c -o trued.json --servos feetech --norm-mode DEGREES")(
-        homing
-    )
+    app.command(
+        epilog="Example: kilter homing my_arm.json so101 v2 -o trued.json --servos feetech --norm-mode DEGREES"
+    )(homing)
 
 
 def homing(

@@ -88,7 +88,7 @@ def compare(
     emit(_document(model, used, job, apart), as_json, _show)
 
 
-@group.command(epilog="Example: kilter twin onto so101.xml ver_7c -o so101-0042.xml")
+@group.command(epilog="Example: kilter twin onto so101.xml so101 v2 -o so101-0042.xml")
 def onto(
     model: Model,
     version: VersionId,

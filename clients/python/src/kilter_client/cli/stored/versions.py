@@ -35,13 +35,13 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     keeping.register(group, "version")
     app.add_typer(group, name="versions")
-    app.command(epilog="Example: kilter version ver_7c")(version)
-    app.command(epilog="Example: kilter activate ver_7c")(activate)
+    app.command(epilog="Example: kilter version ur10 v2")(version)
+    app.command(epilog="Example: kilter activate ur10 v2")(activate)
     app.command(epilog="Example: kilter rollback ur10")(rollback)
     app.command(epilog="Example: kilter today ur10")(today)
     app.command(epilog="Example: kilter activations ur10")(activations)
-    app.command(epilog="Example: kilter diff ver_5a ver_7c")(diff)
-    app.command(epilog="Example: kilter export ver_7c --format json -o ur10.json")(export)
+    app.command(epilog="Example: kilter diff ur10 v1 ur10 v2")(diff)
+    app.command(epilog="Example: kilter export ur10 v2 --format json -o ur10.json")(export)
 
 
 @group.command("list", epilog="Example: kilter versions list ur10")

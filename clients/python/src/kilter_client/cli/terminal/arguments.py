@@ -75,7 +75,11 @@ MoreOptions = Annotated[
 ]
 VersionId = Annotated[
     str,
-    typer.Argument(help="Its id or the beginning of it, its name, or `latest`.", show_default=False, metavar="VERSION"),
+    typer.Argument(
+        help="Its number (`ur10 v2`), name, id or its beginning, or `latest`.",
+        show_default=False,
+        metavar="VERSION",
+    ),
 ]
 Retired = Annotated[bool, typer.Option("--retired", help="Also those that are out of use.")]
 JobName = Annotated[str, typer.Option("--name", help="Name of the job and of the version that it makes.")]

@@ -9,6 +9,8 @@ from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 from typing import Any
 
+from kilter_client.cli.terminal.version_words import name_versions
+
 GAP, NARROWEST = 3, 8
 
 
@@ -55,7 +57,8 @@ WIDE = 200  # columns when nobody's terminal says otherwise
 def show_rows(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "", numbers: bool = False) -> None:
     """Print a table on stdout; ``numbers`` sets all columns but the first to the right."""
     screen = shutil.get_terminal_size().columns if sys.stdout.isatty() else WIDE
-    print(table(head, rows, screen, title, numbers))
+    named = [[name_versions(cell) for cell in row] for row in rows]
+    print(table(head, named, screen, title, numbers))
 
 
 def number(value: Any, digits: int = 4) -> str:

@@ -20,12 +20,16 @@ FULL: Mapping[str, re.Pattern[str]] = {
 
 @dataclass(frozen=True)
 class Found:
-    """What a reference stands for; ``by`` is "id", "prefix", "name" or "latest"."""
+    """What a reference stands for; ``by`` is "id", "prefix", "name", "number" or "latest".
+
+    ``number`` counts the versions of a robot from 1; 0: it is no version.
+    """
 
     id: str
     robot: str
     name: str
     by: str
+    number: int = 0
 
 
 def is_full(kind: Kind, reference: str) -> bool:
@@ -36,7 +40,7 @@ def is_full(kind: Kind, reference: str) -> bool:
 def resolve(kind: Kind, reference: str, robot: str | None = None) -> Steps[Found]:
     """Ask the server what a reference stands for, among those of a robot or of all."""
     document = yield from get("/v1/resolve", kind=kind, reference=reference, robot=robot or None)
-    return Found(document["id"], document["robot"], document["name"], document["by"])
+    return Found(document["id"], document["robot"], document["name"], document["by"], document.get("number", 0))
 
 
 def resolve_id(kind: Kind, reference: str, robot: str | None = None) -> Steps[str]:
