@@ -218,7 +218,7 @@ FRANKA_PINS := tests/clients/bridges/franka-constraints.txt
 test-lerobot: $(KERNELS) .venv-lerobot/.ready ## run LeRobot's own follower through Kilter on simulated servos (needs Python 3.12, 5 GB)
 	KILTER_LEROBOT=.venv-lerobot $(BIN)/python -m pytest -q --timeout 1800 tests/clients/lerobot
 
-test-kit: $(KERNELS) ## ask kilter kit about simulated SO-101s, slow: N worn and N clean, 10 s each; goes on where it was (N=200 SEED=0 RECORDS=build/many-arms-0.jsonl)
+test-kit: $(KERNELS) ## ask kilter robot kit about simulated SO-101s, slow: N worn and N clean, 10 s each; goes on where it was (N=200 SEED=0 RECORDS=build/many-arms-0.jsonl)
 	$(BIN)/python -m tests.clients.lerobot.many_arms --n $(or $(N),200) --seed $(or $(SEED),0) $(if $(RECORDS),--records $(RECORDS))
 
 # LeRobot needs Python 3.12 and brings PyTorch: an environment of its own, with Kilter's distributions as they are here.

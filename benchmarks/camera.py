@@ -50,7 +50,7 @@ def drawn(folder: Path) -> list[Path]:
 
 
 def board(folder: Path) -> Target:
-    """The same board as kilter board describes it."""
+    """The same board as kilter measure board describes it."""
     path = folder / "board.svg"
     with contextlib.redirect_stdout(io.StringIO()):
         run(["board", "--columns", "9", "--rows", "7", "--square-mm", "30", "-o", str(path), "--json"])

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.table import Line
-from tools.local_server import local_server
+from kilter_client.requests.local_server import local_server
 
 TARGET_S, ROUNDS = 0.3, 5
 MEASURED = Path(__file__).resolve().parents[1] / "docs" / "tutorial" / "measured.csv"

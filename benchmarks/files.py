@@ -4,7 +4,7 @@
 
 Each format is read in a process of its own, whose largest resident memory is printed. Targets: 500 000 frames/s from
 C3D and n3d, 100 000 from CSV, under 500 MB. Frames are counted by the clock on the wall and by the processor's, which
-other work on the machine does not slow. With --send the whole way is gone: `kilter match --by frames --robot` to a
+other work on the machine does not slow. With --send the whole way is gone: `kilter measure match --by frames --robot` to a
 server started here, and the largest resident memory of the client and of each process of the server.
 """
 

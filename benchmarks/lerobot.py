@@ -71,7 +71,7 @@ def _rows(episode: int, length: int) -> pa.Table:
 
 
 def measured(rows: int) -> list[Line]:
-    """Read all rows, a block at a time, as `kilter inspect`, `kilter episodes` and a log do."""
+    """Read all rows, a block at a time, as `kilter measure inspect`, `kilter robot episodes` and a log do."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         hints = LogHints(calibration=calibration(folder), norm_mode="DEGREES")

@@ -23,8 +23,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from playwright.sync_api import Browser, Page, sync_playwright
 
+from kilter_client.requests.local_server import LocalServer, local_server
 from kilter_service.web.auth.policy import PAGE_RULES
-from tools.local_server import LocalServer, local_server
 
 ROBOT = {"name": "bench", "convention": "preset", "preset": "katana450-chapter5"}
 FIRST, BYTES, INTERACTION = "first page <= 1 s", "first page <= 400 kB", "interaction <= 100 ms"

@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 
 from kilter_client import Kilter
+from kilter_client.requests.local_server import LocalServer, local_server
 from kilter_client.stream import Setpoint, Statistics, corrected
 from kilter_core.observations import Observations
 from kilter_core.plan.iso9283_poses import iso_poses
 from kilter_core.twin import Twin, thesis_katana
 from kilter_core.types import Floats
 from tools import demo_path
-from tools.local_server import LocalServer, local_server
 
 ROBOT, PRESET = "katana450", "katana450-chapter5"
 NOISE_MM = 0.01

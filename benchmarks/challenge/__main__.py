@@ -13,7 +13,7 @@ from benchmarks.challenge.answers import answers
 from benchmarks.challenge.case import CaseError, cases
 from benchmarks.challenge.page import page
 from benchmarks.challenge.score import Scored, figures
-from tools.local_server import local_server
+from kilter_client.requests.local_server import local_server
 
 ANSWERS = "answers.jsonl"
 

@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0 OR MIT OR GPL-2.0-or-later
  *
- * A program is what `kilter export VERSION --format corrector` writes: one version of one arm. Load it once, then call
+ * A program is what `kilter version export VERSION --format corrector` writes: one version of one arm. Load it once, then call
  * kc_correct for every setpoint, from one thread. Nothing is allocated and nothing is locked.
  * Angles rad, lengths m, times s.
  *

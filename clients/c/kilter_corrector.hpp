@@ -27,7 +27,7 @@ private:
 
 using Program = std::vector<unsigned char>;
 
-// Reads what `kilter export VERSION --format corrector -o FILE` wrote.
+// Reads what `kilter version export VERSION --format corrector -o FILE` wrote.
 inline Program read_program(const std::string &file)
 {
     std::ifstream in(file, std::ios::binary);

@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: GPL-2.0-or-later
  *
- * The program of the version (`kilter export VERSION --format corrector`) holds the nominal arm too, so nothing else
+ * The program of the version (`kilter version export VERSION --format corrector`) holds the nominal arm too, so nothing else
  * describes it. X, Y, Z, A, B, C are the robot's own tool in the frame of its root, mm, with A, B, C about x, y and z
  * (first x, then y, then z), deg; joints are in deg, those of prismatic joints in mm. Six joints. Build: see README.md.
  */
@@ -19,7 +19,7 @@
 MODULE_LICENSE("GPL");
 
 static char *program = "";
-RTAPI_MP_STRING(program, "file of a version, as kilter export --format corrector writes it");
+RTAPI_MP_STRING(program, "file of a version, as kilter version export --format corrector writes it");
 
 enum { JOINTS = 6, POSE_ROUNDS = 40, BACK_ROUNDS = 12, MOST_BYTES = 1 << 20 };
 #define NEAR 1e-11

@@ -3,7 +3,7 @@
  *
  *     zenoh_controller ENDPOINT SITE ROBOT STREAM SESSION_ID KEY JOINTS CYCLES CYCLE_US
  *
- * SESSION_ID and KEY are hexadecimal, as POST /v1/robots/{robot}/stream/sessions (or kilter stream-session) gives them;
+ * SESSION_ID and KEY are hexadecimal, as POST /v1/robots/{robot}/stream/sessions (or kilter server stream-session) gives them;
  * ENDPOINT is tcp/127.0.0.1:7447 for instance. Every cycle prints what would go to the drives and how it came about.
  *
  * Two things run beside the loop: zenoh-pico's own thread puts answers into a queue, and one of ours asks which version
@@ -350,7 +350,7 @@ static int fail(const char *sentence) {
 int main(int count, char **given) {
     if (count != 10) return fail("usage: zenoh_controller ENDPOINT SITE ROBOT STREAM SESSION_ID KEY JOINTS CYCLES CYCLE_US");
     if (!read_hex(given[5], session.id, 16) || !read_hex(given[6], session.key, 32))
-        return fail("SESSION_ID has 32 and KEY 64 hexadecimal digits: see kilter stream-session.");
+        return fail("SESSION_ID has 32 and KEY 64 hexadecimal digits: see kilter server stream-session.");
     loop.joints = atoi(given[7]);
     if (loop.joints < 1 || loop.joints > KILTER_MAX_JOINTS) return fail("JOINTS is a number from 1 to 16.");
     char base[256], in[320], out[320];

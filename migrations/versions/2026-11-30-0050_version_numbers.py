@@ -11,13 +11,15 @@ branch_labels = None
 depends_on = None
 
 ONE_ROBOT = "SELECT count(*) FROM versions AS other WHERE other.robot_id = versions.robot_id"
-NOT_LATER = "other.created_at < versions.created_at OR (other.created_at = versions.created_at AND other.id <= versions.id)"
+NOT_LATER = (
+    "other.created_at < versions.created_at OR (other.created_at = versions.created_at AND other.id <= versions.id)"
+)
 
 
 def upgrade() -> None:
     op.add_column("versions", sa.Column("number", sa.Integer(), nullable=False, server_default="0"))
     op.add_column("robots", sa.Column("versions_made", sa.Integer(), nullable=False, server_default="0"))
-    op.execute(f"UPDATE versions SET number = ({ONE_ROBOT} AND ({NOT_LATER}))")
+    op.execute(f"UPDATE versions SET number = ({ONE_ROBOT} AND ({NOT_LATER}))")  # noqa: S608 (our own words)
     op.execute("UPDATE robots SET versions_made = (SELECT count(*) FROM versions WHERE versions.robot_id = robots.id)")
 
 

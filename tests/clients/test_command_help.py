@@ -14,7 +14,7 @@ import pytest
 import typer
 
 from kilter_client.cli import run
-from kilter_client.cli.catalogue import CATALOGUE, ENTRIES
+from kilter_client.cli.catalogue import ENTRIES, FIRST, GROUPS, MADE, MOVED
 from kilter_core.arm.presets import preset_names
 from kilter_core.effects import EFFECTS
 from kilter_core.identify.registry import METHODS
@@ -35,16 +35,52 @@ def listed(capsys: Capture, name: str) -> list[dict[str, str]]:
     return found
 
 
-def test_every_command_stands_under_its_heading_on_one_line(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_first_level_is_short_and_each_command_on_one_line(
+    capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     text = printed(capsys, "--help")
     assert max(map(len, text.splitlines())) <= 80
-    assert "..." not in text.partition("Measure:")[2]
-    for heading, entries in CATALOGUE.items():
-        block = re.search(rf"^{heading}:\n((?:  .+\n)+)", text, re.MULTILINE)
-        assert block, heading
-        assert [line.split()[0] for line in block[1].splitlines()] == list(entries)
-        assert all(line.endswith(".") for line in block[1].splitlines())
+    assert "First time: robot add, upload, gap, activate, correct, check." in text
+    commands, groups = (
+        re.search(rf"^{heading}.*:\n((?:  .+\n)+)", text, re.MULTILINE) for heading in ("Commands", "Groups")
+    )
+    assert commands
+    assert groups
+    lines = commands[1].splitlines() + groups[1].splitlines()
+    assert len(FIRST) <= 16
+    assert sorted(line.split()[0] for line in lines) == sorted((*FIRST, *MADE))
+    assert all(line.endswith(".") for line in lines)
+
+
+def test_every_command_is_in_reach_once() -> None:
+    inside = [old for group in GROUPS.values() for old in (*group.commands.values(), group.own)]
+    known = [*inside, *(name for name in (*FIRST, *MADE) if name not in GROUPS)]
+    assert sorted(filter(None, known)) == sorted(ENTRIES)
+
+
+@pytest.mark.parametrize("old", MOVED)
+def test_an_old_spelling_works_and_says_the_new_one(old: str, capsys: Capture) -> None:
+    assert run([old, "--help"]) == 0
+    now = capsys.readouterr()
+    assert f"`kilter {old}` is now `kilter {MOVED[old]}`" in now.err
+    assert run([*MOVED[old].split(), "--help"]) == 0
+    there = capsys.readouterr()
+    assert there.err == ""
+    if old != "versions":  # whose commands stand beside others now
+        assert now.out.partition("\n")[2] == there.out.partition("\n")[2]
+    assert f"Usage: kilter {MOVED[old]} " in there.out
+
+
+def test_an_old_spelling_says_nothing_more_with_json(no_settings: None, capsys: Capture) -> None:
+    assert run(["effects", "--json"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_a_group_alone_shows_its_commands(group: str, capsys: Capture) -> None:
+    assert run([group]) == 2
+    assert capsys.readouterr().err.startswith(f"Usage: kilter {group} ")
 
 
 def test_the_catalogue_lists_what_the_modules_register() -> None:
@@ -56,7 +92,7 @@ def test_the_catalogue_lists_what_the_modules_register() -> None:
         assert set(found.commands) == {name for name, entry in ENTRIES.items() if entry.module == module}
 
 
-@pytest.mark.parametrize("group", ["robot", "jobs", "campaigns", "versions"])
+@pytest.mark.parametrize("group", [*GROUPS, "jobs", "campaigns", "versions"])
 def test_groups_cut_no_line(group: str, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     lines = printed(capsys, group, "--help").partition("Commands:\n")[2].splitlines()
@@ -65,7 +101,7 @@ def test_groups_cut_no_line(group: str, capsys: Capture, monkeypatch: pytest.Mon
 
 
 def test_without_a_command_there_is_help(capsys: Capture) -> None:
-    assert "Identify:" in printed(capsys, code=2)
+    assert "Commands:" in printed(capsys, code=2)
     assert "Give a command" in json.loads(printed(capsys, "--json", code=2))["detail"]
     assert "kilter jobs ... --json" in json.loads(printed(capsys, "--json", "jobs", code=2))["detail"]
 

@@ -179,5 +179,8 @@ def test_a_dry_run_says_that_columns_are_separated_otherwise(robot: str, tmp_pat
     path.write_text("q1_deg;q2_deg;x_mm;y_mm;z_mm\n1,5;2,0;100,25;200,5;300,0\n")
     assert run(["upload", robot, str(path), "--dry-run"]) == 1
     out = " ".join(capsys.readouterr().out.split())
-    assert "would be refused: its columns are separated by ';' or tabs: kilter inspect FILE --draft columns.toml" in out
+    assert (
+        "would be refused: its columns are separated by ';' or tabs: kilter measure inspect FILE --draft columns.toml"
+        in out
+    )
     assert "joints none" not in out

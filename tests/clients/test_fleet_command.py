@@ -1,4 +1,4 @@
-"""`kilter fleet`, and the same from the library, against a real server with its worker."""
+"""`kilter robot fleet`, and the same from the library, against a real server with its worker."""
 
 from __future__ import annotations
 

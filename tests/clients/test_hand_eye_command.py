@@ -1,4 +1,4 @@
-"""`kilter upload --cameras` and `kilter hand-eye` against a real server, and the files of ROS 2 that it writes."""
+"""`kilter upload --cameras` and `kilter measure hand-eye` against a real server, and the files of ROS 2 that it writes."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_what_is_no_rig_is_refused(server: Path, command: Command, tmp_path: Pat
     rows.write_text("q1_deg,u1_px,v1_px\n1,2,3\n")
     for text in ("{}", "[1]", '{"cameras": [], "boards": []}'):
         rig.write_text(text)
-        assert "kilter see" in command("upload", "any", rows, "--cameras", rig, code=2)
+        assert "kilter measure see" in command("upload", "any", rows, "--cameras", rig, code=2)
 
 
 def test_files_of_ros_that_cannot_be_written_are_named(tmp_path: Path) -> None:

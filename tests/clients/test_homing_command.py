@@ -1,4 +1,4 @@
-"""`kilter homing`: an arm of simulated servos that reads what it should once the copy is in them."""
+"""`kilter robot homing`: an arm of simulated servos that reads what it should once the copy is in them."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def test_while_a_job_runs(robot: str, kilter: Kilter, write_campaign: Write, com
         job = process.stderr.readline().split()[1]
     _, err = interrupted(process)
     assert f"job {job} continues at the server" in err
-    assert f"`kilter jobs watch {job}` follows it, `kilter jobs cancel {job}` stops it." in err
+    assert f"`kilter server jobs watch {job}` follows it, `kilter server jobs cancel {job}` stops it." in err
     # The interruption stopped nothing: the job goes on, or is over on a machine that was slow to end the command, also while
     # it is asked to stop.
     assert kilter.jobs.get(job)["state"] in ("queued", "running", "succeeded")

@@ -1,4 +1,4 @@
-"""The table of ISO 9283 that ``kilter evaluate`` prints."""
+"""The table of ISO 9283 that ``kilter version evaluate`` prints."""
 
 from __future__ import annotations
 

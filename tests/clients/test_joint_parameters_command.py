@@ -1,4 +1,4 @@
-"""``kilter joint-parameters`` against a real server: planned readings, read, sent; and a real arm's two encoders."""
+"""``kilter measure joint-parameters`` against a real server: planned readings, read, sent; and a real arm's two encoders."""
 
 from __future__ import annotations
 

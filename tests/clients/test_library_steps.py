@@ -51,10 +51,13 @@ def nobody(request: httpx.Request) -> httpx.Response:
 def test_patience_has_an_end_that_says_how_to_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(waiting, "PATIENCE_S", 0.2)
     stages: list[str] = []
-    with client(nobody) as k, pytest.raises(ServerUnreachableError, match=f"`kilter jobs watch {JOB}` follows it"):
+    with (
+        client(nobody) as k,
+        pytest.raises(ServerUnreachableError, match=f"`kilter server jobs watch {JOB}` follows it"),
+    ):
         k.jobs.wait(JOB, lambda _, stage: stages.append(stage))
     assert set(stages) == {AWAY}
-    assert in_words(f"`kilter jobs watch {JOB}` follows it.") == f'`k.wait("{JOB}")` follows it.'
+    assert in_words(f"`kilter server jobs watch {JOB}` follows it.") == f'`k.wait("{JOB}")` follows it.'
 
 
 @pytest.mark.parametrize("status", [500, 502, 503])

@@ -1,4 +1,4 @@
-"""`kilter mesh`, and the same from the library, against a real server."""
+"""`kilter robot mesh`, and the same from the library, against a real server."""
 
 from __future__ import annotations
 
@@ -55,10 +55,10 @@ def test_refusals_name_the_remedy(
     urdf, step = str(description / "urdf" / "two.urdf"), description / "arm.step"
     step.write_text("ISO-10303-21;")
     for command, status, words in (
-        (["from-urdf", robot, urdf], 1, "kilter mesh set"),
+        (["from-urdf", robot, urdf], 1, "kilter robot mesh set"),
         (["set", robot, "j1", str(step)], 2, "ends in .stl or .obj"),
         (["set", robot, "elbow", str(description / "upper.stl")], 1, "There are base, "),
-        (["remove", robot, "base"], 1, "`kilter mesh list ROBOT`"),
+        (["remove", robot, "base"], 1, "`kilter robot mesh list ROBOT`"),
         (["from-urdf", robot, urdf, "--package", "here"], 2, "give NAME=FOLDER"),
     ):
         assert run(["mesh", *command]) == status

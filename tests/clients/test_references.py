@@ -141,7 +141,7 @@ def test_retire_restore_and_purge(robot: str, command: Command, kilter: Kilter) 
     _, err = command("campaigns", "purge", campaign[:14], "--yes", code=2)
     assert f"takes the full id: {campaign[:14]!r} is {campaign}" in err
     _, err = command("campaigns", "purge", campaign, code=2)
-    assert f"`kilter campaigns purge {campaign} --yes`" in err
+    assert f"`kilter measure campaigns purge {campaign} --yes`" in err
     assert "is purged" in command("campaigns", "purge", campaign, "--yes")[0]
     assert kilter.tombstones(robot)[0]["id"] == campaign
     assert "purged by admin" in command("campaigns", "retire", campaign, code=1)[1]

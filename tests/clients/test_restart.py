@@ -114,7 +114,10 @@ def test_patience_has_an_end_that_is_said(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(waiting, "PATIENCE_S", 0.3)
     stages: list[str] = []
     kilter = Kilter("http://kilter.test", "secret", httpx.MockTransport(nobody))
-    with kilter, pytest.raises(ServerUnreachableError, match=r"`kilter jobs watch job_0000000000000000` follows it"):
+    with (
+        kilter,
+        pytest.raises(ServerUnreachableError, match=r"`kilter server jobs watch job_0000000000000000` follows it"),
+    ):
         kilter.jobs.wait("job_" + "0" * 16, lambda _, stage: stages.append(stage))
     assert set(stages) == {waiting.AWAY}
 

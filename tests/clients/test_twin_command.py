@@ -1,4 +1,4 @@
-"""`kilter twin compare` against a real server: models of MuJoCo, one of them written here, on poses that no fit has seen."""
+"""`kilter version twin compare` against a real server: models of MuJoCo, one written here, on poses no fit has seen."""
 
 from __future__ import annotations
 

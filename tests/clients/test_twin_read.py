@@ -1,4 +1,4 @@
-"""`kilter twin read`: what a model states of its drives, as effects; the twin of an SO-101 written by another program."""
+"""`kilter version twin read`: what a model states of its drives, as effects; the twin of an SO-101 by another program."""
 
 from __future__ import annotations
 

@@ -137,7 +137,9 @@ def test_a_purge_of_what_is_cited(robot: str, campaign: str, kilter: Kilter, cap
     version = kilter.versions.resolve_id("latest", robot)
     kilter.campaigns.change(whole, name="only this")
     assert f"is {whole}. Give that" in refused(capsys, "campaigns", "purge", "only this", "--yes", code=2)
-    assert "`kilter campaigns ROBOT` lists them" in refused(capsys, "campaigns", "purge", "nobody", "--yes", code=2)
+    assert "`kilter measure campaigns ROBOT` lists them" in refused(
+        capsys, "campaigns", "purge", "nobody", "--yes", code=2
+    )
     assert version in refused(capsys, "campaigns", "purge", whole, "--yes")
     assert "1 campaign" in refused(capsys, "robot", "purge", robot, "--yes")
 
@@ -148,8 +150,8 @@ def test_remedies_are_commands(robot: str, tmp_path: Path, capsys: Capture) -> N
     assert refused(capsys, "correct", robot, path, *out).endswith("activate one with `kilter activate VERSION`.")
     assert refused(capsys, "rollback", robot).endswith("activate one with `kilter activate VERSION`.")
     assert refused(capsys, "correct", robot, path, *out, "--format", "foo") == "--format: it should be 'ros2-yaml'."
-    assert refused(capsys, "version", "ver_" + "0" * 16).endswith("list them with `kilter versions ROBOT`.")
-    assert refused(capsys, "jobs", "show", "job_" + "0" * 16).endswith("list them with `kilter jobs`.")
+    assert refused(capsys, "version", "ver_" + "0" * 16).endswith("list them with `kilter version list ROBOT`.")
+    assert refused(capsys, "jobs", "show", "job_" + "0" * 16).endswith("list them with `kilter server jobs`.")
     assert refused(capsys, "jobs", "list", "--limit", 5000, code=2).startswith("--limit: it should be less than")
     assert refused(capsys, "identify", robot, "--loss", "x", code=2).startswith("--loss: 'x' is not one of 'linear'")
 

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import pytest
 
+from kilter_client.requests.local_server import LocalServer, local_server
 from tests.service.forked import ForkedPopen
-from tools.local_server import LocalServer, local_server
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCS = REPOSITORY / "docs"

@@ -245,7 +245,7 @@ def test_people_who_drop_a_zipped_data_set_read_what_to_do(
     page.wait_for_url("**/campaigns/new/*")
     told = page.get_by_role("alert")
     expect(told).to_contain_text("my-set.zip: is a ZIP archive of a LeRobot data set. Unpack it")
-    expect(told).to_contain_text("kilter match RECORDING FOLDER --calibration JSON --norm-mode MODE")
+    expect(told).to_contain_text("kilter measure match RECORDING FOLDER --calibration JSON --norm-mode MODE")
     assert page.get_by_role("button", name="Store").count() == 0
 
 

@@ -28,7 +28,7 @@ def views(**changes: Any) -> bytes:
 
 
 def as_seen(**changes: Any) -> dict[str, Any]:
-    """The JSON that `kilter see` writes, with more in it than a campaign has."""
+    """The JSON that `kilter measure see` writes, with more in it than a campaign has."""
     rig = described(SCENE)
     cameras = [one | {"serial": "A1"} for one in rig["cameras"]]
     return {"rows": 12, "views": [], "refused": []} | rig | {"cameras": cameras} | changes
@@ -47,7 +47,7 @@ def test_views_are_stored_with_the_cameras_that_were_dropped_after_them(server: 
     address = dropped(server, robot, "views.csv", views())
     text = text_of(server, address)
     assert "These rows cannot be stored yet." in text
-    assert "give the JSON that `kilter see` wrote beside them" in text
+    assert "give the JSON that `kilter measure see` wrote beside them" in text
     form = {"sha256": shown_sha256(text), "name": "dropped views"}
     assert server.post(f"{address}/store", data=form).status_code >= 400
     assert with_rig(server, address, as_seen()).raise_for_status().json()["address"] == address
@@ -68,7 +68,7 @@ def test_views_are_stored_with_the_cameras_that_were_dropped_after_them(server: 
         (b"fx: 1500\n", "is not JSON"),
         ([1, 2], "views.json describes no cameras and boards."),
         ({"kind": "charuco", "columns": 9, "rows": 7}, "views.json describes no cameras and boards."),
-        (as_seen(cameras=[]), "names no cameras. State the intrinsics when you run `kilter see`"),
+        (as_seen(cameras=[]), "names no cameras. State the intrinsics when you run `kilter measure see`"),
         (as_seen(boards=[]), "names no boards."),
         (as_seen(cameras=[{"name": "cell", "mount": "fixed"}]), "cameras.0.fx_px: Field required"),
         (
@@ -119,12 +119,12 @@ def test_what_belongs_to_the_command_line_says_so(server: httpx.Client, robot: s
     board = json.dumps({"kind": "charuco", "columns": 9, "rows": 7, "square_mm": 30, "corners": []}).encode()
     info = b"image_width: 640\nimage_height: 480\ncamera_name: cell\ncamera_matrix:\n  rows: 3\n"
     for name, content, said in (
-        ("shot.png", b"\x89PNG\r\n\x1a\n" + b"\xff" * 4096, "found with kilter see"),
-        ("shot.bmp", b"BM" + b"\xff" * 4 + bytes(4) + b"\xff" * 4096, "found with kilter see"),
-        ("run.mp4", b"\0\0\0\x18ftypisom" + b"\xff" * 4096, "found with kilter see"),
-        ("board.json", board, "is the description of a printed board. Give it to kilter see (--board)"),
+        ("shot.png", b"\x89PNG\r\n\x1a\n" + b"\xff" * 4096, "found with kilter measure see"),
+        ("shot.bmp", b"BM" + b"\xff" * 4 + bytes(4) + b"\xff" * 4096, "found with kilter measure see"),
+        ("run.mp4", b"\0\0\0\x18ftypisom" + b"\xff" * 4096, "found with kilter measure see"),
+        ("board.json", board, "is the description of a printed board. Give it to kilter measure see (--board)"),
         ("views.json", rig, "on the page drop the views first, and it after them"),
-        ("camera.yaml", info, "Give it to kilter see (--camera)"),
+        ("camera.yaml", info, "Give it to kilter measure see (--camera)"),
     ):
         text = text_of(server, dropped(server, robot, name, content))
         assert said in text, (name, text[:2000])

@@ -1,4 +1,4 @@
-"""The page of `kilter live` in Chromium: a stream with the corners drawn, a folder that fills, and what is missing."""
+"""The page of `kilter measure live` in Chromium: a stream with the corners drawn, a folder that fills, and what is missing."""
 
 from __future__ import annotations
 

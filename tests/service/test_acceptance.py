@@ -198,7 +198,7 @@ def test_the_first_page_without_a_tolerance_has_the_budget_and_says_how_to_have_
     found = decide(client, 5.0)  # of the 15 rows that were held out, which name no instrument
     assert decision == "none"
     assert "no tolerance was stated" in page
-    assert "kilter accept katana --tolerance 0.3" in page
+    assert "kilter version accept katana --tolerance 0.3" in page
     assert f"As it is, these rows prove none: {found['lacking'][0]['message'][:40]}" in page
     assert "they prove" not in page
     one = found["campaigns"][0]

@@ -1,4 +1,4 @@
-"""`kilter token`, `whoami` and `audit` against a server, and `kilterd audit` on the file of its database."""
+"""`kilter server token`, `whoami` and `audit` against a server, and `kilterd audit` on the file of its database."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def test_rows_are_checked_with_the_campaign_and_nothing_is_stored(watched: httpx
         (form() | {"rows": ("views", b"\x89PNG", "image/png")}, "media_type_unsupported", "image/png is not read"),
         (form() | {"campaign": (None, " " * (5 << 20))}, "payload_invalid", "exceeded maximum size"),
         (form(name=""), "payload_invalid", "body.name"),
-        (form(conditions={}), "cameras_missing", "`kilter see` writes them (`kilter upload --cameras`)"),
+        (form(conditions={}), "cameras_missing", "`kilter measure see` writes them (`kilter upload --cameras`)"),
         (form(columns(seen(3)) | {"u1_px": [2500.0] * 3, "v1_px": [5.0] * 3}), "outside_picture", "Row 1, column 'u1_px'"),
     ],
 )  # fmt: skip

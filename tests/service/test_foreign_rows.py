@@ -49,11 +49,11 @@ def test_rows_of_another_arm_are_taken_out_of_use_by_the_check_itself(
     body = {"kind": "drift", "robot": "watched", "campaigns": [foreign]}
     (problem,) = client.post("/v1/jobs/check", json=body).raise_for_status().json()["problems"]
     assert problem["code"] == "rows_of_another_arm"
-    assert f"kilter campaigns retire {foreign}" in problem["message"]  # what only looks changes nothing
+    assert f"kilter measure campaigns retire {foreign}" in problem["message"]  # what only looks changes nothing
     assert in_use(watched, foreign)
     message = refused(watched, foreign)["error"]["message"]
     assert f"Campaign {foreign} was retired" in message
-    assert f"kilter campaigns restore {foreign}" in message
+    assert f"kilter measure campaigns restore {foreign}" in message
     assert not in_use(watched, foreign)
     judged = client.get("/v1/robots/watched/acceptance", params=TOLERANCE).raise_for_status().json()
     assert foreign not in [one["id"] for one in judged["campaigns"]]
@@ -88,7 +88,7 @@ def test_nothing_is_accepted_beside_rows_of_another_arm_that_nobody_checked(
     assert found["decision"] == "not_proved"
     assert [one["id"] for one in found["campaigns"]] == [own]
     assert [(one["code"], one["campaigns"]) for one in found["lacking"]] == [("rows_of_another_arm", [foreign])]
-    assert f"kilter campaigns retire {foreign}" in found["sentence"]
+    assert f"kilter measure campaigns retire {foreign}" in found["sentence"]
     assert judged(campaign=foreign)["decision"] == "rejected"
     assert judged(campaign=own)["decision"] == "accepted"
     crashed = watched.sent(arm.after("zero_2", 0.2), 8, 4, DAY + timedelta(days=3))
@@ -114,12 +114,12 @@ def test_rows_that_a_check_refuses_take_part_in_nothing_until_they_are_brought_b
     body = {"kind": "drift", "robot": "watched", "campaigns": [bad]}
     (problem,) = client.post("/v1/jobs/check", json=body).raise_for_status().json()["problems"]
     assert problem["code"] == code
-    assert f"kilter campaigns retire {bad}" in problem["message"]
+    assert f"kilter measure campaigns retire {bad}" in problem["message"]
     assert in_use(watched, bad)
 
     error = watched.failed_here(database, "drift", [bad])
     assert error["code"] == code
-    assert f"kilter campaigns restore {bad}" in error["message"]
+    assert f"kilter measure campaigns restore {bad}" in error["message"]
     assert not in_use(watched, bad)
     assert watched.history()["history"] == []
     assert client.get("/v1/robots/watched/today").raise_for_status().json()["not_evaluated"] == []

@@ -232,7 +232,7 @@ def test_a_campaign_of_sockets_settles_the_scale_of_a_board(client: httpx.Client
     version = found["result"]["version_id"]
     refused = client.get(f"/v1/versions/{version}/residuals", params={"campaign": sockets})
     assert refused.status_code == 400
-    assert "evaluate them (kilter evaluate), or name other campaigns" in refused.json()["detail"]
+    assert "evaluate them (kilter version evaluate), or name other campaigns" in refused.json()["detail"]
     assert len(rows_left(client, version, views)["row"]) == 40  # the remedy: name the others
 
 

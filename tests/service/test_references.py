@@ -173,7 +173,7 @@ def test_names_are_unique_among_what_is_in_use(shelf: Shelf) -> None:
     campaign = client.post("/v1/robots/katana/campaigns", json={"name": "monday"}).json()["id"]
     again = client.post("/v1/robots/katana/campaigns", json={"name": "monday"})
     refused(again, 409, "name_taken", "Robot 'katana' has a campaign called 'monday' already", campaign, "--campaign",
-            f"kilter campaigns retire {campaign}")  # fmt: skip
+            f"kilter measure campaigns retire {campaign}")  # fmt: skip
     assert client.post("/v1/robots/other/campaigns", json={"name": "monday"}).status_code == 201
     numbered = client.post("/v1/robots/katana/campaigns", json={"name": "monday", "numbered": True}).json()
     assert numbered["name"] == "monday (2)"
@@ -257,7 +257,7 @@ def test_a_retired_campaign_is_out_of_use_and_back(shelf: Shelf, katana: Any) ->
     (shown,) = client.get("/v1/robots/katana/campaigns?retired=true").json()["campaigns"]
     assert shown == retired == client.get(f"/v1/campaigns/{campaign}").json()
     job = {"kind": "identify", "robot": "katana", "campaigns": [campaign]}
-    refused(client.post("/v1/jobs", json=job), 409, "retired", campaign, f"kilter campaigns restore {campaign}")
+    refused(client.post("/v1/jobs", json=job), 409, "retired", campaign, f"kilter measure campaigns restore {campaign}")
     more = client.post(f"/v1/campaigns/{campaign}/observations", json=katana.columns(6))
     refused(more, 409, "retired", campaign)
     assert client.get(f"/v1/versions/{version}/residuals").text == before  # what cites it goes on

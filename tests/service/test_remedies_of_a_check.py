@@ -45,8 +45,8 @@ def test_a_frame_that_moved_may_have_been_set_up_anew(moved: Literal["base", "to
 @pytest.mark.parametrize(
     ("cause", "names", "said", "unsaid"),
     [
-        (Cause("scale", None), (), "Check the instrument with a known length", "kilter rezero"),
-        (Cause("sag", 2), ("theta_offset_2",), "identify one anew with axial_compliance", "kilter rezero"),
+        (Cause("scale", None), (), "Check the instrument with a known length", "kilter watch rezero"),
+        (Cause("sag", 2), ("theta_offset_2",), "identify one anew with axial_compliance", "kilter watch rezero"),
         (Cause("sag", 2), ("compliance_2",), "state it (payload_kg) and check again. Else: Repair it", "no number"),
     ],
 )

@@ -165,7 +165,7 @@ def test_a_robot_without_a_urdf_is_told_what_to_do(client: httpx.Client) -> None
     client.post("/v1/robots", json={"name": "plain", "convention": "preset", "preset": "ur5e"}).raise_for_status()
     answer = client.get("/v1/robots/plain/urdf-shapes")
     assert (answer.status_code, answer.json()["code"]) == (400, "option_invalid")
-    assert "kilter mesh set" in answer.json()["detail"]
+    assert "kilter robot mesh set" in answer.json()["detail"]
 
 
 def test_a_shape_that_cannot_be_is_refused_with_its_link(client: httpx.Client, tmp_path: Path) -> None:

@@ -249,7 +249,7 @@ def test_what_creeps_is_posted_once_when_it_begins_and_once_when_it_ends(
         )
         assert said["causes"][0] == {"name": highest["name"], "words": highest["words"]}
         assert datetime.fromisoformat(said["since"]) == datetime.fromisoformat(highest["since"])
-        assert "kilter drift arm" in said["remedy"]
+        assert "kilter watch drift arm" in said["remedy"]
 
         worker.stop()
         worker.start()

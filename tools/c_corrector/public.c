@@ -335,7 +335,7 @@ const char *kc_sentence(int code)
     case KC_RATE_LIMIT: return "A joint is asked to move faster than it may: send setpoints closer together.";
     case KC_NOT_LOADED: return "No program is loaded: call kc_load first.";
     case KC_TRUNCATED: return "The program is cut off: export it again.";
-    case KC_NOT_A_PROGRAM: return "This is not a program: take what kilter export --format corrector writes.";
+    case KC_NOT_A_PROGRAM: return "This is not a program: take what kilter version export --format corrector writes.";
     case KC_NEWER_FORMAT: return "The program is newer than this code: take the kilter_corrector.c of its release.";
     case KC_OTHER_LAYOUT: return "The program is of another release: export it again, or take its kilter_corrector.c.";
     case KC_DAMAGED: return "The program was altered on its way, its checksum is wrong: export it again.";

@@ -1,4 +1,4 @@
-"""What `kilter effects`, `methods`, `presets`, `columns` and `formats` list without a server."""
+"""What `kilter server effects`, `methods`, `presets`, `columns` and `formats` list without a server."""
 
 from __future__ import annotations
 

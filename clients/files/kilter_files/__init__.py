@@ -166,14 +166,15 @@ def as_it_is(path: Path) -> Prepared:
         registry.binary_reader(reader.Head(path))  # what holds no rows at all, an archive or a picture, says so
         raise FileError(
             f"{path}: the ending {path.suffix!r} is none of {', '.join((*TYPES, '.xlsx'))}. Send it with a column map "
-            f"(--map columns.toml; a first one: `kilter inspect {quote(str(path))} --draft columns.toml`) or name its device "
+            f"(--map columns.toml; a first one: `kilter measure inspect {quote(str(path))} --draft columns.toml`) or "
+            "name its device "
             f"({', '.join(registry.readers_for(reader.DEVICE))}).",
             file=str(path),
         )
     if kind == JSON_TYPE and registry.has_format(path, "json"):
         raise FileError(
             f"{path}: holds a list of poses, not contract columns. Send it with a column map (--map columns.toml; a first "
-            f"one: `kilter inspect {quote(str(path))} --draft columns.toml`).",
+            f"one: `kilter measure inspect {quote(str(path))} --draft columns.toml`).",
             file=str(path),
         )
     try:

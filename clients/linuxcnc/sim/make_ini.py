@@ -2,7 +2,7 @@
 
     python3 make_ini.py arm.klt 10,-80,75,20,40,30 > arm.ini
 
-The first argument is what `kilter export VERSION --format corrector` writes, the second where the joints begin, deg.
+The first argument is what `kilter version export VERSION --format corrector` writes, the second where the joints begin, deg.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-/* One corrector for code that MATLAB Coder generates. Define KILTER_PROGRAM as what `kilter export --format c` wrote:
+/* One corrector for code that MATLAB Coder generates. Define KILTER_PROGRAM as what `kilter version export --format c` wrote:
  *   cc -DKILTER_PROGRAM='"arm.c"' -c kilter_coder.c
  *
  * SPDX-License-Identifier: Apache-2.0

@@ -1,7 +1,7 @@
 function [q, status] = kilter_correct_coder(wanted, dt) %#codegen
 %KILTER_CORRECT_CODER  One setpoint corrected, for MATLAB Coder and Simulink: a MATLAB Function block calls it.
 %   [q, status] = kilter_correct_coder(wanted, dt): rad (prismatic joints: m) and s; q is NaN unless status is 0.
-%   The code that is generated calls the C file that `kilter export VERSION --format c` writes, in which the program is
+%   The code that is generated calls the C file that `kilter version export VERSION --format c` writes, in which the program is
 %   a constant (kc_program): nothing is read and nothing allocated. Build with it: see README.md.
 %   In MATLAB and Octave themselves use kilter_corrector.m.
   coder.cinclude('kilter_coder.h');

@@ -1,6 +1,6 @@
 classdef kilter_corrector < handle
 %KILTER_CORRECTOR  The corrector in C, in this process: no server, no network.
-%   c = kilter_corrector('arm.klt') takes what `kilter export VERSION --format corrector` writes. The arm rests at the
+%   c = kilter_corrector('arm.klt') takes what `kilter version export VERSION --format corrector` writes. The arm rests at the
 %   first setpoint; c = kilter_corrector('arm.klt', false) ramps the correction in instead.
 %   [q, status, flags, left_m] = c.step(wanted, dt)   one setpoint of a stream, rad (prismatic joints: m), dt in s
 %   [q, status, flags, left_m] = c.alone(wanted)      one that follows no other

@@ -2,7 +2,7 @@
  *
  * SPDX-License-Identifier: Apache-2.0
  *
- *   kilter_corrector_mex('load', bytes, settled)  take a program (uint8), as kilter export --format corrector writes it
+ *   kilter_corrector_mex('load', bytes, settled)  take a program (uint8), as kilter version export --format corrector writes it
  *   [q, status, flags, left_m] = kilter_corrector_mex('step', wanted, dt)   one setpoint of a stream, rad or m
  *   [q, status, flags, left_m] = kilter_corrector_mex('alone', wanted)      one that follows no other
  *   kilter_corrector_mex('restart', settled)      forget the past

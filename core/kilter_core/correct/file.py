@@ -41,7 +41,7 @@ HEADER = struct.Struct("<4sIIIIIIIQ40s48s")
 VERSION_BYTES, ROBOT_BYTES = 40, 48
 CRC_AT = 28
 MOST_JOINTS, MOST_MOVES, MOST_ROWS, MOST_ROUNDS = 16, 64, 1024, 1000
-_AGAIN = "export the version again with `kilter export --format corrector`."
+_AGAIN = "export the version again with `kilter version export --format corrector`."
 _OF_ONE = "export the version again from a server of this release, or install the release that wrote it."
 
 

@@ -17,11 +17,12 @@ from typing import Any
 class Method:
     """A way to fit.
 
-    ``where`` is ``module:function`` below ``kilter_core.identify``, a function of the start, the measurement, the options
-    and who hears of progress, that returns a ``Fit``. ``summary`` is its line in `kilter methods`. ``minimum`` says that it
-    ends at a least-squares minimum, which intervals rest on; ``lets_rows_go`` that it goes with loss "tukey"; ``continues``
-    that it takes what is known beforehand, and goes on from it; ``weighs_by_influence`` that it needs the influence of every
-    row. ``again`` fits the same rows anew where a start near the minimum is known; empty: the method itself, from its start.
+    ``where`` is ``module:function`` below ``kilter_core.identify``, a function of the start, the measurement, the
+    options and who hears of progress, that returns a ``Fit``. ``summary`` is its line in `kilter server methods`.
+    ``minimum`` says that it ends at a least-squares minimum, which intervals rest on; ``lets_rows_go`` that it goes
+    with loss "tukey"; ``continues`` that it takes what is known beforehand, and goes on from it;
+    ``weighs_by_influence`` that it needs the influence of every row. ``again`` fits the same rows anew where a start
+    near the minimum is known; empty: the method itself, from its start.
     """
 
     where: str

@@ -176,7 +176,7 @@ class Kind(ABC):
         """
         raise ObservationError(
             "Contacts and distances tell where the tool is only together, so none of these rows has an error of its own: "
-            "evaluate them (kilter evaluate), or name other campaigns."
+            "evaluate them (kilter version evaluate), or name other campaigns."
         )
 
     def check(self) -> None:

@@ -87,7 +87,7 @@ def _refuse_cited(session: Session, campaign: CampaignRecord) -> None:
     if citing:
         raise ServiceError(
             f"Campaign {campaign.id} is cited by {', '.join(citing[:10])}{' and more' if len(citing) > 10 else ''}: "
-            f"purge those first, or retire it instead (kilter campaigns retire {campaign.id}).",
+            f"purge those first, or retire it instead (kilter measure campaigns retire {campaign.id}).",
             code="cited",
             campaign=campaign.id,
             cited_by=citing,

@@ -102,7 +102,7 @@ def _with_recent_activation(database: Database, verdict: Verdict, version_id: st
     minutes = round((utc_now() - last.at).total_seconds() / 60.0)
     said = (
         f"{last.actor} activated version {last.version_id} {f'{minutes} min' if minutes else 'less than a minute'} ago: "
-        "this replaces it. `kilter rollback` returns to it."
+        "this replaces it. `kilter version rollback` returns to it."
     )
     return replace(verdict, warnings=({"code": "activated_lately", "message": said}, *verdict.warnings))
 

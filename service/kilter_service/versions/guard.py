@@ -321,7 +321,7 @@ class Case:
             name = self.campaign_label(campaign)
             message = (
                 f"Campaign {name} was left out: no model fits it, the best leaves {to_mm(best):.4g} mm. {said} Correct or "
-                f"retire it (`kilter campaigns retire {campaign}`)."
+                f"retire it (`kilter measure campaigns retire {campaign}`)."
             )
             self.warn("campaign_fits_no_model", message)
         return said is not None

@@ -55,7 +55,7 @@ class Expected:
         )
         raise ServiceError(
             f"Another version was active when you looked: now {now}{'' if last is None else f' by {last.actor}'}. Nothing "
-            "was changed. Look at it (`kilter activations ROBOT`), and ask again if you still want to.",
+            "was changed. Look at it (`kilter version activations ROBOT`), and ask again if you still want to.",
             code="activation_changed",
             etag=tag,
             active=None if last is None else last.version_id,

@@ -68,7 +68,7 @@ def purge(database: Database, version_id: str, actor: str) -> Tombstone:
         if citing:
             raise ServiceError(
                 f"Version {version.id} is cited by {', '.join(citing[:10])}{' and more' if len(citing) > 10 else ''}: purge "
-                f"what can be purged first, or retire it instead (kilter versions retire {version.id}).",
+                f"what can be purged first, or retire it instead (kilter version retire {version.id}).",
                 code="cited",
                 version=version.id,
                 cited_by=citing,

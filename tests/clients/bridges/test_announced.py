@@ -1,4 +1,4 @@
-"""A bridge on the page, in `kilter status` and in the library: what it does, since when, and that it is gone."""
+"""A bridge on the page, in `kilter server status` and in the library: what it does, since when, and that it is gone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`kilter inspect` and `kilter match` as a person runs them; long tables in parts, broken off and taken up again."""
+"""`kilter measure inspect` and `match` as a person runs them; long tables in parts, broken off and taken up again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `kilter kit` says of many simulated SO-101, worn and clean: ``python -m tests.clients.lerobot.many_arms --n 200``.
+"""What `kilter robot kit` says of many simulated SO-101, worn and clean: ``python -m tests.clients.lerobot.many_arms --n 200``.
 
 Worn and clean arms are asked in turns, through a server of its own, as a person asks: with the views that the kit wants
 besides. Stops and goes on where it was.
@@ -23,11 +23,11 @@ import numpy as np
 
 from kilter_client import Kilter
 from kilter_client.cli import run as kilter_command
+from kilter_client.requests.local_server import local_server
 from tests.blind.bounds import Figure, share
 from tests.clients.files.formats.test_lerobot import calibration
 from tests.clients.lerobot.so101_twin import Twin
 from tests.clients.lerobot.webcam import View, advised, views, views_near, written
-from tools.local_server import local_server
 
 POSES, PAYLOADS, CORNER_PX, PLAY_DEG = 20, (0.0, 0.2), 0.5, 1.0
 LOADED = (2, 3, 4)  # joints that gravity loads

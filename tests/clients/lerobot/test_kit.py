@@ -1,4 +1,4 @@
-"""`kilter kit so101`: from views of a simulated arm to what it has, and to a corrected grasp. MuJoCo is the arm."""
+"""`kilter robot kit so101`: from views of a simulated arm to what it has, and to a corrected grasp. MuJoCo is the arm."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_views_that_tell_too_little_are_named_before_anything_is_sent(
     other = tmp_path / "points.csv"
     other.write_text("q1_deg,x_mm\n1,2\n")
     refused = command.json("kit", "so100", other, "--cameras", rig, "--calibration", servos, code=1)
-    assert "has no column q2_deg. Give the views that `kilter see` writes" in refused["detail"]
+    assert "has no column q2_deg. Give the views that `kilter measure see` writes" in refused["detail"]
     leader = calibration(tmp_path / "calibration/teleoperators/so101_leader")
     refused = command.json("kit", "so100", rows, "--cameras", rig, "--calibration", leader, code=1)
     assert "is of a leader" in refused["detail"]
@@ -67,7 +67,7 @@ def test_views_that_tell_too_little_are_named_before_anything_is_sent(
     document = command.json("kit", "lekiwi", rows, "--cameras", rig, "--calibration", mobile, code=4)
     assert any("joint 3 (arm_elbow_flex) came from above" in line for line in document["missing"])
     steps = command("kit", "so100")
-    assert "kilter board --columns 5 --rows 4 --square-mm 15 -o board.pdf" in steps
+    assert "kilter measure board --columns 5 --rows 4 --square-mm 15 -o board.pdf" in steps
     assert "nobody" in command.json("kit", "nobody", code=1)["detail"]
     assert "no views of this arm yet" in page("so100")
     kilter.robots.add({"name": "kit-few", "convention": "preset", "preset": "so101"})

@@ -1,4 +1,4 @@
-"""`kilter twin compare` with views of a board: any model of the arm, in pixels and in millimetres at the tool."""
+"""`kilter version twin compare` with views of a board: any model of the arm, in pixels and in millimetres at the tool."""
 
 from __future__ import annotations
 

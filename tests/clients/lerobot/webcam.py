@@ -1,4 +1,4 @@
-"""A webcam, and a board on the gripper of a simulated SO-101: corners by a pinhole of its own, as `kilter see` has them."""
+"""A webcam, and a board on the gripper of a simulated SO-101: corners by a pinhole of its own, as `measure see` has them."""
 
 from __future__ import annotations
 

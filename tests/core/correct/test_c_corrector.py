@@ -450,7 +450,7 @@ def test_the_loop_holds_the_last_correction_then_fades_it_where_a_setpoint_is_re
     for content, said in (
         (blob[:-5], "The program is cut off: export it again."),
         (b"", "The program is cut off: export it again."),
-        (b"q1_deg,q2_deg\n" * 100, "take what kilter export --format corrector writes"),
+        (b"q1_deg,q2_deg\n" * 100, "take what kilter version export --format corrector writes"),
         (blob[:4] + b"\x09\0\0\0" + blob[8:], "is newer than this code"),
         (blob[:12] + b"\0\0\0\0" + blob[16:], "is of another release"),
         (blob[:200] + bytes([blob[200] ^ 4]) + blob[201:], "its checksum is wrong: export it again"),

@@ -1,4 +1,4 @@
-"""The twin of a version that `kilter kit` makes: backlash that changes sides over 0.005 N m is a hinge with limits."""
+"""The twin of a version that `kilter robot kit` makes: backlash that changes sides over 0.005 N m is a hinge with limits."""
 
 from __future__ import annotations
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-FIND = "Corners of a board in it are found with kilter see, which takes the joints too; upload what comes out"
+FIND = "Corners of a board in it are found with kilter measure see, which takes the joints too; upload what comes out"
 EXPORT = "Export the numbers."
-PICTURE = f"{FIND}. A scanned pencil sheet is read with kilter sheet-read; of a screenshot export the numbers."
+PICTURE = f"{FIND}. A scanned pencil sheet is read with kilter measure sheet-read; of a screenshot export the numbers."
 VIDEO = f"{FIND}."
 BY_BYTES: Mapping[bytes, tuple[str, str]] = {
     b"\x89HDF": ("an HDF5 file (MATLAB 7.3)", "Save it in MATLAB with '-v7'."),
     b"\x1f\x8b": ("compressed with gzip", "Unpack it first."),
-    b"%PDF": ("a PDF", f"{EXPORT} A scanned pencil sheet is read with kilter sheet-read."),
+    b"%PDF": ("a PDF", f"{EXPORT} A scanned pencil sheet is read with kilter measure sheet-read."),
     b"\x1aE\xdf\xa3": ("a video", VIDEO),
 }
 PICTURES = re.compile(
@@ -22,13 +22,13 @@ VIDEOS = re.compile(rb"RIFF.{4}AVI |.{4}ftyp", re.DOTALL)
 DOCUMENTS: tuple[tuple[re.Pattern[bytes], str, str], ...] = (
     (
         re.compile(rb'\s*\{(?=.*"cameras"\s*:)', re.DOTALL),
-        "the description of cameras and boards that kilter see writes beside its views",
+        "the description of cameras and boards that kilter measure see writes beside its views",
         "Give it with them: kilter upload ROBOT views.csv --cameras THIS; on the page drop the views first, and it after them.",
     ),
     (
         re.compile(rb'\s*\{(?=.*"kind"\s*:\s*"(?:charuco|apriltag)")', re.DOTALL),
         "the description of a printed board",
-        "Give it to kilter see (--board) with the pictures, and upload what comes out.",
+        "Give it to kilter measure see (--board) with the pictures, and upload what comes out.",
     ),
     (
         re.compile(
@@ -36,7 +36,7 @@ DOCUMENTS: tuple[tuple[re.Pattern[bytes], str, str], ...] = (
             re.DOTALL,
         ),
         "a description of the intrinsics of a camera",
-        "Give it to kilter see (--camera) with the pictures, and upload what comes out.",
+        "Give it to kilter measure see (--camera) with the pictures, and upload what comes out.",
     ),
 )
 

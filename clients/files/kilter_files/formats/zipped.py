@@ -29,14 +29,16 @@ def of_zip(path: Path) -> FileError:
             path,
             "is a ZIP archive of a LeRobot data set",
             "Unpack it, and match its folder with a recording: it says where "
-            "the servos were, and not where the tool was (kilter match RECORDING FOLDER --calibration JSON --norm-mode MODE).",
+            "the servos were, and not where the tool was (kilter measure match RECORDING FOLDER --calibration JSON "
+            "--norm-mode MODE).",
         )
     pictures = [name for name in names if name.lower().endswith(PICTURES)]
     if pictures and len(pictures) > len(names) / 2:
         return fault(
             path,
             f"is a ZIP archive of {len(pictures)} pictures",
-            "Unpack it: kilter see finds the board in them (kilter see FOLDER --board BOARD.json --joints JOINTS.csv).",
+            "Unpack it: kilter measure see finds the board in them (kilter measure see FOLDER --board BOARD.json "
+            "--joints JOINTS.csv).",
         )
     more = ", ..." if len(names) > MOST_NAMED else ""
     holds = f" ({', '.join(names[:MOST_NAMED])}{more})" if names else ", and empty"

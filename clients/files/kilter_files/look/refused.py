@@ -29,7 +29,9 @@ def otherwise_separated(prepared: Prepared) -> list[str]:
     head = prepared.content.split(b"\n", 1)[0]
     if prepared.content_type != CSV_TYPE or not (b";" in head or b"\t" in head):
         return []
-    return ["its columns are separated by ';' or tabs: kilter inspect FILE --draft columns.toml writes a map for --map"]
+    return [
+        "its columns are separated by ';' or tabs: kilter measure inspect FILE --draft columns.toml writes a map for --map"
+    ]
 
 
 def refusals(columns: Columns, joints: Sequence[Mapping[str, Any]] | None, lines: Sequence[int] = ()) -> list[str]:

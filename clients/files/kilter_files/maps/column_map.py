@@ -64,7 +64,7 @@ def contract_map(source: Source) -> ColumnMap:
         said = ", ".join(map(repr, odd[:6])) or "none has a name"
         raise FileError(
             f"{path}: not all of its columns are the contract's: {said}. Write a column map "
-            f"(`kilter inspect {quote(str(path))} --draft columns.toml`) and give it with --map.",
+            f"(`kilter measure inspect {quote(str(path))} --draft columns.toml`) and give it with --map.",
             file=str(path),
         )
     note = "contract columns of the workbook's first sheet"

@@ -1,4 +1,4 @@
-"""Readings of inclinometers at joints, one row each, as ``kilter joint-parameters --propose`` writes them to be filled in."""
+"""Readings of inclinometers at joints, a row each, as ``kilter measure joint-parameters --propose`` writes them."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ class SheetOrder:
         return (
             f"its line fits this robot with the quarter points in the order {order} ({mm(self.left):.3f} mm are left), "
             f"not as given ({mm(self.as_given):.3f} mm). Write the rows of the points file in the order {order}, join the "
-            "sheet again (kilter sheet-join) and upload what that writes"
+            "sheet again (kilter measure sheet-join) and upload what that writes"
         )
 
 

@@ -54,7 +54,7 @@ def refuse_misplaced_corners(views: Pixels) -> None:
                 f"Corners that camera {camera.name!r} saw of board {board.name!r} do not lie as `corners_mm` says: wherever "
                 f"the board stands they are off by {far} (median of {len(seen)} views, which spread over {spread:.3g} px). "
                 "It is the description of another board, its columns and rows are swapped, or corners are numbered otherwise: "
-                "give the corners in the order of u1_px, v1_px, ... as `kilter see` does.",
+                "give the corners in the order of u1_px, v1_px, ... as `kilter measure see` does.",
                 code="corners_misplaced",
                 camera=camera.name,
                 board=board.name,
@@ -92,7 +92,7 @@ def refuse_other_camera(begin: Calibration, rows: Observations, rig: Rig, camera
         f"With the intrinsics that its own views ask for (focal lengths {fx:.4g} and {fy:.4g} px, centre {cx:.4g}, "
         f"{cy:.4g} px) camera {stated.name!r} and the arm agree to {freed.sigma_px:.2g} px, with those stated ({given}, lens "
         f"{stated.model}) to {held.sigma_px:.2g} px: these are of another camera, zoom, focus or picture size. Find them anew "
-        '(`kilter see --intrinsics brown`), or let the fit find them ("intrinsics": "free", with a lens).',
+        '(`kilter measure see --intrinsics brown`), or let the fit find them ("intrinsics": "free", with a lens).',
         code="intrinsics_differ",
         camera=stated.name,
         stated_px=held.sigma_px,

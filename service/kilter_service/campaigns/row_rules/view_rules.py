@@ -99,7 +99,7 @@ def views_rules(columns: Sequence[Column], conditions: Mapping[str, Any] | None)
     if conditions is not None and rig is None:
         raise ObservationError(
             "The upload has pixels, and the campaign describes no cameras and boards: make a campaign whose conditions have "
-            "cameras and boards, as `kilter see` writes them (`kilter upload --cameras`).",
+            "cameras and boards, as `kilter measure see` writes them (`kilter upload --cameras`).",
             code="cameras_missing",
         )
     if rig is not None:

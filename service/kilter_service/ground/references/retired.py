@@ -6,6 +6,9 @@ from datetime import datetime
 
 from kilter_service.ground.errors import ServiceError
 
+# The command that lists, names and retires what there is of a kind.
+COMMANDS = {"robot": "robot", "campaign": "measure campaigns", "version": "version"}
+
 
 def refuse(kind: str, id_: str, retired_at: datetime | None) -> None:
     """Refuse to work with what is retired.
@@ -15,10 +18,9 @@ def refuse(kind: str, id_: str, retired_at: datetime | None) -> None:
 
     """
     if retired_at is not None:
-        command = "robot" if kind == "robot" else f"{kind}s"
         raise ServiceError(
             f"{kind.capitalize()} {id_} is retired since {retired_at:%Y-%m-%d}: take another, or bring it back with "
-            f"`kilter {command} restore {id_}`.",
+            f"`kilter {COMMANDS[kind]} restore {id_}`.",
             code="retired",
             kind=kind,
             id=id_,

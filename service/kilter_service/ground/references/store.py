@@ -18,6 +18,7 @@ from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow, Tombs
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.ground.references.records import TombstoneRecord, Whose
+from kilter_service.ground.references.retired import COMMANDS
 
 Table = type[CampaignRow] | type[VersionRow] | type[JobRow]
 TABLES: Mapping[Kind, Table] = {"campaign": CampaignRow, "version": VersionRow, "job": JobRow}
@@ -123,7 +124,7 @@ def check_name(session: Session, kind: Kind, robot_id: int, name: str, own_id: s
     others = [one for one in find_by_name(session, kind, robot_id, name) if one.in_use and one.id != own_id]
     if others:
         remedy = f", add to that one with --campaign {others[0].id}" if kind == "campaign" else ""
-        retire = "" if kind == "job" else f", or retire that one (kilter {kind}s retire {others[0].id})"
+        retire = "" if kind == "job" else f", or retire that one (kilter {COMMANDS[kind]} retire {others[0].id})"
         raise ServiceError(
             f"Robot {others[0].robot!r} has a {kind} called {name!r} already, {others[0].id}: give another name"
             f"{remedy}{retire}.",

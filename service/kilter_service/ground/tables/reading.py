@@ -114,7 +114,7 @@ def _numeric(schema: pa.Schema) -> None:
             raise ObservationError(
                 f"Column {field.name[:64]!r} is {str(field.type)[:64]}, not numbers. Send a column for each number, named as "
                 "in the reference of observations; files of other programs (a data set of LeRobot) become such columns by "
-                "`kilter match`, `kilter see` or `kilter upload`.",
+                "`kilter measure match`, `kilter measure see` or `kilter upload`.",
                 column=field.name[:64],
             )
 

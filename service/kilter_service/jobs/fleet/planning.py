@@ -107,7 +107,7 @@ def _latest(session: Session, robot: str, robot_id: int, before: str | None) -> 
     if not chosen:
         raise ServiceError(
             f"Robot {robot!r} has no campaign to identify it from: upload one (kilter upload {robot} FILE), bring one back "
-            "with `kilter campaigns restore`, or name campaigns.",
+            "with `kilter measure campaigns restore`, or name campaigns.",
             code="campaigns_invalid",
             robot=robot,
         )

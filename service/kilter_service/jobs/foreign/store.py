@@ -15,7 +15,7 @@ RETIRED = (
     "campaigns restore {campaign}`)."
 )
 KEPT = (
-    " Campaign {campaign} is still in use, because {why}: ask an administrator to retire it (`kilter campaigns retire "
+    " Campaign {campaign} is still in use, because {why}: ask an administrator to retire it (`kilter measure campaigns retire "
     "{campaign}`) unless it shows this arm as it is, so that nothing is compared with it."
 )
 TO_FIT = "it was sent to be fitted"

@@ -66,7 +66,8 @@ def _other_length(campaign: str, bar: int, read: float, found: float) -> dict[st
         "code": "bar_length_doubtful",
         "message": f"{campaign}: bar {bar} reads {to_mm(read):.3f} mm, but the joints put the tool {to_mm(found):.3f} mm "
         f"from the ball at its fixed end ({found / read:.4g} times), and the rows fit that length better. Is the stated "
-        "nominal length wrong? Give the right one (kilter ballbar-join --radius-mm, or the line above the log) and upload "
+        "nominal length wrong? Give the right one (kilter measure ballbar-join --radius-mm, or the line above the "
+        "log) and upload "
         "again.",
     }
 

@@ -35,7 +35,8 @@ REFUSED = frozenset(
 )
 MOST_ROWS = 10  # named
 STAYS = (
-    " Campaign {campaign} is still in use: retire it, on its page or by `kilter campaigns retire {campaign}`, so that nothing "
+    " Campaign {campaign} is still in use: retire it, on its page or by `kilter measure campaigns retire "
+    "{campaign}`, so that nothing "
     "is compared with it."
 )
 

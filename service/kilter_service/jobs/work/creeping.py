@@ -19,8 +19,9 @@ from kilter_service.versions.drift.charts import height
 EVERY_S = 60.0  # how often robots that creep are looked at: a repair or another version ends it without a check
 BEGAN, ENDED = "creeping_began", "creeping_ended"
 REMEDY = (
-    "`kilter drift {robot}` shows the sums. Check with more poses, which name the cause; then repair the arm, re-zero what "
-    "moved (kilter rezero), or identify it anew."
+    "`kilter watch drift {robot}` shows the sums. Check with more poses, which name the cause; then repair the arm, "
+    "re-zero what "
+    "moved (kilter watch rezero), or identify it anew."
 )
 
 

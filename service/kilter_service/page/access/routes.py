@@ -1,4 +1,4 @@
-"""Who may do what, for those who administer the server: seen, given and ended as by ``kilter token``."""
+"""Who may do what, for those who administer the server: seen, given and ended as by ``kilter server token``."""
 
 from __future__ import annotations
 

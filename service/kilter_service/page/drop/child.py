@@ -83,24 +83,26 @@ def understood(path: Path, read_as: str, joints: Sequence[str] = ()) -> Document
 
 
 MARKERS_ALONE = (
-    "a recording of markers alone says nothing of the joints. Join it with the joint log first (`kilter match`), and drop "
-    "what comes out."
+    "a recording of markers alone says nothing of the joints. Join it with the joint log first "
+    "(`kilter measure match`), and drop what comes out."
 )
 ALONE: Mapping[str, str] = {
     "c3d": MARKERS_ALONE,
     "n3d": MARKERS_ALONE,
     "marker-csv": MARKERS_ALONE,
-    "inclinometer": "an inclinometer measures joints, not the tool. Join it with the joint log first (`kilter tilt-join`).",
-    "ballbar": "the log of this ball bar has no joint readings. Join it with the joint log first (`kilter ballbar-join`).",
-    "bag": "a bag of joint states alone has no measurement. Join it with the recording (`kilter match`).",
+    "inclinometer": "an inclinometer measures joints, not the tool. Join it with the joint log first "
+    "(`kilter measure tilt-join`).",
+    "ballbar": "the log of this ball bar has no joint readings. Join it with the joint log first "
+    "(`kilter measure ballbar-join`).",
+    "bag": "a bag of joint states alone has no measurement. Join it with the recording (`kilter measure match`).",
     "lerobot-calibration": "a calibration of servos has no rows. State it with the views or the joint log on the command line "
-    "(`kilter kit ROBOT VIEWS --calibration FILE`, `kilter upload` and `kilter match` likewise): rows of another one are "
-    "refused then.",
+    "(`kilter robot kit ROBOT VIEWS --calibration FILE`, `kilter upload` and `kilter measure match` likewise): "
+    "rows of another one are refused then.",
     "lerobot": "a part of a LeRobot data set says where the servos were, and not where the tool was. Match the whole folder "
-    "with a recording on the command line (`kilter match RECORDING FOLDER --calibration JSON --norm-mode MODE`), and drop "
-    "what comes out.",
-    "mjcf": "a model of MuJoCo has no rows. `kilter twin compare MODEL CAMPAIGN` scores it on a campaign, `kilter twin read "
-    "MODEL` reads its drives.",
+    "with a recording on the command line "
+    "(`kilter measure match RECORDING FOLDER --calibration JSON --norm-mode MODE`), and drop what comes out.",
+    "mjcf": "a model of MuJoCo has no rows. `kilter version twin compare MODEL CAMPAIGN` scores it on a campaign, "
+    "`kilter version twin read MODEL` reads its drives.",
 }
 
 

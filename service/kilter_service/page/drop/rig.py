@@ -1,4 +1,4 @@
-"""Cameras and boards of a dropped file of views: the JSON that `kilter see` writes beside it, dropped as well."""
+"""Cameras and boards of a dropped file of views: the JSON that `kilter measure see` writes beside it, dropped as well."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from kilter_service.page.drop.drafts import Draft
 
 PARTS: Mapping[str, type[Camera] | type[Board]] = {"cameras": Camera, "boards": Board}
 MISSING = (
-    "These rows have corners in pixels, and nothing says of which cameras and boards: give the JSON that `kilter see` wrote "
+    "These rows have corners in pixels, and nothing says of which cameras and boards: give the JSON that `kilter "
+    "measure see` wrote "
     "beside them (Cameras and boards, below)."
 )
-REMEDY = "Give the JSON that `kilter see` writes beside its views."
+REMEDY = "Give the JSON that `kilter measure see` writes beside its views."
 MOST_TOLD = 5
 
 
@@ -37,7 +38,7 @@ def add_to_draft(draft: Draft, name: str, document: Any) -> None:
     if len(lacking) == len(rig):
         raise ServiceError(f"{name} describes no cameras and boards. {REMEDY}", code="cameras_missing")
     if lacking:
-        remedy = "State the intrinsics when you run `kilter see` (--camera, or --intrinsics brown)."
+        remedy = "State the intrinsics when you run `kilter measure see` (--camera, or --intrinsics brown)."
         raise ServiceError(
             f"{name} names no {lacking[0]}. {remedy if lacking == ['cameras'] else REMEDY}", code="cameras_missing"
         )

@@ -24,7 +24,7 @@ MEASURED = "measured"
 MERIT, BUDGET = "Figure of merit", "Budget, standard uncertainties of a coordinate"
 NOT_STATED = (
     "Nothing is decided, because no tolerance was stated: state one above the report on the page, or ask "
-    "`kilter accept {robot} --tolerance 0.3`."
+    "`kilter version accept {robot} --tolerance 0.3`."
 )
 WITHIN, BAND, BEYOND = "within by the guard band", "within it or its band", "beyond"
 VIEWS = (("from above", 0, 1), ("from the side", 0, 2))

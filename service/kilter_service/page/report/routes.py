@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import HTMLResponse
+from markupsafe import Markup
 
 from kilter_service.contract.units import MAX_NAMED
 from kilter_service.ground.db import Database
@@ -89,6 +90,12 @@ def of_job(job: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     return render(request, "report/page.html", sheet=service.of_job(database, job), place=f"/jobs/{job}")
 
 
+@router.get("/jobs/{job}/report.html")
+def job_page(job: str, database: DatabaseOfApp) -> HTMLResponse:
+    """Return the report of a job as one page that needs no other file, to keep or to send."""
+    return HTMLResponse(_printed(service.of_job(database, job), source("report.css")))
+
+
 @router.get("/versions/{version}/report.pdf")
 def version_pdf(version: AddressedVersion, request: Request, database: DatabaseOfApp, wish: WishOfReport) -> Response:
     """Return the report of a version as PDF."""
@@ -101,11 +108,14 @@ def job_pdf(job: str, request: Request, database: DatabaseOfApp) -> Response:
     return _pdf(request, database, service.of_job(database, job))
 
 
+def _printed(sheet: Sheet, css: str = "") -> str:
+    shown: dict[str, Any] = {"sheet": sheet, "css": Markup(css)}  # noqa: S704 (our own style sheet)
+    return environment().get_template("report/printed.html").render(**shown)
+
+
 def _pdf(request: Request, database: Database, sheet: Sheet) -> Response:
-    shown: dict[str, Any] = {"sheet": sheet}
-    html = environment().get_template("report/printed.html").render(**shown)
     with get_scratch(request).folder_for("report") as folder:
-        made = pdf(folder, html, source("report.css"))
+        made = pdf(folder, _printed(sheet), source("report.css"))
     name = sheet.version.id if sheet.version is not None else sheet.job.id
     return Response(
         made, media_type="application/pdf", headers={"Content-Disposition": f'inline; filename="{name}.pdf"'}

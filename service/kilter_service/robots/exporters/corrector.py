@@ -40,7 +40,7 @@ def c_source(version: Exportable) -> Written:
             " * Other files that call it take kilter_corrector.h, which is the first part of this one. */",
             header,
             code.replace('#include "kilter_corrector.h"\n', ""),
-            "/* The program: what kilter export --format corrector writes. */",
+            "/* The program: what kilter version export --format corrector writes. */",
             "extern const unsigned char kc_program[];",
             f"const unsigned char kc_program[{len(content)}] = {{",
             *(f"    {line}," for line in lines),

@@ -47,7 +47,9 @@ def get(session: Session, name: str) -> Instrument:
     if found is None:
         names = session.execute(select(InstrumentRow.name).order_by(InstrumentRow.name)).scalars().all()
         known = (
-            f"There are: {', '.join(names)}." if names else "There is none yet: add it with `kilter instrument add`."
+            f"There are: {', '.join(names)}."
+            if names
+            else "There is none yet: add it with `kilter measure instrument add`."
         )
         raise ServiceError(f"There is no instrument {name!r}. {known}", code="instrument_not_found", instrument=name)
     return found

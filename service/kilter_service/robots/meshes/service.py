@@ -128,7 +128,7 @@ def of_urdf(database: Database, robot: str) -> UrdfShapes:
     if document["convention"] != "urdf":
         raise ServiceError(
             f"Robot {robot!r} was not described by a URDF, which would name shapes: give each link its file "
-            "(`kilter mesh set`).",
+            "(`kilter robot mesh set`).",
             code="option_invalid",
         )
     found = link_shapes(document["urdf"], document["base_link"], document["tip_link"])

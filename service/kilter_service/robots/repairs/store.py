@@ -31,7 +31,7 @@ def remove(session: Session, robot_id: int, key: str) -> None:
     row = session.get(RepairRow, key)
     if row is None or row.robot_id != robot_id:
         raise ServiceError(
-            f"The robot has no repair {key!r}: its drift history lists them (kilter drift ROBOT).",
+            f"The robot has no repair {key!r}: its drift history lists them (kilter watch drift ROBOT).",
             code="repair_not_found",
             repair=key,
         )

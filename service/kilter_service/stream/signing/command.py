@@ -39,7 +39,7 @@ def _session(text: str) -> bytes:
         found = b""
     if len(found) != sealed.SESSION_BYTES:
         raise argparse.ArgumentTypeError(
-            f"{text!r} is not the id of a session: give its 32 hexadecimal digits (`kilter audit` has them)"
+            f"{text!r} is not the id of a session: give its 32 hexadecimal digits (`kilter server audit` has them)"
         )
     return found
 

@@ -97,7 +97,7 @@ def _stream_held_error(robot: str, stream: str, by: Holder) -> ServiceError:
     return ServiceError(
         f"Stream {stream!r} of robot {robot!r} is held by {by.actor!r} since {by.since:%Y-%m-%d %H:%M} UTC, until "
         f"{until:%Y-%m-%d %H:%M} UTC at the latest: use another name for this stream, or take it over with take_over=true "
-        "(`kilter stream-session --take-over`), which ends that session within a second.",
+        "(`kilter server stream-session --take-over`), which ends that session within a second.",
         code="stream_held",
         holder=by.actor,
         since=by.since.isoformat(),

@@ -66,7 +66,7 @@ def missing_evidence_remarks(campaign: JudgedCampaign, certificate: list[Remark]
     if campaign.instrument is None:
         message = (
             f"campaign {campaign.name} names no instrument, so the guard band lacks its error. Add it "
-            "(`kilter instrument add`) and name it: `kilter accept --instrument NAME`."
+            "(`kilter measure instrument add`) and name it: `kilter version accept --instrument NAME`."
         )
         yield Remark(code="instrument_not_named", message=message, campaigns=[campaign.id])
     yield from (one.model_copy(update={"campaigns": [campaign.id]}) for one in certificate)
@@ -93,7 +93,7 @@ def another_arm(campaign: str) -> str:
     return (
         f"campaign {campaign} misses the version by more than 2 % of the arm's reach, and no one cause explains it: its rows "
         f"are of another arm or set-up, or the arm is far off. Where they are not of this arm, take it out of use (`kilter "
-        f"campaigns retire {campaign}`); else name it, and it is judged (`kilter accept --campaign {campaign}`)."
+        f"campaigns retire {campaign}`); else name it, and it is judged (`kilter version accept --campaign {campaign}`)."
     )
 
 

@@ -30,7 +30,8 @@ SEARCH = (
     "that a check does not know."
 )
 MOVED = (
-    "Repair it and check again; or make a version of what moved (kilter rezero), or identify one anew. Until then the version "
+    "Repair it and check again; or make a version of what moved (kilter watch rezero), or identify one anew. Until "
+    "then the version "
     "corrects an arm that is no longer there."
 )
 SCATTER = 1.5  # times as much as expected, from which it is said that the rows scatter more
@@ -61,7 +62,8 @@ def dated_before(code: str, campaign: str, at: datetime, other: datetime) -> str
     """Say that rows are dated before what they should come after, and what to do where the date is wrong."""
     return (
         f"Campaign {campaign} is dated {at:%Y-%m-%d %H:%M}, {DATED_BEFORE[code].format(other=other)}. If the date is wrong, "
-        f"as of a clock that was set back, retire it (`kilter campaigns retire {campaign}`) and check again with the right "
+        f"as of a clock that was set back, retire it (`kilter measure campaigns retire {campaign}`) and check again "
+        "with the right "
         "--measured-at."
     )
 

@@ -32,7 +32,7 @@ def _sentences(today: Today) -> Iterator[str]:
     if today.not_evaluated:
         named = "; ".join(f"{one.name}, {one.when}" for one in today.not_evaluated)
         yield (
-            f"Measured since then and not evaluated: {named}. Evaluate it: `kilter evaluate {today.robot} --campaign "
+            f"Measured since then and not evaluated: {named}. Evaluate it: `kilter version evaluate {today.robot} --campaign "
             f"{today.not_evaluated[-1].id}`."
         )
     if today.missing is not None:
@@ -83,7 +83,7 @@ def describe_change(
         return f"Its own job said {mean} ({day}), not more than chance explains, but the check says {alarm}"
     if larger_by_mm is None:
         return f"Its own job said {mean} ({day}); the difference is not more than chance explains."
-    command = f"`kilter evaluate {robot} --campaign {newest.campaigns[0].id} --refit base`"
+    command = f"`kilter version evaluate {robot} --campaign {newest.campaigns[0].id} --refit base`"
     anew = f" Where the instrument was set up anew, evaluate with `--refit base` first: {command}."
     if alarm is not None:
         command = f"`kilter check {robot} --campaign {newest.campaigns[0].id} --new-setup base`"

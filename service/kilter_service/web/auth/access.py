@@ -120,7 +120,7 @@ def _check_role(caller: Caller, rule: Rule, route: str) -> None:
     if rule.role is not None and RANK[caller.role] < RANK[rule.role]:
         raise ServiceError(
             f"Token {caller.actor!r} has the role {caller.role}, and {route} needs {rule.role}: ask an admin for such a "
-            f"token (`kilter token add NAME --role {rule.role}`).",
+            f"token (`kilter server token add NAME --role {rule.role}`).",
             code="role_too_low",
             role=caller.role,
             needed=rule.role,

@@ -208,6 +208,7 @@ PAGE_RULES: Mapping[str, Rule] = {
     "GET /versions/{version}/report.pdf": READ_COMPUTED.with_time_limit(LATER),
     "GET /jobs/{job}/report": READ_COMPUTED.with_time_limit(LATER),
     "GET /jobs/{job}/report.pdf": READ_COMPUTED.with_time_limit(LATER),
+    "GET /jobs/{job}/report.html": READ_COMPUTED.with_time_limit(LATER),
     "GET /jobs": READ,
     "GET /jobs/compare": READ,
     "GET /audit": SERVER,

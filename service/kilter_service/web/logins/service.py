@@ -55,7 +55,7 @@ def take_link(database: Database, secret: str) -> str:
         found = store.consume_login(session, _stored_link_key(secret))
     if found is None:
         raise ServiceError(
-            "This link was used already or is too old: print a new one with `kilter login`, or log in with your token.",
+            "This link was used already or is too old: print a new one with `kilter server login`, or log in with your token.",
             code="token_ended",
         )
     return found

@@ -70,20 +70,20 @@ def get_valid_token(database: Database, sha256: str) -> TokenRecord:
     if found is None:
         raise ServiceError(
             "The token is not one of this server's: compare it with the `token` file in the server's data folder, or ask "
-            "an admin for a new one (`kilter token add`).",
+            "an admin for a new one (`kilter server token add`).",
             code="token_wrong",
         )
     if found.revoked_at is not None or (found.expires_at is not None and found.expires_at <= utc_now()):
         ended = f"was revoked by {found.revoked_by}" if found.revoked_at else "has expired"
         raise ServiceError(
-            f"Token {found.name!r} {ended}: ask an admin for a new one (`kilter token add`).",
+            f"Token {found.name!r} {ended}: ask an admin for a new one (`kilter server token add`).",
             code="token_ended",
             name=found.name,
         )
     if altered:
         log.error("token %s does not work, it was altered past Kilter: %s Run `kilterd verify`.", found.id, altered)
         raise ServiceError(
-            f"Token {found.name!r} was altered past Kilter: ask an admin for a new one (`kilter token add`).",
+            f"Token {found.name!r} was altered past Kilter: ask an admin for a new one (`kilter server token add`).",
             code="token_ended",
             name=found.name,
         )

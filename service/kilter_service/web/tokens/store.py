@@ -38,7 +38,7 @@ def add(
         if other.expires_at is None or other.expires_at > utc_now():
             raise ServiceError(
                 f"There is a token called {name!r} already, {other.id}: give another name, or revoke that one "
-                f"(kilter token revoke {other.id}).",
+                f"(kilter server token revoke {other.id}).",
                 code="name_taken",
                 name=name,
                 id=other.id,
@@ -83,7 +83,9 @@ def revoke(session: Session, token_id: str, actor: str) -> TokenRecord:
     row = session.get(TokenRow, token_id)
     if row is None:
         raise ServiceError(
-            f"There is no token {token_id!r}: list them with `kilter token list`.", code="token_not_found", id=token_id
+            f"There is no token {token_id!r}: list them with `kilter server token list`.",
+            code="token_not_found",
+            id=token_id,
         )
     if row.revoked_at is None:
         row.revoked_at, row.revoked_by = utc_now(), actor

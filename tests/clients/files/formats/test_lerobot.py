@@ -348,7 +348,10 @@ def test_a_zipped_data_set_is_told_to_be_unpacked(tmp_path: Path, capsys: pytest
     for k in range(3):
         (photos / f"{k}.png").write_bytes(b"")
     archive = Path(shutil.make_archive(str(tmp_path / "photos"), "zip", photos))
-    assert "is a ZIP archive of 3 pictures. Unpack it: kilter see" in command.json("inspect", archive, code=1)["detail"]
+    assert (
+        "is a ZIP archive of 3 pictures. Unpack it: kilter measure see"
+        in command.json("inspect", archive, code=1)["detail"]
+    )
     (tmp_path / "rows.csv").write_text("a\n")
     refused = command.json("episodes", tmp_path / "rows.csv", "--norm-mode", "DEGREES", code=1)
     assert "rows.csv: is not a LeRobot data set. Give the folder" in refused["detail"]

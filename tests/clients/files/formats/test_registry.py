@@ -83,7 +83,7 @@ def test_every_reader_states_what_it_is() -> None:
 
 
 def test_a_reader_is_stated_without_the_packages_that_it_needs() -> None:
-    """`kilter formats` and `kilter upload` list and use them where numpy is not installed."""
+    """`kilter measure formats` and `kilter upload` list and use them where numpy is not installed."""
     import subprocess
 
     code = (

@@ -134,7 +134,7 @@ def test_tables_that_no_device_writes_are_shown_with_the_way_in(tmp_path: Path) 
     assert (found["kind"], found["rows"]) == ("table", 5)
     assert [c["name"] for c in found["columns"]] == ["id", "joints[0]", "joints[1]", "pos[0]", "pos[1]", "pos[2]"]
     assert found["columns"][1]["high"] == 0.4
-    assert f"kilter inspect '{path}' --draft columns.toml" in found["notes"][-1]
+    assert f"kilter measure inspect '{path}' --draft columns.toml" in found["notes"][-1]
     book = Workbook()
     assert book.active is not None
     for row in (["Gelenk 1 [°]", "x"], [1.5, 2], [2.5, 3]):

@@ -1,4 +1,4 @@
-"""`kilter inspect --draft`: first maps for files of invented labs, which upload once their marked places are filled."""
+"""`kilter measure inspect --draft`: first maps for files of invented labs, which upload once their marked places are filled."""
 
 from __future__ import annotations
 

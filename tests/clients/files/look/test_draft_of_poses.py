@@ -138,7 +138,7 @@ def test_poses_in_a_list_of_records(
     path = tmp_path / f"a{ending}"
     path.write_text(json.dumps(content) if ending == ".json" else yaml.safe_dump(content))
     text, rows = drafted(path, tmp_path)
-    with pytest.raises(FileError, match=r"column map .*kilter inspect .* --draft columns.toml"):
+    with pytest.raises(FileError, match=r"column map .*kilter measure inspect .* --draft columns.toml"):
         prepare(path)
     assert 'pose_id = { from = "pose_id" }' in text
     for row in rows:

@@ -28,17 +28,20 @@ def test_inspect_says_what_upload_takes(tmp_path: Path, text: str, ready: bool) 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"\x89PNG\r\n\x1a\n" + b"\xff" * 99, "is a picture. Corners of a board in it are found with kilter see"),
+        (
+            b"\x89PNG\r\n\x1a\n" + b"\xff" * 99,
+            "is a picture. Corners of a board in it are found with kilter measure see",
+        ),
         (b"RIFF\x10\0\0\0WEBPVP8 " + b"\xff" * 99, "is a picture."),
         (b"P5\n640 480\n255\n" + b"\x80" * 99, "is a picture."),
         (b"RIFF\x10\0\0\0AVI LIST" + b"\xff" * 99, "is a video."),
         (
             b'{"kind": "charuco", "columns": 9}',
-            "is the description of a printed board. Give it to kilter see (--board)",
+            "is the description of a printed board. Give it to kilter measure see (--board)",
         ),
         (b'{"rows": 1, "cameras": [], "boards": []}', "kilter upload ROBOT views.csv --cameras THIS"),
-        (b"image_width: 9\ncamera_matrix:\n  rows: 3\n", "Give it to kilter see (--camera)"),
-        (b"cam0:\n  camera_model: pinhole\n  distortion_model: radtan\n", "Give it to kilter see (--camera)"),
+        (b"image_width: 9\ncamera_matrix:\n  rows: 3\n", "Give it to kilter measure see (--camera)"),
+        (b"cam0:\n  camera_model: pinhole\n  distortion_model: radtan\n", "Give it to kilter measure see (--camera)"),
     ],
 )
 def test_what_holds_no_measurements_is_told_where_it_belongs(tmp_path: Path, content: bytes, said: str) -> None:

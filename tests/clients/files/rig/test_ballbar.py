@@ -64,7 +64,7 @@ def test_inspect_and_upload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert run(["inspect", str(path), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["kind"], document["rows"], len(document["runs"])) == ("ballbar", 362, 2)
-    with pytest.raises(FileError, match=r"no joints.*kilter sheet-join"):
+    with pytest.raises(FileError, match=r"no joints.*kilter measure sheet-join"):
         prepare(path, "ballbar")
     rows = [f"{a},{100 + deviation(a) / 1000:.5f},{a / 10},5" for a in ANGLES]
     path.write_text("\n".join(["angle_deg,radius_mm,q1_deg,q2_deg", *rows]))
@@ -77,7 +77,7 @@ def test_inspect_and_upload(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 def test_an_inclinometer_makes_no_campaign(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match="kilter joint-parameters"):
+    with pytest.raises(FileError, match="kilter measure joint-parameters"):
         prepare(tmp_path / "tilt.csv", "inclinometer")
 
 

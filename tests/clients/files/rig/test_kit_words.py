@@ -1,4 +1,4 @@
-"""What `kilter kit` says of backlash that is none: a width is never below 0, and neither is what a person reads of it."""
+"""What `kilter robot kit` says of backlash that is none: a width is never below 0, and neither is what a person reads of it."""
 
 from __future__ import annotations
 

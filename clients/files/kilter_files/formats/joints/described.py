@@ -43,7 +43,7 @@ def describe_log(log: JointLog) -> Document:
     if still:
         warnings.append(f"never move: {', '.join(still)}")
     columns = [column(name, column_unit(name), values) for name, values in log.columns.items()]
-    notes = [*log.notes, "joins a recording with kilter match, points with kilter upload --joints"]
+    notes = [*log.notes, "joins a recording with kilter measure match, points with kilter upload --joints"]
     timing = {} if log.t_s is None else _timing(log.t_s)
     warnings += timing.pop("gaps", [])
     return {"kind": "joint-log", "rows": len(log), "columns": columns, "notes": notes, "warnings": warnings} | timing

@@ -257,7 +257,7 @@ def ballbar_table(path: Path) -> Table:
     if not found.joints:
         raise FileError(
             f"{path}: has angle and radius but no joints, so no pose of the robot. Add q1_deg ... to the file, or join "
-            "it with the joint log (kilter sheet-join).",
+            "it with the joint log (kilter measure sheet-join).",
             file=str(path),
         )
     columns = {name: [float(v) for v in values] for name, values in found.joints.items()}

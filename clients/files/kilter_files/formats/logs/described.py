@@ -34,7 +34,9 @@ def describe_ballbar(head: Head) -> Document:
         size = f"circularity {1000 * run['circularity_mm']:.1f} um about its centre ({x:+.4f}, {y:+.4f}) mm"
         notes.append(f"run {run['run']}, {run['direction']}: {size}, mean radius {run['mean_radius_mm']:.4f} mm")
     notes.append(
-        "ready for kilter upload --device ballbar" if found.joints else "joins a joint log with kilter sheet-join"
+        "ready for kilter upload --device ballbar"
+        if found.joints
+        else "joins a joint log with kilter measure sheet-join"
     )
     told = {"notes": notes, "warnings": list(found.warnings), "ready": bool(found.joints), "device": "ballbar"}
     shape = {"layout": head.layout.to_document()}

@@ -24,7 +24,7 @@ class Bag(Reader["JointLog"]):
     use = MATCH
     endings = (".db3", ".mcap")
     is_a = "a ROS 2 bag"
-    instead = "It is the joint log: kilter match RECORDING BAG."
+    instead = "It is the joint log: kilter measure match RECORDING BAG."
 
     def recognises(self, head: Head) -> bool:
         """A folder with metadata, or a file of SQLite or MCAP."""

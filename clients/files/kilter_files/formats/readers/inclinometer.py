@@ -16,7 +16,7 @@ class InclinometerLog(Reader[Table]):
     """Time and inclinations, which make no campaign."""
 
     name = "inclinometer"
-    title = "The log of an inclinometer: no campaign, see `kilter tilt-join`"
+    title = "The log of an inclinometer: no campaign, see `kilter measure tilt-join`"
     use = DEVICE
 
     def recognises(self, head: Head) -> bool:
@@ -36,7 +36,7 @@ class InclinometerLog(Reader[Table]):
         """
         raise FileError(
             f"{path}: an inclinometer measures joints, not tool positions, so it makes no campaign. See what it holds with "
-            "`kilter inspect`, and send readings with `kilter joint-parameters ROBOT --readings FILE`.",
+            "`kilter measure inspect`, and send readings with `kilter measure joint-parameters ROBOT --readings FILE`.",
             file=str(path),
         )
 

@@ -23,7 +23,7 @@ class LeRobot(Reader["JointLog"]):
     title = "LeRobot data set (v2.1, v3.0)"
     use = MATCH
     is_a = "a LeRobot data set"
-    instead = "It is the joint log: kilter match RECORDING FOLDER --calibration JSON --norm-mode MODE."
+    instead = "It is the joint log: kilter measure match RECORDING FOLDER --calibration JSON --norm-mode MODE."
 
     def recognises(self, head: Head) -> bool:
         """A folder with its description, or the description."""

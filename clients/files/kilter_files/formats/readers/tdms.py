@@ -75,7 +75,7 @@ class Tdms(Reader[Source]):
     use = MAP
     endings = (".tdms",)
     is_a = "a TDMS file"
-    instead = "See what it holds with kilter inspect."
+    instead = "See what it holds with kilter measure inspect."
 
     def recognises(self, head: Head) -> bool:
         """The first four bytes."""

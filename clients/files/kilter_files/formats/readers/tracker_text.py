@@ -83,7 +83,7 @@ def read_tracker(
     means = meaning(layout.names, chosen) if layout.header else _without_header(path, layout)
     if not set(AXES) <= set(means):
         said = ", ".join(layout.names[:12])
-        remedy = "Write a column map (kilter inspect FILE --draft columns.toml)."
+        remedy = "Write a column map (kilter measure inspect FILE --draft columns.toml)."
         raise fault(path, f"no columns x, y and z among {said}", remedy, line=layout.first_line)
     rows, cut = count_rows(path, layout)
     export = _Export(path, layout, chosen, means, rows, euler or chosen.euler)

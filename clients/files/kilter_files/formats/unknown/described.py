@@ -26,5 +26,7 @@ def describe_table(head: Head) -> Document:
     sheet = [] if shape.layout.sheet is None else [f"sheet {shape.layout.sheet!r}"]
     read = [f"check {text}" for text in found.guess_remarks] + [f"not told: {text}" for text in found.open]
     read += [f"not used: {', '.join(found.unused_columns)}"] if found.unused_columns else []
-    note = f"comes in with a column map; a first one: kilter inspect {quote(str(head.path))} --draft columns.toml"
+    note = (
+        f"comes in with a column map; a first one: kilter measure inspect {quote(str(head.path))} --draft columns.toml"
+    )
     return {"kind": "table", "rows": len(shape.source.lines), "columns": out, "notes": [*sheet, *read, note]}

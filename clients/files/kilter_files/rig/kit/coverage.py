@@ -47,7 +47,7 @@ class Capture:
 def capture_from_files(
     files: Sequence[Path], joints: Sequence[Mapping[str, Any]], chain: Mapping[str, Any], rig: Rig
 ) -> Capture:
-    """Look at views of an arm in files of ``kilter see``; ``joints`` as the server tells them, ``chain`` as it converts it.
+    """Look at views in files of ``kilter measure see``; ``joints`` as the server tells them, ``chain`` as it converts it.
 
     ``rig`` names ``cameras`` and ``boards`` as a campaign does.
 
@@ -98,7 +98,8 @@ def _rows(file: Path, joints: int, rig: Rig) -> Iterator[Row]:
         lacking = [name for name in needed if name not in names]
         if lacking:
             raise FileError(
-                f"{file}: has no column {lacking[0]}. Give the views that `kilter see` writes as CSV, with the joints of "
+                f"{file}: has no column {lacking[0]}. Give the views that `kilter measure see` writes as CSV, with "
+                "the joints of "
                 f"this arm ({joints}).",
                 file=str(file),
             )

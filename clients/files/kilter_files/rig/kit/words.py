@@ -42,11 +42,12 @@ def result_sentences(
 def steps(robot: str) -> list[str]:
     """What to print, drive, photograph and ask for, one command or sentence each."""
     return [
-        "kilter board --columns 5 --rows 4 --square-mm 15 -o board.pdf  # print and measure it, fix it to the gripper or table",
+        "kilter measure board --columns 5 --rows 4 --square-mm 15 -o board.pdf  # print and measure it, fix it to "
+        "the gripper or table",
         "drive the arm to 40 poses or more with your own program, from both sides, with an empty gripper and with 200 g: take "
         "a picture at rest, and write readings, sides (dir1 ...) and payload_kg of each picture into joints.csv",
-        "kilter see pictures --board board.json --joints joints.csv --intrinsics brown -o views.csv",
-        f"kilter kit {robot} views.csv --cameras views.json --calibration my_arm.json",
+        "kilter measure see pictures --board board.json --joints joints.csv --intrinsics brown -o views.csv",
+        f"kilter robot kit {robot} views.csv --cameras views.json --calibration my_arm.json",
         f"kilter activate latest --robot {robot}",
         f"lerobot-teleoperate --robot.type=kilter_so101 --robot.kilter_robot={robot} ...",
     ]
@@ -64,9 +65,7 @@ def describe_tool_error(before_mm: float | None, after_mm: float | None) -> str:
     What camera and board can make up for is not in it: where they stand is not known otherwise.
     """
     if before_mm is None or after_mm is None:
-        return (
-            "how far off the tool is elsewhere is not known: no view was held out (kilter kit holds out each pose once)"
-        )
+        return "how far off the tool is elsewhere is not known: no view was held out (kilter robot kit holds out each pose)"
     left = f"{after_mm:.{1 if after_mm >= 1.0 else 2}f} mm" if after_mm >= 0.005 else "less than 0.01 mm"
     return f"the tool is off by {before_mm:.1f} mm, corrected by {left} (views held out, camera and board where they fit best)"
 
@@ -198,9 +197,7 @@ def _zeros(
         half = float(one["half_width_deg"])
         low, high = abs(offset) - half, abs(offset) + half
         held = ", its sag at rest included" if f"compliance_{numbers[name]}" in parameters else ""
-        steps = (
-            f"{abs(ticks)} ticks ({low / TICK_DEG:.0f} to {high / TICK_DEG:.0f}) of its homing offset (kilter homing)"
-        )
+        steps = f"{abs(ticks)} ticks ({low / TICK_DEG:.0f} to {high / TICK_DEG:.0f}) of its homing offset (kilter robot homing)"
         digits = 1 if half >= 0.1 else 2
         within = f"95 %: {offset - half:+.{digits}f} to {offset + half:+.{digits}f}"
         yield (

@@ -129,14 +129,14 @@ class Session:
         self._update_gates()
 
     def _update_gates(self) -> None:
-        """What is missing for intrinsics, by the gates of `kilter see`."""
+        """What is missing for intrinsics, by the gates of `kilter measure see`."""
         seen = self.looker.kept.thinned_views()
         if len(seen) < FEWEST_FOR_GATES or self.size is None:
             return
         try:
             fit = fit_intrinsics(seen, self.size, self.lens)
         except FileError:
-            return  # views that no camera explains yet: `kilter see` says so of all of them
+            return  # views that no camera explains yet: `kilter measure see` says so of all of them
         self.gates = [gate.to_document() | {"remedy": gate.remedy} for gate in evaluate_gates(seen, fit)]
 
     def _publish(self, shot: Shot, views: list[View], rests: bool) -> None:

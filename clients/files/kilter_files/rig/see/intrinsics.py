@@ -111,5 +111,6 @@ def check_known(kept: Kept, camera: Camera) -> list[str]:
         return []
     what = f"the intrinsics leave {left:.2f} px in the usual view, and those of the views themselves {own:.2f}"
     return [
-        f"{what}: they are of another camera or zoom, unless the board is (kilter see --intrinsics brown finds them anew)"
+        f"{what}: they are of another camera or zoom, unless the board is (kilter measure see --intrinsics brown "
+        "finds them anew)"
     ]

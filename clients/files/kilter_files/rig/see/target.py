@@ -16,7 +16,7 @@ from kilter_files.ground.faults import fault
 from kilter_files.rig.board.layout import Board, Point, check_board, marker_family
 
 MOST_BYTES = 1 << 24
-REMEDY = "Take the JSON that kilter board wrote, or write one anew with the board's sizes."
+REMEDY = "Take the JSON that kilter measure board wrote, or write one anew with the board's sizes."
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def check_apart(targets: list[Target]) -> None:
             both = set(one.marker_numbers) & set(other.marker_numbers)
             if both and marker_family(one.board.dictionary) == marker_family(other.board.dictionary):
                 what = f"--board: {other.name} and {one.name} both have marker {min(both)}"
-                raise UsageError(f"{what}: print one with other numbers (kilter board --first-id).")
+                raise UsageError(f"{what}: print one with other numbers (kilter measure board --first-id).")
 
 
 def _document(path: Path) -> dict[str, Any]:

@@ -56,7 +56,8 @@ def fetch_startup_version(robot: str, version: str | None, force: bool) -> Found
         found = kilter.versions.get(version or arm["active_version"], robot=robot)
         if found["robot"] != robot:
             raise NotFoundError(
-                f"Version {found['id']} is of robot {found['robot']}, not of {robot}: name one of `kilter versions {robot}`.",
+                f"Version {found['id']} is of robot {found['robot']}, not of {robot}: name one of `kilter version "
+                f"list {robot}`.",
                 code="version_not_found",
                 robot=robot,
             )

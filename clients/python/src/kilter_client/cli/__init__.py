@@ -8,15 +8,16 @@ from typing import Annotated
 
 import typer
 
-from kilter_client.cli.groups import FirstLevel, join_version_words
+from kilter_client.cli.groups import FirstLevel, join_version_words, moved_to
 from kilter_client.cli.quick_start import with_quick_values, without_httpx_command
 from kilter_client.cli.terminal.interrupt import CODE, UNKNOWN, InterruptedCommandError
-from kilter_client.cli.terminal.output import report_error, report_usage
+from kilter_client.cli.terminal.output import note, report_error, report_usage
 from kilter_client.errors import KilterError, UsageError
 
 app = typer.Typer(
     name="kilter",
     help="Work with a Kilter server: describe robots, upload measurements, identify, and correct.\n\n"
+    "First time: robot add, upload, gap, activate, correct, check.\n\n"
     "The server is the one of KILTER_URL, else the one running on this machine. "
     "Every command takes --json: one JSON document on stdout and nothing else. "
     "`kilter COMMAND --help` shows its options and an example.",
@@ -66,6 +67,8 @@ def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit code."""
     as_json = "--json" in arguments
     arguments = join_version_words(arguments)
+    if moved := moved_to(arguments):
+        note(f"`kilter {arguments[0]}` is now `kilter {moved}`; the old spelling goes with the next release.", as_json)
     without_httpx_command()
     with_quick_values()
     try:

@@ -1,4 +1,4 @@
-"""``kilter accept``: whether an arm keeps a tolerance."""
+"""``kilter version accept``: whether an arm keeps a tolerance."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Refit(StrEnum):
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
-    app.command(epilog="Example: kilter accept ur10 --tolerance 0.3")(accept)
+    app.command(epilog="Example: kilter version accept ur10 --tolerance 0.3")(accept)
 
 
 def accept(

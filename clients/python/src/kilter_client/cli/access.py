@@ -1,4 +1,4 @@
-"""``kilter token``, ``kilter whoami`` and ``kilter audit``: who may do what, and who did what."""
+"""``kilter server token``, ``kilter server whoami`` and ``kilter server audit``: who may do what, and who did what."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ Verify = Annotated[bool, typer.Option("--verify", help="Compute all hashes anew 
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     app.add_typer(token, name="token")
-    app.command(epilog="Example: kilter stream-session ur10 --stream line1")(stream_session)
-    app.command(epilog="Example: kilter whoami")(whoami)
-    app.command(epilog="Example: kilter login")(login)
-    app.command(epilog="Example: kilter audit --limit 20")(audit)
+    app.command(epilog="Example: kilter server stream-session ur10 --stream line1")(stream_session)
+    app.command(epilog="Example: kilter server whoami")(whoami)
+    app.command(epilog="Example: kilter server login")(login)
+    app.command(epilog="Example: kilter server audit --limit 20")(audit)
 
 
 @token.callback(invoke_without_command=True)
@@ -50,7 +50,7 @@ def default(context: typer.Context, as_json: Json = False) -> None:
         list_(as_json=as_json)
 
 
-@token.command(epilog="Example: kilter token add anna --role operator --robot ur10")
+@token.command(epilog="Example: kilter server token add anna --role operator --robot ur10")
 def add(name: TokenName, role: Role = "viewer", robots: Robots = None, days: Days = 365, as_json: Json = False) -> None:
     """Make a token; what to set KILTER_TOKEN to is shown this once only."""
     with Kilter() as kilter:
@@ -58,14 +58,14 @@ def add(name: TokenName, role: Role = "viewer", robots: Robots = None, days: Day
     emit(made, as_json, _show_made)
 
 
-@token.command("list", epilog="Example: kilter token list")
+@token.command("list", epilog="Example: kilter server token list")
 def list_(as_json: Json = False) -> None:
     """List the tokens, newest first; also those that expired or were revoked."""
     with Kilter() as kilter:
         emit({"tokens": kilter.tokens()}, as_json, _show_list)
 
 
-@token.command(epilog="Example: kilter token revoke anna")
+@token.command(epilog="Example: kilter server token revoke anna")
 def revoke(
     name: Annotated[str, typer.Argument(help="Its id or its name.", metavar="TOKEN", show_default=False)],
     as_json: Json = False,

@@ -111,7 +111,7 @@ def _show_missing(missing: Sequence[Mapping[str, Any]]) -> None:
         print_line(f"    {remedy}")
 
 
-AT_JOINTS = ' One at some joints: \'{"id": "backlash", "joints": [2, 3]}\'; `kilter effects` lists all.'
+AT_JOINTS = ' One at some joints: \'{"id": "backlash", "joints": [2, 3]}\'; `kilter server effects` lists all.'
 Frame = Literal["free", "fixed"]
 Reference = Annotated[Literal["auto", "robot", "registration"] | None, typer.Option(help=IDENTIFY["reference"])]
 Loss = Annotated[Literal["linear", "huber", "tukey"] | None, typer.Option(help=IDENTIFY["loss"])]
@@ -138,7 +138,9 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example: kilter gap ur10 --campaign cmp_1f --validation 0.25 --figures gap --poses next.csv")(
         gap
     )
-    app.command(epilog="Example: kilter evaluate ur10 --campaign cmp_2a --version ur10 v2 --refit base,tool")(evaluate)
+    app.command(epilog="Example: kilter version evaluate ur10 --campaign cmp_2a --version ur10 v2 --refit base,tool")(
+        evaluate
+    )
 
 
 @with_flags(
@@ -159,7 +161,9 @@ def identify(
     campaign: CampaignIds = None,
     validation: ValidationText = None,
     level: Annotated[int | None, typer.Option(min=1, max=3, help=IDENTIFY["level"])] = None,
-    method: Annotated[str | None, typer.Option(help=IDENTIFY["method"] + " `kilter methods` lists them.")] = None,
+    method: Annotated[
+        str | None, typer.Option(help=IDENTIFY["method"] + " `kilter server methods` lists them.")
+    ] = None,
     effects: Annotated[
         list[str] | None,
         typer.Option("--effects", "--effect", metavar="A,B", help=IDENTIFY["effects"] + AT_JOINTS),
@@ -349,7 +353,7 @@ def run_job(
     """Submit a job, follow it, and print it; or only say what it would do."""
     ids = arguments.split_names(campaign)
     if needs_campaign and not ids:
-        raise UsageError(f"Name at least one --campaign ID: `kilter campaigns {robot}` lists them.")
+        raise UsageError(f"Name at least one --campaign ID: `kilter measure campaigns {robot}` lists them.")
     held_out = arguments.validation(validation)
     with Kilter() as kilter:
         ids = resolved_all(kilter, "campaign", ids, robot, as_json, "--campaign")

@@ -40,9 +40,9 @@ Rows = Annotated[
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     app.command(epilog="Example: kilter check ur10 today.csv --temperature-c 23.5")(check)
-    app.command(epilog="Example: kilter drift ur10")(drift)
-    app.command(epilog='Example: kilter repair ur10 "gear of joint 3 replaced" --at 2026-11-18T14:30')(repair)
-    app.command(epilog="Example: kilter rezero ur10 --campaign today.csv --cause zero_1")(rezero)
+    app.command(epilog="Example: kilter watch drift ur10")(drift)
+    app.command(epilog='Example: kilter watch repair ur10 "gear of joint 3 replaced" --at 2026-11-18T14:30')(repair)
+    app.command(epilog="Example: kilter watch rezero ur10 --campaign today.csv --cause zero_1")(rezero)
 
 
 @with_flags("drift")
@@ -125,7 +125,7 @@ def repair(
         typer.Option(metavar="WHEN", help="When: 2026-11-18 (noon), or 2026-11-18T14:30; left out: now."),
     ] = None,
     remove: Annotated[
-        str | None, typer.Option(metavar="ID", help="Take a repair back; `kilter drift ROBOT` lists their ids.")
+        str | None, typer.Option(metavar="ID", help="Take a repair back; `kilter watch drift ROBOT` lists their ids.")
     ] = None,
     as_json: Json = False,
 ) -> None:

@@ -1,4 +1,4 @@
-"""``kilter fleet``: identify many robots anew, follow it, and show what came out."""
+"""``kilter robot fleet``: identify many robots anew, follow it, and show what came out."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def default(context: typer.Context, as_json: Json = False) -> None:
         list_(as_json=as_json)
 
 
-@fleet.command(epilog="Example: kilter fleet identify --name autumn")
+@fleet.command(epilog="Example: kilter robot fleet identify --name autumn")
 def identify(
     robots: Robots = None,
     campaigns: Campaigns = None,
@@ -96,7 +96,7 @@ def identify(
         _follow(kilter, queued["id"], as_json)
 
 
-@fleet.command("list", epilog="Example: kilter fleet list")
+@fleet.command("list", epilog="Example: kilter robot fleet list")
 def list_(
     limit: Annotated[int, typer.Option(min=1, max=1000, help="How many of the newest to show.")] = 100,
     as_json: Json = False,
@@ -106,21 +106,21 @@ def list_(
         emit({"fleet_jobs": kilter.fleet_jobs(limit)}, as_json, _show_list)
 
 
-@fleet.command(epilog="Example: kilter fleet show")
+@fleet.command(epilog="Example: kilter robot fleet show")
 def show(fleet_job: FleetId = "", as_json: Json = False) -> None:
     """Show what became of each robot."""
     with Kilter() as kilter:
         emit(kilter.fleet_job(_id(kilter, fleet_job)), as_json, _show)
 
 
-@fleet.command(epilog="Example: kilter fleet watch flt_0123456789abcdef")
+@fleet.command(epilog="Example: kilter robot fleet watch flt_0123456789abcdef")
 def watch(fleet_job: FleetId = "", as_json: Json = False) -> None:
     """Follow a fleet job to its end and show what became of each robot."""
     with Kilter() as kilter:
         _follow(kilter, _id(kilter, fleet_job), as_json)
 
 
-@fleet.command(epilog="Example: kilter fleet cancel flt_0123456789abcdef")
+@fleet.command(epilog="Example: kilter robot fleet cancel flt_0123456789abcdef")
 def cancel(
     fleet_job: Annotated[str, typer.Argument(help="Its id.", show_default=False, metavar="FLEET")],
     as_json: Json = False,
@@ -143,7 +143,7 @@ def _id(kilter: Kilter, given: str) -> str:
         return given
     newest = kilter.fleet_jobs(1)
     if not newest:
-        raise UsageError("There is no fleet job yet: `kilter fleet identify` makes one.")
+        raise UsageError("There is no fleet job yet: `kilter robot fleet identify` makes one.")
     return str(newest[0]["id"])
 
 

@@ -6,12 +6,12 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import import_module
-from typing import Any, ClassVar
+from typing import Any
 
 import typer
 from typer.core import TyperGroup
 
-from kilter_client.cli.catalogue import CATALOGUE, ENTRIES
+from kilter_client.cli.catalogue import ENTRIES, GROUPS, MOVED, SUMMARIES
 
 VERSION_NUMBER = re.compile("v[1-9][0-9]*")
 NO_ROBOT = re.compile("-.*|ver_.*|latest|nominal|" + VERSION_NUMBER.pattern)
@@ -29,13 +29,13 @@ class Group(TyperGroup):
 
 
 class WithDefault(Group):
-    """A group one of whose commands may be left out: ``kilter versions ur10`` lists as it always did."""
+    """A group one of whose commands may be left out: ``kilter version list ur10`` lists as it always did."""
 
-    by_default: ClassVar[str]
+    by_default: str = ""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Put the command before what is none."""
-        if args and args[0] not in self.commands and args[0] != "--help":
+        if self.by_default and args and args[0] != "--help" and self.get_command(ctx, args[0]) is None:
             args = [self.by_default, *args]
         return super().parse_args(ctx, args)
 
@@ -45,8 +45,8 @@ class FirstLevel(TyperGroup):
 
     @property
     def commands(self) -> Any:
-        """All commands by name, which imports all their modules."""
-        return {name: command(name) for name in ENTRIES}
+        """All commands and groups by name, which imports all their modules."""
+        return {name: command(name) for name in SUMMARIES}
 
     @commands.setter
     def commands(self, _: Any) -> None:
@@ -54,18 +54,57 @@ class FirstLevel(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names, in the order of the catalogue."""
-        return list(ENTRIES)
+        return list(SUMMARIES)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return one command or group; also one that stood here in the release before."""
+        return command(cmd_name) if cmd_name in GROUPS or cmd_name in ENTRIES else None
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands, then the groups."""
+        width = max(map(len, SUMMARIES))
+        for heading, is_group in (("Commands", False), ("Groups (kilter GROUP --help)", True)):
+            shown = [(name.ljust(width), text) for name, text in SUMMARIES.items() if (name in GROUPS) is is_group]
+            with formatter.section(heading):
+                formatter.write_dl(shown)
+
+
+class CatalogueGroup(WithDefault):
+    """A group of the first level: commands of the catalogue, and those of a group that a module registers."""
+
+    def __init__(self, name: str) -> None:
+        """Take what the catalogue says of ``name``; no module is imported yet."""
+        self._place = GROUPS[name]
+        super().__init__(name=name, help=self._place.summary, no_args_is_help=True, rich_markup_mode=None)
+        self.by_default = self._place.by_default
+
+    @property
+    def commands(self) -> Any:
+        """All its commands by name, which imports all their modules."""
+        own = _registered(self._place.own).commands if self._place.own else {}
+        return {**own, **{name: _registered(other) for name, other in self._place.commands.items()}}
+
+    @commands.setter
+    def commands(self, _: Any) -> None:
+        """Take nothing: the catalogue says which commands there are."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names, the group's own first."""
+        return list(self.commands)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write its commands, each with one line."""
+        own = _registered(self._place.own).commands if self._place.own else {}
+        rows = [(name, _first_thought(found.help or "")) for name, found in own.items()]
+        rows += [(name, ENTRIES[other].summary) for name, other in self._place.commands.items()]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return one command."""
-        return command(cmd_name) if cmd_name in ENTRIES else None
-
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands under their headings."""
-        width = max(map(len, ENTRIES))
-        for heading, entries in CATALOGUE.items():
-            with formatter.section(heading):
-                formatter.write_dl([(name.ljust(width), entry.summary) for name, entry in entries.items()])
+        if cmd_name in self._place.commands:
+            return _registered(self._place.commands[cmd_name])
+        return _registered(self._place.own).commands.get(cmd_name) if self._place.own else None
 
 
 def join_version_words(arguments: Sequence[str]) -> list[str]:
@@ -75,10 +114,7 @@ def join_version_words(arguments: Sequence[str]) -> list[str]:
     """
     if "--robot" in arguments or not any(map(VERSION_NUMBER.fullmatch, arguments[2:])):
         return list(arguments)
-    level: Any = command(arguments[0]) if arguments[0] in ENTRIES else None
-    first = 1
-    while hasattr(level, "get_command") and first < len(arguments):  # a command or a group of them is no robot
-        level, first = level.get_command(None, arguments[first]), first + 1
+    _, first = find_command(arguments)  # a command or a group of them is no robot
     joined = list(arguments[: first + 1])
     for one in arguments[first + 1 :]:
         if VERSION_NUMBER.fullmatch(one) and NO_ROBOT.fullmatch(joined[-1]) is None:
@@ -88,8 +124,34 @@ def join_version_words(arguments: Sequence[str]) -> list[str]:
     return joined
 
 
+def find_command(words: Sequence[str]) -> tuple[Any, int]:
+    """Return the command that words call, None when they call none, and how many of them name it.
+
+    Of a group the command that may be left out counts, where there is one.
+    """
+    if not words or (words[0] not in GROUPS and words[0] not in ENTRIES):
+        return None, 0
+    found, first = command(words[0]), 1
+    while hasattr(found, "get_command"):
+        inside = found.get_command(None, words[first]) if first < len(words) else None
+        if inside is None:
+            return found.get_command(None, getattr(found, "by_default", "")), first
+        found, first = inside, first + 1
+    return found, first
+
+
+@cache
 def command(name: str) -> Any:
-    """Return a command of the first level."""
+    """Return a command or a group of the first level."""
+    return CatalogueGroup(name) if name in GROUPS else _registered(name)
+
+
+def moved_to(words: Sequence[str]) -> str:
+    """Return how words are spelled that call a command by its place in the release before; empty: as they are."""
+    return MOVED.get(words[0], "") if words and words[0] not in GROUPS else ""
+
+
+def _registered(name: str) -> Any:
     return _load_commands(ENTRIES[name].module)[name]
 
 

@@ -1,4 +1,4 @@
-"""``kilter jobs``: list, show, watch, cancel."""
+"""``kilter server jobs``: list, show, watch, cancel."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def default(context: typer.Context, as_json: Json = False) -> None:
         list_(as_json=as_json)
 
 
-@jobs.command("list", epilog="Example: kilter jobs list --state running")
+@jobs.command("list", epilog="Example: kilter server jobs list --state running")
 def list_(
     robot: Annotated[str | None, typer.Option(help="Only those of this robot.")] = None,
     state: State = None,
@@ -53,7 +53,7 @@ def list_(
     emit(document, as_json, _show_list)
 
 
-@jobs.command(epilog="Example: kilter jobs show job_1f")
+@jobs.command(epilog="Example: kilter server jobs show job_1f")
 def show(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
     """Show a job and its result."""
     with Kilter() as kilter:
@@ -61,7 +61,7 @@ def show(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
         emit(kilter.jobs.get(job), as_json, show_job)
 
 
-@jobs.command(epilog="Example: kilter jobs watch job_1f")
+@jobs.command(epilog="Example: kilter server jobs watch job_1f")
 def watch(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
     """Follow a job to its end and show its result."""
     with Kilter() as kilter:
@@ -74,7 +74,7 @@ def watch(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
     emit(document, as_json, show_job)
 
 
-@jobs.command(epilog="Example: kilter jobs cancel job_1f")
+@jobs.command(epilog="Example: kilter server jobs cancel job_1f")
 def cancel(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
     """Ask a job to stop."""
     with Kilter() as kilter:

@@ -1,4 +1,4 @@
-"""``kilter joint-parameters``: what joints do on their own, by inclinometer or by encoders on the link side."""
+"""``kilter measure joint-parameters``: what joints do on their own, by inclinometer or by encoders on the link side."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from kilter_files.rig import read_readings
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
-    app.command(epilog="Example: kilter joint-parameters katana --readings joint3.csv")(joint_parameters)
+    app.command(epilog="Example: kilter measure joint-parameters katana --readings joint3.csv")(joint_parameters)
 
 
 @with_flags("joint_parameters", seldom=("payloads_kg",))

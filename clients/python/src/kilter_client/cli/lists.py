@@ -1,4 +1,4 @@
-"""``kilter effects | methods | presets | formats | columns``: what there is, one line each, without a server."""
+"""``kilter server effects | methods | presets | formats | columns``: what there is, one line each, without a server."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ OF_THIS_RELEASE = "These are of this release of the command; a server of another
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
-    app.command(epilog="Example: kilter effects")(effects)
-    app.command(epilog="Example: kilter methods")(methods)
-    app.command(epilog="Example: kilter presets")(presets)
-    app.command(epilog="Example: kilter formats")(formats)
-    app.command(epilog="Example: kilter columns")(columns)
+    app.command(epilog="Example: kilter server effects")(effects)
+    app.command(epilog="Example: kilter server methods")(methods)
+    app.command(epilog="Example: kilter robot presets")(presets)
+    app.command(epilog="Example: kilter measure formats")(formats)
+    app.command(epilog="Example: kilter measure columns")(columns)
 
 
 def effects(as_json: Json = False) -> None:
@@ -72,7 +72,7 @@ def presets(as_json: Json = False) -> None:
 def formats(as_json: Json = False) -> None:
     """List the files that are read and written, with their endings and the command that takes them."""
     _show("formats", list(_formats()), ("use", "id", "endings", "what"), ("use", "format", "endings", "what"), as_json)
-    note("`kilter inspect FILE` shows how it reads a file.", as_json)
+    note("`kilter measure inspect FILE` shows how it reads a file.", as_json)
 
 
 def columns(as_json: Json = False) -> None:
@@ -87,7 +87,7 @@ def columns(as_json: Json = False) -> None:
     if not as_json:
         rows = [{**row, "meaning": _first_clause(row["meaning"])} for row in rows]
     _show("columns", rows, ("columns", "unit", "meaning"), ("columns", "unit", "meaning"), as_json)
-    note("For other names and units use a column map: `kilter inspect FILE --draft columns.toml`.", as_json)
+    note("For other names and units use a column map: `kilter measure inspect FILE --draft columns.toml`.", as_json)
 
 
 def _formats() -> Iterator[dict[str, str]]:

@@ -1,4 +1,4 @@
-"""``kilter residuals``: the residuals of every row, as a file."""
+"""``kilter version residuals``: the residuals of every row, as a file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from kilter_client.errors import UsageError
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
-    app.command(epilog="Example: kilter residuals ur10 v2 --campaign cmp_1f -o left.csv")(residuals)
+    app.command(epilog="Example: kilter version residuals ur10 v2 --campaign cmp_1f -o left.csv")(residuals)
 
 
 def residuals(

@@ -1,4 +1,4 @@
-"""``kilter suspicious``: the rows of a campaign that look wrong."""
+"""``kilter measure suspicious``: the rows of a campaign that look wrong."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CampaignId = Annotated[str, typer.Argument(help="Campaign: id, name or `latest`.
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
-    app.command(epilog="Example: kilter suspicious cmp_1f")(suspicious)
+    app.command(epilog="Example: kilter measure suspicious cmp_1f")(suspicious)
 
 
 def suspicious(campaign: CampaignId, robot: OfRobot = None, as_json: Json = False) -> None:

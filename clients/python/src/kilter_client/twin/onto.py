@@ -47,7 +47,7 @@ def lay_onto(source: Path, twin: str, joints: Sequence[str] = (), site: str | No
 
     Args:
         source: an MJCF file; it and what it names stay as they are.
-        twin: the text of ``kilter export --format mjcf``.
+        twin: the text of ``kilter version export --format mjcf``.
         joints: what the source calls the robot's joints, in their order; by default as the robot does.
         site: a site behind the last joint that moves with the calibrated tool.
 

@@ -1,6 +1,6 @@
 """The step that an exported model of MuJoCo takes beside its elements: what no element of it is, from its own table.
 
-``kilter export VERSION --format mjcf`` writes the table into the file. Call :func:`apply` before every ``mj_step``, or
+``kilter version export VERSION --format mjcf`` writes the table into the file. Call :func:`apply` before every ``mj_step``, or
 hand it to ``mujoco.set_mjcb_control``. SI throughout; loads are those of the weight of everything behind a joint.
 """
 

@@ -61,7 +61,7 @@ def lay_over(source: Path, twin: str, output: Path, joints: Sequence[str] = ()) 
 
     Args:
         source: a stage of USD with an articulation; it and what it names stay as they are.
-        twin: the text of ``kilter export --format usd``.
+        twin: the text of ``kilter version export --format usd``.
         output: where the layer will lie: it names the source from there.
         joints: what the source calls the robot's joints, in their order, by name or path; by default as the robot does.
 

@@ -25,7 +25,7 @@ OTHER_NAMES: Mapping[str, str] = {"format": "form", "map": "column_map", "remark
 REWORDED: Sequence[tuple[str, str]] = (
     (r"kilter (?:campaigns|versions) (retire|restore) (\w+)", r'k.\1("\2")'),
     (r"kilter robot (retire|restore) ([\w.-]+)", r'k.\1("\2", kind="robot")'),
-    (r"kilter jobs watch (\w+)", r'k.wait("\1")'),
+    (r"kilter server jobs watch (\w+)", r'k.wait("\1")'),
     (r"kilter robot add", "k.add_robot(...)"),
     (r'kilter activate --force --reason TEXT`, \{"force": true, "reason": TEXT\}', "force=True, reason=...`"),
     (r"kilter (upload|identify|gap|evaluate|plan|activate|correct|export|jobs)\b", r"k.\1"),

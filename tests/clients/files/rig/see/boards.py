@@ -1,4 +1,4 @@
-"""Boards as `kilter board` writes them, and pictures of them, made once for all tests."""
+"""Boards as `kilter measure board` writes them, and pictures of them, made once for all tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A cube: its net folds to where its JSON says, and `kilter see` finds its faces as one."""
+"""A cube: its net folds to where its JSON says, and `kilter measure see` finds its faces as one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`kilter see`: pictures and joints become rows of contract columns, and a description of cameras and boards."""
+"""`kilter measure see`: pictures and joints become rows of contract columns, and a description of cameras and boards."""
 
 from __future__ import annotations
 

@@ -223,7 +223,9 @@ def read_marker_text(path: Path, rate_hz: float | None = None, allow_cut: bool =
     columns = understand(layout)
     if not columns.xyz:
         named = ", ".join(layout.names[:12])
-        remedy = "Points of a tracker or CMM have their own reader (kilter inspect); for others write a column map."
+        remedy = (
+            "Points of a tracker or CMM have their own reader (kilter measure inspect); for others write a column map."
+        )
         raise fault(path, f"no marker with x, y and z among its columns ({named})", remedy, line=layout.first_line)
     rows, cut = _rows(path, layout, allow_cut)
     reader = _Reader(path, layout, columns, *_unit(path, layout, columns), rows, 1.0)

@@ -12,7 +12,7 @@ from kilter_files.ground.faults import fault
 
 MODELS: dict[str, tuple[int, ...]] = {"none": (0,), "brown": (4, 5), "rational": (8,), "fisheye": (4,)}
 ORDER = {"brown": "k1 k2 p1 p2 k3", "rational": "k1 k2 p1 p2 k3 k4 k5 k6", "fisheye": "k1 k2 k3 k4", "none": ""}
-REMEDY = "Take the camera.json that kilter see wrote, or a file of ROS, Kalibr or OpenCV."
+REMEDY = "Take the camera.json that kilter measure see wrote, or a file of ROS, Kalibr or OpenCV."
 KNOWN = ("fixed", "prior", "free")
 SIZES = ("width_px", "height_px")
 FOCAL = ("fx_px", "fy_px", "cx_px", "cy_px")
@@ -90,7 +90,7 @@ def checked_camera(path: Path, document: dict[str, Any]) -> Camera:
 
 
 def read_own(path: Path, text: str) -> Camera:
-    """Read the JSON that ``kilter see`` writes: a camera, or a document with one under ``cameras``.
+    """Read the JSON that ``kilter measure see`` writes: a camera, or a document with one under ``cameras``.
 
     Raises:
         FileError: it is another JSON.

@@ -1,4 +1,4 @@
-"""``kilter board``: a board to print for a camera."""
+"""``kilter measure board``: a board to print for a camera."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kilter_files.rig import USUAL, Board, check_board, check_cube, save_board, 
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
-    app.command(epilog="Example: kilter board --columns 8 --rows 6 --square-mm 30 -o board.pdf")(board)
+    app.command(epilog="Example: kilter measure board --columns 8 --rows 6 --square-mm 30 -o board.pdf")(board)
 
 
 def board(

@@ -1,4 +1,4 @@
-"""``kilter hand-eye``: where cameras stand on a robot, and the files that ROS 2 needs of it."""
+"""``kilter measure hand-eye``: where cameras stand on a robot, and the files that ROS 2 needs of it."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def camera_info(one: Part) -> str:
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
-    app.command("hand-eye", epilog="Example: kilter hand-eye ur10 --campaign views --ros ros")(hand_eye)
+    app.command("hand-eye", epilog="Example: kilter measure hand-eye ur10 --campaign views --ros ros")(hand_eye)
 
 
 def hand_eye(
@@ -160,7 +160,9 @@ def hand_eye(
 def _write(folder: Path | None, frames: dict[str, str], as_json: bool, job: dict[str, Any]) -> None:
     result = job.get("result") or {}
     if not result.get("cameras"):
-        raise UsageError("No camera measured in these campaigns: name some whose rows have pixels (`kilter see`).")
+        raise UsageError(
+            "No camera measured in these campaigns: name some whose rows have pixels (`kilter measure see`)."
+        )
     for one in (*result["cameras"], *result["boards"]):
         place = ", ".join(f"{one[f'{k}_mm']:.3f}" for k in "xyz")
         turn = ", ".join(f"{one[f'r{k}_deg']:.4f}" for k in "xyz")

@@ -1,4 +1,4 @@
-"""``kilter kit``: a low-cost arm from a board and a webcam to one page of what it has, in plain words."""
+"""``kilter robot kit``: a low-cost arm from a board and a webcam to one page of what it has, in plain words."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SERVOS = ("so101", "so100", "koch", "lekiwi")  # presets of arms whose servos co
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
-    app.command(epilog="Example: kilter kit so101 views.csv --cameras views.json --calibration my_arm.json")(kit)
+    app.command(epilog="Example: kilter robot kit so101 views.csv --cameras views.json --calibration my_arm.json")(kit)
 
 
 def kit(
@@ -50,13 +50,19 @@ def kit(
     views: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Views of `kilter see`, CSV; left out: what to do.", metavar="VIEWS", exists=True, dir_okay=False
+            help="Views of `kilter measure see`, CSV; left out: what to do.",
+            metavar="VIEWS",
+            exists=True,
+            dir_okay=False,
         ),
     ] = None,
     cameras: Annotated[
         Path | None,
         typer.Option(
-            "--cameras", metavar="FILE", help="Cameras and boards: the JSON that `kilter see` writes.", exists=True
+            "--cameras",
+            metavar="FILE",
+            help="Cameras and boards: the JSON that `kilter measure see` writes.",
+            exists=True,
         ),
     ] = None,
     calibration: Annotated[

@@ -1,4 +1,4 @@
-"""``kilter live``: a page with the camera's picture that takes views when the arm rests."""
+"""``kilter measure live``: a page with the camera's picture that takes views when the arm rests."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kilter_client.files import files_rig
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
-    app.command(epilog="Example: kilter live /dev/video0 --board board.json --joints now.csv -o pictures")(live)
+    app.command(epilog="Example: kilter measure live /dev/video0 --board board.json --joints now.csv -o pictures")(live)
 
 
 def live(
@@ -30,7 +30,9 @@ def live(
     ],
     board: Annotated[
         list[Path],
-        typer.Option(help="JSON of the board, from kilter board; repeat for more.", exists=True, dir_okay=False),
+        typer.Option(
+            help="JSON of the board, from kilter measure board; repeat for more.", exists=True, dir_okay=False
+        ),
     ],
     output: Annotated[
         Path | None,
@@ -79,7 +81,7 @@ def _session_document(
         "pictures": session.numbers,
         "gates": session.gates,
         "folder": where,
-        "next": f"kilter see {where} {boards}{table} -o views.csv",
+        "next": f"kilter measure see {where} {boards}{table} -o views.csv",
     }
 
 

@@ -1,4 +1,4 @@
-"""``kilter see``: boards in pictures become rows of pixels."""
+"""``kilter measure see``: boards in pictures become rows of pixels."""
 
 from __future__ import annotations
 
@@ -62,14 +62,16 @@ JointOrder = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
-    app.command(epilog="Example: kilter see pictures --board board.json --joints joints.csv -o views.csv")(see)
+    app.command(epilog="Example: kilter measure see pictures --board board.json --joints joints.csv -o views.csv")(see)
 
 
 def see(
     pictures: Given,
     board: Annotated[
         list[Path],
-        typer.Option(help="JSON of the board, from kilter board; repeat for more.", exists=True, dir_okay=False),
+        typer.Option(
+            help="JSON of the board, from kilter measure board; repeat for more.", exists=True, dir_okay=False
+        ),
     ],
     output: Annotated[
         Path,

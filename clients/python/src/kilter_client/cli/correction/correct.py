@@ -65,7 +65,7 @@ Strict = Annotated[
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     app.command(epilog="Example: kilter correct ur10 path.csv -o corrected.csv --version latest --strict")(correct)
-    app.command(epilog="Example: kilter status")(status)
+    app.command(epilog="Example: kilter server status")(status)
 
 
 def correct(

@@ -1,4 +1,4 @@
-"""``kilter homing``: the zero offsets of a version as homing offsets of servos, in a copy of LeRobot's calibration."""
+"""``kilter robot homing``: the zero offsets of a version as homing offsets of servos, in a copy of LeRobot's calibration."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _NOTHING = (
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
     app.command(
-        epilog="Example: kilter homing my_arm.json so101 v2 -o trued.json --servos feetech --norm-mode DEGREES"
+        epilog="Example: kilter robot homing my_arm.json so101 v2 -o trued.json --servos feetech --norm-mode DEGREES"
     )(homing)
 
 

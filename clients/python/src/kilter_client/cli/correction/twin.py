@@ -1,4 +1,4 @@
-"""``kilter twin compare | onto | read``: how far anybody's model of MuJoCo is from measured poses; a copy of it, calibrated."""
+"""``kilter version twin compare | onto | read``: how far a model of MuJoCo is from measured poses; a calibrated copy."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def register(app: typer.Typer) -> None:
     app.add_typer(group, name="twin")
 
 
-@group.command(epilog="Example: kilter twin compare so101.xml held-out --robot my-arm")
+@group.command(epilog="Example: kilter version twin compare so101.xml held-out --robot my-arm")
 def compare(
     model: Model,
     campaign: Annotated[
@@ -88,7 +88,7 @@ def compare(
     emit(_document(model, used, job, apart), as_json, _show)
 
 
-@group.command(epilog="Example: kilter twin onto so101.xml so101 v2 -o so101-0042.xml")
+@group.command(epilog="Example: kilter version twin onto so101.xml so101 v2 -o so101-0042.xml")
 def onto(
     model: Model,
     version: VersionId,
@@ -117,7 +117,9 @@ def onto(
     emit({"version_id": version, "output": str(output), "notes": list(laid.notes)}, as_json, _show_laid)
 
 
-@group.command(epilog="Example: kilter twin read so101.xml --joints 1,2,3,4,5 --robot-file so101.json -o soft.json")
+@group.command(
+    epilog="Example: kilter version twin read so101.xml --joints 1,2,3,4,5 --robot-file so101.json -o soft.json"
+)
 def read(
     model: Model,
     joints: Annotated[

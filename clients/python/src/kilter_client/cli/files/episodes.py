@@ -1,4 +1,4 @@
-"""``kilter episodes``: a data set of LeRobot looked through for joints that stand elsewhere from one episode to the next."""
+"""``kilter robot episodes``: joints that stand elsewhere from one episode of a LeRobot data set to the next."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kilter_files.formats import LogHints
 MOVED = 3  # exit code, as of `kilter check`
 UNTOLD = (
     "A data set counts readings and goals from the zeros of the servos: a zero that was off from the first episode on, and "
-    "backlash or sag behind a servo, are not in it. Measure those with a camera: kilter see."
+    "backlash or sag behind a servo, are not in it. Measure those with a camera: kilter measure see."
 )
 MEANS = {
     "zero": "its zero moved (calibrated anew, a horn that slipped, another motor), or it was moved differently from then on",
@@ -32,7 +32,7 @@ SIGNALS = {"start": "start", "end": "end", "low": "lowest", "high": "highest", "
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
-    app.command(epilog="Example: kilter episodes my-set --norm-mode DEGREES")(episodes)
+    app.command(epilog="Example: kilter robot episodes my-set --norm-mode DEGREES")(episodes)
 
 
 def episodes(

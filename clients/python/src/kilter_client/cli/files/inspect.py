@@ -1,4 +1,4 @@
-"""``kilter inspect``: how a file is read, before anything is sent."""
+"""``kilter measure inspect``: how a file is read, before anything is sent."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ FileOrBag = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
-    app.command(epilog="Example: kilter inspect recording.c3d")(inspect)
+    app.command(epilog="Example: kilter measure inspect recording.c3d")(inspect)
 
 
 def inspect(

@@ -1,4 +1,4 @@
-"""``kilter ballbar-join``, ``kilter tilt-join``: logs of simple instruments joined with the joint log."""
+"""``kilter measure ballbar-join``, ``kilter measure tilt-join``: logs of simple instruments joined with the joint log."""
 
 from __future__ import annotations
 
@@ -23,10 +23,12 @@ Map = Annotated[Path | None, typer.Option(help="Column map of the joint log (TOM
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
-    app.command("ballbar-join", epilog="Example: kilter ballbar-join bar.txt joints.csv -o rows.csv")(ballbar_join)
-    app.command("tilt-join", epilog="Example: kilter tilt-join katana after.csv joints.csv --joint j3 -o readings.csv")(
-        tilt_join
+    app.command("ballbar-join", epilog="Example: kilter measure ballbar-join bar.txt joints.csv -o rows.csv")(
+        ballbar_join
     )
+    app.command(
+        "tilt-join", epilog="Example: kilter measure tilt-join katana after.csv joints.csv --joint j3 -o readings.csv"
+    )(tilt_join)
 
 
 def ballbar_join(
@@ -80,7 +82,7 @@ def tilt_join(
     joints_map: Map = None,
     as_json: Json = False,
 ) -> None:
-    """Join inclinometer logs with the joint log: one reading per rest, for kilter joint-parameters --readings."""
+    """Join inclinometer logs with the joint log: one reading per rest, for kilter measure joint-parameters --readings."""
     check_numpy()
     names = [name.removesuffix(":m") for name in fetch_joint_names(robot)]
     if joint not in names:

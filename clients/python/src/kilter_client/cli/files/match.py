@@ -1,4 +1,4 @@
-"""``kilter match``: a recording joined with its joint log, shown, written, or sent in parts."""
+"""``kilter measure match``: a recording joined with its joint log, shown, written, or sent in parts."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ Joints = Annotated[
 
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
-    app.command(epilog="Example: kilter match optotrak.c3d joints.csv --by time --robot my-arm")(match)
+    app.command(epilog="Example: kilter measure match optotrak.c3d joints.csv --by time --robot my-arm")(match)
 
 
 def match(

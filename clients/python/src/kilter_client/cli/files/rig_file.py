@@ -1,4 +1,4 @@
-"""The file that describes cameras and boards, as `kilter see` writes it beside its views."""
+"""The file that describes cameras and boards, as `kilter measure see` writes it beside its views."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def rig_conditions(file: Path) -> dict[str, Any]:
         boards = [_known_fields(one, BOARD) for one in document["boards"]]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(
-            f"--cameras {file}: does not describe cameras and boards ({error}): give the JSON that `kilter see` writes."
+            f"--cameras {file}: does not describe cameras and boards ({error}): give the JSON that `kilter measure see` writes."
         ) from error
     if not cameras or not boards:
         what = "boards" if cameras else "cameras"
-        raise UsageError(f"--cameras {file}: names no {what}: state the intrinsics when you run `kilter see`.")
+        raise UsageError(f"--cameras {file}: names no {what}: state the intrinsics when you run `kilter measure see`.")
     return {"cameras": cameras, "boards": boards}
 
 

@@ -1,4 +1,4 @@
-"""``kilter sheet``, ``kilter sheet-read``: print the pencil sheet, and read it back."""
+"""``kilter measure sheet``, ``kilter measure sheet-read``: print the pencil sheet, and read it back."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ AllowGaps = Annotated[bool, typer.Option("--allow-gaps", help="Accept a line wit
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
-    app.command("sheet", epilog="Example: kilter sheet --radius-mm 80 -o sheet.pdf")(sheet)
-    app.command("sheet-read", epilog="Example: kilter sheet-read scan.png --plot error.svg")(sheet_read)
+    app.command("sheet", epilog="Example: kilter measure sheet --radius-mm 80 -o sheet.pdf")(sheet)
+    app.command("sheet-read", epilog="Example: kilter measure sheet-read scan.png --plot error.svg")(sheet_read)
     app.command(
         "sheet-join",
-        epilog="Example: kilter sheet-join scan.png joints.csv --points points.csv --height rig.tdms -o rows.csv",
+        epilog="Example: kilter measure sheet-join scan.png joints.csv --points points.csv --height rig.tdms -o rows.csv",
     )(sheet_join)
 
 

@@ -131,13 +131,15 @@ Joints = Annotated[
 
 
 Device = Annotated[
-    str | None, typer.Option(help="Measuring device; `kilter formats` lists those whose files are converted.")
+    str | None, typer.Option(help="Measuring device; `kilter measure formats` lists those whose files are converted.")
 ]
 IntoCampaign = Annotated[
     str | None,
     typer.Option("--campaign", metavar="ID", help="Add to this campaign (id, name or `latest`) instead of making one."),
 ]
-InstrumentName = Annotated[str | None, typer.Option(metavar="NAME", help="The instrument: `kilter instrument list`.")]
+InstrumentName = Annotated[
+    str | None, typer.Option(metavar="NAME", help="The instrument: `kilter measure instrument list`.")
+]
 Unchecked = Annotated[bool, typer.Option("--unchecked", help="Store rows that look mixed up, with a warning.")]
 ToolForce = Annotated[str | None, typer.Option(metavar="FX,FY,FZ", help="Force on the tool point, in its frame, N.")]
 ToolMoment = Annotated[str | None, typer.Option(metavar="MX,MY,MZ", help="Moment on the tool, in its frame, N m.")]
@@ -159,7 +161,7 @@ CamerasFile = Annotated[
     typer.Option(
         "--cameras",
         metavar="FILE",
-        help="Cameras and boards of views: the JSON that `kilter see` writes.",
+        help="Cameras and boards of views: the JSON that `kilter measure see` writes.",
         exists=True,
         dir_okay=False,
     ),

@@ -50,7 +50,7 @@ def _set_aside(rows: list[Mapping[str, Any]]) -> Iterator[str]:
     if rows:
         named = [f"{r['campaign']} row {r['row']} ({number(r['residual_sigma'], 2)} sigma)" for r in rows[:MOST_ROWS]]
         more = f" and {len(rows) - MOST_ROWS} more" if len(rows) > MOST_ROWS else ""
-        yield f"{len(rows)} rows count less than half: {', '.join(named)}{more}; see kilter suspicious"
+        yield f"{len(rows)} rows count less than half: {', '.join(named)}{more}; see kilter measure suspicious"
 
 
 def _views(pixels: Mapping[str, Any]) -> Iterator[str]:

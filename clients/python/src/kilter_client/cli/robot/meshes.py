@@ -1,4 +1,4 @@
-"""``kilter mesh``: the shapes of a robot's links, which the page draws."""
+"""``kilter robot mesh``: the shapes of a robot's links, which the page draws."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def register(app: typer.Typer) -> None:
     app.add_typer(mesh, name="mesh")
 
 
-@mesh.command("list", epilog="Example: kilter mesh list katana450")
+@mesh.command("list", epilog="Example: kilter robot mesh list katana450")
 def list_(robot: Robot, as_json: Json = False) -> None:
     """List the shapes of a robot's links."""
     with Kilter() as kilter:
@@ -41,7 +41,7 @@ def list_(robot: Robot, as_json: Json = False) -> None:
     emit(document, as_json, _show)
 
 
-@mesh.command("set", epilog="Example: kilter mesh set katana450 j2 upper-arm.stl --unit m")
+@mesh.command("set", epilog="Example: kilter robot mesh set katana450 j2 upper-arm.stl --unit m")
 def set_(
     robot: Robot,
     link: Link,
@@ -58,7 +58,7 @@ def set_(
     emit({"meshes": [found]}, as_json, _show)
 
 
-@mesh.command("from-urdf", epilog="Example: kilter mesh from-urdf arm arm_description/urdf/arm.urdf")
+@mesh.command("from-urdf", epilog="Example: kilter robot mesh from-urdf arm arm_description/urdf/arm.urdf")
 def from_urdf(
     robot: Robot,
     file: Annotated[
@@ -81,7 +81,7 @@ def from_urdf(
     emit({"meshes": sent, "left_out": asked["left_out"]}, as_json, _show)
 
 
-@mesh.command(epilog="Example: kilter mesh remove katana450 j2")
+@mesh.command(epilog="Example: kilter robot mesh remove katana450 j2")
 def remove(robot: Robot, link: Link, as_json: Json = False) -> None:
     """Delete the shape of a link: it is drawn as cylinders again."""
     with Kilter() as kilter:

@@ -1,4 +1,4 @@
-"""``kilter campaigns``."""
+"""``kilter measure campaigns``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def register(app: typer.Typer) -> None:
     app.add_typer(group, name="campaigns")
 
 
-@group.command("list", epilog="Example: kilter campaigns list ur10")
+@group.command("list", epilog="Example: kilter measure campaigns list ur10")
 def list_(robot: Robot, retired: Retired = False, as_json: Json = False) -> None:
     """List the campaigns of a robot."""
     with Kilter() as kilter:

@@ -1,4 +1,4 @@
-"""``kilter instrument``: what was measured with."""
+"""``kilter measure instrument``: what was measured with."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def register(app: typer.Typer) -> None:
 
 
 @instrument.command(
-    epilog="Example: kilter instrument add tracker-2026 --kind laser_tracker --serial-number 502113 --mpe-um 15 "
+    epilog="Example: kilter measure instrument add tracker-2026 --kind laser_tracker --serial-number 502113 --mpe-um 15 "
     "--mpe-um-per-m 6 --mpe-standard iso_10360_10 --certificate K-1234 --valid-until 2027-01-10"
 )
 def add(
@@ -82,7 +82,7 @@ def add(
         emit(kilter.run(calls.add(wanted)), as_json, _show_one)
 
 
-@instrument.command("list", epilog="Example: kilter instrument list")
+@instrument.command("list", epilog="Example: kilter measure instrument list")
 def list_(as_json: Json = False) -> None:
     """List the instruments with their errors and certificates."""
     with Kilter() as kilter:
@@ -109,7 +109,7 @@ def _show(document: dict[str, Any]) -> None:
     if rows:
         show_rows(("instrument", "kind", "serial number", "MPE", "by", "certificate", "valid until"), rows)
     else:
-        print_line("There is no instrument yet: add it with `kilter instrument add`.")
+        print_line("There is no instrument yet: add it with `kilter measure instrument add`.")
 
 
 def _mpe(one: dict[str, Any]) -> str:

@@ -18,6 +18,9 @@ ResourceReference = Annotated[
     str, typer.Argument(metavar="ID", help="Its id or the beginning of it, its name, or `latest`.", show_default=False)
 ]
 Text = Annotated[str, typer.Argument(help="The text.", show_default=False)]
+COMMANDS = {"campaign": "measure campaigns", "version": "version", "robot": "robot"}
+EXAMPLES = {"campaign": "cmp_1f", "version": "ur10 v2"}
+PURGED = {"campaign": "cmp_1f61e82fd541c1ab", "version": "ver_7c61e82fd541c1ab"}
 Yes = Annotated[bool, typer.Option("--yes", help="Confirm: this cannot be undone.")]
 
 
@@ -28,15 +31,15 @@ class ListsByDefault(WithDefault):
 
 
 def register(group: typer.Typer, kind: Kind) -> None:
-    """Add the commands to ``kilter campaigns`` or ``kilter versions``."""
+    """Add the commands to ``kilter measure campaigns`` or ``kilter version list``."""
     _register_words(group, kind)
     _register_use(group, kind)
 
 
 def _register_words(group: typer.Typer, kind: Kind) -> None:
-    example = "cmp_1f" if kind == "campaign" else "ver_7c"
+    example = EXAMPLES[kind]
 
-    @group.command(epilog=f'Example: kilter {kind}s name {example} "after the crash"')
+    @group.command(epilog=f'Example: kilter {COMMANDS[kind]} name {example} "after the crash"')
     def name(
         reference: ResourceReference,
         name: Annotated[str, typer.Argument(help="The name.", show_default=False)],
@@ -47,16 +50,16 @@ def _register_words(group: typer.Typer, kind: Kind) -> None:
         """Give it a name, which then stands for its id."""
         _change(kind, reference, robot, as_json, name=name, notes=notes)
 
-    @group.command(epilog=f'Example: kilter {kind}s note {example} "flange replaced"')
+    @group.command(epilog=f'Example: kilter {COMMANDS[kind]} note {example} "flange replaced"')
     def note(reference: ResourceReference, text: Text, robot: OfRobot = None, as_json: Json = False) -> None:
         """Add a note to it, replacing the previous one."""
         _change(kind, reference, robot, as_json, notes=text)
 
 
 def _register_use(group: typer.Typer, kind: Kind) -> None:
-    example = "cmp_1f" if kind == "campaign" else "ver_7c"
+    example = EXAMPLES[kind]
 
-    @group.command(epilog=f"Example: kilter {kind}s retire {example}")
+    @group.command(epilog=f"Example: kilter {COMMANDS[kind]} retire {example}")
     def retire(reference: ResourceReference, robot: OfRobot = None, as_json: Json = False) -> None:
         """Take it out of use: lists leave it out, no job uses it. What cites it stays as it is."""
         with Kilter() as kilter:
@@ -65,7 +68,7 @@ def _register_use(group: typer.Typer, kind: Kind) -> None:
             )
         emit(document, as_json, lambda _: print_line(f"{kind} {document['id']} is retired"))
 
-    @group.command(epilog=f"Example: kilter {kind}s restore {example}")
+    @group.command(epilog=f"Example: kilter {COMMANDS[kind]} restore {example}")
     def restore(reference: ResourceReference, robot: OfRobot = None, as_json: Json = False) -> None:
         """Bring it back into use."""
         with Kilter() as kilter:
@@ -74,7 +77,7 @@ def _register_use(group: typer.Typer, kind: Kind) -> None:
             )
         emit(document, as_json, lambda _: print_line(f"{kind} {document['id']} is in use again"))
 
-    @group.command(epilog=f"Example: kilter {kind}s purge {example}61e82fd541c1ab --yes")
+    @group.command(epilog=f"Example: kilter {COMMANDS[kind]} purge {PURGED[kind]} --yes")
     def purge(
         full_id: Annotated[str, typer.Argument(metavar="ID", help="Its full id.", show_default=False)],
         yes: Yes = False,
@@ -84,7 +87,7 @@ def _register_use(group: typer.Typer, kind: Kind) -> None:
         with Kilter() as kilter:
             if not is_full(kind, full_id):
                 raise UsageError(f"A purge takes the full id{_describe_reference(kilter, kind, full_id)}")
-            _refuse_unsure(yes, f"kilter {kind}s purge {full_id}")
+            _refuse_unsure(yes, f"kilter {COMMANDS[kind]} purge {full_id}")
             document = _resource_for_kind(kilter, kind).purge(full_id)
         emit(document, as_json, _show_tombstone)
 
@@ -136,7 +139,7 @@ def _describe_reference(kilter: Kilter, kind: Kind, reference: str) -> str:
     try:
         return f": {reference!r} is {kilter.resolve(kind, reference).id}. Give that, if it is the one."
     except ApiError:  # nothing, or several of different robots
-        return f", {reference!r} is not one: `kilter {kind}s ROBOT` lists them."
+        return f", {reference!r} is not one: `kilter {COMMANDS[kind]} list ROBOT` lists them."
 
 
 def _refuse_unsure(yes: bool, command: str) -> None:

@@ -37,14 +37,14 @@ def register(app: typer.Typer) -> None:
     app.add_typer(group, name="versions")
     app.command(epilog="Example: kilter version ur10 v2")(version)
     app.command(epilog="Example: kilter activate ur10 v2")(activate)
-    app.command(epilog="Example: kilter rollback ur10")(rollback)
+    app.command(epilog="Example: kilter version rollback ur10")(rollback)
     app.command(epilog="Example: kilter today ur10")(today)
-    app.command(epilog="Example: kilter activations ur10")(activations)
-    app.command(epilog="Example: kilter diff ur10 v1 ur10 v2")(diff)
-    app.command(epilog="Example: kilter export ur10 v2 --format json -o ur10.json")(export)
+    app.command(epilog="Example: kilter version activations ur10")(activations)
+    app.command(epilog="Example: kilter version diff ur10 v1 ur10 v2")(diff)
+    app.command(epilog="Example: kilter version export ur10 v2 --format json -o ur10.json")(export)
 
 
-@group.command("list", epilog="Example: kilter versions list ur10")
+@group.command("list", epilog="Example: kilter version list ur10")
 def list_(robot: Robot, retired: Retired = False, as_json: Json = False) -> None:
     """List the versions of a robot."""
     with Kilter() as kilter:

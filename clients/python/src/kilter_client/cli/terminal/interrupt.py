@@ -10,7 +10,8 @@ from kilter_client.errors import KilterError
 
 CODE = 130
 UNKNOWN = (
-    "Interrupted. The server finishes what it had begun: `kilter jobs` and `kilter campaigns ROBOT` show what is there."
+    "Interrupted. The server finishes what it had begun: "
+    "`kilter server jobs` and `kilter measure campaigns ROBOT` show what is there."
 )
 
 
@@ -38,14 +39,14 @@ def on_interrupt(tell: Callable[[], str]) -> Iterator[None]:
 def job_goes_on(job_id: str) -> str:
     """Say that a job goes on, and the commands for it."""
     return (
-        f"job {job_id} continues at the server. `kilter jobs watch {job_id}` follows it, "
-        f"`kilter jobs cancel {job_id}` stops it."
+        f"job {job_id} continues at the server. `kilter server jobs watch {job_id}` follows it, "
+        f"`kilter server jobs cancel {job_id}` stops it."
     )
 
 
 def fleet_goes_on(fleet_id: str) -> str:
     """Say that a fleet job goes on, and the commands for it."""
     return (
-        f"fleet job {fleet_id} continues at the server. `kilter fleet watch {fleet_id}` follows it, "
-        f"`kilter fleet cancel {fleet_id}` stops it."
+        f"fleet job {fleet_id} continues at the server. `kilter robot fleet watch {fleet_id}` follows it, "
+        f"`kilter robot fleet cancel {fleet_id}` stops it."
     )

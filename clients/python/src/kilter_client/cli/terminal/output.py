@@ -17,7 +17,8 @@ from kilter_client.errors import KilterError, UsageError
 Document = dict[str, Any]
 
 REMEDY_FOR_COLUMNS = (
-    "For a lab's own columns use --map columns.toml; `kilter inspect FILE --draft columns.toml` writes a first one."
+    "For a lab's own columns use --map columns.toml; "
+    "`kilter measure inspect FILE --draft columns.toml` writes a first one."
 )
 
 INVALID = r"Invalid value for ((?:'[^']+'(?: / )?)+): (?:Value error, )?"  # an option with another name has both
@@ -70,6 +71,9 @@ def report_error(error: KilterError, as_json: bool) -> None:
 
 def report_usage(error: typer.TyperException, as_json: bool) -> None:
     """Print what was wrong with the command line, and where its help is."""
+    if error.format_message().startswith("Usage: ") and not as_json:  # a group alone: what is in it
+        print(error.format_message(), file=sys.stderr)
+        return
     context = getattr(error, "ctx", None)
     hint = f" Try `{context.command_path} --help`." if context is not None else ""
     said = re.sub(INVALID, lambda found: found[1].replace("'", "") + ": ", error.format_message())

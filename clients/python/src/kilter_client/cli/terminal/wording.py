@@ -9,17 +9,16 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_client.cli.catalogue import ENTRIES
-from kilter_client.cli.groups import command
+from kilter_client.cli.groups import find_command
 from kilter_client.errors import KilterError
 
 # Where a message names a route as the remedy, the command that uses it.
 ROUTES: Mapping[str, str] = {
-    "GET /v1/fleet-jobs": "`kilter fleet list`",
-    "GET /v1/jobs": "`kilter jobs`",
-    "GET /v1/robots/{robot}/campaigns": "`kilter campaigns ROBOT`",
-    "GET /v1/robots/{robot}/meshes": "`kilter mesh list ROBOT`",
-    "GET /v1/robots/{robot}/versions": "`kilter versions ROBOT`",
+    "GET /v1/fleet-jobs": "`kilter robot fleet list`",
+    "GET /v1/jobs": "`kilter server jobs`",
+    "GET /v1/robots/{robot}/campaigns": "`kilter measure campaigns ROBOT`",
+    "GET /v1/robots/{robot}/meshes": "`kilter robot mesh list ROBOT`",
+    "GET /v1/robots/{robot}/versions": "`kilter version list ROBOT`",
     "POST /v1/versions/{id}/activate": "`kilter activate VERSION`",
 }
 ROUTE = re.compile(r"\b(?:GET|POST|PATCH|PUT|DELETE) /v1/[\w/{}.-]*[\w}]")
@@ -80,25 +79,12 @@ def in_words(detail: str, flags: Mapping[str, str], option: str = "") -> str:
 
 def parameters_by_request_name(arguments: Sequence[str]) -> dict[str, str]:
     """Return the options and arguments of the command that was typed, by what the request calls them."""
-    command = find_command(arguments)
+    command, _ = find_command([word for word in arguments if not word.startswith("-")])
     found = {} if command is None else {parameter.name: _parameter_label(parameter) for parameter in command.params}
     for name, other in OTHER_NAMES.items():
         if name not in found and other in found:
             found[name] = found[other]
     return found
-
-
-def find_command(arguments: Sequence[str]) -> Any:
-    """Return the command that ``arguments`` call, None when they call none."""
-    words = [word for word in arguments if not word.startswith("-")]
-    if not words or words[0] not in ENTRIES:
-        return None
-    found = command(words[0])
-    inside = getattr(found, "commands", None)
-    if inside is None:
-        return found
-    default = getattr(found, "by_default", "list")
-    return inside.get(words[1] if len(words) > 1 else default, inside.get(default))
 
 
 def _parameter_label(parameter: Any) -> str:

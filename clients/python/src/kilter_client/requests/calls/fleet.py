@@ -10,7 +10,7 @@ from kilter_client.requests.steps import Document, Request, Steps, address, get,
 
 PLACE = "fleet-jobs"
 SUBMIT_TIMEOUT_S = 300.0  # a thousand robots are looked at before the answer
-FOLLOW = "kilter fleet watch"
+FOLLOW = "kilter robot fleet watch"
 
 
 def identify_fleet(

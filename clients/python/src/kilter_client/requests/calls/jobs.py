@@ -28,6 +28,7 @@ from kilter_client.requests.steps import (
     idempotency_header,
     post,
     read,
+    send_with_retries,
 )
 
 Progress = Callable[[float, str], None]
@@ -126,7 +127,7 @@ class Watch:
     """What was last heard of a job, handed on to whoever wants to see its progress."""
 
     def __init__(
-        self, job_id: str, progress: Progress | None, timeout_s: float | None, command: str = "kilter jobs watch"
+        self, job_id: str, progress: Progress | None, timeout_s: float | None, command: str = "kilter server jobs watch"
     ) -> None:
         self.last: Document = {}
         self._job_id, self._progress, self._timeout_s, self._command = job_id, progress, timeout_s, command
@@ -195,6 +196,12 @@ def poll_until_finished(path: str, watch: Watch, until_answered: bool = False) -
                 return
         yield Pause(POLL_S[min(looks, len(POLL_S) - 1)])
         looks += 1
+
+
+def report_page(job_id: str) -> Steps[bytes]:
+    """Return the report of a job as one HTML page that needs no other file."""
+    answer = yield from send_with_retries(Request("GET", f"/jobs/{job_id}/report.html"))
+    return answer.content
 
 
 def _may_pass(error: ServerUnreachableError | ApiError) -> bool:
