@@ -17,6 +17,7 @@ from pyarrow import parquet
 
 from kilter_client import Kilter
 from kilter_client.cli import app, run
+from kilter_client.cli.catalogue import MOVED
 
 Write = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]
@@ -61,7 +62,7 @@ COMMANDS = dict(leaves(typer.main.get_command(app)))
 
 
 def test_every_command_of_the_contract_is_there() -> None:
-    assert {f"kilter {name}" for name in (
+    assert {f"kilter {' '.join((MOVED.get(first, first), *rest))}" for first, *rest in map(str.split, (
         "robot add", "robot check", "robot convert", "robot from-circles", "robot frame", "robot list", "robot show",
         "robot note", "robot compensation", "robot retire", "robot restore", "robot purge",
         *(f"{kind} {verb}" for kind in ("campaigns", "versions")
@@ -77,9 +78,9 @@ def test_every_command_of_the_contract_is_there() -> None:
         "jobs list", "jobs show", "jobs watch", "jobs cancel", "version", "activate", "rollback", "diff",
         "residuals", "activations", "export", "correct", "status", "suspicious", "today", "accept", "stream-session",
         "twin compare", "twin onto", "twin read", "homing",
-        "effects", "methods", "presets", "formats", "columns",
+        "effects", "methods", "presets", "formats", "columns", "try",
         "whoami", "audit", "token add", "token list", "token revoke",
-    )} == set(COMMANDS)  # fmt: skip
+    ))} == set(COMMANDS)  # fmt: skip
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
@@ -133,9 +134,9 @@ def test_from_measurements_to_a_version(robot: str, command: Command, write_camp
 
 def _versions(robot: str, first: str, command: Command, tmp_path: Path) -> None:
     second = next(v["id"] for v in command.json("versions", robot)["versions"] if v["id"] != first)
-    assert f"{first} is active" in command("activate", first)
+    assert f"{robot} v1 is active" in command("activate", first)
     assert command.json("activate", second)["active"] is True
-    assert f"{first} is active again" in command("rollback", robot)
+    assert f"{robot} v1 is active again" in command("rollback", robot)
     assert "more differ by less than their uncertainty" in command("diff", first, second)
     assert "theta_offset_2" in command("diff", "nominal", second)
     assert "validation" in command("versions", robot)

@@ -26,7 +26,7 @@ class ResolvedReference(Strict):
     robot: str = Field(description="Name of the robot it belongs to.")
     name: str = Field(description="What people call it; empty: it has no name.")
     by: By = Field(description="How it was found: what the reference was.")
-    number: int = Field(0, description="Which version of its robot it is, from 1; 0: it is no version.")
+    number: int = Field(0, description="Which version of its robot it is, from 1; 0: not a version.")
 
 
 class Change(Strict):

@@ -114,7 +114,7 @@ def join_version_words(arguments: Sequence[str]) -> list[str]:
     """
     if "--robot" in arguments or not any(map(VERSION_NUMBER.fullmatch, arguments[2:])):
         return list(arguments)
-    _, first = find_command(arguments)  # a command or a group of them is no robot
+    _, first = find_command(arguments)  # words of the command itself do not name a robot
     joined = list(arguments[: first + 1])
     for one in arguments[first + 1 :]:
         if VERSION_NUMBER.fullmatch(one) and NO_ROBOT.fullmatch(joined[-1]) is None:

@@ -35,7 +35,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     keeping.register(group, "version")
     app.add_typer(group, name="versions")
-    app.command(epilog="Example: kilter version ur10 v2")(version)
+    app.command(epilog="Example: kilter version show ur10 v2")(version)
     app.command(epilog="Example: kilter activate ur10 v2")(activate)
     app.command(epilog="Example: kilter version rollback ur10")(rollback)
     app.command(epilog="Example: kilter today ur10")(today)

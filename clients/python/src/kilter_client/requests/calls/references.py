@@ -22,7 +22,7 @@ FULL: Mapping[str, re.Pattern[str]] = {
 class Found:
     """What a reference stands for; ``by`` is "id", "prefix", "name", "number" or "latest".
 
-    ``number`` counts the versions of a robot from 1; 0: it is no version.
+    ``number`` counts the versions of a robot from 1; 0: not a version.
     """
 
     id: str
