@@ -237,7 +237,7 @@ def test_what_moved_is_re_zeroed_activated_and_agrees(
     moved = arm.after("zero_3", STEP)
     command("check", calibrated, written(tmp_path / "crashed.csv", moved, 6, 20), code=3)
     said = command("rezero", calibrated, "--campaign", "crashed.csv")
-    assert f"Version {first['id']} re-zeroed: zero of joint 3 by 0.2" in said
+    assert f"Version {calibrated} v1 re-zeroed: zero of joint 3 by 0.2" in said
     assert "The 6 rows of crashed.csv were used for that" in said
     assert "re-zeroed by (6)" in said
     assert "train" not in said
