@@ -6,10 +6,10 @@ KERNELS := .venv/.kernels
 # Text that is made from the contract and that git does not hold: types of the client and pages of the reference.
 MADE := .venv/.made
 IMAGE ?= kilter
-# Processes that share the tests, module by module, in the order of tests/conftest.py: the long ones first. Many wait for another
+# Forks that share the tests, module by module, in the order of tests/conftest.py: the long ones first. Many wait for another
 # process, or for a clock: with four of them on two cores a quarter of the time of these was idle.
 TESTERS ?= 6
-SHARED := -n $(TESTERS) --dist loadscope --no-loadscope-reorder
+SHARED := --testers $(TESTERS)
 # Small fits gain nothing from threads of the linear algebra library and lose tenfold to them on two busy cores.
 export OPENBLAS_NUM_THREADS ?= 1
 # Where compiled modules may not be kept, each process of a test would compile anew all that it imports.
@@ -64,11 +64,6 @@ test-other-core: $(MADE) ## of make test, the numeric part under another kind of
 
 test-here: $(MADE) ## of make test, all tests as this machine computes (LONG=1 for the long ones too)
 	$(BIN)/python -m pytest $(if $(LONG),-m "not slow and not bench") $(SHARED) $(if $(SLOWEST),--durations=$(SLOWEST)) $(if $(CHECKED),$(DONE_BY_CHECK))
-
-collected: $(MADE) ## import all tests once: six testers at once would each compile all that was not compiled yet
-	@mkdir -p build
-	@$(BIN)/python -m pytest -q --collect-only -m "not bench" >build/collected.txt 2>&1 || { cat build/collected.txt; exit 1; }
-	@tail -n 1 build/collected.txt
 
 test-long: $(MADE) ## run the tests that only the gate runs, by make test LONG=1: those that take longest (tests/seconds.txt)
 	$(BIN)/python -m pytest -m "long and not slow and not bench" $(SHARED)
