@@ -1,4 +1,4 @@
-"""Processor time of tests, of their process and of those that it started: `pytest --cpu`, `make test-cpu`.
+"""Processor time of tests, of their process and of those that it started: `pytest --cpu`, `python -m tools.lab cpu`.
 
 Seconds by the clock say little while others use the machine. A fork (`tests/service/forked.py`) counts while it runs, so a
 test has what the server of its session computed for it; any other process counts where it ends, by its parent. What the

@@ -21,7 +21,7 @@ COPIED = (
 SECONDS = 500
 SNAPSHOT = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/contract/test_openapi.py", "-k", "snapshot"]
 MAKE_CONTRACT = ["-m", "tools.contract"]
-QUICK = ("effect", "kind of measurement")  # what `make test` tries; `make test-slow` tries the others too
+QUICK = ("effect", "kind of measurement")  # what `make test` tries; `python -m tools.lab slow` tries the others too
 
 EFFECT = '''"""Wobble of a joint: an error with the third multiple of its angle."""
 
