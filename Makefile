@@ -63,7 +63,7 @@ test: $(MADE) ## run the tests, the numeric part also under another kind of proc
 	@echo "under $(OTHER_CORE): $$(tail -n 1 build/other-core.txt)"
 
 .test-here: $(MADE)
-	$(BIN)/python -m pytest $(if $(LONG),-m "not slow and not bench") $(SHARED) $(if $(SLOWEST),--durations=$(SLOWEST)) $(if $(CHECKED),$(DONE_BY_CHECK)) $(TESTS)
+	$(BIN)/python -m pytest $(if $(LONG),-m "not slow and not bench") $(SHARED) $(if $(SLOWEST),--cpu --durations=$(SLOWEST)) $(if $(CHECKED),$(DONE_BY_CHECK)) $(TESTS)
 
 wheels: $(READY) ## build all wheels into dist/, install them in a fresh environment and try them there
 	sh tools/make_wheels.sh "$(PYTHON)"

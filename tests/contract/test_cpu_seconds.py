@@ -20,7 +20,11 @@ MODULE = """
 import subprocess, sys, pytest
 
 @pytest.fixture(scope="module")
-def child():
+def work():
+    subprocess.run([sys.executable, "-c", {busy!r}], check=True)
+
+@pytest.fixture(scope="module")
+def child(work):
     yield
     subprocess.run([sys.executable, "-c", {busy!r}], check=True)
 
@@ -28,14 +32,19 @@ def test_it(child): pass
 """
 
 
-@pytest.mark.parametrize("shared", [[], ["-n", "2", "--dist", "loadscope"]], ids=["alone", "shared"])
+@pytest.mark.parametrize(
+    "shared", [[], ["-n", "2", "--dist", "loadscope"], ["--testers", "2"]], ids=["alone", "shared", "forked"]
+)
 def test_a_child_counts_where_it_ends(tmp_path: Path, shared: list[str]) -> None:
     (tmp_path / "test_busy.py").write_text(MODULE.format(busy=BUSY.format(0.6)))
     for name in ("test_idle.py", *(f"test_last_{k}.py" for k in range(4))):  # what a last test ends is the session's
         (tmp_path / name).write_text("import time\ndef test_it(): time.sleep(0.6)\n")
     (tmp_path / "conftest.py").write_text(
-        "from tests.cpu_seconds import CpuSeconds\n"
-        "def pytest_configure(config): config.pluginmanager.register(CpuSeconds())\n"
+        "from tests.cpu_seconds import CpuSeconds\nfrom tests.testers import Testers\n"
+        "def pytest_addoption(parser): parser.addoption('--testers', type=int, default=0)\n"
+        "def pytest_configure(config):\n"
+        "    config.pluginmanager.register(CpuSeconds())\n"
+        "    if config.option.testers: config.pluginmanager.register(Testers(config.option.testers))\n"
     )
     alone = ["-p", "xdist", "-c", "/dev/null", f"--rootdir={tmp_path}"]
     command = [sys.executable, "-m", "pytest", *alone, *shared, str(tmp_path)]
@@ -43,8 +52,10 @@ def test_a_child_counts_where_it_ends(tmp_path: Path, shared: list[str]) -> None
     done = subprocess.run(command, cwd=REPOSITORY, env=plain, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     took = {name: float(seconds) for seconds, name in re.findall(r"^ +([\d.]+)  (\S+\.py)$", done.stdout, re.MULTILINE)}
-    assert took["test_busy.py"] >= 0.6
+    assert took["test_busy.py"] >= 1.2
     assert took["test_idle.py"] < 0.6
+    (child,) = re.findall(r"^ +([\d.]+)  work \(test_busy\.py\)$", done.stdout, re.MULTILINE)
+    assert 0.6 <= float(child) < took["test_busy.py"]
 
 
 def test_what_takes_long_is_left_to_the_gate_but_for_the_shortest_of_a_module_without_others() -> None:
