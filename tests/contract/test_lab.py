@@ -14,7 +14,7 @@ from tools.lab import EXPERIMENTS, find_command, list_experiments, main
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 MAKEFILE = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
-NAMED = re.compile(r"tools\.lab ([a-z][a-z0-9-]*)")
+NAMED = re.compile(r"tools\.lab (?!import )([a-z][a-z0-9-]*)")
 
 
 def test_make_has_at_most_fifteen_targets() -> None:
