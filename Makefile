@@ -6,10 +6,10 @@ KERNELS := .venv/.kernels
 # Text that is made from the contract and that git does not hold: types of the client and pages of the reference.
 MADE := .venv/.made
 IMAGE ?= kilter
-# Forks that share the tests, module by module, in the order of tests/conftest.py: the long ones first. Many wait for another
+# Processes that share the tests, module by module, in the order of tests/conftest.py: the long ones first. Many wait for another
 # process, or for a clock: with four of them on two cores a quarter of the time of these was idle.
 TESTERS ?= 6
-SHARED := --testers $(TESTERS)
+SHARED := -n $(TESTERS) --dist loadscope --no-loadscope-reorder
 # Small fits gain nothing from threads of the linear algebra library and lose tenfold to them on two busy cores.
 export OPENBLAS_NUM_THREADS ?= 1
 # Where compiled modules may not be kept, each process of a test would compile anew all that it imports.
@@ -64,6 +64,11 @@ test: $(MADE) ## run the tests, the numeric part also under another kind of proc
 
 .test-here: $(MADE)
 	$(BIN)/python -m pytest $(if $(LONG),-m "not slow and not bench") $(SHARED) $(if $(SLOWEST),--cpu --durations=$(SLOWEST)) $(if $(CHECKED),$(DONE_BY_CHECK)) $(TESTS)
+
+.collected: $(MADE)
+	@mkdir -p build
+	@$(BIN)/python -m pytest -q --collect-only -m "not bench" >build/collected.txt 2>&1 || { cat build/collected.txt; exit 1; }
+	@tail -n 1 build/collected.txt
 
 wheels: $(READY) ## build all wheels into dist/, install them in a fresh environment and try them there
 	sh tools/make_wheels.sh "$(PYTHON)"

@@ -36,14 +36,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--write-cpu", action="store_true", help="with --cpu: write that of each test to tests/seconds.txt"
     )
-    parser.addoption("--testers", type=int, default=0, help="share the tests, module by module, among so many forks")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if count := config.getoption("--testers"):
-        from tests.testers import Testers
-
-        config.pluginmanager.register(Testers(count), "testers")
     if config.getoption("--cpu"):
         from tests.cpu_seconds import CpuSeconds
 

@@ -5,7 +5,7 @@
 set -eu
 coverage=.venv/bin/coverage arm=tests/core/arm corrector=tests/corrector
 $coverage erase
-$coverage run -m pytest --testers "${TESTERS:-6}" "$@"
+$coverage run -m pytest -n "${TESTERS:-6}" --dist loadscope "$@"
 NUMBA_DISABLE_JIT=1 $coverage run -m pytest -q -W ignore::RuntimeWarning $arm/test_chain.py $arm/test_moments.py \
     tests/core/observations/test_poses.py $corrector/test_kernel.py $corrector/test_load_chain.py
 $coverage combine -q

@@ -32,19 +32,14 @@ def test_it(child): pass
 """
 
 
-@pytest.mark.parametrize(
-    "shared", [[], ["-n", "2", "--dist", "loadscope"], ["--testers", "2"]], ids=["alone", "shared", "forked"]
-)
+@pytest.mark.parametrize("shared", [[], ["-n", "2", "--dist", "loadscope"]], ids=["alone", "shared"])
 def test_a_child_counts_where_it_ends(tmp_path: Path, shared: list[str]) -> None:
     (tmp_path / "test_busy.py").write_text(MODULE.format(busy=BUSY.format(0.6)))
     for name in ("test_idle.py", *(f"test_last_{k}.py" for k in range(4))):  # what a last test ends is the session's
         (tmp_path / name).write_text("import time\ndef test_it(): time.sleep(0.6)\n")
     (tmp_path / "conftest.py").write_text(
-        "from tests.cpu_seconds import CpuSeconds\nfrom tests.testers import Testers\n"
-        "def pytest_addoption(parser): parser.addoption('--testers', type=int, default=0)\n"
-        "def pytest_configure(config):\n"
-        "    config.pluginmanager.register(CpuSeconds())\n"
-        "    if config.option.testers: config.pluginmanager.register(Testers(config.option.testers))\n"
+        "from tests.cpu_seconds import CpuSeconds\n"
+        "def pytest_configure(config): config.pluginmanager.register(CpuSeconds())\n"
     )
     alone = ["-p", "xdist", "-c", "/dev/null", f"--rootdir={tmp_path}"]
     command = [sys.executable, "-m", "pytest", *alone, *shared, str(tmp_path)]

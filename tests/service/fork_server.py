@@ -6,6 +6,7 @@ ended. The server ends with the last connection.
 
 from __future__ import annotations
 
+import atexit
 import fcntl
 import gc
 import importlib
@@ -17,6 +18,7 @@ import signal
 import socket
 import struct
 import sys
+import threading
 import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -201,7 +203,7 @@ def _be(asked: dict[str, Any], fds: list[int]) -> NoReturn:
             print(error.code, file=sys.stderr)
     except BaseException:
         traceback.print_exc()
-    forked.end_process(code)
+    _end(code)
 
 
 def _place(fds: list[int], places: list[int]) -> None:
@@ -232,6 +234,16 @@ def _run(name: str, arguments: list[str]) -> None:
     if name == "corrector":
         forked.fork_those_of_correctors()
     __main__.main(arguments)
+
+
+def _end(code: int) -> NoReturn:
+    with suppress(BaseException):
+        threading._shutdown()
+        atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
 
 
 if __name__ == "__main__":

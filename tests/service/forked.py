@@ -14,7 +14,6 @@ import select
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -22,7 +21,7 @@ from json import dumps, loads  # as they are now: a test may replace them
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, NoReturn
+from typing import Any
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DEADLINE_S = 240.0
@@ -131,17 +130,6 @@ def forked_command(
             said = process.communicate()[1]
             raise AssertionError(f"kilterd {' '.join(arguments)} does not end: {said}") from error
         return subprocess.CompletedProcess(arguments, process.returncode, out, err)
-
-
-def end_process(code: int) -> NoReturn:
-    """End this fork as the interpreter ends: its threads, what is registered at exit, its output."""
-    with suppress(BaseException):
-        threading._shutdown()
-        atexit._run_exitfuncs()
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError, ValueError):
-            stream.flush()
-    os._exit(code)
 
 
 def used_s() -> float:
