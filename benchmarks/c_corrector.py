@@ -1,4 +1,4 @@
-"""How long the corrector in C takes for a setpoint in process, memory locked, up to the slowest: `make bench-c`."""
+"""How long the corrector in C takes for a setpoint in process, memory locked, up to the slowest: `tools.lab bench-c`."""
 
 from __future__ import annotations
 

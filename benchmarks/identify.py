@@ -1,6 +1,6 @@
 """Identify 24 geometric parameters from 118 positions: Kilter beside pybotics, FIGAROH and robotkinecal on the same data.
 
-The peers run in environments of their own, made by ``make bench-peers``; without them they are left out.
+The peers run in environments of their own, made by ``python -m tools.lab peers``; without them they are left out.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def lines() -> list[Line]:
     for name, (target, like, _) in PEERS.items():
         theirs = of_peer(name, data)
         if theirs is None:
-            out.append(Line(f"identify, 118 positions: {name}", "not installed: make bench-peers"))
+            out.append(Line(f"identify, 118 positions: {name}", "not installed: python -m tools.lab peers"))
             continue
         ratio = theirs["seconds"] / mine[like]
         out.append(Line(f"identify, 118 positions: {name}", _text(theirs)))

@@ -74,7 +74,7 @@ correction.
 ### How to repeat it
 
 ```
-make bench-stream
+python -m tools.lab bench-stream
 ```
 
 prints the figures, with `ratio p50=… p99=… lost=…` as its last line. This section and its picture come from

@@ -1,4 +1,4 @@
-"""`make load`: a whole `kilterd serve` under many clients, on SQLite and on PostgreSQL.
+"""`python -m tools.lab load`: a whole `kilterd serve` under many clients, on SQLite and on PostgreSQL.
 
 Fifty clients that each wait for their answer write and read, and everything acknowledged is counted again; then a probe of
 ten reads a second goes beside thirty mixed requests a second; then two hundred follow a job that waits. The memory of the

@@ -18,6 +18,10 @@ from tests.temporary_files import put_in_memory
 # Set before numpy is imported: its threads make small fits ten times slower on two busy cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# Each client of httpx would read all authorities that this machine trusts, 0.03 s of the processor: tests name whom they trust.
+os.environ.pop("SSL_CERT_FILE", None)
+os.environ["SSL_CERT_DIR"] = os.path.dirname(__file__)
+
 put_in_memory()
 
 # A first call loads compiled code, and the machine may be busy: no test fails by the clock.

@@ -1,4 +1,4 @@
-"""Processor time of tests, of their process and of those that it started: `pytest --cpu`, `make test-cpu`.
+"""Processor time of tests, of their process and of those that it started: `pytest --cpu`, `python -m tools.lab cpu`.
 
 Seconds by the clock say little while others use the machine. A fork (`tests/service/forked.py`) counts while it runs, so a
 test has what the server of its session computed for it; any other process counts where it ends, by its parent. What the
@@ -11,6 +11,7 @@ import resource
 import time
 from collections import defaultdict
 from collections.abc import Generator
+from typing import Any
 
 import pytest
 
@@ -18,7 +19,7 @@ from tests.measured_seconds import Took, rows_of, write
 from tests.service import forked
 
 SHOWN = 40
-KEY, FIXTURES_KEY = "cpu_s", "cpu_fixtures_s"
+KEY, FIXTURES_KEY, SHARED_KEY = "cpu_s", "cpu_fixtures_s", "cpu_shared_fixtures_s"
 
 
 def used_s() -> float:
@@ -39,6 +40,8 @@ class CpuSeconds:
         self._fixtures_s: dict[str, float] = defaultdict(float)
         self._own_clock_s: dict[str, float] = defaultdict(float)
         self._fixtures_clock_s: dict[str, float] = defaultdict(float)
+        self._shared_s: dict[str, float] = defaultdict(float)
+        self._shared_now: list[tuple[str, float]] = []
         self._write = write
         self._began_s = self._called_s = self._ended_s = used_s()
 
@@ -50,6 +53,17 @@ class CpuSeconds:
             return (yield)
         finally:
             self._called_s = self._ended_s = used_s()
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_fixture_setup(self, fixturedef: pytest.FixtureDef[object]) -> Generator[None, object, object]:
+        """Count what is set up for more than one test by itself: each tester that runs such tests sets it up anew."""
+        if fixturedef.scope == "function":
+            return (yield)
+        began_s = used_s()
+        try:
+            return (yield)
+        finally:
+            self._shared_now.append((f"{fixturedef.argname} ({fixturedef.baseid})", used_s() - began_s))
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_call(self) -> Generator[None, object, object]:
@@ -74,6 +88,8 @@ class CpuSeconds:
             )  # what lasts for the session ends with the last test of all
             item.user_properties.append((KEY, own))
             item.user_properties.append((FIXTURES_KEY, end_s - self._began_s - own))
+            item.user_properties.append((SHARED_KEY, self._shared_now))
+            self._shared_now = []
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Add a test to its module."""
@@ -83,12 +99,14 @@ class CpuSeconds:
         else:
             self._fixtures_clock_s[module] += report.duration
         if report.when == "teardown":
-            given = dict(report.user_properties)
+            given: dict[str, Any] = dict(report.user_properties)
+            for fixture, seconds in given.get(SHARED_KEY, ()):
+                self._shared_s[fixture] += seconds
             self._own_s[report.nodeid] += float(str(given.get(KEY, 0.0)))
             self._fixtures_s[module] += float(str(given.get(FIXTURES_KEY, 0.0)))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """Print the modules that took most, and folder by folder what lanes consist of."""
+        """Print the modules that took most, folder by folder what lanes consist of, and the fixtures that took most."""
         by_module, folders = self._fixtures_s.copy(), defaultdict[str, float](float)
         for test, seconds in self._own_s.items():
             by_module[test.partition("::")[0]] += seconds
@@ -98,6 +116,9 @@ class CpuSeconds:
         for name, seconds in [*_most(by_module)[:SHOWN], *_most(folders)]:
             terminalreporter.write_line(f"{seconds:8.1f}  {name}")
         terminalreporter.write_line(f"{sum(by_module.values()):8.1f}  all tests, without their collection")
+        terminalreporter.write_line(f"{sum(self._shared_s.values()):8.1f}  of these, fixtures of modules and sessions:")
+        for name, seconds in _most(self._shared_s)[:SHOWN]:
+            terminalreporter.write_line(f"{seconds:8.1f}  {name}")
         if self._write:
             tests = {test: Took(seconds, self._own_clock_s[test]) for test, seconds in self._own_s.items()}
             fixtures = {

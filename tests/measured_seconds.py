@@ -1,4 +1,4 @@
-"""What `make test-cpu` measured of each test: which modules begin first, and which tests `make test` leaves to the gate."""
+"""What `tools.lab cpu` measured of each test: which modules begin first, and which tests `make test` leaves to the gate."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 SECONDS = Path(__file__).with_name("seconds.txt")
-HEAD = """# Seconds of processor and clock of tests and, under its name, of a module's fixtures; written by make test-cpu.
+HEAD = """# Seconds of processor and clock of tests and, under its name, of a module's fixtures; written by tools.lab cpu.
 # What is long runs in the gate (make test LONG=1) and not in make test.
 """
 LEAST_S, LEAST_CLOCK_S = 0.7, 4.0  # what takes less of both is not written down

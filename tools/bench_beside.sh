@@ -1,8 +1,8 @@
 #!/bin/sh
-# Measure the kernels of this tree beside those of another commit, in turns: usage bench_beside.sh COMMIT [ROUNDS].
+# Measure the kernels of this tree beside those of another commit, in turns: usage bench_beside.sh [COMMIT] [ROUNDS].
 # The other commit is checked out into build/beside/tree and measured by this tree's benchmark.
 set -eu
-commit=$1 rounds=${2:-5}
+commit=${1:-HEAD~1} rounds=${2:-5}
 python=$PWD/.venv/bin/python here=$PWD there=$PWD/build/beside/tree
 mkdir -p build/beside
 rm -rf "$there"

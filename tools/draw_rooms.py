@@ -272,7 +272,8 @@ def main(arguments: list[str]) -> int:
     ]
     if "--check" in arguments:
         for path in stale:
-            print(f"{path.relative_to(ROOT)} does not show the imports as they are: run `make rooms`.", file=sys.stderr)
+            name = path.relative_to(ROOT)
+            print(f"{name} does not show the imports as they are: run `python -m tools.draw_rooms`.", file=sys.stderr)
         return 1 if stale else 0
     for path, words in written().items():
         path.write_text(words, encoding="utf-8")

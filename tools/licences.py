@@ -33,9 +33,9 @@ LESSER_GPL_TAKEN = {
 }
 HEAD = """# Licences
 
-What Kilter needs at run time, by distribution, with the licence that each package states. `make licences` writes this
-page from the installed packages, `make check` compares it. Nothing under the GPL is needed; what only an extra needs is
-marked.
+What Kilter needs at run time, by distribution, with the licence that each package states. `python -m tools.licences`
+writes this page from the installed packages, `make check` compares it. Nothing under the GPL is needed; what only an
+extra needs is marked.
 
 """
 NORMAL = (
@@ -133,7 +133,7 @@ def main(arguments: list[str]) -> int:
     if "--check" in arguments:
         # Other versions of Python need some packages more or less: what is needed here must stand on the page.
         there = set(PAGE.read_text(encoding="utf-8").splitlines())
-        wrong += [f"docs/reference/licences.md lacks {line}: run `make licences`." for line in text.splitlines()
+        wrong += [f"docs/reference/licences.md lacks {line}: run `python -m tools.licences`." for line in text.splitlines()
                   if line.startswith("| `") and line not in there]  # fmt: skip
     else:
         PAGE.write_text(text, encoding="utf-8")

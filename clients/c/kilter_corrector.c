@@ -3,8 +3,8 @@
  * SPDX-License-Identifier: Apache-2.0 OR MIT OR GPL-2.0-or-later
  * Taken under whichever of the three suits: it may go into GPL programs (LinuxCNC) and into closed controllers alike.
  *
- * Translated from the kernels of kilter_core by `make c-corrector`; change those, not this file. It allocates nothing,
- * needs the headers of C99 and the library of math.h, and every loop is bounded by the arm's joints or by the rounds
+ * Translated from the kernels of kilter_core by `python -m tools.c_corrector`; change those, not this file. It
+ * allocates nothing, needs the headers of C99 and the library of math.h, and every loop is bounded by the arm's joints or by the rounds
  * that the program states. Angles rad, lengths m, masses kg, times s.
  */
 #include "kilter_corrector.h"

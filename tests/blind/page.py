@@ -28,9 +28,10 @@ second case a campaign of another day can replicate what was found.
 of it that the nearest other effect can imitate. The effects of a set are decidable when each has λ ≥ 30 and λ(1−ρ) ≥
 11 in the presence of the others.
 
-`make blind N={n}` measured this ({runs} runs, seed {seed}). Bounds are exact 95 % bounds (Clopper and Pearson). Times
-are processor times; `make bench-gap` measures how long a user waits. Of 1000 cases 400 hide nothing in the arm (140 of
-those drift), 480 hide one, two or three decidable effects, 80 are outside the library, 40 are twins of members.
+`python -m tools.lab blind --n {n}` measured this ({runs} runs, seed {seed}). Bounds are exact 95 % bounds (Clopper and
+Pearson). Times are processor times; `python -m tools.lab bench-gap` measures how long a user waits. Of 1000 cases 400
+hide nothing in the arm (140 of those drift), 480 hide one, two or three decidable effects, 80 are outside the library,
+40 are twins of members.
 
 | figure | aim | found | of | bounds |
 |---|---|---|---|---|

@@ -1,5 +1,5 @@
 """A fixed sample of the blind benchmark on campaigns as a careful user makes them: what may never happen, and what
-must mostly work. The hard campaigns are for ``make blind``."""
+must mostly work. The hard campaigns are for ``python -m tools.lab blind``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SEED = 20240229
 pytestmark = pytest.mark.timeout(1200)  # the sample takes a minute on a quiet machine
 
 # A fault that makes one claim in ten wrong is seen in three of four such samples, one in five in 24 of 25: of the 14 cases
-# whose truth can be told none may be wrong. A rate of wrong names of 1 % is for the 1000 cases of ``make blind``.
+# whose truth can be told none may be wrong. A rate of wrong names of 1 % is for the 1000 cases of ``tools.lab blind``.
 QUOTA = {"no_gap": 6, "named": 6, "outside": 2, "undecidable": 2}
 OLD = {*PER_JOINT, *WHOLE_ARM, "joint_coupling", "gravity_spring"}  # what has always been in the library
 

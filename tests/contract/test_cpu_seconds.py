@@ -20,7 +20,11 @@ MODULE = """
 import subprocess, sys, pytest
 
 @pytest.fixture(scope="module")
-def child():
+def work():
+    subprocess.run([sys.executable, "-c", {busy!r}], check=True)
+
+@pytest.fixture(scope="module")
+def child(work):
     yield
     subprocess.run([sys.executable, "-c", {busy!r}], check=True)
 
@@ -43,8 +47,10 @@ def test_a_child_counts_where_it_ends(tmp_path: Path, shared: list[str]) -> None
     done = subprocess.run(command, cwd=REPOSITORY, env=plain, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     took = {name: float(seconds) for seconds, name in re.findall(r"^ +([\d.]+)  (\S+\.py)$", done.stdout, re.MULTILINE)}
-    assert took["test_busy.py"] >= 0.6
+    assert took["test_busy.py"] >= 1.2
     assert took["test_idle.py"] < 0.6
+    (child,) = re.findall(r"^ +([\d.]+)  work \(test_busy\.py\)$", done.stdout, re.MULTILINE)
+    assert 0.6 <= float(child) < took["test_busy.py"]
 
 
 def test_what_takes_long_is_left_to_the_gate_but_for_the_shortest_of_a_module_without_others() -> None:

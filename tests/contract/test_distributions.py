@@ -84,7 +84,7 @@ def test_the_pythons_are_named_and_no_other_is_taken(name: str) -> None:
 
 
 def test_the_plug_in_for_lerobot_has_the_name_that_lerobot_looks_for_and_is_released_with_the_others() -> None:
-    """It is installed beside LeRobot, on Pythons that LeRobot takes; `make test-lerobot` runs it there."""
+    """It is installed beside LeRobot, on Pythons that LeRobot takes; `python -m tools.lab lerobot` runs it there."""
     found = tomllib.loads((REPOSITORY / "clients/lerobot/pyproject.toml").read_text())["project"]
     assert found["name"].startswith("lerobot_robot_")
     assert found["version"] == project("kilter")["version"]

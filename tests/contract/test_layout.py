@@ -223,15 +223,6 @@ def test_every_make_target_is_listed_by_help() -> None:
     assert {"setup", "demo", "serve", "test", "check", "bench", "image", "fmt", "clean", "help"} <= declared
 
 
-def test_every_folder_of_tests_is_run_by_one_target_of_an_area() -> None:
-    text = (REPOSITORY / "Makefile").read_text()
-    areas = [folder for line in re.findall(r"^[A-Z]+_TESTS := (.*)$", text, re.MULTILINE) for folder in line.split()]
-    in_areas = [folder for folder in areas if folder.count("/") == 1]
-    there = {f"tests/{path.parent.name}" for path in (REPOSITORY / "tests").glob("*/test_*.py")}
-    there |= {f"tests/{path.parents[1].name}" for path in (REPOSITORY / "tests").glob("*/*/test_*.py")}
-    assert sorted([*in_areas, "tests/page"]) == sorted(there)
-
-
 def test_what_was_measured_of_tests_is_of_tests_that_are_there() -> None:
     names = [row.name for row in measured()]
     assert names

@@ -102,7 +102,7 @@ def test_imports_of_folders_become_imports_of_rooms_and_one_without_a_floor_is_n
 
 def test_the_page_and_the_pictures_show_the_imports_as_they_are() -> None:
     for file, words in written().items():
-        assert file.read_text(encoding="utf-8") == words, f"{file.name} is stale: run `make rooms`"
+        assert file.read_text(encoding="utf-8") == words, f"{file.name} is stale: run `python -m tools.draw_rooms`"
 
 
 def test_people_are_told_of_public_modules_only() -> None:

@@ -1,6 +1,6 @@
 """Kills every process of a server in turn under a controller at 1 kHz, and measures for how long the arm goes uncorrected.
 
-``make kills-stream`` makes 200 kills. Killed is whatever runs: the supervisor too, which is started again at once, as the
+``tools.lab kills-stream`` makes 200 kills. Killed is whatever runs: the supervisor too, which is started again at once, as the
 system's service manager does.
 """
 

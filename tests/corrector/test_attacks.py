@@ -1,6 +1,6 @@
 """A second zenoh session without credentials against a running client and corrector: what it says moves no arm.
 
-``make attack-stream`` sends 100 000 forged answers; the usual tests send fewer.
+``python -m tools.lab attack-stream`` sends 100 000 forged answers; the usual tests send fewer.
 """
 
 from __future__ import annotations

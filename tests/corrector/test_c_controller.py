@@ -131,7 +131,7 @@ def test_its_setpoints_are_corrected_also_after_an_activation(
         def holds(said: Said) -> bool:
             track, expected = Track(active.program, settled=True), []
             for wanted in said.wanted:
-                assert track.step(wanted, 1, CYCLE_US * 1e-6) == 0
+                assert track.step(np.ascontiguousarray(wanted), 1, CYCLE_US * 1e-6) == 0
                 expected.append(track.out.copy())
             good = said.status == 0
             off = np.abs(said.sent - expected)[good]

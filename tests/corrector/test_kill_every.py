@@ -1,4 +1,4 @@
-"""A short campaign of kills under a moving arm; ``make kills-stream`` runs 200 at 1 kHz and prints milliseconds."""
+"""A short campaign of kills under a moving arm; ``tools.lab kills-stream`` runs 200 at 1 kHz and prints milliseconds."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_an_arm_is_corrected_on_while_what_is_above_its_stream_is_killed(tmp_pat
     lost = {kill.victim: kill for kill in done.kills}
     assert lost.keys() == {"corrector", "stream", "supervisor"}
     assert lost["corrector"].bypass_s == lost["supervisor"].bypass_s == 0.0
-    # For a moment nobody is there; what this moment lasts is for make kills-stream.
+    # For a moment nobody is there; what this moment lasts is for python -m tools.lab kills-stream.
     assert lost["stream"].held_s + lost["stream"].bypass_s > 0.0
     assert done.largest_step <= 1.0
     assert done.last == "corrected"

@@ -1,6 +1,6 @@
 """Signed frames: only what the holder of a session's key sent now, and once, is corrected.
 
-``make attack-stream`` sends a million damaged, forged, replayed and reordered frames; the usual tests send fewer.
+``tools.lab attack-stream`` sends a million damaged, forged, replayed and reordered frames; the usual tests send fewer.
 """
 
 from __future__ import annotations

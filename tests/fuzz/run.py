@@ -1,4 +1,4 @@
-"""`make fuzz`: many requests of every kind to the real application, on SQLite and on PostgreSQL."""
+"""`python -m tools.lab fuzz`: many requests of every kind to the real application, on SQLite and on PostgreSQL."""
 
 from __future__ import annotations
 

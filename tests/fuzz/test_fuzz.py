@@ -1,4 +1,4 @@
-"""Every answer is one that the OpenAPI document promises, whatever is sent; `make fuzz` sends many more."""
+"""Every answer is one that the OpenAPI document promises, whatever is sent; `tools.lab fuzz` sends many more."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.fuzz.answers import Answers
 from tests.fuzz.fuzz import fuzz
 from tests.fuzz.world import world
 
-CASES = 100  # a fault that one request in thirty meets is seen with 97 %; `make fuzz` sends 20 000
+CASES = 100  # a fault that one request in thirty meets is seen with 97 %; `python -m tools.lab fuzz` sends 20 000
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of numbers on purpose too large; the answer tells

@@ -33,7 +33,7 @@ NAMED = {
 }
 
 
-# What the joints are like and how many: `make mix-ups` draws from all builds.
+# What the joints are like and how many: `python -m tools.lab mix-ups` draws from all builds.
 @pytest.mark.parametrize("build", [pytest.param(b, marks=[pytest.mark.slow] * (b in ("5R", "7R"))) for b in BUILDS])
 def test_mix_ups_are_refused(build: str) -> None:
     g = genuine(list(BUILDS).index(build) + 50, build)

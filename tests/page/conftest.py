@@ -50,7 +50,7 @@ def chromium() -> Iterator[Browser]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave what is seen in Chromium to `make test-page`, but for a short path at one size."""
+    """Leave what is seen in Chromium to `python -m tools.lab page`, but for a short path at one size."""
     for item in items:
         if item.path.parent != HERE or "chromium" not in getattr(item, "fixturenames", ()):
             continue

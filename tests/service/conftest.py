@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import socket
-import ssl
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -32,9 +31,6 @@ from tests.service.prompt_server import PromptServer
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 Serve = Callable[[FastAPI], httpx.Client]
-
-# Of a client without it httpx reads all certificates of this machine, in 0.02 s, though it speaks plain HTTP.
-TRUSTS_NOBODY = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
 
 # The same tests run on PostgreSQL when this names a server on which databases may be created.
 POSTGRESQL = os.environ.get("KILTER_TEST_POSTGRESQL")
@@ -138,7 +134,7 @@ def served(app: FastAPI, **config: Any) -> Iterator[httpx.Client]:
     assert server.started
     try:
         url = f"http://127.0.0.1:{listener.getsockname()[1]}"
-        with httpx.Client(base_url=url, timeout=120, verify=TRUSTS_NOBODY) as client:
+        with httpx.Client(base_url=url, timeout=120) as client:
             yield client
     finally:
         server.ask_to_end()

@@ -1,7 +1,7 @@
 """Kills the processes of a server at random moments while clients work, and compares what is stored with what was promised.
 
-``make kills`` runs many. Each client has a robot of its own and sends every request until it is answered, so what the server
-holds at the end is known exactly: nothing lost, nothing half, nothing doubled.
+``tools.lab kills`` runs many. Each client has a robot of its own and sends every request until it is answered, so what the
+server holds at the end is known exactly: nothing lost, nothing half, nothing doubled.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A short campaign of kills; ``make kills`` runs a long one."""
+"""A short campaign of kills; ``python -m tools.lab kills`` runs a long one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from tests.service.kill_campaign import campaign
 
-KILLS, SEED = 4, 20261122  # make kills has hundreds
+KILLS, SEED = 4, 20261122  # python -m tools.lab kills has hundreds
 
 
 @pytest.mark.timeout(900)  # a machine with other work restarts processes slowly

@@ -1,4 +1,4 @@
-"""1000 small jobs on four workers and two APIs, counted: `make test-many-jobs` prints how long each took and what it stores."""
+"""1000 small jobs on four workers and two APIs, counted: `tools.lab many-jobs` prints how long each took and what it stores."""
 
 from __future__ import annotations
 

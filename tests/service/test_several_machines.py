@@ -1,6 +1,6 @@
 """Two `kilterd api` and two `kilterd worker`, each a process of its own, on one PostgreSQL: as on four machines.
 
-`make test-machines` runs the kill too, which waits until the silence of a worker is noticed.
+`python -m tools.lab machines` runs the kill too, which waits until the silence of a worker is noticed.
 """
 
 from __future__ import annotations

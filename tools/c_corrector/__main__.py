@@ -15,7 +15,7 @@ def main() -> int:
     stale = [name for name, text in assembled().items() if not _is(PLACE / name, text)]
     if "--check" in sys.argv:
         if stale:
-            print(f"{', '.join(stale)}: not what the kernels say. Run make c-corrector and commit.")
+            print(f"{', '.join(stale)}: not what the kernels say. Run python -m tools.c_corrector and commit.")
         return 1 if stale else 0
     for name, text in assembled().items():
         (PLACE / name).write_text(text)

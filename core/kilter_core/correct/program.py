@@ -300,7 +300,7 @@ class CorrectionProgram:
         rows, n = len(x), self.n_joints
         out, info = np.empty((rows, n)), np.empty((rows, layout.INFO))
         status = np.empty(rows, dtype=np.int64)
-        signs = np.zeros((rows, n)) if direction is None else np.ascontiguousarray(direction, dtype=np.float64)
+        signs = np.zeros((rows, n)) if direction is None else np.require(direction, np.float64, ["C", "W"])
         stream.correct_rows(self.memory(), len(self.array), n, x, width, signs, out, info, status)
         return CorrectedRows(
             q=out,
@@ -387,9 +387,12 @@ def warm_up() -> None:
 
 
 def _side_by_side(q: Floats, qd: Floats | None, qdd: Floats | None) -> tuple[Floats, int]:
-    """q, qd and qdd as the kernel takes them, with the number of vectors."""
+    """q, qd and qdd as the kernel takes them, with the number of vectors.
+
+    Of rows that may not be written to, as Arrow's are, the kernel would be compiled anew.
+    """
     if qd is None or qdd is None:
-        return np.ascontiguousarray(q, dtype=np.float64), 1
+        return np.require(q, np.float64, ["C", "W"]), 1
     return np.ascontiguousarray(np.hstack([q, qd, qdd]), dtype=np.float64), 3
 
 

@@ -253,7 +253,7 @@ class RobotModel:
             p.tool_at,
             self.T_base,
             self.T_tool,
-            batch.q,
+            np.ascontiguousarray(batch.q),  # of another order the kernel would be compiled anew
             total.dq,
             total.xi,
             position,
@@ -414,7 +414,7 @@ class RobotModel:
             p.tool_at,
             self.T_base,
             self.T_tool,
-            batch.q,
+            np.ascontiguousarray(batch.q),  # of another order the kernel would be compiled anew
             total.dq,
             total.xi,
             column,

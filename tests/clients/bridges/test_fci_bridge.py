@@ -1,4 +1,4 @@
-"""`kilter bridge fci` on a simulator of the robot that enforces limits of motion and of communication: `make test-franka`."""
+"""`kilter bridge fci` on a simulator of the robot that enforces limits of motion and of communication: `tools.lab franka`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ pytestmark = [
     pytest.mark.franka,
     pytest.mark.skipif(
         not (ENVIRONMENT / "bin" / "python").exists(),
-        reason="no simulator of a Franka robot: `make test-franka` installs it beside",
+        reason="no simulator of a Franka robot: `python -m tools.lab franka` installs it beside",
     ),
 ]
 

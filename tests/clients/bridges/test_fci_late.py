@@ -107,7 +107,7 @@ def test_answers_that_are_late_are_not_sent_and_the_arm_stays_on_its_way(
 
 @pytest.mark.parametrize("drops", [True, False])
 @pytest.mark.parametrize("then_ms", [0.2, 1.2])
-@pytest.mark.parametrize("held_ms", [2.3, 4.4, 9.5])
+@pytest.mark.parametrize("held_ms", [2.3, pytest.param(4.4, marks=pytest.mark.slow), 9.5])
 def test_held_up_while_it_waits_it_answers_no_state_whose_cycle_is_over(
     line: Line, undisturbed: Judge, held_ms: float, then_ms: float, drops: bool
 ) -> None:

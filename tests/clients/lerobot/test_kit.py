@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -79,33 +80,54 @@ def test_views_that_tell_too_little_are_named_before_anything_is_sent(
     assert "What the arm has" not in page_of_few
 
 
-@pytest.mark.timeout(900)  # a minute of computing, which waits where others compute too
-def test_views_of_a_joint_that_gravity_pulls_one_way_are_asked_for_until_they_are_there(
-    kilter: Kilter, command: Command, tmp_path: Path, seen: list[View]
-) -> None:
-    """Upper arm forwards only: no backlash of joint 2 is told; views near the examples of the kit settle it."""
-    kilter.robots.add({"name": "kit-forwards", "convention": "preset", "preset": "so101"})
-    rng, asked = np.random.default_rng(2), list[list[str]]()
+@pytest.fixture
+def forwards(seen: list[View]) -> list[View]:
+    """Those with the upper arm forwards, where gravity pulls joint 2 one way: no backlash of it is told."""
+    return [view for view in seen if gravity_nm(view.reading, view.payload_kg)[1] > 0.0]
+
+
+AskKit = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture
+def arm_name(kilter: Kilter, request: pytest.FixtureRequest) -> str:
+    """An SO-101 of this test's own."""
+    name = f"kit-{request.node.name[-20:]}"
+    kilter.robots.add({"name": name, "convention": "preset", "preset": "so101"})
+    return name
+
+
+@pytest.fixture
+def ask_kit(command: Command, tmp_path: Path, arm_name: str) -> AskKit:
+    """The kit, asked about views of the arm; returns its document."""
 
     def ask(views_so_far: list[View], *more: str) -> dict[str, Any]:
         rows, rig = written(tmp_path, f"forwards-{len(views_so_far)}", views_so_far)
         servos = calibration(tmp_path)
-        document = command.json(
-            "kit", "kit-forwards", rows, "--cameras", rig, "--calibration", servos, *more, code=(0, 4)
-        )
-        asked.append(document["missing"])
-        return document
+        return command.json("kit", arm_name, rows, "--cameras", rig, "--calibration", servos, *more, code=(0, 4))
 
-    forwards = [view for view in seen if gravity_nm(view.reading, view.payload_kg)[1] > 0.0]
-    held = ask(forwards, "--anyway")
-    why = f"joint 2 (shoulder_lift) cannot be told from its zero: gravity pulls it the other way in 0 of {len(forwards)} views"
-    assert any(why in line for line in held["lines"])
-    assert why in page("kit-forwards")
-    document, enough = advised(ask, forwards, lambda examples: views_near(ARM, examples, rng, PAYLOADS, 0.5))
-    lift = next(line for line in asked[1] if "gravity pulls joint 2" in line)
+    return ask
+
+
+@pytest.mark.timeout(900)  # a minute of computing, which waits where others compute too
+def test_views_of_a_joint_that_gravity_pulls_one_way_are_asked_for(
+    ask_kit: AskKit, forwards: list[View], arm_name: str
+) -> None:
+    (lift,) = (line for line in ask_kit(forwards)["missing"] if "gravity pulls joint 2" in line)
     assert "it does in 0 of " in lift
     assert lift.endswith("deg, where the camera sees the board")
-    assert asked[-1] == []
+    held = ask_kit(forwards, "--anyway")
+    why = f"joint 2 (shoulder_lift) cannot be told from its zero: gravity pulls it the other way in 0 of {len(forwards)} views"
+    assert any(why in line for line in held["lines"])
+    assert why in page(arm_name)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_views_near_the_examples_of_the_kit_settle_what_was_asked_for(ask_kit: AskKit, forwards: list[View]) -> None:
+    rng = np.random.default_rng(2)
+    document, enough = advised(ask_kit, forwards, lambda examples: views_near(ARM, examples, rng, PAYLOADS, 0.5))
+    assert document["missing"] == []
     assert len(enough) - len(forwards) <= 20
     assert any("joint 2 (shoulder_lift): no backlash seen" in line for line in document["lines"])
 

@@ -1,4 +1,4 @@
-"""`--robot.type=kilter_so101` in LeRobot's own Python, on LeRobot's own bus, against simulated servos: `make test-lerobot`."""
+"""`--robot.type=kilter_so101` in LeRobot's own Python, on LeRobot's own bus, against simulated servos: `tools.lab lerobot`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ pytestmark = [
     pytest.mark.lerobot,
     pytest.mark.skipif(
         not (ENVIRONMENT / "bin" / "python").exists(),
-        reason="no environment with LeRobot: `make test-lerobot` installs it beside",
+        reason="no environment with LeRobot: `python -m tools.lab lerobot` installs it beside",
     ),
 ]
 

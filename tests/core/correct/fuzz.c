@@ -1,4 +1,4 @@
-/* For libFuzzer: `make fuzz-c`. An input is a program, with whatever checksum, and behind it what a controller does with it:
+/* For libFuzzer: `tools.lab fuzz-c`. An input is a program, with whatever checksum, and behind it what a controller does with it:
  * a byte says what, and numbers follow. Where its last byte is odd the checksum is set right first, as a hostile hand could:
  * then the numbers of the program are tried, else what stands before them. */
 #include "kilter_corrector.h"

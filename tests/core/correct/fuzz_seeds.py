@@ -1,4 +1,4 @@
-"""Programs of every arm and effect as the inputs that `make fuzz-c` begins with: each with what a controller does behind it."""
+"""Programs of every arm and effect as the inputs that `tools.lab fuzz-c` begins with, each with what a controller does."""
 
 from __future__ import annotations
 

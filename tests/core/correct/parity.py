@@ -1,4 +1,4 @@
-"""Random setpoints through the C corrector and through the compiled kernels, millions of them: `make parity-c`.
+"""Random setpoints through the C corrector and through the compiled kernels, millions of them: `tools.lab parity-c`.
 
 Arms of every shape, every effect, three tasks, streams that wander and reverse (both sides of a play), jump and break off,
 setpoints with motion and without. Printed are the largest difference of a joint where the search settled, and every setpoint

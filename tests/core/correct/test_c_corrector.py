@@ -347,7 +347,7 @@ def test_no_altered_program_leads_out_of_its_memory(tmp_path: Path) -> None:
 
 def test_the_file_in_the_clients_is_what_the_kernels_say() -> None:
     for name, text in assembled().items():
-        assert (FOLDER / name).read_text() == text, f"{name} is not today's: run make c-corrector"
+        assert (FOLDER / name).read_text() == text, f"{name} is not today's: run python -m tools.c_corrector"
 
 
 # --- machines whose products and sums are rounded once ------------------------------------------------------------------

@@ -18,7 +18,11 @@ from tests.blind.run import run_case
         # was exchanged for no pair.
         ("0303-three-seven-60", {"column_bending": None, "zero_thermal": [1], "second_harmonic": [6]}),
         # A coupling of joint 4 stood for two effects at joints 2 and 3 that together leave a tenth of what it leaves.
-        ("0014-three-seven-30", {"axial_compliance": [4], "encoder_scale": [2], "link_bending": [3]}),
+        pytest.param(
+            "0014-three-seven-30",
+            {"axial_compliance": [4], "encoder_scale": [2], "link_bending": [3]},
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_what_imitates_two_effects_is_exchanged_for_both(name: str, hidden: dict[str, list[int] | None]) -> None:
@@ -35,11 +39,17 @@ def test_what_imitates_two_effects_is_exchanged_for_both(name: str, hidden: dict
         # Eighteen steps of a walk cost as much as if all rows told each of them, and six numbers of a settling stood for it.
         ("0063-two-elbow-60", {"random_walk": None, "direction_compliance": [6]}),
         # Of the load across the last joint only one component differs from pose to pose: its tilt was asked for by both.
-        ("0281-two-katana-60", {"random_walk": None, "reading_tilt": [5]}),
+        pytest.param("0281-two-katana-60", {"random_walk": None, "reading_tilt": [5]}, marks=pytest.mark.slow),
         # A field of six numbers that follows the temperature stood for both, and so did what was tried first beside one.
-        ("0132-three-seven-118", {"column_bending": None, "direction_compliance": [5], "link_growth": [1]}),
+        pytest.param(
+            "0132-three-seven-118",
+            {"column_bending": None, "direction_compliance": [5], "link_growth": [1]},
+            marks=pytest.mark.slow,
+        ),
         # Once torsion of the link stood for the compliance, errors of the masses imitated it through what had left the set.
-        ("0589-three-seven-60", {"second_harmonic": [5], "direction_compliance": [4]}),
+        pytest.param(
+            "0589-three-seven-60", {"second_harmonic": [5], "direction_compliance": [4]}, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_names_are_found_among_others_as_good(name: str, hidden: dict[str, list[int] | None]) -> None:

@@ -65,7 +65,9 @@ def test_where_rows_know_an_amount_less_well_than_its_prior_but_far_from_zero_th
     assert abs(far / 6) < 1.6  # four deviations of the mean of six
 
 
-@pytest.mark.parametrize("name", ["0408-three-katana-30", "0545-three-katana-118"])
+@pytest.mark.parametrize(
+    "name", ["0408-three-katana-30", pytest.param("0545-three-katana-118", marks=pytest.mark.slow)]
+)
 def test_the_component_that_rows_tell_says_how_large_the_other_may_be(name: str) -> None:
     """The prior told the other as a thousandth of what it was, three and five half-widths of its interval off."""
     case = next(case for case in cases(20261128, 600) if case.name == name)

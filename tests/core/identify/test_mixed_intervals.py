@@ -35,7 +35,8 @@ def tracked(scene: Scene, q: Floats, sigma: float, rng: np.random.Generator) -> 
 
 @pytest.mark.parametrize("arms", [8, pytest.param(16, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
-    ("loss", "noise_px", "wrong"), [("linear", 0.1, 0.0), ("linear", 0.2, 0.0), ("huber", 0.1, 0.03)]
+    ("loss", "noise_px", "wrong"),
+    [("linear", 0.1, 0.0), pytest.param("linear", 0.2, 0.0, marks=pytest.mark.slow), ("huber", 0.1, 0.03)],
 )
 def test_intervals_of_views_beside_a_tracker_hold_at_poses_held_out(
     loss: str, noise_px: float, wrong: float, arms: int

@@ -37,7 +37,7 @@ Floats = NDArray[np.float64]
 def spread(names: str, *values: Iterable[Any]) -> pytest.MarkDecorator:
     """Every combination of the values, but what `make test` runs has each mistake on one arm, and each arm its mistakes.
 
-    The first values are the arms, or whatever else the mistakes are to be spread over. `make test-slow` runs the others.
+    The first values are the arms, or whatever else the mistakes are to be spread over. `tools.lab slow` runs the others.
     """
     lengths = [len(list(one)) for one in values]
     rest = [list(one) for one in values]

@@ -146,7 +146,7 @@ SHAPES: dict[str, tuple[Callable[[np.random.Generator], tuple[Arm, Floats]], dic
 }
 
 
-# Each shape under one instrument and each instrument on two shapes or more; `make test-slow` tries the others.
+# Each shape under one instrument and each instrument on two shapes or more; `tools.lab slow` tries the others.
 EACH = [
     pytest.param(shape, see, marks=() if k % 3 == j else pytest.mark.slow)
     for k, shape in enumerate(SHAPES)

@@ -1,6 +1,6 @@
 """Campaigns fitted under several kinds of processor, and what differs.
 
-``python -m tests.core.processors.compared --n 1000`` is ``make test-processors``.
+``python -m tests.core.processors.compared --n 1000`` is ``python -m tools.lab processors``.
 """
 
 from __future__ import annotations

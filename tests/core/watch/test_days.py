@@ -1,4 +1,4 @@
-"""A few of the arms of `make bench-drift`: nothing but what has changed alarms, and what has changed is seen and named."""
+"""A few of the arms of `tools.lab drift`: nothing but what has changed alarms, and what has changed is seen and named."""
 
 from __future__ import annotations
 
