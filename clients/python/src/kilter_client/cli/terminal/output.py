@@ -11,6 +11,7 @@ from typing import Any
 
 import typer
 
+from kilter_client.cli.terminal.tables import screen_columns, wrap_line
 from kilter_client.errors import KilterError, UsageError
 
 Document = dict[str, Any]
@@ -39,8 +40,8 @@ def emit(document: Document, as_json: bool, show: Callable[[Document], None]) ->
 
 
 def print_line(text: str = "") -> None:
-    """Print a line for people on stdout."""
-    print(text)
+    """Print a line for people on stdout, as several where it is wider than a screen."""
+    print("\n".join(wrap_line(text, screen_columns())))
 
 
 def say_remarks(document: Document) -> None:
@@ -54,7 +55,7 @@ def say_remarks(document: Document) -> None:
 def note(text: str, as_json: bool = False) -> None:
     """Print a line about what is being done, on stderr; nothing with --json."""
     if not as_json:
-        print(text, file=sys.stderr)
+        print("\n".join(wrap_line(text, screen_columns())), file=sys.stderr)
 
 
 def report_error(error: KilterError, as_json: bool) -> None:
