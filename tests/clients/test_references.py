@@ -57,7 +57,7 @@ def test_a_calibration_without_copying_an_id(
     assert f"campaign 'latest' is {second} ('held-out.csv')\n" in err
     version = kilter.versions.list(robot)[0]
     assert version["name"] == "monday"
-    assert f"version {version['id']}" in out
+    assert f"Stored as {version['id']}" in out
     job = version["job_id"]
     assert command.json("jobs", "show", "latest", "--robot", robot)["id"] == job
     assert command.json("jobs", "show", job[:14], "--robot", robot)["name"] == "monday"

@@ -106,7 +106,7 @@ def test_the_same_at_several_joints_is_said_once_over_its_whole_range() -> None:
                **class_claim(f"twist about the axis of joint {k} under load", [k]))
         for k in (2, 3)
     ]  # fmt: skip
-    (row,) = search(two).found or ()
+    (row,) = search(two).found or []
     assert (row.joints, row.size) == ([2, 3], "0.0020-0.0038 deg")
 
 

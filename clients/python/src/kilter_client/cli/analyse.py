@@ -384,4 +384,4 @@ def run_job(
                 job = kilter.jobs.wait(job["id"], progress)
     if files is not None and not no_wait:
         files(job)
-    emit(job, as_json, partial(show_job, details=details))
+    emit(job, as_json, partial(show_job, details=details, head=False))

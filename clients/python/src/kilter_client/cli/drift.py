@@ -96,7 +96,7 @@ def check(
             with on_interrupt(partial(job_goes_on, job["id"])), job_bar("check", as_json) as progress:
                 note(f"job {job['id']}", as_json)
                 job = dict(kilter.jobs.wait(job["id"], progress))
-    emit(job, as_json, partial(show_job, details=details))
+    emit(job, as_json, partial(show_job, details=details, head=False))
     code = EXIT_CODES.get(_verdict(job), 0)
     if code:
         raise typer.Exit(code)

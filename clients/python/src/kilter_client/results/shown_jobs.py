@@ -59,7 +59,10 @@ class ShownFit(WithParameters):
     headline: str | None
 
     def _line(self) -> str:
-        return f"version {self.version_id}: {self.headline or f'{len(self.parameters)} parameters'}"
+        metrics = getattr(self, "metrics", None)
+        errors = "" if metrics is None else f": {metrics!r}"
+        known = f": {self.headline}" if self.headline else f"{errors}; {len(self.parameters)} parameters"
+        return f"version {self.version_id}{known}"
 
 
 class ShownVersion(OfVersion, WithParameters):

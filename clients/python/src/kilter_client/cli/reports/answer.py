@@ -51,6 +51,8 @@ def _format_warnings(messages: Sequence[str], columns: int, room: int) -> Iterat
 
 def _format_table(result: Mapping[str, Any], columns: int) -> list[str]:
     """The one table of an answer: what was found, causes of a change, or errors."""
+    head: tuple[str, ...]
+    rows: list[tuple[str, ...]]
     if result.get("found") is not None:
         head, rows = ("effect", "joints", "size", "moves tool by", "sure"), [_found(one) for one in result["found"]]
     elif result.get("looked_at"):

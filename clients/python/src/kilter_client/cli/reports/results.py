@@ -26,15 +26,16 @@ MEASURES = (
 MOST_CHANGES = 8  # that planned poses show, of a table
 
 
-def show_job(job: dict[str, Any], details: bool = True) -> None:
-    """Print a job: how it stands, and what is in its result; without ``details`` its answer on one screen."""
+def show_job(job: dict[str, Any], details: bool = True, head: bool = True) -> None:
+    """Print a job: how it stands (``head``), and what is in its result; without ``details`` its answer on one screen."""
     result = job.get("result") or {}
     version = result.get("version_id")
     stored = [] if not version or job["kind"] in ("evaluate", "drift") else describe_stored(version, result)
+    if head or details or not result:
+        print_line(f"{job['kind']} {job['id']} of {job['robot']}: {job['state']}{_stage(job)}")
     if result and not details and job["kind"] not in ("plan", "joint_parameters", "fleet"):
         show_answer({"headline": result.get("sentence"), **result}, stored)
         return
-    print_line(f"{job['kind']} {job['id']} of {job['robot']}: {job['state']}{_stage(job)}")
     error = job.get("error")
     if error:
         print_line(f"  {error.get('code')}: {error.get('message')}")
