@@ -56,12 +56,12 @@ class ShownFit(WithParameters):
     """An identification: its version, its errors before and after, its parameters."""
 
     version_id: str | None
-    headline: str | None
 
     def _line(self) -> str:
         metrics = getattr(self, "metrics", None)
         errors = "" if metrics is None else f": {metrics!r}"
-        known = f": {self.headline}" if self.headline else f"{errors}; {len(self.parameters)} parameters"
+        headline = getattr(self, "headline", None)
+        known = f": {headline}" if headline else f"{errors}; {len(self.parameters)} parameters"
         return f"version {self.version_id}{known}"
 
 
