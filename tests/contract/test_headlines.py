@@ -155,6 +155,13 @@ def test_a_fit_says_its_error_beside_the_noise_and_what_it_cannot_determine() ->
     assert "noise" not in fit(0.5, None).lower()
 
 
+def test_views_say_how_far_the_tool_is_off() -> None:
+    tool = {"rms_mm": 0.16, "low_mm": 0.12, "high_mm": 0.21, "orientation_deg": 0.01}
+    pixels = {"noise_px": 0.1, "between_views": 1.0, "train": tool, "validation": tool}
+    said = IdentifyResult.model_validate({"metrics": {}, "pixels": pixels}).headline
+    assert said == "Error of the tool in views held out: 0.16 mm rms (95 %: 0.12-0.21 mm)."
+
+
 def test_a_check_says_what_it_found_and_what_to_do() -> None:
     assert DriftResult(sentence="Joint 2 moved.", remedy="Re-zero it.").headline == "Joint 2 moved.\nRe-zero it."
 

@@ -14,6 +14,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from kilter_service.contract.cameras import PixelsFound
 from kilter_service.contract.fits import Errors, Metrics, Noise, Parameter
 from kilter_service.contract.gap_details import Adequacy, Amplitude, GapNoise, GapSize, NamedEffect
 from kilter_service.contract.next_poses import NextPose, ToldApart
@@ -275,13 +276,17 @@ def _left(adequacy: Adequacy | None) -> str:
 
 
 def describe_fit(
-    metrics: Metrics | None, parameters: Sequence[Parameter], noise_mm: float | None, noise: Noise | None
+    metrics: Metrics | None,
+    parameters: Sequence[Parameter],
+    noise_mm: float | None,
+    noise: Noise | None,
+    pixels: PixelsFound | None = None,
 ) -> str:
     """Return the headline of an identification: the error before and after, how it compares with the noise, what is open."""
     held = None if metrics is None else metrics.validation
     errors = held or (None if metrics is None else metrics.train)
     if errors is None or errors.identified is None:
-        return "No tool was measured: see the parameters." if parameters else ""
+        return _describe_views(pixels) or ("No tool was measured: see the parameters." if parameters else "")
     before, n = errors.registration_only or errors.nominal, f"{errors.n} " if errors.n else ""
     aside = f" ({errors.left_out} more set aside)" if errors.left_out else ""
     where = f"{n}unseen rows{aside}" if held is not None else f"the {n}rows that were fitted (no pose was held out)"
@@ -294,6 +299,15 @@ def describe_fit(
     if unknown:
         lines.append(f"Open: {len(unknown)} of {len(parameters)} parameters, which these poses cannot determine.")
     return "\n".join(line for line in lines if line)
+
+
+def _describe_views(pixels: PixelsFound | None) -> str:
+    """The error of the tool by views, where nothing else measured it."""
+    if pixels is None:
+        return ""
+    tool, where = pixels.validation or pixels.train, "held out" if pixels.validation else "that were fitted"
+    between = format_range(tool.low_mm, tool.high_mm)
+    return f"Error of the tool in views {where}: {number(tool.rms_mm)} mm rms (95 %: {between} mm)."
 
 
 def _compare_with_noise(errors: Errors, noise_mm: float) -> str:

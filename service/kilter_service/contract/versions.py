@@ -191,7 +191,8 @@ class Version(VersionSummary):
 
     def model_post_init(self, context: Any, /) -> None:
         """Add the headline."""
-        self.headline = describe_fit(self.metrics, self.parameters, self.noise_mm, self.details.noise)
+        about = self.details
+        self.headline = describe_fit(self.metrics, self.parameters, self.noise_mm, about.noise, about.pixels)
 
 
 class VersionList(Listed):

@@ -65,7 +65,7 @@ class IdentifyResult(FitDetails, MadeVersion):
     def model_post_init(self, context: Any, /) -> None:
         """Add the headline, to results of earlier releases too."""
         if self.metrics is not None:
-            self.headline = describe_fit(self.metrics, self.parameters or [], self.noise_mm, self.noise)
+            self.headline = describe_fit(self.metrics, self.parameters or [], self.noise_mm, self.noise, self.pixels)
 
 
 IDENTIFY = JobContract(

@@ -33,7 +33,8 @@ def show_job(job: dict[str, Any], details: bool = True, head: bool = True) -> No
     stored = [] if not version or job["kind"] in ("evaluate", "drift") else describe_stored(version, result)
     if head or details or not result:
         print_line(f"{job['kind']} {job['id']} of {job['robot']}: {job['state']}{_stage(job)}")
-    if result and not details and job["kind"] not in ("plan", "joint_parameters", "fleet"):
+    long = job["kind"] in ("plan", "joint_parameters", "fleet") or result.get("iso9283")
+    if result and not details and not long:
         show_answer({"headline": result.get("sentence"), **result}, stored)
         return
     error = job.get("error")
