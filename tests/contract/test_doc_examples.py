@@ -26,7 +26,7 @@ BLOCK = re.compile(
     r"^```(?:(sh|python) tested|text (?=printed))(?: with (\S+)|printed)?\n(.*?)^```", re.MULTILINE | re.DOTALL
 )
 NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.]*\w)")
-WITHIN = 0.1  # share by which a printed number may differ from the page's
+WITHIN = 0.15  # share by which a printed number may differ from the page's
 IDENTIFIER = re.compile(r"\b(?:cmp|ver|job)_[0-9a-f]{8,}\b")
 PLACEHOLDER = re.compile(r"\b(cmp|ver|job)_(\d)\b")
 DEADLINE_S = 240
