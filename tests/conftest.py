@@ -45,6 +45,16 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(CpuSeconds(config.getoption("--write-cpu")), "cpu-seconds")
 
 
+@pytest.fixture(autouse=True, scope="session")
+def wide_screen() -> Iterator[None]:
+    """Commands print each sentence on one line; ``tests/clients/test_screens.py`` says what fits on a screen."""
+    from kilter_client.cli.terminal import tables
+
+    usual, tables.WIDE = tables.WIDE, 10_000
+    yield
+    tables.WIDE = usual
+
+
 COLLECTIONS = (50_000, 20, 20)  # Python: 700, 10, 10
 
 

@@ -117,7 +117,7 @@ def test_from_measurements_to_a_version(robot: str, command: Command, write_camp
     assert job["state"] == "succeeded"
     assert job["options"] == {"level": 1, "loss": "huber"}
     first = job["result"]["version_id"]
-    text = command(*identify, "--level", "2", "--fix", "alpha_*,a_3", "--fix", "d_5", "--seed", "3")
+    text = command(*identify, "--level", "2", "--fix", "alpha_*,a_3", "--fix", "d_5", "--seed", "3", "--details")
     words = (
         "registration only", "validation (20)", "p95 mm", "nominal", "not identifiable", "cannot be told from",
         "rows left out of these errors: train none, validation none",

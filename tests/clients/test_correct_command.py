@@ -118,7 +118,7 @@ def test_what_a_correction_leaves_is_said_and_strict_cares(kilter: Kilter, tmp_p
     assert {"DAMPED", "RESIDUAL"} & set(rows[1]["flags"].split("|"))
     assert rows[0]["flags"] == ""
     assert "1 of 3 rows is damped, at worst 0.5 mm are left (row 2)." in capsys.readouterr().err
-    assert run(["version", "latest", "--robot", "short"]) == 0
+    assert run(["version", "latest", "--robot", "short", "--details"]) == 0
     said = capsys.readouterr().out
     assert re.search(
         r"Needs at most [\d.]+ deg and 0\.[45]\d* mm at 99 % of 500 poses .*; limits [\d.]+ deg and 5 mm\.", said

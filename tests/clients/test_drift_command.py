@@ -66,7 +66,7 @@ def test_a_check_says_what_moved_and_its_exit_code_says_so_too(
     still = written(tmp_path / "still.csv", arm, 6, 2)
     assert "ok: 6 poses agree" in command("check", calibrated, still)
     crashed = written(tmp_path / "crashed.csv", arm.after("zero_3", STEP), 6, 3)
-    said = command("check", calibrated, crashed, code=3)
+    said = command("check", calibrated, crashed, "--details", code=3)
     assert "moved: zero of joint 3 by 0.2" in said
     assert "such rows show" in said
     job = command.json("check", calibrated, "--campaign", "crashed.csv", code=3)
@@ -236,7 +236,7 @@ def test_what_moved_is_re_zeroed_activated_and_agrees(
     (first,) = command.json("versions", "list", calibrated)["versions"]
     moved = arm.after("zero_3", STEP)
     command("check", calibrated, written(tmp_path / "crashed.csv", moved, 6, 20), code=3)
-    said = command("rezero", calibrated, "--campaign", "crashed.csv")
+    said = command("rezero", calibrated, "--campaign", "crashed.csv", "--details")
     assert f"Version {calibrated} v1 re-zeroed: zero of joint 3 by 0.2" in said
     assert "The 6 rows of crashed.csv were used for that" in said
     assert "re-zeroed by (6)" in said

@@ -45,7 +45,7 @@ def test_the_whole_loop_in_one_command(
     figures, poses = tmp_path / "figures", tmp_path / "next.csv"
     capsys.readouterr()
     arguments = ["gap", "gap-cli", "-c", rows, "-v", "0.25", *QUICK, "--figures", str(figures), "--poses", str(poses)]
-    assert run(arguments) == 0
+    assert run([*arguments, "--details"]) == 0
     printed = capsys.readouterr()
     said = " ".join(printed.out.split())
     for words in (
@@ -69,7 +69,7 @@ def test_the_whole_loop_in_one_command(
     assert printed.err == ""
     assert again["result"]["verdict"] == "no_gap"
     assert again["options"]["start"] == version
-    assert run(["jobs", "show", again["id"]]) == 0
+    assert run(["jobs", "show", again["id"], "--details"]) == 0
     assert "Nothing is missing that the library could name" in capsys.readouterr().out
 
 

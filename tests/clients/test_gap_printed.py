@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -62,20 +61,18 @@ def test_a_gain_of_weighed_errors_is_said_to_be_one(capsys: pytest.CaptureFixtur
 
 def test_the_library_prints_lengths_in_space_beside_lengths_in_space() -> None:
     class Search(ShownSearch):
-        verdict, sentence, effects, gap = "closed", None, (), SimpleNamespace(**GAP)
+        headline = GapResult.model_validate({"verdict": "closed", "gap": GAP, "noise": {"absolute": True}}).headline
 
     said = Search()._line()
-    assert "0.235 mm -> 0.0505 mm (noise alone: 0.0527 mm)" in said
-    assert "0.0304" not in said
+    assert "0.23 -> 0.051 mm rms. Measurement noise: 0.053 mm." in said
+    assert "0.030" not in said
 
 
 def test_lengths_by_views_are_said_to_be_beside_how_far_the_tool_moves(capsys: pytest.CaptureFixture[str]) -> None:
     by_views, moving = GAP | {"lengths": "by_views"}, WALK | {"gain_mm": 1.57, "moves_mm": 0.158}
 
-    class Search(ShownSearch):
-        verdict, sentence, gap, effects = "closed", None, SimpleNamespace(**by_views), ()
-
-    assert "0.235 mm by views -> 0.0505 mm by views" in Search()._line()
+    said = GapResult.model_validate({"verdict": "closed", "gap": by_views}).headline
+    assert "0.23 -> 0.051 mm by views rms" in str(said)
     out = printed(capsys, gap=by_views, effects=[moving])
     assert "gain mm by views   moves mm" in out
     assert "1.57               0.158" in out

@@ -33,7 +33,7 @@ def test_a_camera_on_the_flange_is_found_and_exported(kilter: Kilter, command: C
     said = ("--base-link", "arm_base", "--flange-link", "arm_flange")
     job = command.json("hand-eye", "handy", "--campaign", "views", "--validation", "0.25", "--ros", ros, *said)
     assert job["result"]["parameters"] == []
-    words = command("jobs", "show", job["id"])
+    words = command("jobs", "show", job["id"], "--details")
     noise = re.search(r"noise of a corner: (\S+) px", words)
     assert noise is not None
     assert float(noise[1]) == pytest.approx(0.1, rel=0.1)
@@ -75,7 +75,7 @@ def test_poses_are_planned_for_a_camera(kilter: Kilter, command: Command, tmp_pa
     q = np.radians(np.loadtxt(poses, delimiter=",", skiprows=1)[:, :6])
     assert len(q) == 8
     assert not np.isnan(SCENE.pixels(q, SCENE.eyes[0], SCENE.sheets[0])).any()
-    said = command("identify", "planned", "--campaign", "views", "--option", "level=1")
+    said = command("identify", "planned", "--campaign", "views", "--option", "level=1", "--details")
     assert re.search(r"camera and arm agree to [\d.]+ mm, with shuffled joints to \d{2,4}", said)
     assert "name a version that was identified" in command("plan", "poses", "planned", "--views", code=1)
 

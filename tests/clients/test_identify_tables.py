@@ -31,7 +31,9 @@ def asked(capsys: Capture, robot: str, campaign: str, *options: str) -> tuple[di
     """Result of an identification; and what is printed of its job and of its version."""
     job: dict[str, Any] = json.loads(printed(capsys, "identify", robot, "-c", campaign, *options, "--json"))
     version = job["result"]["version_id"]
-    return job["result"], [printed(capsys, "jobs", "show", job["id"]), printed(capsys, "version", version)]
+    return job["result"], [
+        printed(capsys, *one, "--details") for one in (("jobs", "show", job["id"]), ("version", version))
+    ]
 
 
 def test_influence_intervals_observability_and_groups(

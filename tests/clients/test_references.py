@@ -58,7 +58,7 @@ def test_a_calibration_without_copying_an_id(
     version = kilter.versions.list(robot)[0]
     assert version["name"] == "monday"
     numbered = f"{robot} v1"
-    assert numbered in out
+    assert f"Stored as {numbered}" in out
     assert version["id"] not in out  # people read numbers, programs ids
     job = version["job_id"]
     assert command.json("jobs", "show", "latest", "--robot", robot)["id"] == job

@@ -22,7 +22,11 @@ from tests.service.forked import ForkedPopen
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCS = REPOSITORY / "docs"
-BLOCK = re.compile(r"^```(sh|python) tested(?: with (\S+))?\n(.*?)^```", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(
+    r"^```(?:(sh|python) tested|text (?=printed))(?: with (\S+)|printed)?\n(.*?)^```", re.MULTILINE | re.DOTALL
+)
+NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.]*\w)")
+WITHIN = 0.15  # share by which a printed number may differ from the page's
 IDENTIFIER = re.compile(r"\b(?:cmp|ver|job)_[0-9a-f]{8,}\b")
 PLACEHOLDER = re.compile(r"\b(cmp|ver|job)_(\d)\b")
 DEADLINE_S = 240
@@ -32,7 +36,7 @@ DEADLINE_S = 240
 class Example:
     """One tested block of a page."""
 
-    language: str
+    language: str  # empty: what the block before it prints, in part
     data: str | None
     source: str
 
@@ -66,8 +70,16 @@ def with_identifiers(source: str, printed: list[str]) -> str:
     return PLACEHOLDER.sub(put, source)
 
 
-def run(example: Example, folder: Path, server: LocalServer, printed: list[str]) -> None:
-    """Run a block; a shell block line by line, since a line may need the id that the line before has printed."""
+def says_the_same(expected: str, line: str) -> bool:
+    """Whether a printed line has the words of a page's line, and its numbers within a share."""
+    said = [re.sub(r"\s+", " ", NUMBER.sub("#", one)).strip() for one in (expected, line)]
+    numbers = zip(NUMBER.findall(expected), NUMBER.findall(line), strict=False)
+    return said[0] == said[1] and all(abs(float(a) - float(b)) <= WITHIN * float(a) + 1e-9 for a, b in numbers)
+
+
+def run(example: Example, folder: Path, server: LocalServer, printed: list[str]) -> str:
+    """Run a block and return what it printed; shell blocks by lines, since one may need an id printed before."""
+    out = ""
     shell = ["bash", "-euo", "pipefail", "-c"]
     if example.language == "sh":
         steps = [[*shell, line.partition("  #")[0]] for line in example.source.splitlines() if line.strip()]
@@ -85,6 +97,8 @@ def run(example: Example, folder: Path, server: LocalServer, printed: list[str])
         )
         assert done.returncode == 0, f"{source}\n{done.stdout}\n{done.stderr}"
         printed += IDENTIFIER.findall(done.stdout + done.stderr)
+        out += done.stdout
+    return out
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY)))
@@ -92,10 +106,21 @@ def test_examples_run(page: Path, server: LocalServer, tmp_path: Path, request: 
     for name in ("docs", "clients"):
         (tmp_path / name).symlink_to(REPOSITORY / name)
     printed: list[str] = []
+    out = ""
     for example in examples(page):
+        if not example.language:
+            for line in filter(str.strip, example.source.splitlines()):
+                assert any(says_the_same(line, one) for one in out.splitlines()), f"not printed:\n{line}\n\n{out}"
+            continue
         if example.data:
             link_measurements(tmp_path, request, example.data)
-        run(example, tmp_path, server, printed)
+        out = run(example, tmp_path, server, printed)
+
+
+def test_what_a_page_says_is_printed_is_compared_by_words_and_numbers() -> None:
+    assert says_the_same(" backlash  2-5  0.046-0.068 deg  certain", "backlash 2-5 0.047-0.070 deg certain")
+    assert not says_the_same("backlash 0.046 deg certain", "backlash 0.046 deg probable")
+    assert not says_the_same("backlash 0.046 deg", "backlash 0.086 deg")
 
 
 MOST_COMMANDS = 12

@@ -110,6 +110,7 @@ def test_the_page_says_what_the_interface_says(hunted: Hunted) -> None:
     for job in (hunted.open, hunted.closed):
         said, result = story(hunted, job), job["result"]
         assert result["sentence"] in said
+        assert bare(result["headline"]) in bare(said)
         for field in ("validation_before_mm", "validation_after_mm", "validation_noise_rms_mm"):
             assert f"{number(result['gap'][field])} mm" in said, field
         for effect in result["effects"]:

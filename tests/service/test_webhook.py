@@ -201,6 +201,7 @@ def test_a_worker_posts_what_has_moved_and_a_failure_fails_no_job(
         assert genuine(headers, body)
         assert (message["event"], message["robot"], message["verdict"]) == ("check", "arm", "moved")
         assert (message["version_id"], message["sentence"]) == (version, said["sentence"])
+        assert message["headline"] == said["headline"]
         assert message["causes"] == [{"name": "zero_3", "words": "zero of joint 3"}]
         assert message["job_id"] == headers["Kilter-Delivery"] == watched.history()["last"]["job_id"]
         assert message["campaigns"] == [watched.history()["last"]["campaign_id"]]

@@ -12,8 +12,8 @@ REMEDY = (
 
 def counted_as_nothing(subject: str, following: Sequence[str]) -> str:
     """Say that a payload which nobody stated counts as 0 kg, and for which effects that matters."""
-    one = len(following) == 1
+    named = ", ".join(following[:3]) + (f" and {len(following) - 3} more effects" if len(following) > 3 else "")
     return (
-        f"{subject} no payload and the robot has no default load, so it counted as 0 kg: {', '.join(following)} "
-        f"{'follows' if one else 'follow'} the load."
+        f"{subject} no payload and the robot has no default load, so it counted as 0 kg: {named} "
+        f"{'follows' if len(following) == 1 else 'follow'} the load."
     )

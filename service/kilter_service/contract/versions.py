@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from kilter_service.contract.comparisons import PairedErrors
 from kilter_service.contract.fits import Covariance, FitDetails, Metrics, NullDirection, Parameter
+from kilter_service.contract.headlines import HEADLINE, describe_fit
 from kilter_service.contract.joints import JointMotions
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.references import RETIRED_AT, TITLE
@@ -173,6 +174,7 @@ class Version(VersionSummary):
     ``details`` is what else its job said: method, observability, correlated groups, influence, intervals.
     """
 
+    headline: str = Field("", description=HEADLINE)
     sha256: str = Field(description="SHA-256 of what the version holds, 64 hexadecimal digits.")
     hash_scheme: Annotated[int, Field(ge=1, le=2)] = Field(
         description="What `sha256` covers: 1 calibration and limits, 2 the robot's chain too."
@@ -189,6 +191,11 @@ class Version(VersionSummary):
     objections: list[Objection] = Field([], description="What its own identification says against activating it.")
     details: Details = Field(description="What else its job said.")
     covariance: Covariance = Field(description="How well its parameters are known, SI.")
+
+    def model_post_init(self, context: Any, /) -> None:
+        """Add the headline."""
+        about = self.details
+        self.headline = describe_fit(self.metrics, self.parameters, self.noise_mm, about.noise, about.pixels)
 
 
 class VersionList(Listed):

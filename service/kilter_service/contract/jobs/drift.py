@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
 from kilter_service.contract.fits import StageErrors
+from kilter_service.contract.headlines import HEADLINE
 from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.jobs.shared import NewFrames, NoiseMm, SetupMm, Version
 from kilter_service.contract.remarks import Remark
@@ -76,6 +77,7 @@ class SmallestChange(Stored):
 class DriftResult(Stored):
     """Whether an arm has moved since its version was made, and by what."""
 
+    headline: str | None = Field(None, description=HEADLINE)
     version_id: str | None = Field(None, description="The version that was checked.")
     verdict: DriftVerdict | None = Field(
         None,
@@ -138,6 +140,11 @@ class DriftResult(Stored):
         None, description="Lowest and highest temperature, degrees Celsius, of the rows of the fit; null: not known."
     )
     warnings: list[Remark] | None = Field(None, description="What to know before trusting the result.")
+
+    def model_post_init(self, context: Any, /) -> None:
+        """Add the headline."""
+        if self.sentence is not None:
+            self.headline = "\n".join([self.sentence, *([self.remedy] if self.remedy else [])])
 
 
 DRIFT = JobContract(

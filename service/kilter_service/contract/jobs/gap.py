@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field
 
@@ -24,6 +24,7 @@ from kilter_service.contract.gap_details import (
     Refused,
     Untestable,
 )
+from kilter_service.contract.headlines import HEADLINE, Found, describe_search, list_found
 from kilter_service.contract.jobs.check import TestabilityCheck
 from kilter_service.contract.jobs.job import JobOf
 from kilter_service.contract.jobs.kind import JobContract
@@ -63,6 +64,8 @@ class GapOptions(WithCoreOptions):
 class GapResult(MadeVersion):
     """What a gap search found. The version holds the named effects and the geometry fitted with them."""
 
+    headline: str | None = Field(None, description=HEADLINE)
+    found: list[Found] | None = Field(None, description="What was found, a row for each effect, the surest first.")
     verdict: str | None = Field(
         None,
         description="`no_gap`, `closed`, `provisional`, `unexplained`, or `not_known`: no noise is known apart from the fit.",
@@ -101,6 +104,15 @@ class GapResult(MadeVersion):
     reference: Reference | None = Field(None, description="Where the frames of a correction come from.")
     prior: PriorUsed | None = Field(None, description="What other robots of the type said; null: they were not asked.")
     start: str | None = Field(None, description="The version it continued from; null: the nominal robot.")
+
+    def model_post_init(self, context: Any, /) -> None:
+        """Add the headline, to results of earlier releases too."""
+        if self.verdict is not None:
+            effects = self.effects or []
+            self.headline = describe_search(
+                self.verdict, effects, self.gap, self.adequacy, self.noise, self.next_poses or [], self.told_apart
+            )
+            self.found = list_found(effects)
 
 
 GAP = JobContract(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field
 
 from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import FitDetails, Metrics, NullDirection, Parameter
+from kilter_service.contract.headlines import HEADLINE, describe_fit
 from kilter_service.contract.jobs.check import IdentifiabilityCheck
 from kilter_service.contract.jobs.job import JobOf
 from kilter_service.contract.jobs.kind import JobContract
@@ -54,11 +55,17 @@ class IdentifyOptions(WithCoreOptions):
 class IdentifyResult(FitDetails, MadeVersion):
     """What an identification found; the version holds the same."""
 
+    headline: str | None = Field(None, description=HEADLINE)
     parameters: list[Parameter] | None = Field(None, description="Parameters that were identified.")
     null_directions: list[NullDirection] | None = Field(None, description="What the data could not tell.")
     metrics: Metrics | None = Field(None, description="Errors on the rows fitted and on those held out.")
     noise_mm: Mm | None = Field(None, description="Standard deviation of a coordinate of the noise, mm.")
     figures: IdentifyFigures | None = Field(None, description="Figures by name.")
+
+    def model_post_init(self, context: Any, /) -> None:
+        """Add the headline, to results of earlier releases too."""
+        if self.metrics is not None:
+            self.headline = describe_fit(self.metrics, self.parameters or [], self.noise_mm, self.noise, self.pixels)
 
 
 IDENTIFY = JobContract(

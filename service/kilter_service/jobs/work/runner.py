@@ -17,6 +17,8 @@ import numpy as np
 
 from kilter_core.errors import CancelledError, CoreError
 from kilter_core.observations import evenly
+from kilter_service.contract.jobs.drift import DriftResult
+from kilter_service.contract.written import as_written
 from kilter_service.ground.caller import on_behalf
 from kilter_service.ground.core import core_effects, core_identify, core_model
 from kilter_service.ground.db import Database, DatabaseAwayError, Session
@@ -193,6 +195,7 @@ def verdict_message(
         "robot": robot,
         "campaigns": [one.id for one in used],
         "at": utc_now().isoformat(),
+        "headline": as_written(DriftResult, dict(result)).headline,
         **{name: result.get(name) for name in SAID},
         "causes": causes,
     }

@@ -138,7 +138,7 @@ def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
         robot=robot,
         job=job,
         version=version,
-        headline=_headline(version, search),
+        headline=_headline(version, job),
         judged=judged,
         parameters=[] if version is None else [_parameter(one) for one in version.parameters],
         effects=effect_contributions(database, version, search) if version is not None and version.effects else None,
@@ -191,19 +191,9 @@ def _ranges(database: Database, version: Version, robot: RobotReport) -> list[li
     return out
 
 
-def _headline(version: Version | None, search: GapResult | None) -> str:
-    """The answer in a sentence."""
-    if version is None:
-        return ""
-    errors = version.metrics.validation or version.metrics.train
-    if errors is None or errors.identified is None:
-        return (search.sentence if search is not None else None) or "No tool was measured: see the parameters."
-    on = "poses that were held out" if version.metrics.validation is not None else "the poses that were fitted"
-    before = errors.registration_only or errors.nominal
-    model = "with base and tool fitted only" if errors.registration_only is not None else "of the nominal robot"
-    ((mean, former),) = words.in_one_unit([[errors.identified.mean_mm, None if before is None else before.mean_mm]])
-    fell = "" if before is None else f", down from {former} {model}"
-    return f"The mean error of the tool is {mean} on {on}{fell}."
+def _headline(version: Version | None, job: Job) -> str:
+    """The answer of the job, where it has one; else that of its version."""
+    return getattr(job.result, "headline", None) or ("" if version is None else version.headline)
 
 
 def _iter_error_tables(version: Version, figures: IdentifyFigures | None) -> Iterator[Judged]:

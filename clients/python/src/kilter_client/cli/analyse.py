@@ -17,6 +17,7 @@ from kilter_client.cli.terminal.arguments import (
     CampaignIds,
     Check,
     ConfirmationIds,
+    Details,
     HuntValidation,
     JobName,
     Json,
@@ -189,6 +190,7 @@ def identify(
     name: JobName = "",
     no_wait: NoWait = False,
     check: Check = False,
+    details: Details = False,
     as_json: Json = False,
 ) -> None:
     """Identify a robot's parameters from campaigns; the result is a new version."""
@@ -214,7 +216,19 @@ def identify(
     if refit is not None:
         chosen["refit"] = [] if refit == "none" else refit.split(",")
     drawn = partial(write_figures, figures, as_json)
-    run_job("identify", robot, campaign, validation, chosen, no_wait, as_json, files=drawn, name=name, check=check)
+    run_job(
+        "identify",
+        robot,
+        campaign,
+        validation,
+        chosen,
+        no_wait,
+        as_json,
+        files=drawn,
+        name=name,
+        check=check,
+        details=details,
+    )
 
 
 @with_flags(
@@ -259,6 +273,7 @@ def gap(
     name: JobName = "",
     no_wait: NoWait = False,
     check: Check = False,
+    details: Details = False,
     as_json: Json = False,
 ) -> None:
     """Find where the model is wrong, name what is missing, and show how the gap shrinks on rows never used."""
@@ -281,7 +296,7 @@ def gap(
     )
     files = partial(_write_search, poses, figures, as_json)
     again = arguments.split_names(confirmation)
-    run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, True, files, again, name, check)
+    run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, True, files, again, name, check, details)
 
 
 def _write_search(poses: Path | None, figures: Path | None, as_json: bool, job: dict[str, Any]) -> None:
@@ -299,13 +314,14 @@ def evaluate(
     option: MoreOptions = None,
     name: JobName = "",
     no_wait: NoWait = False,
+    details: Details = False,
     as_json: Json = False,
 ) -> None:
     """Compare a version with a campaign."""
     chosen = arguments.options(option, version=version)
     if refit is not None:
         chosen["refit"] = arguments.split_names([refit])
-    run_job("evaluate", robot, campaign, None, chosen, no_wait, as_json, name=name)
+    run_job("evaluate", robot, campaign, None, chosen, no_wait, as_json, name=name, details=details)
 
 
 def needs_result(no_wait: bool, **files: Path | None) -> None:
@@ -349,6 +365,7 @@ def run_job(
     confirmation: Sequence[str] = (),
     name: str = "",
     check: bool = False,
+    details: bool = False,
 ) -> None:
     """Submit a job, follow it, and print it; or only say what it would do."""
     ids = arguments.split_names(campaign)
@@ -371,4 +388,4 @@ def run_job(
                 job = kilter.jobs.wait(job["id"], progress)
     if files is not None and not no_wait:
         files(job)
-    emit(job, as_json, show_job)
+    emit(job, as_json, partial(show_job, details=details, head=False))

@@ -14,7 +14,7 @@ from kilter_client.cli.files.upload import ColumnMap, Device, InstrumentName, Me
 from kilter_client.cli.reports.drift_report import EXIT_CODES, show_history, show_robots
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.terminal import arguments
-from kilter_client.cli.terminal.arguments import JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
+from kilter_client.cli.terminal.arguments import Details, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
 from kilter_client.cli.terminal.flags import with_flags
 from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.terminal.output import emit, note, print_line
@@ -67,6 +67,7 @@ def check(
     option: MoreOptions = None,
     name: Annotated[str, typer.Option(help="Name of the campaign and of the job.")] = "",
     no_wait: NoWait = False,
+    details: Details = False,
     as_json: Json = False,
 ) -> None:
     """Say whether an arm has moved since its version was made: exit code 0 ok, 3 moved, 4 cannot tell.
@@ -95,7 +96,7 @@ def check(
             with on_interrupt(partial(job_goes_on, job["id"])), job_bar("check", as_json) as progress:
                 note(f"job {job['id']}", as_json)
                 job = dict(kilter.jobs.wait(job["id"], progress))
-    emit(job, as_json, show_job)
+    emit(job, as_json, partial(show_job, details=details, head=False))
     code = EXIT_CODES.get(_verdict(job), 0)
     if code:
         raise typer.Exit(code)
@@ -167,6 +168,7 @@ def rezero(
     option: MoreOptions = None,
     name: JobName = "",
     no_wait: NoWait = False,
+    details: Details = False,
     as_json: Json = False,
 ) -> None:
     """Make a version of the one or few parameters that moved; everything else stays as it was identified."""
@@ -174,7 +176,7 @@ def rezero(
     chosen = arguments.options(option, causes=causes, version=version, noise_mm=noise_mm, setup_mm=setup_mm)
     if new_setup is not None:
         chosen["new_setup"] = arguments.split_names([new_setup])
-    run_job("rezero", robot, [campaign], None, chosen, no_wait, as_json, name=name)
+    run_job("rezero", robot, [campaign], None, chosen, no_wait, as_json, name=name, details=details)
 
 
 def _verdict(job: dict[str, Any]) -> str:

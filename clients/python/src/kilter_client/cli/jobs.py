@@ -10,7 +10,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
 from kilter_client.cli.reports.results import show_job
-from kilter_client.cli.terminal.arguments import Json
+from kilter_client.cli.terminal.arguments import Details, Json
 from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.terminal.output import emit, note
 from kilter_client.cli.terminal.progress import job_bar
@@ -54,15 +54,15 @@ def list_(
 
 
 @jobs.command(epilog="Example: kilter server jobs show job_1f")
-def show(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
+def show(job: JobId, robot: OfRobot = None, details: Details = False, as_json: Json = False) -> None:
     """Show a job and its result."""
     with Kilter() as kilter:
         job = resolve_reference(kilter, "job", job, robot, as_json)
-        emit(kilter.jobs.get(job), as_json, show_job)
+        emit(kilter.jobs.get(job), as_json, partial(show_job, details=details))
 
 
 @jobs.command(epilog="Example: kilter server jobs watch job_1f")
-def watch(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
+def watch(job: JobId, robot: OfRobot = None, details: Details = False, as_json: Json = False) -> None:
     """Follow a job to its end and show its result."""
     with Kilter() as kilter:
         job, sentence = looked_up(kilter, "job", job, robot)
@@ -71,7 +71,7 @@ def watch(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
                 note(sentence, as_json)
             with job_bar(job, as_json) as progress:
                 document = kilter.jobs.wait(job, progress)
-    emit(document, as_json, show_job)
+    emit(document, as_json, partial(show_job, details=details))
 
 
 @jobs.command(epilog="Example: kilter server jobs cancel job_1f")

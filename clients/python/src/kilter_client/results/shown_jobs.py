@@ -60,7 +60,9 @@ class ShownFit(WithParameters):
     def _line(self) -> str:
         metrics = getattr(self, "metrics", None)
         errors = "" if metrics is None else f": {metrics!r}"
-        return f"version {self.version_id}{errors}; {len(self.parameters)} parameters"
+        headline = getattr(self, "headline", None)
+        known = f": {headline}" if headline else f"{errors}; {len(self.parameters)} parameters"
+        return f"version {self.version_id}{known}"
 
 
 class ShownVersion(OfVersion, WithParameters):
@@ -82,18 +84,13 @@ class ShownVersion(OfVersion, WithParameters):
 class ShownSearch(Shown, Asking):
     """A gap search: what it names, and how the gap shrank."""
 
-    verdict: str | None
+    headline: str | None
     sentence: str | None
     gap: Any
     effects: Any
 
     def _line(self) -> str:
-        named = ", ".join(f"{one.id} ({one.verdict})" for one in self.effects) or "no effect named"
-        size = self.gap
-        unit = f"mm{self._by_views}"
-        shrank = "" if size is None else f": {number(size.before_mm, 3)} {unit} -> {number(size.after_mm, 3)} {unit}"
-        noise = "" if size is None else f" (noise alone: {number(size.noise_rms_mm, 3)} {unit})"
-        return f"gap {self.verdict}{shrank}{noise}; {named}"
+        return self.headline or "nothing is said"
 
     @property
     def _by_views(self) -> str:
@@ -136,7 +133,7 @@ class ShownDrift(Shown):
     sentence: str | None
 
     def _line(self) -> str:
-        return self.sentence or "nothing is said"
+        return getattr(self, "headline", None) or self.sentence or "nothing is said"
 
 
 class ShownPlan(Shown):

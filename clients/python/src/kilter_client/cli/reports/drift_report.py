@@ -29,11 +29,13 @@ def show_drift(result: Mapping[str, Any]) -> None:
         print_line(f"warning: {warning['message']}")
 
 
-def show_smallest(result: Mapping[str, Any]) -> None:
-    """Print which changes rows show in 95 % of the checks, and which they do not."""
+def show_smallest(result: Mapping[str, Any], most: int | None = None) -> None:
+    """Print which changes rows show in 95 % of the checks, and which they do not; of the former ``most`` at most."""
     rows = [(one["words"], f"{number(one['value'], 2)} {one['unit']}") for one in result.get("smallest") or ()]
     if rows:
-        show_rows(("such rows show", "from a change of"), rows)
+        show_rows(("such rows show", "from a change of"), rows[:most])
+        if most is not None and len(rows) > most:
+            print_line(f"and {len(rows) - most} more changes (--json)")
         print_line(
             f"in 95 % of the checks; an arm that has not moved alarms in {number(result['false_alarm'])} of them at most"
         )

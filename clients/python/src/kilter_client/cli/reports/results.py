@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from kilter_client.cli.reports.answer import show_answer
 from kilter_client.cli.reports.drift_report import show_drift, show_smallest
 from kilter_client.cli.reports.gap_report import show_gap
 from kilter_client.cli.reports.identify_report import show_identification, show_parameters
@@ -22,14 +23,23 @@ MEASURES = (
     ("orientation_deg", "orientation deg"),
 )
 
+MOST_CHANGES = 8  # that planned poses show, of a table
 
-def show_job(job: dict[str, Any]) -> None:
-    """Print a job: how it stands, and what is in its result."""
-    print_line(f"{job['kind']} {job['id']} of {job['robot']}: {job['state']}{_stage(job)}")
+
+def show_job(job: dict[str, Any], details: bool = True, head: bool = True) -> None:
+    """Print a job: how it stands (``head``), and what is in its result; without ``details`` its answer on one screen."""
+    result = job.get("result") or {}
+    version = result.get("version_id")
+    stored = [] if not version or job["kind"] in ("evaluate", "drift") else describe_stored(version, result)
+    if head or details or not result:
+        print_line(f"{job['kind']} {job['id']} of {job['robot']}: {job['state']}{_stage(job)}")
+    long = job["kind"] in ("plan", "joint_parameters", "fleet") or result.get("iso9283")
+    if result and not details and not long:
+        show_answer({"headline": result.get("sentence"), **result}, stored)
+        return
     error = job.get("error")
     if error:
         print_line(f"  {error.get('code')}: {error.get('message')}")
-    result = job.get("result") or {}
     if job["kind"] == "gap" and result:
         show_gap(result)
     elif job["kind"] == "plan" and result:
@@ -41,19 +51,16 @@ def show_job(job: dict[str, Any]) -> None:
         show_drift(result)
     else:
         show_result(result)
-    version = result.get("version_id")
-    if version and job["kind"] not in ("evaluate", "drift"):
-        _show_made(version, result.get("objections") or [])
+    for line in stored:
+        print_line(line)
 
 
-def _show_made(version: str, objections: Sequence[Mapping[str, Any]]) -> None:
-    """Print the version a job made, and how to go on unless something speaks against it."""
+def describe_stored(version: str, result: Mapping[str, Any]) -> list[str]:
+    """Say under which name a version is stored and how to go on, or what speaks against it, a line each."""
+    objections: Sequence[Mapping[str, Any]] = result.get("objections") or ()
     if not objections:
-        print_line(f"version {version}; make it the one that corrects with: kilter activate {version}")
-        return
-    print_line(f"version {version} is stored, but not fit to correct with:")
-    for objection in objections:
-        print_line(f"  {objection['message']}")
+        return [f"Stored as {version}. Next: kilter activate {version}"]
+    return [f"Stored as {version}, but not fit to correct with:", *(f"  {one['message']}" for one in objections)]
 
 
 def show_plan(result: Mapping[str, Any]) -> None:
@@ -61,7 +68,7 @@ def show_plan(result: Mapping[str, Any]) -> None:
     print_line(f"{result['count']} poses for {result['purpose']}")
     if result.get("separates"):
         print_line(f"{' and '.join(result['separates'])} correlate by {number(result['correlation'], 3)} in these data")
-    show_smallest(result)
+    show_smallest(result, MOST_CHANGES)
     for proposal in result.get("proposals") or ():
         worth = number(proposal["information_factor"], 3)
         print_line(f"  {proposal['change'] or 'new poses'}: {proposal['poses']}, information times {worth}")
@@ -73,8 +80,8 @@ def show_plan(result: Mapping[str, Any]) -> None:
         print_line(f"warning: {warning['message']}")
 
 
-def show_version(version: dict[str, Any]) -> None:
-    """Print a version and its parameters."""
+def show_version(version: dict[str, Any], details: bool = True) -> None:
+    """Print a version and its parameters; without ``details`` its errors and what speaks against it."""
     print_line(f"version {version['id']} of {version.get('robot')}, made {str(version.get('created_at'))[:16]}")
     print_line(
         f"  {'active' if version['active'] else 'not active'}, job {version['job_id']}, parent {version['parent_id']}"
@@ -83,6 +90,9 @@ def show_version(version: dict[str, Any]) -> None:
         print_line(f"  not fit to correct with: {objection['message']}")
     for campaign in version["campaigns"]:
         print_line(f"  {campaign['use']}: campaign {campaign['id']} ({campaign['name']}), {campaign['rows']} rows")
+    if not details:
+        show_answer(version, ())
+        return
     _workspace((version.get("details") or {}).get("workspace"))
     show_result({**(version.get("details") or {}), **version})
 

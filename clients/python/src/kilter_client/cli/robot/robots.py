@@ -24,6 +24,8 @@ from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import UsageError
 
 Document = dict[str, Any]
+
+MOST_NAMES = 12  # of parameters in a line
 Points = Sequence[tuple[float, float]]
 
 WIDTH, HEIGHT = 60, 20
@@ -236,7 +238,9 @@ def _show(document: dict[str, Any]) -> None:
     ]
     show_rows(("", "joint", "kind", "limits", "gear ratio"), rows)
     print_line(document["controller_sentence"])
-    print_line(f"parameters: {', '.join(document.get('parameters', ())) or 'none'}")
+    names = list(document.get("parameters", ()))
+    more = f" and {len(names) - MOST_NAMES} more (--json)" if len(names) > MOST_NAMES else ""
+    print_line(f"{len(names)} parameters: {', '.join(names[:MOST_NAMES]) or 'none'}{more}")
     load = (document.get("document") or {}).get("load")
     if load:
         centre = ", ".join(f"{value:g}" for value in load.get("payload_com_mm") or (0, 0, 0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +12,7 @@ from kilter_client import Kilter
 from kilter_client.cli.reports.activation_report import show_activations, show_active, show_today
 from kilter_client.cli.reports.results import show_version
 from kilter_client.cli.stored import exported, keeping
-from kilter_client.cli.terminal.arguments import Json, Retired, Robot, VersionId
+from kilter_client.cli.terminal.arguments import Details, Json, Retired, Robot, VersionId
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.references import OfRobot, resolve_reference
 from kilter_client.cli.terminal.tables import number, show_rows
@@ -52,11 +53,11 @@ def list_(robot: Robot, retired: Retired = False, as_json: Json = False) -> None
     emit(document, as_json, _show_list)
 
 
-def version(version: VersionId, robot: OfRobot = None, as_json: Json = False) -> None:
+def version(version: VersionId, robot: OfRobot = None, details: Details = False, as_json: Json = False) -> None:
     """Show a version: where it comes from, and its parameters."""
     with Kilter() as kilter:
         version = resolve_reference(kilter, "version", version, robot, as_json)
-        emit(kilter.versions.get(version), as_json, show_version)
+        emit(kilter.versions.get(version), as_json, partial(show_version, details=details))
 
 
 def activate(

@@ -13,6 +13,7 @@ import typer
 from kilter_client.errors import UsageError
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout and nothing else.")]
+Details = Annotated[bool, typer.Option("--details", help="Print all that is known, and not only the answer.")]
 Robot = Annotated[str, typer.Argument(help="Name of the robot.", metavar="ROBOT", show_default=False)]
 File = Annotated[
     Path, typer.Argument(help="The file.", metavar="FILE", show_default=False, exists=True, dir_okay=False)

@@ -11,6 +11,7 @@ from typing import Any
 
 import typer
 
+from kilter_client.cli.terminal.tables import screen_columns, wrap_line
 from kilter_client.cli.terminal.version_words import name_versions
 from kilter_client.errors import KilterError, UsageError
 
@@ -41,8 +42,8 @@ def emit(document: Document, as_json: bool, show: Callable[[Document], None]) ->
 
 
 def print_line(text: str = "") -> None:
-    """Print a line for people on stdout."""
-    print(name_versions(text))
+    """Print a line for people on stdout, as several where it is wider than a screen."""
+    print("\n".join(wrap_line(name_versions(text), screen_columns())))
 
 
 def say_remarks(document: Document) -> None:
@@ -56,7 +57,7 @@ def say_remarks(document: Document) -> None:
 def note(text: str, as_json: bool = False) -> None:
     """Print a line about what is being done, on stderr; nothing with --json."""
     if not as_json:
-        print(name_versions(text), file=sys.stderr)
+        print("\n".join(wrap_line(name_versions(text), screen_columns())), file=sys.stderr)
 
 
 def report_error(error: KilterError, as_json: bool) -> None:

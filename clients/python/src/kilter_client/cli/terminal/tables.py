@@ -51,14 +51,28 @@ def _wrap_cell(cell: str, width: int) -> list[str]:
     return textwrap.wrap(cell, width) or [""] if len(cell) > width else [cell]
 
 
-WIDE = 200  # columns when nobody's terminal says otherwise
+WIDE = 120  # columns of a screen, where no terminal is narrower
+
+
+def screen_columns() -> int:
+    """Columns of the terminal, at most those of a screen."""
+    return min(shutil.get_terminal_size().columns, WIDE) if sys.stdout.isatty() else WIDE
+
+
+def wrap_line(line: str, columns: int) -> list[str]:
+    """Return a line as lines of at most so many columns, indented as it is; a text of several lines stays as it is."""
+    if len(line) <= columns or "\n" in line:
+        return [line]
+    indent = " " * (len(line) - len(line.lstrip()))
+    return textwrap.wrap(
+        line.strip(), columns, initial_indent=indent, subsequent_indent=f"{indent}  ", break_on_hyphens=False
+    )
 
 
 def show_rows(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "", numbers: bool = False) -> None:
     """Print a table on stdout; ``numbers`` sets all columns but the first to the right."""
-    screen = shutil.get_terminal_size().columns if sys.stdout.isatty() else WIDE
     named = [[name_versions(cell) for cell in row] for row in rows]
-    print(table(head, named, screen, title, numbers))
+    print(table(head, named, screen_columns(), title, numbers))
 
 
 def number(value: Any, digits: int = 4) -> str:

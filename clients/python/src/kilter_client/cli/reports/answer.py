@@ -1,0 +1,101 @@
+"""An answer on one screen: the headline, warnings with their remedies, one table, and what is next; the rest by --details."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from kilter_client.cli.terminal.output import print_line
+from kilter_client.cli.terminal.tables import number, screen_columns, table, wrap_line
+from kilter_client.results.shown import MODELS, nominal_words
+
+LINES = 20  # of an answer, but for a table that is longer
+MOST_ROWS = 8  # of its table
+DETAILS = "(--details)"
+IN_HEADLINE = {"poses_will_not_tell"}  # warnings that the headline says
+ROWS = {"train": "fitted", "validation": "unseen"}
+ERRORS = (("mean_mm", "mean mm"), ("rms_mm", "rms mm"), ("p95_mm", "p95 mm"), ("max_mm", "max mm"))
+
+
+def show_answer(result: Mapping[str, Any], stored: Sequence[str]) -> None:
+    """Print the answer of a job or of a version; ``stored`` says where it is stored and what is next."""
+    for line in format_answer(result, stored, screen_columns()):
+        print_line(line)
+
+
+def format_answer(result: Mapping[str, Any], stored: Sequence[str], columns: int) -> list[str]:
+    """Return the lines of an answer, of at most so many ``columns``."""
+    head = [line for one in str(result.get("headline") or "").splitlines() for line in wrap_line(one, columns)]
+    foot = [line for one in stored for line in wrap_line(one, columns)]
+    middle = _format_table(result, columns)
+    warnings = [one for one in result.get("warnings") or () if one.get("code") not in IN_HEADLINE]
+    room = max(LINES - len(head) - len(middle) - len(foot), 2)
+    return [*head, *_format_warnings([str(one["message"]) for one in warnings], columns, room), *middle, *foot]
+
+
+def _format_warnings(messages: Sequence[str], columns: int, room: int) -> Iterator[str]:
+    """Warnings as far as there is room; the first is cut where it alone is longer, the others are counted."""
+    for k, message in enumerate(messages):
+        lines, left = wrap_line(f"Warning: {message}", columns), len(messages) - k
+        if len(lines) > room - (left > 1):
+            if k == 0:
+                kept = lines[: max(room - (left > 1), 1)]
+                yield from [*kept[:-1], f"{kept[-1][: columns - len(DETAILS) - 5]} ... {DETAILS}"]
+                left -= 1
+            if left:
+                yield f"and {left} more warning{'s' if left > 1 else ''} {DETAILS}"
+            return
+        yield from lines
+        room -= len(lines)
+
+
+def _format_table(result: Mapping[str, Any], columns: int) -> list[str]:
+    """The one table of an answer: what was found, causes of a change, or errors."""
+    head: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+    if result.get("found") is not None:
+        head, rows = ("effect", "joints", "size", "moves tool by", "sure"), [_found(one) for one in result["found"]]
+    elif result.get("looked_at"):
+        head = ("cause", "", "change")
+        rows = [_cause(one) for one in result["looked_at"]] if result.get("verdict") != "ok" else []
+    else:
+        head, rows = ("rows", "model", *(words for _, words in ERRORS)), list(_errors(result.get("metrics") or {}))
+    if not rows:
+        return []
+    lines = table(head, rows[:MOST_ROWS], columns).splitlines()
+    more = len(rows) - MOST_ROWS
+    return [*lines, *([f" and {more} more {DETAILS}"] if more > 0 else []), ""]
+
+
+def _found(one: Mapping[str, Any]) -> tuple[str, ...]:
+    moves = "" if one.get("moves_mm") is None else f"{number(one['moves_mm'], 2)} mm"
+    return one["effect"], format_joints(one.get("joints") or ()), one.get("size") or "", moves, one["sure"]
+
+
+def _cause(one: Mapping[str, Any]) -> tuple[str, ...]:
+    seen = [n for n in one.get("numbers") or () if n.get("u95") is not None]
+    changes = ", ".join(f"{number(n['change'], 2)} {n['unit']}" for n in seen)
+    return one["words"], "refuted" if one.get("refuted") else "may be", changes
+
+
+def _errors(metrics: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+    """Errors by rows and model: of an evaluation those of each campaign; of a fit unseen rows come first."""
+    for name in sorted(metrics, key=lambda one: one == "train"):
+        block = metrics[name] or {}
+        for stage, words in MODELS.items():
+            if isinstance(block.get(stage), Mapping):
+                means = ((block.get(one) or {}).get("mean_mm") for one in ("nominal", "registration_only"))
+                label = nominal_words(*means) if stage == "nominal" else words
+                rows = f"{block.get('name') or ROWS.get(name, name)} ({block.get('n', '?')})"
+                yield rows, label, *(number(block[stage].get(key), 3) for key, _ in ERRORS)
+
+
+def format_joints(joints: Sequence[int]) -> str:
+    """Write joints shortly: 2-5, 7."""
+    runs: list[list[int]] = []
+    for joint in sorted(joints):
+        if runs and joint == runs[-1][-1] + 1:
+            runs[-1].append(joint)
+        else:
+            runs.append([joint])
+    return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)

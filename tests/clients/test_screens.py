@@ -1,0 +1,112 @@
+"""What the everyday commands print fits on a screen, on arms of six to twelve axes; its headline says what is true.
+
+The arms, their files and their truth are made by ``arms_with_play``, which shares no code with Kilter.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kilter_client.cli import run
+from kilter_client.cli.terminal import tables
+from tests.clients.arms_with_play import ArmWithPlay
+
+LINES, COLUMNS = 25, 120
+QUICK = ("--effects", "backlash,encoder_scale,eccentricity", "--option", "resamples=5", "--option", "bootstraps=99")
+ARMS = {"six": ArmWithPlay(6), "seven": ArmWithPlay(7), "railed": ArmWithPlay(8, rail=True), "twelve": ArmWithPlay(12)}
+Capture = pytest.CaptureFixture[str]
+
+
+class Screen:
+    """A terminal that keeps what a command printed that does not fit."""
+
+    def __init__(self, capsys: Capture) -> None:
+        self.capsys, self.too_much = capsys, list[str]()
+
+    def __call__(self, *arguments: object, codes: tuple[int, ...] = (0,)) -> str:
+        words = [str(one) for one in arguments]
+        self.capsys.readouterr()
+        code = run(words)
+        out, err = self.capsys.readouterr()
+        assert code in codes, out + err
+        lines = (err + out).splitlines()
+        if len(lines) > LINES or max(map(len, lines), default=0) > COLUMNS:
+            said = f"{len(lines)} lines, {max(map(len, lines))} columns"
+            self.too_much.append(f"kilter {' '.join(words)}: {said}\n{err}{out}")
+        return out
+
+
+@pytest.fixture(autouse=True)
+def usual_screen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tables, "WIDE", COLUMNS)
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("name", ARMS)
+def test_every_answer_fits_on_a_screen_and_its_headline_is_true(
+    name: str, server: Path, capsys: Capture, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm, screen = ARMS[name], Screen(capsys)
+    monkeypatch.chdir(tmp_path)
+    for file, text in (
+        ("arm.urdf", arm.urdf()),
+        ("measured.csv", arm.measured(90, 1)),
+        ("unseen.csv", arm.measured(24, 2)),
+        ("later.csv", arm.measured(6, 4)),
+    ):
+        (tmp_path / file).write_text(text)
+    screen("robot", "add", "arm.urdf", "--name", name, "--base-link", "link_0", "--tip-link", "ball")
+    screen("inspect", "measured.csv", "--robot", name)
+    screen("upload", name, "measured.csv", "--name", "measured")
+    screen("upload", name, "unseen.csv", "--name", "unseen", "--role", "validation")
+    both = ("--campaign", "measured", "--validation", "unseen")
+    screen("identify", name, *both, "--check")
+    screen("identify", name, *both)
+    said = screen("gap", name, *both, *QUICK)
+    assert said.startswith(f"Found: backlash of joint {arm.loose} (")
+    (size,) = re.findall(r"backlash +\d+ +(\S+) to (\S+) deg .*certain", said)
+    low, high = sorted(abs(float(end)) for end in size)
+    assert low <= 2.0 * arm.loose_play_deg <= high < 1.1 * low
+    before, after = map(float, re.findall(r"unseen poses: (\S+) -> (\S+) mm", said)[0])
+    assert after < 0.5 * before
+    for arguments in (
+        ("activate", "latest", "--robot", name),
+        ("version", "latest", "--robot", name),
+        ("versions", name),
+        ("jobs", "list", "--robot", name),
+        ("jobs", "show", "latest", "--robot", name),
+        ("campaigns", name),
+        ("evaluate", name, "--campaign", "unseen", "--version", "latest"),
+        ("today", name),
+        ("diff", "nominal", "latest", "--robot", name),
+        ("drift", name),
+        ("activations", name),
+        ("plan", "check", name, "--poses", "6", "-o", "check.csv"),
+        ("suspicious", "measured", "--robot", name),
+    ):
+        screen(*arguments)
+    screen("check", name, "later.csv", codes=(0, 3, 4))
+    np.savetxt("path.csv", np.zeros((3, arm.axes)), delimiter=",", header=",".join(arm.columns), comments="")
+    screen("correct", name, "path.csv", "-o", "corrected.csv")
+    assert not screen.too_much, "\n\n".join(screen.too_much)
+
+
+def test_details_and_json_hold_all_that_an_answer_leaves_out(server: Path, capsys: Capture, tmp_path: Path) -> None:
+    arm, screen = ArmWithPlay(6, loose=2), Screen(capsys)
+    (tmp_path / "arm.urdf").write_text(arm.urdf())
+    (tmp_path / "rows.csv").write_text(arm.measured(60, 1))
+    screen("robot", "add", tmp_path / "arm.urdf", "--name", "whole", "--base-link", "link_0", "--tip-link", "ball")
+    screen("upload", "whole", tmp_path / "rows.csv", "--name", "rows")
+    job = json.loads(screen("identify", "whole", "-c", "rows", "-v", "0.25", "--json"))
+    short = screen("jobs", "show", job["id"])
+    long = screen("jobs", "show", job["id"], "--details")
+    assert "observability:" not in short
+    assert "observability:" in long
+    assert "theta_offset_2" in long
+    assert all(line in " ".join(short.split()) for line in job["result"]["headline"].splitlines())
+    assert job["result"]["parameters"]
