@@ -21,7 +21,7 @@ MOST_LATE = 3  # of the setpoints of one test
 Q = (0.1, 0.6, 0.4, 0.3, 0.2)
 
 
-def until(condition: Callable[[], bool], seconds: float = 12.0) -> None:
+def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
     """Wait until the condition holds; fail when it does not in time."""
     end = time.monotonic() + seconds
     while not condition():

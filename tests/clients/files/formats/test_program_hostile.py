@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from kilter_files.formats.programs.found import MOST_LINES
 from kilter_files.formats.programs.reading import MOST_IN_LINE, read_programs
 from kilter_files.ground.errors import FileError
 
@@ -68,6 +69,8 @@ OF_ALL = [
     "-",
     "a ",
     "a",
+    "a(b) ",
+    "a((b)) ",
     ":",
     ";",
     "!a\n",
@@ -108,6 +111,25 @@ def test_a_line_of_megabytes_is_refused_with_its_number(tmp_path: Path, ending: 
     path = tmp_path / f"a{ending}"
     path.write_text(f"first\n{unit * (15 << 20)}")
     with pytest.raises(FileError, match=r"line 2.*has more than 65536 characters in a line.*Break the line"):
+        read_programs(path)
+
+
+@pytest.mark.parametrize("ending", PROGRAMS)
+@pytest.mark.parametrize("line", ["\n", "a\n", " \r\n"])
+def test_a_program_of_more_lines_than_a_controller_loads_is_refused(tmp_path: Path, ending: str, line: str) -> None:
+    begin, end, _ = PROGRAMS[ending]
+    path = tmp_path / f"a{ending}"
+    path.write_text(f"{begin}{line * (5 << 20)}{end}", newline="")
+    with pytest.raises(FileError, match=r"line 400001.*more than 400000 lines.*Part it into several programs"):
+        read_programs(path)
+
+
+@pytest.mark.parametrize(("ending", "move"), [(".mod", "MoveL a;"), (".script", "movej(a) ")])
+def test_a_program_of_more_moves_than_a_controller_loads_is_refused(tmp_path: Path, ending: str, move: str) -> None:
+    begin, end, _ = PROGRAMS[ending]
+    path = tmp_path / f"a{ending}"
+    path.write_text(f"{begin}{(move * 4000 + chr(10)) * (MOST_LINES // 4000 + 1)}{end}")
+    with pytest.raises(FileError, match=r"is move 400001.*Part the program into several"):
         read_programs(path)
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import re
 from bisect import bisect_left
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, replace_spans
@@ -16,6 +17,7 @@ from kilter_files.ground.faults import fault
 # every repeat is bounded: a damaged file must not make the search slow
 NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 SAME_DEG = 5e-10  # a joint that moves less keeps its characters
+MOST_LINES = 400_000  # more than programs have
 DATA = "no move of the program goes to these joints, and it uses them otherwise"
 EXTERNAL_AXES = "external axes are left out: what they move belongs to the base or the tool"
 
@@ -108,6 +110,8 @@ class Program:
 
     def leave_poses(self, reasons: Mapping[PoseTarget, str]) -> None:
         """Name the poses that stay as they are, each with its reason, and the moves to them."""
+        if not reasons:
+            return
         own = set(self.cartesian)
         self.left += [(one.line, f"{one.name}, a pose: {why}") for one, why in reasons.items() if one in own]
         self.left += [
@@ -116,6 +120,18 @@ class Program:
             if one in reasons and (one not in own or line != one.line)
         ]
         self.left = sorted(set(self.left))
+
+    def moves_found(self, found: Iterator[re.Match[str]]) -> list[re.Match[str]]:
+        """Return the moves of the text.
+
+        Raises:
+            FileError: there are more than a program may have lines.
+
+        """
+        moves = [*islice(found, MOST_LINES + 1)]
+        if len(moves) > MOST_LINES:
+            raise self.refuse(moves[-1].start(), f"is move {len(moves)}", "Part the program into several.")
+        return moves
 
     def refuse(self, at: int, what: str, remedy: str) -> Exception:
         """Build the error of a place."""
@@ -199,7 +215,9 @@ def written(old: str, value: float, least: int) -> str:
 @lru_cache(maxsize=4)
 def blank_strings_and_comments(text: str, comment: str) -> str:
     """Blank strings and comments: places stay."""
-    return re.sub(rf'"[^"\n]*"|{comment}[^\r\n]*', lambda match: " " * len(match[0]), text)
+    parts = re.split(rf'("[^"\n]*"|{comment}[^\r\n]*)', text)
+    parts[1::2] = [" " * len(said) for said in parts[1::2]]
+    return "".join(parts)
 
 
 def split_lines(text: str) -> list[str]:

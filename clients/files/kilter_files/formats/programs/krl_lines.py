@@ -110,6 +110,13 @@ def _describe_passed_target(said: str, targets: Collection[str]) -> str:
     return next((f"{by} is given a part of a target" for by, name in parts_handed(said) if name in targets), "")
 
 
+@lru_cache(maxsize=4)
+def _calls_that_may_change(text: str) -> list[tuple[str, str]]:
+    """The functions that may change what they are given, each once with all that it is given so."""
+    calls = dict.fromkeys(CALLED.findall(text))
+    return [call for call in calls if _may_change(call[0].upper())]
+
+
 @lru_cache(maxsize=1024)
 def _may_change(function: str) -> bool:
     """Whether a function, in capitals, may change what it is given."""
@@ -118,14 +125,13 @@ def _may_change(function: str) -> bool:
 
 def variables_passed_to_calls(text: str) -> set[str]:
     """Return the variables, in capitals, that a call is given whole or in part and may change; arrays without their index."""
-    given = {call[2] for call in CALLED.finditer(text) if _may_change(call[1].upper())}
+    given = {said for _, said in _calls_that_may_change(text)}
     return {one[1].upper() for said in given for pattern in (HANDED, PART_HANDED) for one in pattern.finditer(said)}
 
 
 def parts_handed(text: str) -> Iterator[tuple[str, str]]:
     """Yield what is given a part of a variable, which it may change, and the name of the variable in capitals."""
-    calls = dict.fromkeys((call[1], call[2]) for call in CALLED.finditer(text) if _may_change(call[1].upper()))
-    for by, given in calls:
+    for by, given in _calls_that_may_change(text):
         yield from ((by, one[1].upper()) for one in PART_HANDED.finditer(given))
 
 

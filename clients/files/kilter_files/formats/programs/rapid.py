@@ -63,7 +63,7 @@ def find(program: Program) -> None:
         }
     poses = _poses(program, text)
     moves = RapidMoves(program, text, known, poses, {match[1].lower() for match in variable_changes(text)})
-    left = [match.span() for match in MOVE.finditer(text) if not moves.add_move(match)]
+    left = [match.span() for match in program.moves_found(MOVE.finditer(text)) if not moves.add_move(match)]
     for match in BY_ITSELF.finditer(text):
         program.leave(match.start(), f"{match[1]}: moves the arm otherwise than to a target")
     # one from which moves only compute others is not a goal itself

@@ -54,7 +54,7 @@ class RapidFlow:
         self._ever_off = {match[1].upper() for match in SWITCHED.finditer(text) if match[2].upper() == "OFF"}
         starts = [match.start() for match in STARTS.finditer(text)]
         control, calls = _control(text)
-        self._way = InForce(sorted({*control, *((at, 0) for at, _ in calls)}, key=lambda one: one[0]), starts)
+        self._way = InForce(sorted([*control, *((at, 0) for at, _ in calls)], key=lambda one: one[0]), starts)
         self._switched: dict[str, InForce] = {}
         for kind in self._ever_off:
             settings: list[tuple[int, object]] = [

@@ -65,40 +65,48 @@ def elements(name: str, size: str | None, count: int) -> list[str]:
 def variable_changes(text: str) -> list[re.Match[str]]:
     """Return what changes a variable, its name as group 1: assignments, and instructions that are given a part of it.
 
-    Declarations and named arguments are not among them.
+    Declarations and named arguments are not among them, nor variables that are neither targets nor frames nor parameters.
     """
-    declared = {match.start(1) for match in DECLARES.finditer(text)}
+    own = [*DECLARES.finditer(text)]
+    declared = {match.start(1) for match in own}
+    names = {match[1].lower() for match in own}
+    names |= {one.lower() for match in ROUTINE.finditer(text) for one in re.findall(r"\w+", match[2])}
     by_value = _by_value(text)
-    found = [match for match in ASSIGNS.finditer(text) if match.start(1) not in declared]
-    found += (match for match in PART_GIVEN.finditer(text) if _gives_back(text, match.start(), by_value))
-    return [*found, *_given_to_functions(text, by_value)]
+    found = [match for match in ASSIGNS.finditer(text) if match[1].lower() in names and match.start(1) not in declared]
+    given = (match for match in PART_GIVEN.finditer(text) if match[1].lower() in names)
+    found += (match for match in given if _gives_back(text, match.start(), by_value))
+    return [*found, *(match for match in _given_to_functions(text, by_value) if match[1].lower() in names)]
 
 
 def _given_to_functions(text: str, by_value: Collection[str]) -> Iterator[re.Match[str]]:
     """Yield what a function is given that may change it, as ``StrToVal(part, p10.trans.x)`` does; constants are kept."""
     constant = {match[1].lower() for match in CONSTANT.finditer(text)}
-    calls: set[int] = set()
-    for call in FUNCTION.finditer(text):
-        if FUNCTION_READS.fullmatch(call[1]) or call[1].lower() in by_value:
+    found = [(call[1], call.end()) for call in FUNCTION.finditer(text)]
+    kept = {name for name in {name for name, _ in found} if FUNCTION_READS.fullmatch(name) or name.lower() in by_value}
+    calls = {at: None for name, at in found if name not in kept}
+    end = 0
+    for call in calls:
+        if call < end:
             continue
-        calls.add(call.end())
-    begun: list[
-        int | None
-    ] = []  # of each open bracket: where its present argument begins, None where none is looked at
-    for mark in BRACKETS.finditer(text):
-        if mark[0] in "([{":
-            begun.append(mark.end() if mark.end() in calls else None)
-            continue
-        if mark[0] == ";":
-            begun.clear()
-        at = begun[-1] if begun else None
-        given = None if at is None else ARGUMENT.fullmatch(text, at, mark.start())
-        if given is not None and given[1].lower() not in constant:
-            yield given
-        if mark[0] == ",":
-            begun[-1:] = [None if at is None else mark.end()] if begun else []
-        else:
-            del begun[-1:]
+        begun: list[int | None] = [
+            call
+        ]  # where the present argument of each open bracket begins; None: of no such call
+        for mark in BRACKETS.finditer(text, call):
+            sign, end = mark[0], mark.end()
+            if sign in "([{":
+                begun.append(end if end in calls else None)
+                continue
+            given = None if begun[-1] is None or sign == ";" else ARGUMENT.fullmatch(text, begun[-1], mark.start())
+            if given is not None and given[1].lower() not in constant:
+                yield given
+            if sign == "," and begun[-1] is not None:
+                begun[-1] = end
+            elif sign == ";":
+                break
+            elif sign != ",":
+                begun.pop()
+                if not begun:
+                    break
 
 
 def _gives_back(text: str, at: int, by_value: Collection[str]) -> bool:

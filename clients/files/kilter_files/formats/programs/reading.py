@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from kilter_files.formats.programs.dialects import DIALECTS
-from kilter_files.formats.programs.found import Dialect, Program, Stated, line_number
+from kilter_files.formats.programs.found import MOST_LINES, Dialect, Program, Stated, line_number
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget
 from kilter_files.formats.programs.remedies import remedies
 from kilter_files.ground.faults import fault, read_head
@@ -103,6 +103,9 @@ def _parse_program(path: Path, dialect: Dialect, stated: Stated, beside: Program
         line = next(k for k, length in enumerate(lengths, 1) if length > MOST_IN_LINE)
         what = f"has more than {MOST_IN_LINE} characters in a line"
         raise fault(path, what, "Break the line, or export it again.", line=line)
+    if len(lengths) > MOST_LINES:
+        what = f"has more than {MOST_LINES} lines"
+        raise fault(path, what, "Part it into several programs, and leave empty lines out.", line=MOST_LINES + 1)
     program = Program(path, content.decode("latin-1"), dialect.name, beside=beside, stated=stated)
     dialect.refuse_cut(program)
     dialect.find(program)

@@ -21,7 +21,6 @@ from kilter_files.formats.programs.poses.urscript import (
     BY_FORCE,
     CALLED,
     CHANGED,
-    KNOWN,
     Poses,
     inside,
     inverse_arguments,
@@ -40,6 +39,7 @@ CELL = re.compile(rf"(d2r\(\s?)?({NUMBER})(?(1)\s?\))")
 PARAMETERS = re.compile(r"^[ \t]*+(?:def|thread)[ \t]+\w{1,64}[ \t]*+\(([^)\n]{1,500})\)", re.M)
 TARGET = re.compile(rf"p?\s?\[\s*+{NUMBER}(?:\s*+,\s*+{NUMBER}){{5}}\s*+\]")
 INNER = re.compile(r"\w{1,64}\s?\([^()]{0,500}\)")
+WORDS = re.compile(r"(?<![\w.])\w+(?![\w(\[])")
 ENDED = re.compile(r"\s*+(?:[,)]|\Z)")  # nothing is added to a list
 MOST_RAD = 4.2 * math.pi
 
@@ -63,7 +63,7 @@ def find(program: Program) -> None:
     taken: dict[int, JointTarget | None] = {}
     forced, plain, near = set[JointTarget | None](), set[JointTarget | None](), 0
     poses = Poses(program, text, declared)
-    for match in MOVE.finditer(text):
+    for match in program.moves_found(MOVE.finditer(text)):
         goal = (match[2] or "").strip()
         places = [(match.start(2), goal)] if goal.startswith("[") else declared.get(goal, [])
         listed = bool(places) and all(written.startswith("[") for _, written in places)
@@ -164,11 +164,10 @@ def _name_calls(program: Program, text: str, declared: Places) -> None:
     """Name the calls that hand a target on: to a subprogram, or to a function that may move the arm."""
     targets = {name for name, places in declared.items() if any(TARGET.match(written) for _, written in places)}
     for match in CALLED.finditer(text):
-        if not KNOWN.fullmatch(match[1]) and not MOVE.match(text, match.start()):
-            said = inside(text, match.end())
-            bare = INNER.sub("", said)
-            if TARGET.search(bare) or targets.intersection(re.findall(r"(?<![\w.])\w+(?![\w(\[])", bare)):
-                program.leave(match.start(), f"{match[1]}({said[:40]}: {match[1]} is given a target")
+        said = inside(text, match.end())
+        bare = INNER.sub("", said) if targets or "[" in said else ""
+        if (TARGET.search(bare) or targets.intersection(WORDS.findall(bare))) and not MOVE.match(text, match.start()):
+            program.leave(match.start(), f"{match[1]}({said[:40]}: {match[1]} is given a target")
 
 
 def _add_joint_target(program: Program, name: str, at: int, written: str) -> JointTarget | None:

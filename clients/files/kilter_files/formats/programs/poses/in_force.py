@@ -91,7 +91,8 @@ def calls_of_own(text: str, named: re.Pattern[str]) -> list[int]:
     """Return where a program calls its own subprograms, of which ``named`` finds the names: they may move the arm."""
     own = [*named.finditer(text)]
     names, heads = {match[1].upper() for match in own}, {match.start(1) for match in own}
-    calls = re.finditer(r"(?<![\w.$])(\w{1,64})[ \t]*+\(", text)
+    begin = "".join(sorted({re.escape(match[1][0]) for match in own})) or r"\W"  # other calls are never looked at
+    calls = re.finditer(rf"(?<![\w.$])(?=[{begin}])(\w{{1,64}})[ \t]*+\(", text, re.I)
     return [match.start() for match in calls if match[1].upper() in names and match.start() not in heads]
 
 

@@ -83,7 +83,7 @@ class KrlFrames:
         control = [(one.start(), next(w for k, w in enumerate(ways, 1) if one[k])) for one in CONTROL.finditer(text)]
         control = sorted([*control, *((at, 0) for at in calls_of_own(text, START))], key=lambda one: one[0])
         starts = [match.start() for match in START.finditer(text)]
-        self.way = InForce(sorted({*control, *((at, 0) for at in subprograms(text))}, key=lambda one: one[0]), starts)
+        self.way = InForce(sorted([*control, *((at, 0) for at in subprograms(text))], key=lambda one: one[0]), starts)
         self.base, self.tool = InForce(control, starts), InForce(control, starts)
         for match in SET.finditer(text):
             self._set(match)

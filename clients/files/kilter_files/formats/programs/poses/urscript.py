@@ -20,15 +20,18 @@ IN_FRAME = re.compile(r"pose_trans[ \t]{0,9}\(")
 CALL = re.compile(r"\b(move[jlpc])[ \t]{0,9}\(")
 SET_TCP = Keyed("set_tcp", r"\bset_tcp[ \t]{0,9}\(", 0)
 BRACKET = re.compile(r"[()\[\]]")
+WITHIN = r"[^()\[\]]*+"
+TWO_DEEP = rf"{WITHIN}(?:[(\[]{WITHIN}(?:[(\[]{WITHIN}[)\]]{WITHIN})*+[)\]]{WITHIN})*+"
+CLOSED = re.compile(rf"{TWO_DEEP}[)\]]")  # as nearly all calls are
 MOST_INSIDE = 2000  # characters
-CALLED = re.compile(r"(?<![\w.])(\w{1,64})[ \t]{0,9}\(")
 # functions that only reckon, set or tell, and words before a bracket
-KNOWN = re.compile(
+KNOWN = (
     r"(?:set|get|pose|is|force|socket|rtde|rpc|to|read|write|str|tool|path|wrench|point|integer|modbus)_\w{1,64}"
     r"|interpolate_pose|textmsg|popup|norm|length|dot|cross|transpose|inv|if|elif|while|and|or|not|return|def|thread|run|join"
     r"|sleep|sync|abs|a?(?:sin|cos|tan)|atan2|sqrt|pow|exp|log|floor|ceil|random|d2r|r2d|zero_ftsensor|size|enter_critical"
     r"|end_force_mode|powerdown|varmsg|request_\w{1,64}"
 )
+CALLED = re.compile(rf"(?<![\w.])(?!(?:{KNOWN})[ \t]{{0,9}}\()(\w{{1,64}})[ \t]{{0,9}}\(")  # of others
 MOVES = re.compile(r"(?:optimove|move|servo|speed)[jlpc]")
 DISPLACED = Keyed(
     "path_offset_ track_conveyor_", r"\b(?:path_offset_(?:set|enable)|track_conveyor_\w{1,20})[ \t]{0,9}\(", 0
@@ -68,7 +71,7 @@ class Poses:
         calls = [(at, 0) for at in calls_of_own(text, OWN)]
         self._tool = InForce(sorted([*control, *calls]), starts, owners)
         others = [(at, 0) for at in _other_calls(text)]
-        self._way = InForce(sorted({*control, *calls, *others}), starts, owners)
+        self._way = InForce(sorted([*control, *calls, *others]), starts, owners)
         self.forced = self._forced_spans(text)
         for at, tool in sorted(self._tools(text), key=lambda one: one[0]):
             self._tool.set(at, tool)
@@ -238,11 +241,7 @@ def _strip_argument_name(at: int, said: str) -> tuple[int, str]:
 def _other_calls(text: str) -> list[int]:
     """Where a program calls what its text does not hold, which may move the arm."""
     own = {match.start(1) for match in OWN.finditer(text)}
-    return [
-        match.start()
-        for match in CALLED.finditer(text)
-        if match.start() not in own and not KNOWN.fullmatch(match[1]) and not MOVES.fullmatch(match[1])
-    ]
+    return [one.start() for one in CALLED.finditer(text) if one.start() not in own and not MOVES.fullmatch(one[1])]
 
 
 def inverse_arguments(text: str, at: int) -> dict[str, tuple[int, str]]:
@@ -261,7 +260,8 @@ def inverse_arguments(text: str, at: int) -> dict[str, tuple[int, str]]:
 
 def inside(text: str, at: int) -> str:
     """Return the text from behind an opening bracket to the one that closes it."""
-    return text[at : _closings(text).get(at, at)]
+    closed = CLOSED.match(text, at, at + MOST_INSIDE)
+    return text[at : _closings(text).get(at, at) if closed is None else closed.end() - 1]
 
 
 @lru_cache(maxsize=4)
