@@ -75,7 +75,7 @@ def test_every_command_of_the_contract_is_there() -> None:
         "joint-parameters", "repair",
         *(f"mesh {verb}" for verb in ("list", "set", "from-urdf", "remove")),
         *(f"fleet {verb}" for verb in ("identify", "list", "show", "watch", "cancel")),
-        "jobs list", "jobs show", "jobs watch", "jobs cancel", "version", "activate", "rollback", "diff",
+        "jobs list", "jobs show", "jobs watch", "jobs cancel", "version show", "activate", "rollback", "diff",
         "residuals", "activations", "export", "correct", "status", "suspicious", "today", "accept", "stream-session",
         "twin compare", "twin onto", "twin read", "homing",
         "effects", "methods", "presets", "formats", "columns", "try",
@@ -141,7 +141,7 @@ def _versions(robot: str, first: str, command: Command, tmp_path: Path) -> None:
     assert "theta_offset_2" in command("diff", "nominal", second)
     assert "validation" in command("versions", robot)
     assert "train: campaign" in command("version", first)
-    assert json.loads(command("export", first))
+    assert json.loads(command("version", "export", first))
     written = command.json("export", first, "-o", tmp_path / "version.json")
     assert written["bytes"] == (tmp_path / "version.json").stat().st_size
     assert "name the file" in command.json("export", first, code=2)["detail"]

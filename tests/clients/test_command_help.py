@@ -103,7 +103,7 @@ def test_groups_cut_no_line(group: str, capsys: Capture, monkeypatch: pytest.Mon
 def test_without_a_command_there_is_help(capsys: Capture) -> None:
     assert "Commands:" in printed(capsys, code=2)
     assert "Give a command" in json.loads(printed(capsys, "--json", code=2))["detail"]
-    assert "kilter server jobs ... --json" in json.loads(printed(capsys, "--json", "jobs", code=2))["detail"]
+    assert "kilter jobs ... --json" in json.loads(printed(capsys, "--json", "jobs", code=2))["detail"]
 
 
 def test_the_version_without_a_server(no_settings: None, capsys: Capture) -> None:
