@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -92,8 +93,9 @@ def of_job(job: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
 
 @router.get("/jobs/{job}/report.html")
 def job_page(job: str, database: DatabaseOfApp) -> HTMLResponse:
-    """Return the report of a job as one page that needs no other file, to keep or to send."""
-    return HTMLResponse(_printed(service.of_job(database, job), source("report.css")))
+    """Return the report of a job as one page that needs no other file, to keep or to send; it decides no tolerance."""
+    sheet = replace(service.of_job(database, job), first=None)
+    return HTMLResponse(_printed(sheet, source("report.css")))
 
 
 @router.get("/versions/{version}/report.pdf")

@@ -134,7 +134,7 @@ def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
     }
     log = [] if version is None else versions.activations(database, job.robot, Page()).activations
     return Sheet(
-        title=f"{job.robot}: {named}",
+        title=named if named.startswith(f"{job.robot} v") else f"{job.robot}: {named}",
         robot=robot,
         job=job,
         version=version,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import shlex
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
@@ -62,7 +63,8 @@ def try_files(
         for file in files:
             _step(["upload", ROBOT, str(file), *options], as_json)
         with Kilter() as kilter:
-            campaigns = ",".join(one["id"] for one in kilter.campaigns.list(ROBOT))
+            named = ((one["id"], one["name"]) for one in kilter.campaigns.list(ROBOT))
+            campaigns = ",".join(key if "," in name else name for key, name in named)
             for kind in ("identify", "gap"):
                 _step([kind, ROBOT, "--campaign", campaigns, "--validation", HELD_OUT], as_json)
             found = {job["kind"]: kilter.jobs.get(job["id"]) for job in kilter.jobs.list(ROBOT)}
@@ -87,7 +89,7 @@ def _server_for_trial(as_json: bool) -> Iterator[None]:
 
 def _step(arguments: Sequence[str], as_json: bool) -> None:
     """Run a command as a person would, and say which."""
-    note(f"\n$ kilter {' '.join(arguments)}", as_json)
+    note(f"\n$ kilter {shlex.join(arguments)}", as_json)
     said = io.StringIO()
     with redirect_stdout(said) if as_json else nullcontext():
         code = run([*arguments, *(["--json"] if as_json else [])])
