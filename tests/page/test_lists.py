@@ -173,7 +173,7 @@ def test_campaigns_are_found_sorted_and_filtered(there: Made) -> None:
 def test_versions_are_named_and_found(there: Made) -> None:
     place = f"/robots/{there.robot}/versions"
     names, said = shown(there, place)
-    assert [name.split(" ver_")[0] for name in names] == ["version 2", "version 1"]
+    assert names == ["version 2 v2", "version 1 v1"]
     assert said == "All 2 versions."
     text = there.client.get(place).text
     assert f'<td><a href="/versions/{there.poor}">version 1</a></td>' in text  # what it was started from, by name

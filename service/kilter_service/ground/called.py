@@ -1,4 +1,4 @@
-"""What people call a version, a job or a campaign: its name and number, else what it is and when it was made."""
+"""What people call a version, a job or a campaign: its name or number, else what it is and when it was made."""
 
 from __future__ import annotations
 
@@ -16,15 +16,14 @@ class Made(Protocol):
 
 
 def display_name(made: Made) -> str:
-    """Return what people call it: a version by its number too, what has neither name nor number by when it was made.
+    """Return what people call it: its name, a version's number, else when it was made.
 
     To the second, so that two of a minute differ.
     """
-    number, robot = getattr(made, "number", 0), getattr(made, "robot", "")
-    if number:
-        return f"{made.name} (v{number})" if made.name else f"{robot} v{number}"
     if made.name:
         return made.name
+    if number := getattr(made, "number", 0):
+        return f"{getattr(made, 'robot', '')} v{number}"
     # Of a job by its kind, of a version none: whoever reads need not know what an id stands for.
     kind = KINDS.get(getattr(made, "kind", ""))
     what = "version" if hasattr(made, "job_id") else "campaign"

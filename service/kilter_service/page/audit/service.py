@@ -192,8 +192,7 @@ class _Names:
         if key not in self._found:
             try:
                 one = GET[kind](self._database, key)
-                numbered = getattr(one, "number", 0)
-                named = one.name or (display_name(one) if numbered else "")
+                named = one.name or (display_name(one) if getattr(one, "number", 0) else "")
                 self._found[key] = f"{kind} {named}" if named else f"the {display_name(one)}", one.robot
             except CoreError:
                 self._found[key] = f"{kind} {key}", ""
