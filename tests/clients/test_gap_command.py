@@ -52,7 +52,7 @@ def test_the_whole_loop_in_one_command(
         "verdict: closed", "Where the model is wrong", "excess chi2", "What is missing", "backlash",
         "friction_windup", "amplitude", "interval", "The gap", "held out", "noise floor", "noise of a coordinate:",
         "corrections work in the base frame of the registration", "closed on held-out rows",
-        "negative control passed", "What these data cannot test", "how to test it", "kilter activate ver_",
+        "negative control passed", "What these data cannot test", "how to test it", "kilter activate gap-cli v1",
     ):  # fmt: skip
         assert words in said, words
     drawn = {file.stem for file in figures.glob("*.json")}

@@ -52,7 +52,7 @@ def test_a_whole_calibration(k: Kilter, robot: str, write_campaign: Write, tmp_p
     assert v.job["campaigns"] == [stored.campaign_id]
     after = v.metrics.validation.identified.mean_mm  # type: ignore[union-attr]
     assert after < 0.03
-    assert f"{after:.3g} mm identified" in repr(v)
+    assert f"-> {after:.2g} mm" in repr(v)
     # The twin's second joint is off by 2 mrad (conftest), which the result says in degrees.
     assert v.parameters["theta_offset_2"].change == pytest.approx(np.degrees(2e-3), abs=0.01)
     assert k.activate(v).id == v.version_id
@@ -213,7 +213,7 @@ def test_a_hunt(k: Kilter, robot: str, write_campaign: Write) -> None:
     stored = k.upload(robot, write_campaign(60))
     found = k.gap(robot, stored, validation=0.25, effects="encoder_scale", progress=False)
     assert found.gap is not None
-    assert repr(found).startswith(f"gap {found.verdict}: {found.gap.before_mm:.3g} mm")
+    assert f"{found.gap.before_mm:.2g} -> " in repr(found)
     assert found.job is not None
     assert found.job["options"]["effects"] == ["encoder_scale"]
     assert "<table>" in found._repr_html_()

@@ -137,7 +137,7 @@ def test_a_purge_of_what_is_cited(robot: str, campaign: str, kilter: Kilter, cap
     version = kilter.versions.resolve_id("latest", robot)
     kilter.campaigns.change(whole, name="only this")
     assert f"is {whole}. Give that" in refused(capsys, "campaigns", "purge", "only this", "--yes", code=2)
-    assert "`kilter measure campaigns ROBOT` lists them" in refused(
+    assert "`kilter measure campaigns list ROBOT` lists them" in refused(
         capsys, "campaigns", "purge", "nobody", "--yes", code=2
     )
     assert version in refused(capsys, "campaigns", "purge", whole, "--yes")

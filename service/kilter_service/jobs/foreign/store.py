@@ -11,8 +11,8 @@ from kilter_service.jobs.kinds.drift import REFUSED
 
 KIND = "drift"
 RETIRED = (
-    " Campaign {campaign} was retired, so that nothing is compared with it; an administrator can bring it back (`kilter "
-    "campaigns restore {campaign}`)."
+    " Campaign {campaign} was retired, so that nothing is compared with it; an administrator can bring it back "
+    "(`kilter measure campaigns restore {campaign}`)."
 )
 KEPT = (
     " Campaign {campaign} is still in use, because {why}: ask an administrator to retire it (`kilter measure campaigns retire "

@@ -23,18 +23,18 @@ ROUTE = re.compile(r"\b(?:GET|POST|PATCH|PUT|DELETE) /v1/[\w/{}.-]*[\w}]")
 # Arguments that a verb calls otherwise than the request or the command does.
 OTHER_NAMES: Mapping[str, str] = {"format": "form", "map": "column_map", "remarks": "notes"}
 REWORDED: Sequence[tuple[str, str]] = (
-    (r"kilter (?:campaigns|versions) (retire|restore) (\w+)", r'k.\1("\2")'),
+    (r"kilter (?:(?:measure )?campaigns|versions?) (retire|restore) (\w+)", r'k.\1("\2")'),
     (r"kilter robot (retire|restore) ([\w.-]+)", r'k.\1("\2", kind="robot")'),
-    (r"kilter server jobs watch (\w+)", r'k.wait("\1")'),
+    (r"kilter (?:server )?jobs watch (\w+)", r'k.wait("\1")'),
     (r"kilter robot add", "k.add_robot(...)"),
     (r'kilter activate --force --reason TEXT`, \{"force": true, "reason": TEXT\}', "force=True, reason=...`"),
-    (r"kilter (upload|identify|gap|evaluate|plan|activate|correct|export|jobs)\b", r"k.\1"),
+    (r"kilter (?:version |server )?(upload|identify|gap|evaluate|plan|activate|correct|export|jobs)\b", r"k.\1"),
 )
 PLACE = re.compile(r"\b(?:options|body|query)\.(\w+)")
 OPTION = re.compile(
     r"--([a-z]+(?:-[a-z0-9]+)*)(?: (\w+\.toml|(?:cmp|ver|job)_\w+|confirmation|validation|train|same|coupled))?"
 )
-COMMANDS = re.compile(r"(`kilterd? (?:inspect|serve)[^`]*`)")  # they are for a terminal here too
+COMMANDS = re.compile(r"(`kilterd? (?:(?:measure )?inspect|serve\b)[^`]*`)")  # they are for a terminal here too
 
 
 def rephrase_error(error: KilterError) -> None:
