@@ -216,7 +216,7 @@ def test_a_version_of_a_worker_is_in_the_audit_of_whoever_asked_for_it(
     assert (entry["address"], entry["route"]) == ("127.0.0.1", "kilterd worker")
     assert json.loads(entry["place"]) == {"job": job}
     changed = {change["thing"]: change for change in entry["changes"]}
-    assert set(changed) == {f"versions/{version}", f"jobs/{job}"}
+    assert set(changed) == {f"versions/{version}", f"jobs/{job}", "robots/1"}  # which counts its versions
     assert changed[f"versions/{version}"]["before"] == ""
     sha256 = client.get(f"/v1/versions/{version}").json()["sha256"]
     assert json.loads(changed[f"versions/{version}"]["after"])["sha256"] == sha256

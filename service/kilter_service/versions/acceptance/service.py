@@ -93,7 +93,8 @@ def another_arm(campaign: str) -> str:
     return (
         f"campaign {campaign} misses the version by more than 2 % of the arm's reach, and no one cause explains it: its rows "
         f"are of another arm or set-up, or the arm is far off. Where they are not of this arm, take it out of use "
-        f"(`kilter measure campaigns retire {campaign}`); else name it, and it is judged (`kilter version accept --campaign {campaign}`)."
+        f"(`kilter measure campaigns retire {campaign}`); else name it, and it is judged "
+        f"(`kilter version accept --campaign {campaign}`)."
     )
 
 
