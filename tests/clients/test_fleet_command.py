@@ -28,7 +28,14 @@ def test_a_fleet_from_the_command_line(
     shown = capsys.readouterr()
     said = " ".join((shown.out + shown.err).split())
     (version,) = kilter.versions.list(robot)
-    for words in (robot, version["id"], "refused", "no campaign", "1 succeeded, 1 refused", "Nothing was activated"):
+    for words in (
+        robot,
+        f"{robot} v{version['number']}",
+        "refused",
+        "no campaign",
+        "1 succeeded, 1 refused",
+        "Nothing was activated",
+    ):
         assert words in said, words
     assert run(["fleet"]) == 0
     listed = " ".join(capsys.readouterr().out.split())

@@ -49,7 +49,7 @@ def test_while_a_job_runs(robot: str, kilter: Kilter, write_campaign: Write, com
     kilter.campaigns.upload(campaign, write_campaign(400))
     if command == "watch":
         job = kilter.jobs.submit("gap", robot, [campaign], options={"bootstraps": MANY})["id"]
-        process = started("jobs", "watch", "latest", "--robot", robot)
+        process = started("server", "jobs", "watch", "latest", "--robot", robot)
         assert process.stderr is not None
         assert process.stderr.readline() == f"job 'latest' is {job}\n"
         while kilter.jobs.get(job)["state"] == "queued":

@@ -88,7 +88,10 @@ def test_a_wait_goes_on_after_a_restart(
             job = kilter.jobs.submit("gap", "arm", [campaign])["id"]
             watching = until_the_end(
                 subprocess.Popen(
-                    [kilter_command, "jobs", "watch", job], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+                    [kilter_command, "server", "jobs", "watch", job],
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.PIPE,
+                    text=True,
                 )
             )
             while kilter.jobs.get(job)["state"] != "running":

@@ -55,9 +55,7 @@ def rows_of(text: str) -> list[tuple[str, ...]]:
             ]:  # its unit stands in the head of the column
                 told["Off by"] = f"{told[name]} {name.removeprefix('Off by, ')}"
             # A page links an unnamed version, a report on paper has its number.
-            who = re.sub(
-                r" (that made \S+ v\d+|\(its version, its job\)|\(its job\))$", "", told["Says who"]
-            )
+            who = re.sub(r" (that made \S+ v\d+|\(its version, its job\)|\(its job\))$", "", told["Says who"])
             found.append((told["Row"], told["Off by"], told["Standard deviations"], who, told["Why"]))
     return sorted(found)
 
