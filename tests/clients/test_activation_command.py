@@ -44,7 +44,7 @@ def test_a_worse_version_is_refused_forced_and_rolled_back(
 
     assert run(["activate", good]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    for words in ("Compared on 42 poses (42 rows)", "registration only", "chance mm", f"{good} is active."):
+    for words in ("Compared on 42 poses (42 rows)", "registration only", "chance mm", f"{robot} v1 is active."):
         assert words in said, words
     assert any(
         f", of {names}: " in said for names in ("coarse, checked", "checked, coarse")
@@ -56,11 +56,11 @@ def test_a_worse_version_is_refused_forced_and_rolled_back(
     assert run(["activate", coarse, "--force", "--reason", "for a trial"]) == 0
     assert "forced, though: On 30 poses" in " ".join(capsys.readouterr().out.split())
     assert run(["rollback", robot]) == 0
-    assert f"{good} is active again." in capsys.readouterr().out
+    assert f"{robot} v1 is active again." in capsys.readouterr().out
     assert run(["activations", robot]) == 0
     log = " ".join(capsys.readouterr().out.split())
-    places = [log.index(f"{what} {version} admin") for what, version in (
-        ("rollback", good), ("forced activate", coarse), ("activate", good),
+    places = [log.index(f"{what} {robot} v{number} admin") for what, number in (
+        ("rollback", 1), ("forced activate", 2), ("activate", 1),
     )]  # fmt: skip
     assert places == sorted(places)
     assert "admin for a trial" in log
