@@ -77,9 +77,9 @@ SEARCH = (
     "noise.from_repeats.SPIKE",
     "noise.from_repeats.SPHERICAL",
     "search.linear.bases.FIRM",
-    "evidence.local_bump.FAIR",
+    "evidence.similarity.smooth.FAIR",
     "evidence.similarity.testability.BARELY",
-    "evidence.held_out.holding_out.SHARE",
+    "study.SHARE",
 )
 
 
