@@ -72,7 +72,7 @@ def test_values_of_commands_are_looked_at_as_typer_does(tmp_path: Path) -> None:
 from kilter_client.cli import run
 for given in (
     ["upload", "arm", "{tmp_path}/nowhere.csv"], ["upload", "arm", "{tmp_path}"],
-    ["upload", "arm", "{tmp_path}/file.csv", "--role", "x"], ["jobs", "list", "--limit", "x"],
+    ["upload", "arm", "{tmp_path}/file.csv", "--role", "x"], ["server", "jobs", "list", "--limit", "x"],
     ["identify", "arm", "--level", "4"], ["upload", "arm"],
 ):
     assert run(given) == 2
