@@ -56,7 +56,8 @@ OTHERS = {
     "GET /assets/{name}", "GET /robots/{robot}/arm.json", "GET /robots/{robot}/places.json", "GET /robots/{robot}/reach.json",
     "GET /robots/{robot}/meshes/{link}", "GET /robots/{robot}/stream/events", "GET /campaigns/{campaign}/series.json",
     "GET /campaigns/{campaign}/values.json", "GET /campaigns/{campaign}/rows.json", "GET /campaigns/{campaign}/rows.csv",
-    "GET /versions/{version}/report.pdf", "GET /jobs/{job}/report.pdf", "GET /jobs/{job}/poses.csv",
+    "GET /versions/{version}/report.pdf", "GET /jobs/{job}/report.pdf",
+    "GET /jobs/{job}/report.html", "GET /jobs/{job}/poses.csv",
     "GET /robots/{robot}/campaigns/new/{draft}", "GET /jobs/{job}/report", "GET /jobs/compare",
 }  # fmt: skip
 OF_AN_ID = {"GET /versions/{version}", "GET /versions/{version}/report", "GET /campaigns/{campaign}", "GET /jobs/{job}"}
