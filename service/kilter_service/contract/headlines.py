@@ -254,7 +254,7 @@ def _describe_undecided(
     if by_sure["open"]:
         yield f"Open: {_join(by_sure['open'])}."
     if verdict == "unexplained":
-        yield f"Open: something else remains{_left(adequacy)} that no known effect explains."
+        yield f"Open: something else remains{_describe_remainder(adequacy)} that no known effect explains."
     weak = [one for one in effects if SURE.get(one.verdict) != "certain"]
     if told_apart is not None and told_apart.instead and not told_apart.enough:
         yield f"To decide: {told_apart.instead[0].replace('_', ' ')}."
@@ -267,7 +267,7 @@ def _describe_undecided(
         yield f"To decide: {weak[0].to_confirm[0]}"
 
 
-def _left(adequacy: Adequacy | None) -> str:
+def _describe_remainder(adequacy: Adequacy | None) -> str:
     if adequacy is None:
         return ""
     unseen = adequacy.held_out

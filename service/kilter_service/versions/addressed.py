@@ -18,18 +18,18 @@ def _id_in_address(database: Database, text: str) -> str:
         return references.version_id(session, text)
 
 
-def _version(version: str, database: DatabaseOfApp) -> str:
+def _version_id(version: str, database: DatabaseOfApp) -> str:
     return _id_in_address(database, version)
 
 
-def _first(a: str, database: DatabaseOfApp) -> str:
+def _first_version_id(a: str, database: DatabaseOfApp) -> str:
     return _id_in_address(database, a)
 
 
-def _second(b: str, database: DatabaseOfApp) -> str:
+def _second_version_id(b: str, database: DatabaseOfApp) -> str:
     return _id_in_address(database, b)
 
 
-AddressedVersion = Annotated[str, Depends(_version)]
-FirstVersion = Annotated[str, Depends(_first)]
-SecondVersion = Annotated[str, Depends(_second)]
+AddressedVersion = Annotated[str, Depends(_version_id)]
+FirstVersion = Annotated[str, Depends(_first_version_id)]
+SecondVersion = Annotated[str, Depends(_second_version_id)]

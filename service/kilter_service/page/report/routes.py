@@ -95,7 +95,7 @@ def of_job(job: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
 def job_page(job: str, database: DatabaseOfApp) -> HTMLResponse:
     """Return the report of a job as one page that needs no other file, to keep or to send; it decides no tolerance."""
     sheet = replace(service.of_job(database, job), first=None)
-    return HTMLResponse(_printed(sheet, source("report.css")))
+    return HTMLResponse(_render_printed(sheet, source("report.css")))
 
 
 @router.get("/versions/{version}/report.pdf")
@@ -110,14 +110,14 @@ def job_pdf(job: str, request: Request, database: DatabaseOfApp) -> Response:
     return _pdf(request, database, service.of_job(database, job))
 
 
-def _printed(sheet: Sheet, css: str = "") -> str:
+def _render_printed(sheet: Sheet, css: str = "") -> str:
     shown: dict[str, Any] = {"sheet": sheet, "css": Markup(css)}  # noqa: S704 (our own style sheet)
     return environment().get_template("report/printed.html").render(**shown)
 
 
 def _pdf(request: Request, database: Database, sheet: Sheet) -> Response:
     with get_scratch(request).folder_for("report") as folder:
-        made = pdf(folder, _printed(sheet), source("report.css"))
+        made = pdf(folder, _render_printed(sheet), source("report.css"))
     name = sheet.version.id if sheet.version is not None else sheet.job.id
     return Response(
         made, media_type="application/pdf", headers={"Content-Disposition": f'inline; filename="{name}.pdf"'}

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from kilter_client.cli.groups import FirstLevel, join_version_words, moved_to
+from kilter_client.cli.groups import FirstLevel, find_new_spelling, join_version_words
 from kilter_client.cli.quick_start import with_quick_values, without_httpx_command
 from kilter_client.cli.terminal.interrupt import CODE, UNKNOWN, InterruptedCommandError
 from kilter_client.cli.terminal.output import note, report_error, report_usage
@@ -67,7 +67,7 @@ def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit code."""
     as_json = "--json" in arguments
     arguments = join_version_words(arguments)
-    if moved := moved_to(arguments):
+    if moved := find_new_spelling(arguments):
         note(f"`kilter {arguments[0]}` is now `kilter {moved}`; the old spelling goes with the next release.", as_json)
     without_httpx_command()
     with_quick_values()

@@ -81,8 +81,8 @@ class CatalogueGroup(WithDefault):
     @property
     def commands(self) -> Any:
         """All its commands by name, which imports all their modules."""
-        own = _registered(self._place.own).commands if self._place.own else {}
-        return {**own, **{name: _registered(other) for name, other in self._place.commands.items()}}
+        own = _load_command(self._place.own).commands if self._place.own else {}
+        return {**own, **{name: _load_command(other) for name, other in self._place.commands.items()}}
 
     @commands.setter
     def commands(self, _: Any) -> None:
@@ -94,7 +94,7 @@ class CatalogueGroup(WithDefault):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write its commands, each with one line."""
-        own = _registered(self._place.own).commands if self._place.own else {}
+        own = _load_command(self._place.own).commands if self._place.own else {}
         rows = [(name, _first_thought(found.help or "")) for name, found in own.items()]
         rows += [(name, ENTRIES[other].summary) for name, other in self._place.commands.items()]
         with formatter.section("Commands"):
@@ -103,8 +103,8 @@ class CatalogueGroup(WithDefault):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return one command."""
         if cmd_name in self._place.commands:
-            return _registered(self._place.commands[cmd_name])
-        return _registered(self._place.own).commands.get(cmd_name) if self._place.own else None
+            return _load_command(self._place.commands[cmd_name])
+        return _load_command(self._place.own).commands.get(cmd_name) if self._place.own else None
 
 
 def join_version_words(arguments: Sequence[str]) -> list[str]:
@@ -143,15 +143,15 @@ def find_command(words: Sequence[str]) -> tuple[Any, int]:
 @cache
 def command(name: str) -> Any:
     """Return a command or a group of the first level."""
-    return CatalogueGroup(name) if name in GROUPS else _registered(name)
+    return CatalogueGroup(name) if name in GROUPS else _load_command(name)
 
 
-def moved_to(words: Sequence[str]) -> str:
+def find_new_spelling(words: Sequence[str]) -> str:
     """Return how words are spelled that call a command by its place in the release before; empty: as they are."""
     return MOVED.get(words[0], "") if words and words[0] not in GROUPS else ""
 
 
-def _registered(name: str) -> Any:
+def _load_command(name: str) -> Any:
     return _load_commands(ENTRIES[name].module)[name]
 
 

@@ -54,7 +54,10 @@ def _format_table(result: Mapping[str, Any], columns: int) -> list[str]:
     head: tuple[str, ...]
     rows: list[tuple[str, ...]]
     if result.get("found") is not None:
-        head, rows = ("effect", "joints", "size", "moves tool by", "sure"), [_found(one) for one in result["found"]]
+        head, rows = (
+            ("effect", "joints", "size", "moves tool by", "sure"),
+            [_effect_row(one) for one in result["found"]],
+        )
     elif result.get("looked_at"):
         head = ("cause", "", "change")
         rows = [_cause(one) for one in result["looked_at"]] if result.get("verdict") != "ok" else []
@@ -67,7 +70,7 @@ def _format_table(result: Mapping[str, Any], columns: int) -> list[str]:
     return [*lines, *([f" and {more} more {DETAILS}"] if more > 0 else []), ""]
 
 
-def _found(one: Mapping[str, Any]) -> tuple[str, ...]:
+def _effect_row(one: Mapping[str, Any]) -> tuple[str, ...]:
     moves = "" if one.get("moves_mm") is None else f"{number(one['moves_mm'], 2)} mm"
     return one["effect"], format_joints(one.get("joints") or ()), one.get("size") or "", moves, one["sure"]
 
