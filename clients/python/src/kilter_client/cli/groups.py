@@ -79,10 +79,13 @@ class CatalogueGroup(WithDefault):
         self.by_default = self._place.by_default
 
     @property
+    def _own(self) -> Mapping[str, Any]:
+        return _load_command(self._place.own).commands if self._place.own else {}
+
+    @property
     def commands(self) -> Any:
         """All its commands by name, which imports all their modules."""
-        own = _load_command(self._place.own).commands if self._place.own else {}
-        return {**own, **{name: _load_command(other) for name, other in self._place.commands.items()}}
+        return {**self._own, **{name: _load_command(other) for name, other in self._place.commands.items()}}
 
     @commands.setter
     def commands(self, _: Any) -> None:
@@ -90,12 +93,11 @@ class CatalogueGroup(WithDefault):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names, the group's own first."""
-        return list(self.commands)
+        return [*self._own, *self._place.commands]
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write its commands, each with one line."""
-        own = _load_command(self._place.own).commands if self._place.own else {}
-        rows = [(name, _first_thought(found.help or "")) for name, found in own.items()]
+        rows = [(name, _first_thought(found.help or "")) for name, found in self._own.items()]
         rows += [(name, ENTRIES[other].summary) for name, other in self._place.commands.items()]
         with formatter.section("Commands"):
             formatter.write_dl(rows)
@@ -104,7 +106,7 @@ class CatalogueGroup(WithDefault):
         """Return one command."""
         if cmd_name in self._place.commands:
             return _load_command(self._place.commands[cmd_name])
-        return _load_command(self._place.own).commands.get(cmd_name) if self._place.own else None
+        return self._own.get(cmd_name)
 
 
 def join_version_words(arguments: Sequence[str]) -> list[str]:
