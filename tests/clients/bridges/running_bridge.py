@@ -79,12 +79,15 @@ class Bridge:
         assert process.stderr is not None
         self._reader = Thread(target=self._read, daemon=True)
         self._reader.start()
-        self.heard(r"listens on UDP|published")
 
     def _read(self) -> None:
         assert self.process.stderr is not None
         for line in self.process.stderr:
             self.said.append(line.rstrip())
+
+    def hear_the_end(self) -> None:
+        """Wait until nothing it said is left to be read."""
+        self._reader.join()
 
     def heard(self, pattern: str, seconds: float = GUARD_S) -> str:
         """Wait until it says something."""
@@ -116,11 +119,14 @@ def bridging(*arguments: str, **environment: str) -> Iterator[Bridge]:
         [*REAL_TIME, sys.executable, "-c", code, "bridge", *arguments],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, **environment},
     )  # fmt: skip
+    bridge = Bridge(process)
     try:
-        yield Bridge(process)
+        bridge.heard(r"listens on UDP|published")
+        yield bridge
     finally:
         process.kill()
         process.wait()
+        bridge.hear_the_end()
         for pipe in (process.stdout, process.stderr):
             assert pipe is not None
             pipe.close()
