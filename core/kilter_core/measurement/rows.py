@@ -54,7 +54,8 @@ class Measurement:
         made = Measurement(observations, shape, relative, dict(socket_distances or {}), anchor)
         if not made.kinds or not (made.tool.observes_places or relative or (held and made.tool.observes_tool)):
             raise ObservationError(
-                "The observations hold no measured position: upload x_mm, y_mm, z_mm, or markers m1x_mm and so on."
+                "The observations hold no measured position: upload x_mm, y_mm, z_mm, or markers m1x_mm and so on. "
+                "A log of joint torques alone is searched by `kilter gap`."
             )
         for kind in made.kinds:
             kind.check()

@@ -42,7 +42,7 @@ STAGED_FOR = timedelta(days=7)
 AHEAD = timedelta(hours=1)  # by which the clock of whoever measured may be fast
 Checked = tuple[list[Chunk], tuple[dict[str, Any], ...]]
 CAMPAIGN, UPLOADED = TypeAdapter(Campaign), TypeAdapter(Uploaded)
-MEASURED = ("x", "marker_x", "link", "pixel_u", *TILTS, *CONTACTS)
+MEASURED = ("x", "marker_x", "link", "pixel_u", "tau", *TILTS, *CONTACTS)
 
 
 def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_REPEATED) -> Campaign:
@@ -254,7 +254,8 @@ def checked_chunks(
     if not any(has(columns, quantity) for quantity in MEASURED):
         raise ObservationError(
             "Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ..., or link1_deg ..., or "
-            "tilt1x_deg ..., or corners u1_px, v1_px ..., or what held the tool, socket_id, plane_id or bar_id with bar_mm."
+            "tilt1x_deg ..., or corners u1_px, v1_px ..., or what held the tool, socket_id, plane_id or bar_id with bar_mm, "
+            "or joint torques tau1_nm ... with their time t_s."
         )
     rules = RowRules(columns, robot, views_rules(columns, conditions), conditions)
     chunks = []

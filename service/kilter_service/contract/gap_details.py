@@ -190,6 +190,31 @@ class NamedEffect(AtJoints):
     to_confirm: list[str] | None = Field(None, description="What would raise the verdict, in words.")
 
 
+class JointTorque(Stored):
+    """What models leave of the torque of a joint, root mean square on rows that no choice saw."""
+
+    joint: int = Field(description="The joint, from 1.")
+    unit: str = Field(description="N m, or N of a prismatic joint.")
+    rigid: float = Field(description="What rigid bodies leave.")
+    friction: float = Field(description="What they leave with offset, Coulomb and viscous friction.")
+    found: float = Field(description="What they leave with the effects that were found.")
+    clipped_rows: int = Field(0, description="Rows left out because the drive or its sensor gave no more.")
+    at_rest: bool = Field(False, description="Whether it never moved, so that nothing is said of it.")
+
+
+class MotionFound(Stored):
+    """What a log of joint torques says, as a whole."""
+
+    joints: list[JointTorque] = Field(description="Errors of each joint.")
+    friction: list[Amplitude] = Field(
+        description="Offset and friction of each joint; angles in rad, as in URDF and MJCF."
+    )
+    motions: int = Field(description="Motions in the log.")
+    seconds: float = Field(description="How long the joints moved, s.")
+    unseen: bool = Field(description="Whether whole motions that no choice saw judged it.")
+    base_parameters: int = Field(description="Number of sums of masses and inertias that torques can tell.")
+
+
 class Place(Stored):
     """A level of a factor at which the model was wrong."""
 

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from kilter_service.contract.cameras import PixelsFound
 from kilter_service.contract.fits import Errors, Metrics, Noise, Parameter
-from kilter_service.contract.gap_details import Adequacy, Amplitude, GapNoise, GapSize, NamedEffect
+from kilter_service.contract.gap_details import Adequacy, Amplitude, GapNoise, GapSize, MotionFound, NamedEffect
 from kilter_service.contract.next_poses import NextPose, ToldApart
 from kilter_service.contract.units import Mm, Stored
 
@@ -199,6 +199,33 @@ def describe_search(
         " ".join(_describe_undecided(verdict, by_sure, adequacy, effects, poses, told_apart)),
     ]
     return "\n".join(line for line in lines if line)
+
+
+def describe_motion(effects: Sequence[NamedEffect], motion: MotionFound) -> str:
+    """Return the headline of a search in torques: what was found, what it leaves of torques never used, what is open."""
+    rows = _rows(effects)
+    by_sure = {sure: [row for row in rows if row.sure == sure] for sure in ORDER}
+    moved = [one for one in motion.joints if not one.at_rest]
+    best = max(moved, key=lambda one: 1.0 - one.found / max(one.friction, 1e-12), default=None)
+    where = "motions that were never used" if motion.unseen else "the last third of the one motion"
+    lines = [
+        f"Found: {_join(by_sure['certain'])}."
+        if by_sure["certain"]
+        else "Nothing is certain yet."
+        if rows
+        else "Rigid bodies with Coulomb and viscous friction are all that this log shows."
+    ]
+    if best is not None:
+        lines.append(
+            f"Torque error of joint {best.joint} on {where}: {number(best.friction)} -> {number(best.found)} {best.unit} rms "
+            f"(rigid bodies alone: {number(best.rigid)} {best.unit})."
+        )
+    if by_sure["probable"]:
+        lines.append(f"Probable, not proven: {_join(by_sure['probable'])}.")
+    weak = next((one for one in effects if SURE.get(one.verdict) != "certain" and one.to_confirm), None)
+    if weak is not None and weak.to_confirm:
+        lines.append(f"To decide: {weak.to_confirm[0]}")
+    return "\n".join(lines)
 
 
 def _describe_certain(verdict: str | None, certain: Sequence[_Row], named: bool) -> str:

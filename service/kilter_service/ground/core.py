@@ -17,6 +17,7 @@ with later(__name__):
     from kilter_core import identify as core_identify
     from kilter_core import measurement as core_measurement
     from kilter_core import model as core_model
+    from kilter_core import motion as core_motion
     from kilter_core import observations as core_observations
     from kilter_core import plan as core_plan
     from kilter_core import procedures as core_procedures

@@ -17,6 +17,7 @@ from kilter_service.contract.gap_details import (
     GapKind,
     GapNoise,
     GapSize,
+    MotionFound,
     NamedEffect,
     NegativeControl,
     Place,
@@ -24,7 +25,7 @@ from kilter_service.contract.gap_details import (
     Refused,
     Untestable,
 )
-from kilter_service.contract.headlines import HEADLINE, Found, describe_search, list_found
+from kilter_service.contract.headlines import HEADLINE, Found, describe_motion, describe_search, list_found
 from kilter_service.contract.jobs.check import TestabilityCheck
 from kilter_service.contract.jobs.job import JobOf
 from kilter_service.contract.jobs.kind import JobContract
@@ -74,6 +75,7 @@ class GapResult(MadeVersion):
     effects: list[NamedEffect] | None = Field(None, description="Effects that were named.")
     where: list[Place] | None = Field(None, description="Where the model was wrong before.")
     gap: GapSize | None = Field(None, description="How large the gap was and is, on rows fitted and held out.")
+    motion: MotionFound | None = Field(None, description="What torques say, of logs of joint torques; null: of poses.")
     measurements: list[GapKind] | None = Field(
         None, description="Noise and errors, before and after, of each kind of measurement."
     )
@@ -109,8 +111,12 @@ class GapResult(MadeVersion):
         """Add the headline, to results of earlier releases too."""
         if self.verdict is not None:
             effects = self.effects or []
-            self.headline = describe_search(
-                self.verdict, effects, self.gap, self.adequacy, self.noise, self.next_poses or [], self.told_apart
+            self.headline = (
+                describe_motion(effects, self.motion)
+                if self.motion is not None
+                else describe_search(
+                    self.verdict, effects, self.gap, self.adequacy, self.noise, self.next_poses or [], self.told_apart
+                )
             )
             self.found = list_found(effects)
 

@@ -18,7 +18,7 @@ from kilter_service.contract.gap_details import Detectable, Untestable
 from kilter_service.contract.jobs.check import Testability
 from kilter_service.contract.jobs.gap import GAP, GapOptions
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.core import core_gap
+from kilter_service.ground.core import core_gap, core_motion
 from kilter_service.ground.wire import to_metres
 from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.inputs.poses import Pose, poses_document
@@ -109,6 +109,8 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
     """Search all campaigns together; the version made holds the named effects and the geometry fitted with them."""
     options = _core(job.options)
     rows, validation, confirmation = _rows(job)
+    if core_motion.is_log(rows):
+        return _search_torques(job, rows, progress)
     progress(0.0, "fitting the geometry")
     train, held = core_gap.split_held_out_rows(rows, validation, options.seed)
     known = _of_type(job, train)
@@ -135,6 +137,12 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
     return JobOutput(result, replace(version, report={**version.report, "prior": result["prior"]}))
 
 
+def _search_torques(job: JobInput, rows: Observations, progress: Progress) -> JobOutput:
+    """Search a log of joint torques; it makes no version, for it says nothing of where the tool is."""
+    report = core_motion.find_missing_torque(job.robot, rows, core_motion.MotionOptions(job.options.seed), progress)
+    return JobOutput(to_json_types({**core_motion.to_document(report), "start": job.version_id, "version_id": None}))
+
+
 def _of_type(job: JobInput, rows: Observations) -> KnownType | None:
     """The prior of the type, judged by the rows that are searched; None where it was not asked for."""
     if job.options.prior is None:
@@ -158,6 +166,8 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
     with found.noting_refusals():
         rows, validation, confirmation = _rows(job)
         found.count_fitted_rows(rows)
+        if core_motion.is_log(rows):
+            return
         train, held = core_gap.split_held_out_rows(rows, validation, options.seed)
         known = _of_type(job, train)
         start = job.start if known is None else known.start

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from kilter_client.cli.reports.gap_report import TORQUE_HEAD, list_torques
 from kilter_client.cli.terminal.output import print_line
 from kilter_client.cli.terminal.tables import number, screen_columns, table, wrap_line
 from kilter_client.results.shown import MODELS, nominal_words
@@ -53,7 +54,9 @@ def _format_table(result: Mapping[str, Any], columns: int) -> list[str]:
     """The one table of an answer: what was found, causes of a change, or errors."""
     head: tuple[str, ...]
     rows: list[tuple[str, ...]]
-    if result.get("found") is not None:
+    if result.get("motion") and not result.get("found"):
+        head, rows = TORQUE_HEAD, list_torques(result["motion"])
+    elif result.get("found") is not None:
         head, rows = (
             ("effect", "joints", "size", "moves tool by", "sure"),
             [_effect_row(one) for one in result["found"]],

@@ -12,6 +12,7 @@ from kilter_client.cli.terminal.output import print_line
 from kilter_client.cli.terminal.tables import number, show_rows
 
 MOST_PLACES = 12
+TORQUE_HEAD = ("joint", "rigid bodies", "with friction", "with what was found", "unit")
 STANDS_OUT = 0.05  # p of a place below which it stands out
 BAR = 40  # characters of the longest bar
 GAP_ROWS = (
@@ -27,6 +28,9 @@ GAP_ROWS = (
 def show_gap(result: Mapping[str, Any]) -> None:
     """Print a gap report."""
     print_line(f"verdict: {result['verdict']}. {result.get('sentence') or ''}".rstrip())
+    if result.get("motion"):
+        _show_motion(result)
+        return
     gap = result["gap"]
     unit = "deg" if gap.get("before_deg") is not None else "mm by views" if gap.get("lengths") == "by_views" else "mm"
     _show_misfit_places(result.get("where") or [])
@@ -48,6 +52,26 @@ def show_gap(result: Mapping[str, Any]) -> None:
     for warning in result.get("warnings") or ():
         if warning.get("code") != "poses_will_not_tell":  # said with the poses
             print_line(f"warning: {warning['message']}")
+
+
+def _show_motion(result: Mapping[str, Any]) -> None:
+    """Print what a log of torques says, joint by joint."""
+    _effects(result.get("effects") or [], "mm")
+    motion = result["motion"]
+    show_rows(TORQUE_HEAD, list_torques(motion), title=f"Torques never used, rms ({motion['motions']} motions in all)")
+    rows = [(one["name"], number(one["value"], 3), one["unit"]) for one in motion["friction"]]
+    show_rows(("offset and friction", "value", "unit"), rows)
+    for warning in result.get("warnings") or ():
+        print_line(f"warning: {warning['message']}")
+
+
+def list_torques(motion: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return rows of what models leave of the torque of each joint."""
+    return [
+        (str(one["joint"]), *(number(one[key], 3) for key in ("rigid", "friction", "found")), one["unit"])
+        for one in motion["joints"]
+        if not one["at_rest"]
+    ]
 
 
 def _show_misfit_places(places: Sequence[Mapping[str, Any]]) -> None:

@@ -1,0 +1,125 @@
+"""What a search in torques found as a document: effects as a search in poses names them, and torques joint by joint."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from kilter_core.motion.effects import MOTION_EFFECTS
+from kilter_core.motion.find import MotionReport
+from kilter_core.motion.layout import Term
+from kilter_core.motion.search import Judged
+from kilter_core.types import Floats
+
+NORMAL_95 = 1.959964
+IMITATED = "masses, inertias and friction of the model make the same torques in this log"
+
+
+def to_document(report: MotionReport) -> dict[str, Any]:
+    """Return the document; joints count from 1, angles are in rad as in URDF and MJCF."""
+    units = ["N m" if joint.kind == "revolute" else "N" for joint in report.robot.joints]
+    joints = [
+        {
+            "joint": j + 1,
+            "unit": units[j],
+            "rigid": float(report.held.rigid[j]),
+            "friction": float(report.held.common[j]),
+            "found": float(report.held.found[j]),
+            "clipped_rows": report.clipped[j],
+            "at_rest": j in report.resting,
+        }
+        for j in range(report.robot.n_joints)
+    ]
+    friction = [one for term, value in report.common for one in _amplitudes(term, value, None, units)]
+    return {
+        "verdict": "provisional" if any(one.verdict == "provisional" for one in report.judged) else "not_known",
+        "effects": [_effect(one, units) for one in report.judged],
+        "motion": {
+            "joints": joints,
+            "friction": friction,
+            "motions": report.motions,
+            "seconds": report.seconds,
+            "unseen": report.unseen,
+            "base_parameters": len(report.base),
+        },
+        "not_testable": [
+            {"id": t.effect.id, "joints": [t.joint + 1], "reason": IMITATED, "remedy": f"Record {t.effect.remedy}."}
+            for t in report.hidden
+        ],
+        "warnings": list(_warnings(report)),
+    }
+
+
+def _effect(one: Judged, units: list[str]) -> dict[str, Any]:
+    effect, j = one.term.effect, one.term.joint
+    members = [other.id for other in MOTION_EFFECTS if other.physical.id == effect.physical.id]
+    return {
+        "id": effect.id,
+        "joints": [j + 1],
+        "seen_joints": [j + 1],
+        "verdict": one.verdict,
+        "empirical": False,
+        "claim": None,
+        "physical_class": {
+            "id": effect.physical.id,
+            "label": effect.physical.label_for_joints([j]),
+            "members": members,
+            "outside": list(effect.physical.outside),
+        },
+        "class": effect.physical.label_for_joints([j]) if one.verdict == "class_confirmed" else None,
+        "alias_set": [
+            {"id": rival.term.effect.id, "joints": [rival.term.joint + 1], "behind": rival.behind}
+            for rival in one.rivals
+        ],
+        "parameters": list(_amplitudes(one.term, one.value, one.sigma, units)),
+        "held_out_gain": {
+            "gain": None,
+            "standard_error": None,
+            "deviations": one.unseen / max(one.unseen_sigma, 1e-12),
+        },
+        "to_confirm": [] if one.verdict in ("confirmed", "replicated") else [f"record {effect.remedy}."],
+    }
+
+
+def _amplitudes(term: Term, value: Floats, sigma: Floats | None, units: list[str]) -> list[dict[str, Any]]:
+    found = []
+    for k, (name, unit) in enumerate(term.effect.parameters):
+        unit = (
+            unit if units[term.joint] == "N m" else unit.replace("N m", "N").replace("rad", "m").replace("kg m2", "kg")
+        )
+        spread = None if sigma is None else float(sigma[k])
+        found.append(
+            {
+                "name": f"{term.effect.id}_{name}_{term.joint + 1}",
+                "value": float(value[k]),
+                "unit": unit,
+                "sigma": spread,
+                "interval_low": None if spread is None else float(value[k]) - NORMAL_95 * spread,
+                "interval_high": None if spread is None else float(value[k]) + NORMAL_95 * spread,
+                "seen": None if spread is None else bool(np.abs(value[k]) > NORMAL_95 * spread),
+            }
+        )
+    return found
+
+
+def _warnings(report: MotionReport) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = []
+    if not report.unseen:
+        message = (
+            "All rows are one motion, so nothing here was judged by a motion that no choice saw. Record two more and give "
+            "each its own session, or leave a gap in t_s between them."
+        )
+        found.append({"code": "one_motion", "message": message})
+    if report.resting:
+        named = ", ".join(str(j + 1) for j in report.resting)
+        message = f"Joints {named} do not move in this log: nothing is said of them. Record a motion of them too."
+        found.append({"code": "joints_at_rest", "message": message, "joints": [j + 1 for j in report.resting]})
+    clipped = [j + 1 for j, rows in enumerate(report.clipped) if rows]
+    if clipped:
+        message = (
+            f"{sum(report.clipped)} torques of joints {', '.join(map(str, clipped))} stand at the largest of the log for "
+            "several rows: the drive gave no more. They were left out; record slower motions."
+        )
+        found.append({"code": "torque_clipped", "message": message, "joints": clipped})
+    return found

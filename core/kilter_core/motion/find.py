@@ -1,0 +1,129 @@
+"""A search in torques from log to report: what the rigid bodies lack, at which joint, how sure, and what it leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kilter_core.arm.robot import Robot
+from kilter_core.errors import ObservationError
+from kilter_core.motion.fit import find_hidden_terms, fit_terms, joint_weights
+from kilter_core.motion.layout import Known, Layout, Term
+from kilter_core.motion.normal import Equations, form_equations
+from kilter_core.motion.options import MotionOptions
+from kilter_core.motion.record import Log, clipped_rows
+from kilter_core.motion.ripples import find_orders
+from kilter_core.motion.search import Judged, Split, judge_terms, search_terms, split_motions
+from kilter_core.observations import Observations
+from kilter_core.types import Bools, Floats, Progress, unheard
+
+FEWEST_BLOCKS = 20
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Root mean squares (n,) N m of what is left of the torques: of rigid bodies, with friction, and of the model found."""
+
+    rigid: Floats
+    common: Floats
+    found: Floats
+
+
+@dataclass(frozen=True)
+class MotionReport:
+    """What a log shows. ``held`` are errors on blocks that no choice saw, whole motions where ``unseen``.
+
+    ``base (p,)`` are base parameters; ``common`` the values of the effects that every model has; ``judged`` what was found.
+    ``resting`` and ``clipped`` are joints without a row, and rows that were left out because the drive gave no more.
+    ``hidden`` are effects that the bodies and the friction imitate in this log.
+    """
+
+    robot: Robot
+    held: Errors
+    unseen: bool
+    motions: int
+    seconds: float
+    judged: tuple[Judged, ...]
+    common: tuple[tuple[Term, Floats], ...]
+    base: Floats
+    resting: tuple[int, ...]
+    clipped: tuple[int, ...]
+    hidden: tuple[Term, ...]
+
+
+def find_missing_torque(
+    robot: Robot, observations: Observations, options: MotionOptions | None = None, progress: Progress | None = None
+) -> MotionReport:
+    """Fit rigid bodies and friction to a log, find what they lack, and judge it on motions that were never used.
+
+    ``observations`` have ``t (N,)`` s, ``q`` and ``tau (N, n)``. ``progress(fraction, stage)`` may raise to cancel.
+
+    Raises:
+        ObservationError: no clock, no torques, or a log in which no joint moves. TooFewPosesError: no motion of 2 s.
+
+    """
+    options, progress = options or MotionOptions(), progress or unheard
+    log = Log.from_observations(observations)
+    progress(0.05, "rigid bodies and friction")
+    layout = Layout.of_log(robot, log)
+    first = form_equations(layout, log)
+    _refuse_rest(first)
+    split = split_motions(first, options.seed)
+    weights = joint_weights(first, first.terms, split.train)
+    fit = fit_terms(first, first.terms, split.train, weights)
+    progress(0.3, "what they leave")
+    orders, tried = find_orders(log, first, fit)
+    equations = form_equations(layout.with_candidates(orders), log, Known.from_values(layout, fit.theta))
+    progress(0.6, "which effects explain it")
+    tests = tried + len(equations.terms)
+    terms = search_terms(equations, split, weights, tests, lambda share: progress(0.6 + 0.3 * share, "which effects"))
+    progress(0.9, "motions that were never used")
+    judged = judge_terms(equations, split, weights, terms)
+    return _report(log, equations, split, weights, terms, judged)
+
+
+def _refuse_rest(equations: Equations) -> None:
+    if len(equations.motion) < FEWEST_BLOCKS or not equations.rows.any():
+        raise ObservationError(
+            f"The joints move for {len(equations.motion)} s of this log, and a search needs {FEWEST_BLOCKS} s: "
+            "record motions of all joints.",
+            code="log_at_rest",
+        )
+
+
+def _report(
+    log: Log, equations: Equations, split: Split, weights: Floats, terms: list[Term], judged: list[Judged]
+) -> MotionReport:
+    common = [term for term in terms if term.effect.common]
+    every = np.ones(len(equations.motion), dtype=bool)
+    whole = fit_terms(equations, terms, every, weights)
+    rms = [_held_rms(equations, split, weights, model) for model in ([], common, terms)]
+    rows = equations.rows.sum(axis=0)
+    return MotionReport(
+        equations.layout.robot,
+        Errors(*rms),
+        split.whole,
+        len(np.unique(equations.motion)),
+        float(len(equations.motion)),
+        tuple(judged),
+        tuple((term, whole.theta[term.columns]) for term in common if weights[term.joint] > 0.0),
+        whole.theta[: equations.base],
+        tuple(np.flatnonzero(rows == 0).tolist()),
+        tuple(np.count_nonzero(clipped_rows(log.tau), axis=0).tolist()),
+        tuple(find_hidden_terms(equations, whole, every, [t for t in equations.terms if _is_asked(t, terms, weights)])),
+    )
+
+
+def _is_asked(term: Term, model: list[Term], weights: Floats) -> bool:
+    return term not in model and weights[term.joint] > 0.0
+
+
+def _held_rms(equations: Equations, split: Split, weights: Floats, terms: list[Term]) -> Floats:
+    fit = fit_terms(equations, terms, split.train, weights)
+    return _rms(equations, split.held, fit.theta)
+
+
+def _rms(equations: Equations, blocks: Bools, theta: Floats) -> Floats:
+    squares = equations.losses(theta, np.ones(len(equations.products)))[blocks].sum(axis=0)
+    return np.asarray(np.sqrt(squares / np.maximum(equations.rows[blocks].sum(axis=0), 1)))

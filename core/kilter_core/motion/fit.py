@@ -1,0 +1,132 @@
+"""Weighted least squares on the products of a log, and how sure its values are when a second is one observation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+from scipy.stats import f as fisher
+
+from kilter_core.motion.layout import Term
+from kilter_core.motion.normal import Equations
+from kilter_core.types import Bools, Floats, Ints
+
+PRIOR_SHARE = 3.0  # of the torque of a joint: no base parameter is believed to make more than so many times it
+ITERATIONS = 3
+OWN_SHARE = 0.002  # of a column, that the model must leave of it
+HIDDEN_SHARE = 0.02  # of a column, below which only a very large effect would be seen
+JUDGED = 20  # of the terms that gain most
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Values ``theta (width,)``, zero outside the model's ``columns``; ``inverse (k, k)`` of their normal matrix."""
+
+    columns: Ints
+    theta: Floats
+    inverse: Floats
+    weights: Floats
+
+
+def fit_terms(equations: Equations, terms: Sequence[Term], blocks: Bools, weights: Floats) -> Fit:
+    """Fit base parameters and terms to some blocks; what they do not show stays near zero."""
+    columns = equations.columns_of(terms)
+    A, b = equations.summed(blocks, weights)
+    A, b = A[np.ix_(columns, columns)], b[columns]
+    inverse = np.asarray(np.linalg.inv(A + np.diag(_ridge(equations, A, weights, blocks))), dtype=np.float64)
+    theta = np.zeros(equations.layout.width)
+    theta[columns] = inverse @ b
+    return Fit(columns, theta, inverse, weights)
+
+
+def _ridge(equations: Equations, A: Floats, weights: Floats, blocks: Bools) -> Floats:
+    """Precision (k,) of zero for every value: that its column alone makes a few times the torques that were measured."""
+    total = float(weights @ equations.torque_squares(blocks))
+    own = np.diag(A)
+    return np.where(own > 0.0, own / max(PRIOR_SHARE**2 * total, 1e-12), 1.0)
+
+
+def joint_weights(equations: Equations, terms: Sequence[Term], blocks: Bools) -> Floats:
+    """Return one over the variance (n,) of what is left at each joint, so that all joints count alike; 0 for unused ones."""
+    rows = equations.rows[blocks].sum(axis=0)
+    squares = equations.torque_squares(blocks)
+    used = (rows > 0) & (squares > 0.0)
+    weights = np.where(used, rows / np.where(used, squares, 1.0), 0.0)
+    for _ in range(ITERATIONS):
+        fit = fit_terms(equations, terms, blocks, weights)
+        left = equations.losses(fit.theta, np.ones_like(weights))[blocks].sum(axis=0)
+        least = 1e-12 * squares
+        weights = np.where(used, rows / np.maximum(np.where(used, left, 1.0), np.where(used, least, 1.0)), 0.0)
+    return weights
+
+
+def covariance(equations: Equations, fit: Fit, blocks: Bools) -> Floats:
+    """Covariance (k, k) of the values of a fit, each block one observation (Liang and Zeger 1986)."""
+    scores = equations.scores(fit.theta, fit.weights)[blocks][:, fit.columns]
+    count = len(scores)
+    middle = scores.T @ scores * (count / max(count - 1, 1))
+    return np.asarray(fit.inverse @ middle @ fit.inverse)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a term would add: ``value (k,)``, its p-value, and the share of what is left at its joint that it explains."""
+
+    term: Term
+    value: Floats
+    p: float
+    gain: float
+    share: float
+
+
+def score_terms(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[Term]) -> list[Seen]:
+    """Return what each of some terms would gain beside a fit, the most first, and how sure the best of them are.
+
+    A term that the model imitates has nothing of its own left and is passed over.
+    """
+    A, b = equations.summed(blocks, fit.weights)
+    left = equations.losses(fit.theta, fit.weights)[blocks].sum(axis=0)
+    found = []
+    for term in terms:
+        c = term.columns
+        across = A[np.ix_(fit.columns, c)]
+        beta, own = fit.inverse @ across, A[np.ix_(c, c)]
+        M = own - across.T @ beta
+        if not np.trace(M) > OWN_SHARE * np.trace(own):
+            continue
+        s = b[c] - A[np.ix_(c, fit.columns)] @ fit.theta[fit.columns]
+        value = np.asarray(scipy.linalg.solve(M + 1e-12 * np.trace(M) * np.eye(len(c)), s, assume_a="pos"))
+        gain = float(s @ value)
+        found.append((gain, Seen(term, value, 1.0, gain, gain / max(float(left[term.joint]), 1e-12)), beta))
+    found.sort(key=lambda one: -one[0])
+    judged = [replace(seen, p=_p_value(equations, fit, blocks, seen, beta)) for _, seen, beta in found[:JUDGED]]
+    return [*judged, *(seen for _, seen, _ in found[JUDGED:])]
+
+
+def find_hidden_terms(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[Term]) -> list[Term]:
+    """Return terms that the fit imitates in these blocks, so that nothing can be said of them."""
+    A, _ = equations.summed(blocks, fit.weights)
+    hidden = []
+    for term in terms:
+        own, across = A[np.ix_(term.columns, term.columns)], A[np.ix_(fit.columns, term.columns)]
+        if np.trace(own - across.T @ fit.inverse @ across) <= HIDDEN_SHARE * np.trace(own):
+            hidden.append(term)
+    return hidden
+
+
+def _p_value(equations: Equations, fit: Fit, blocks: Bools, seen: Seen, beta: Floats) -> float:
+    """Wald's test of the values with blocks as observations, their scatter taken from what they leave themselves."""
+    c, theta = seen.term.columns, fit.theta.copy()
+    theta[c] = seen.value
+    theta[fit.columns] -= beta @ seen.value
+    scores = equations.scores(theta, fit.weights)[blocks]
+    each = scores[:, c] - scores[:, fit.columns] @ beta
+    k, count = len(c), len(each)
+    if count <= k + 1:
+        return 1.0
+    s = np.linalg.pinv(each.T @ each * (count / (count - k)))
+    raw = equations.scores(fit.theta, fit.weights)[blocks]
+    along = raw[:, c].sum(axis=0) - raw[:, fit.columns].sum(axis=0) @ beta
+    return float(fisher.sf(float(along @ s @ along) / k, k, count - k))

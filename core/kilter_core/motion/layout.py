@@ -1,0 +1,135 @@
+"""The columns of a log's model, joint by joint, and what they need to be computed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kilter_core.arm.robot import Robot
+from kilter_core.motion.effects import MOTION_EFFECTS, JointSignals, MotionEffect
+from kilter_core.motion.record import Log, Part
+from kilter_core.motion.regressor import base_columns, rigid_regressor
+from kilter_core.types import Floats, Ints
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect at a joint (from 0) and its columns of the whole layout."""
+
+    effect: MotionEffect
+    joint: int
+    columns: Ints
+
+
+@dataclass(frozen=True)
+class Layout:
+    """``kept (p,)`` columns of the regressor come first, then those of the ``terms``, ``width`` in all.
+
+    ``K (p, 10 L)`` takes the numbers of the bodies to base parameters. Of each joint: the speed that it usually reaches,
+    the middle of its range and the order of its ripple. ``mean_t`` s and ``mean_c`` are means of the log.
+    """
+
+    robot: Robot
+    kept: Ints
+    K: Floats
+    terms: tuple[Term, ...]
+    width: int
+    speeds: Floats
+    middles: Floats
+    orders: tuple[float | None, ...]
+    mean_t: float
+    mean_c: float
+
+    @classmethod
+    def of_log(cls, robot: Robot, log: Log) -> Layout:
+        """Return the layout of rigid bodies and the effects that every model has."""
+        kept, K = base_columns(robot)
+        n = robot.n_joints
+        speeds, low, high = np.zeros(n), np.full(n, np.inf), np.full(n, -np.inf)
+        times, warmth = [], []
+        for part in log.parts():
+            speeds = np.maximum(speeds, np.quantile(np.abs(part.qd), 0.95, axis=0))
+            low, high = np.minimum(low, part.q.min(axis=0)), np.maximum(high, part.q.max(axis=0))
+            times += [float(part.t[0]), float(part.t[-1])]
+            warmth += [] if part.temperature_c is None else [float(part.temperature_c.mean())]
+        mean_c = float(np.mean(warmth)) if warmth else np.nan
+        bare = cls(
+            robot,
+            kept,
+            K,
+            (),
+            len(kept),
+            np.maximum(speeds, 1e-6),
+            0.5 * (low + high),
+            (None,) * n,
+            float(np.mean(times)),
+            mean_c,
+        )
+        return bare._with([effect for effect in MOTION_EFFECTS if effect.common])
+
+    def with_candidates(self, orders: Sequence[float | None]) -> Layout:
+        """Return the layout with every effect of the library, ripples of these orders."""
+        return replace(self, orders=tuple(orders))._with(MOTION_EFFECTS)
+
+    def _with(self, effects: Sequence[MotionEffect]) -> Layout:
+        terms, at = [], len(self.kept)
+        for j in range(self.robot.n_joints):
+            for effect in effects:
+                if ("temperature" in effect.needs and np.isnan(self.mean_c)) or (
+                    "order" in effect.needs and self.orders[j] is None
+                ):
+                    continue
+                terms.append(Term(effect, j, np.arange(at, at + len(effect.parameters))))
+                at += len(effect.parameters)
+        return replace(self, terms=tuple(terms), width=at)
+
+    def regressor(self, part: Part) -> Floats:
+        """Base columns (N, n, p) of a stretch of the log."""
+        return rigid_regressor(self.robot, part.q, part.qd, part.qdd)[:, :, self.kept]
+
+    def joint_columns(self, part: Part, Y: Floats, j: int, known: Known | None) -> Floats:
+        """Columns (N, m) of one joint: those of the base parameters, then its terms in order."""
+        signals = self.signals(part, Y, j, known)
+        return np.concatenate([Y[:, j], *(t.effect.columns(signals) for t in self.terms if t.joint == j)], axis=1)
+
+    def places(self, j: int) -> Ints:
+        """Where the columns of a joint stand in the whole layout."""
+        return np.concatenate([np.arange(len(self.kept)), *(t.columns for t in self.terms if t.joint == j)])
+
+    def signals(self, part: Part, Y: Floats, j: int, known: Known | None) -> JointSignals:
+        """Return what effects at a joint read; without a model so far there is no load."""
+        load = np.zeros(len(part.t)) if known is None else Y[:, j] @ known.base
+        warm = np.zeros(len(part.t)) if part.temperature_c is None else part.temperature_c - self.mean_c
+        bare = JointSignals(
+            part.q[:, j],
+            part.qd[:, j],
+            part.qdd[:, j],
+            load,
+            load,
+            part.step_s,
+            part.t - self.mean_t,
+            warm,
+            float(self.speeds[j]),
+            float(self.middles[j]),
+            self.orders[j],
+        )
+        if known is None:
+            return bare
+        common = (e.columns(bare) @ known.common[e.id, j] for e in MOTION_EFFECTS if e.common)
+        return replace(bare, model=load + sum(common))
+
+
+@dataclass(frozen=True)
+class Known:
+    """A model so far: base parameters (p,), and values of the effects that every model has by id and joint."""
+
+    base: Floats
+    common: Mapping[tuple[str, int], Floats]
+
+    @classmethod
+    def from_values(cls, layout: Layout, theta: Floats) -> Known:
+        """Return what the values (width,) of a layout say."""
+        common = {(t.effect.id, t.joint): theta[t.columns] for t in layout.terms if t.effect.common}
+        return cls(theta[: len(layout.kept)], common)

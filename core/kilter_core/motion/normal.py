@@ -1,0 +1,115 @@
+"""Normal equations of a log, second by second: all that a search asks of millions of rows.
+
+A block of a second is the unit of independence: rows within it share the noise that the filter and the drive leave. Columns of
+friction act on one joint, those of bodies on all; so every joint has the products of its own columns only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kilter_core.motion.layout import Known, Layout, Term
+from kilter_core.motion.record import Log, Part
+from kilter_core.types import Bools, Floats, Ints
+
+BLOCK_S = 1.0
+MOST_BLOCKS = 400
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Products of all columns by block: ``products`` has (B, m, m) for each joint, the torque last, with ``places`` of its
+    columns in the whole layout; ``rows (B, n)`` counts. ``motion`` and ``session (B,)`` are those of each block.
+    """
+
+    layout: Layout
+    products: tuple[Floats, ...]
+    places: tuple[Ints, ...]
+    rows: Floats
+    motion: Ints
+    session: Ints
+
+    @property
+    def base(self) -> int:
+        """Number of base parameters, whose columns come first."""
+        return len(self.layout.kept)
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Terms that have columns."""
+        return self.layout.terms
+
+    def losses(self, theta: Floats, weights: Floats) -> Floats:
+        """Weighted squares (B, n) that the values ``theta (width,)`` leave."""
+        return np.stack([w * self._left(j, theta)[1] for j, w in enumerate(weights)], axis=1)
+
+    def squares(self, theta: Floats, weights: Floats) -> Floats:
+        """Weighted squares (B,) of the torques that the values ``theta (width,)`` make."""
+        out = np.zeros(len(self.motion))
+        for j, w in enumerate(weights):
+            v = theta[self.places[j]]
+            out += w * np.einsum("i,bij,j->b", v, self.products[j][:, :-1, :-1], v)
+        return out
+
+    def scores(self, theta: Floats, weights: Floats) -> Floats:
+        """What is left, along every column (B, width), block by block."""
+        out = np.zeros((len(self.motion), self.layout.width))
+        for j, w in enumerate(weights):
+            out[:, self.places[j]] += w * self._left(j, theta)[0]
+        return out
+
+    def _left(self, j: int, theta: Floats) -> tuple[Floats, Floats]:
+        v = np.append(-theta[self.places[j]], 1.0)
+        along = self.products[j] @ v
+        return along[:, :-1], along @ v
+
+    def summed(self, blocks: Bools, weights: Floats) -> tuple[Floats, Floats]:
+        """Normal matrix (width, width) and right side (width,) of some blocks."""
+        width = self.layout.width
+        A, b = np.zeros((width, width)), np.zeros(width)
+        for j, w in enumerate(weights):
+            total = w * self.products[j][blocks].sum(axis=0)
+            A[np.ix_(self.places[j], self.places[j])] += total[:-1, :-1]
+            b[self.places[j]] += total[:-1, -1]
+        return A, b
+
+    def torque_squares(self, blocks: Bools) -> Floats:
+        """Sum of the squared torques (n,) of some blocks."""
+        return np.array([p[blocks, -1, -1].sum() for p in self.products])
+
+    def columns_of(self, terms: Sequence[Term]) -> Ints:
+        """Columns of the base parameters and of these terms, in order."""
+        return np.concatenate([np.arange(self.base), *(term.columns for term in terms)]).astype(np.int64)
+
+
+def form_equations(layout: Layout, log: Log, known: Known | None = None) -> Equations:
+    """Return the products of the columns of a layout and the torques of a log."""
+    n = layout.robot.n_joints
+    sums: list[list[Floats]] = [[] for _ in range(n)]
+    rows, motion, session = [], [], []
+    length = max(BLOCK_S, sum(float(part.t[-1] - part.t[0]) for part in log.parts()) / MOST_BLOCKS)
+    for part in log.parts():
+        use = (part.moving & part.usable)[part.rows]
+        joints = _smooth_columns(layout, part, known)
+        block = ((part.t[part.rows] - part.t[0]) / length).astype(np.int64)
+        for b in np.unique(block):
+            inside = (block == b)[:, None] & use
+            for j, X in enumerate(joints):
+                chosen = X[inside[:, j]]
+                sums[j].append(chosen.T @ chosen)
+            rows.append(inside.sum(axis=0))
+            motion.append(part.motion)
+            session.append(part.session)
+    places = tuple(layout.places(j) for j in range(n))
+    products = tuple(np.array(one) for one in sums)
+    return Equations(layout, products, places, np.array(rows), np.array(motion), np.array(session))
+
+
+def _smooth_columns(layout: Layout, part: Part, known: Known | None) -> list[Floats]:
+    """Of each joint its columns and the torque, filtered and thinned."""
+    Y = layout.regressor(part)
+    columns = (layout.joint_columns(part, Y, j, known) for j in range(layout.robot.n_joints))
+    return [part.smooth(np.column_stack([X, part.tau[:, j]])) for j, X in enumerate(columns)]

@@ -1,0 +1,202 @@
+"""Logs as a fit reads them: on one even clock, in motions without a gap, with one filter for every signal.
+
+What is filtered alike stays linear: torques and every column of the model pass the same filter ("parallel filtering", Gautier
+and Poignet 2001), so that a sign of the speed and the friction it makes are smoothed in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import butter, sosfiltfilt
+
+from kilter_core.errors import ObservationError, TooFewPosesError
+from kilter_core.observations import Observations
+from kilter_core.types import Bools, Floats, Ints
+
+BREAK = 5.0  # times the usual step of the clock: a longer one ends a motion
+LONGEST_S = 120.0  # one motion is read in parts of so long: memory stays flat
+SHORTEST_S = 2.0
+FASTEST_HZ = 100.0  # rows that come faster are thinned first: torques are compared far below
+CUT_OFF_HZ = 5.0
+JOINT_BAND = 4.0  # joints pass a filter so many times as wide, so that their accelerations keep what the torques keep
+ROWS_PER_PERIOD = 4.0  # of the cut-off: rows that come faster repeat each other
+EDGE_PERIODS = 1.5  # cut at both ends of a part, where a filter that runs both ways is not to be trusted
+ORDER = 4
+CLIPPED_ROWS = 5  # equal extremes in a row: the drive or its sensor gave no more
+REST_SHARE = 0.02  # of the speed that a joint reaches: slower is at rest
+REST_RAD_S = 0.02
+
+
+@dataclass(frozen=True)
+class Part:
+    """A stretch of one motion: ``t (N,)`` s, joints, speeds, accelerations and torques ``(N, n)`` on an even clock.
+
+    ``temperature_c (N,)`` or None. ``usable (N, n)`` are torques that were not clipped.
+    """
+
+    motion: int
+    session: int
+    t: Floats
+    q: Floats
+    qd: Floats
+    qdd: Floats
+    tau: Floats
+    temperature_c: Floats | None
+    usable: Bools
+    rest_rad_s: Floats
+    step_s: float
+    cut_off_hz: float
+
+    def smooth(self, columns: Floats) -> Floats:
+        """Return columns (N, ...) filtered as the torques are, at the :attr:`rows` that are compared."""
+        sos = butter(ORDER, self.cut_off_hz, fs=1.0 / self.step_s, output="sos")
+        return np.asarray(sosfiltfilt(sos, columns, axis=0)[self.rows])
+
+    @property
+    def rows(self) -> slice:
+        """Rows that are compared."""
+        edge = int(np.ceil(EDGE_PERIODS / self.cut_off_hz / self.step_s))
+        thin = max(1, int(1.0 / (ROWS_PER_PERIOD * self.cut_off_hz * self.step_s)))
+        return slice(edge, len(self.t) - edge, thin)
+
+    @property
+    def moving(self) -> Bools:
+        """Rows (N, n) in which each joint moves: at rest the friction may be anything up to its limit."""
+        return np.abs(self.qd) > self.rest_rad_s
+
+
+@dataclass(frozen=True)
+class Log:
+    """Joint logs with torques: ``t (N,)`` s, ``q (N, n)`` rad or m, ``tau (N, n)`` N m or N; ``starts`` of its motions."""
+
+    observations: Observations
+    t: Floats
+    tau: Floats
+    starts: Ints
+    step_s: float
+
+    @classmethod
+    def from_observations(cls, observations: Observations) -> Log:
+        """Read a log; a gap of the clock or another session begins another motion.
+
+        Raises:
+            ObservationError: no clock, no torque, or a clock that does not run. TooFewPosesError: no motion of 2 s.
+
+        """
+        if observations.t is None or observations.tau is None:
+            lacks = "t_s" if observations.t is None else "tau1_nm ..."
+            raise ObservationError(
+                f"A log of motions needs a clock and torques, and these rows have no {lacks}: upload it with that column.",
+                code="log_incomplete",
+            )
+        t, tau = observations.t, observations.tau
+        steps = np.diff(t)
+        forward = steps[steps > 0.0]
+        step = float(np.median(forward)) if len(forward) else 0.0
+        if step <= 0.0:
+            raise ObservationError(
+                "t_s never goes forward in these rows: give the time of each row, s.", code="log_clock"
+            )
+        breaks = (steps > BREAK * step) | (steps <= 0.0)
+        if observations.session is not None:
+            breaks |= np.diff(observations.session) != 0
+        starts = np.concatenate([[0], 1 + np.flatnonzero(breaks), [len(t)]])
+        log = cls(observations, t, tau, starts, max(step, 1.0 / FASTEST_HZ))
+        if not any(True for _ in log.parts()):
+            raise TooFewPosesError(
+                f"No motion of these rows lasts {SHORTEST_S:g} s without a gap: record longer motions, or fewer gaps in t_s."
+            )
+        return log
+
+    @property
+    def motions(self) -> int:
+        """Number of stretches between gaps of the clock."""
+        return len(self.starts) - 1
+
+    def parts(self) -> Iterator[Part]:
+        """Each motion on an even clock, long ones in several parts; what is shorter than 2 s is passed over."""
+        speeds = self._rest_speeds
+        for motion, (start, end) in enumerate(zip(self.starts[:-1], self.starts[1:], strict=True)):
+            count = max(1, int(np.ceil((self.t[end - 1] - self.t[start]) / LONGEST_S)))
+            for piece in np.array_split(np.arange(start, end), count):
+                if self.t[piece[-1]] - self.t[piece[0]] >= SHORTEST_S:
+                    yield self._part(motion, piece, speeds)
+
+    @property
+    def _rest_speeds(self) -> Floats:
+        """Speed (n,) below which each joint counts as at rest."""
+        reached = np.zeros(self.tau.shape[1])
+        for start, end in zip(self.starts[:-1], self.starts[1:], strict=True):
+            if end - start > 2:
+                rate = np.abs(np.gradient(self.observations.q[start:end], self.t[start:end], axis=0))
+                reached = np.maximum(reached, np.quantile(rate, 0.95, axis=0))
+        return np.minimum(REST_RAD_S, np.maximum(REST_SHARE * reached, 1e-4))
+
+    def _part(self, motion: int, piece: Ints, rest: Floats) -> Part:
+        obs, t = self.observations, self.t[piece]
+        clock = np.arange(t[0], t[-1], self.step_s)
+        tau = self.tau[piece]
+        nearest = np.minimum(np.searchsorted(t, clock), len(t) - 1)
+        band = min(JOINT_BAND * self.cut_off_hz, 0.4 / self.step_s)
+        sos = butter(ORDER, band, fs=1.0 / self.step_s, output="sos")
+        q = np.asarray(sosfiltfilt(sos, _interpolate(clock, t, obs.q[piece]), axis=0))
+        qd = np.gradient(q, self.step_s, axis=0)
+        warm = None if obs.temperature_c is None else np.interp(clock, t, obs.temperature_c[piece])
+        session = 0 if obs.session is None else int(obs.session[piece[0]])
+        return Part(
+            motion,
+            session,
+            clock,
+            q,
+            qd,
+            np.gradient(qd, self.step_s, axis=0),
+            _interpolate(clock, t, tau),
+            warm,
+            ~clipped_rows(tau)[nearest],
+            rest,
+            self.step_s,
+            self.cut_off_hz,
+        )
+
+    @property
+    def cut_off_hz(self) -> float:
+        """Above which nothing is compared: 5 Hz, or less where rows are few."""
+        return min(CUT_OFF_HZ, 0.2 / self.step_s)
+
+
+def _interpolate(clock: Floats, t: Floats, values: Floats) -> Floats:
+    """Values (N, n) on the clock; means, where they come faster than it."""
+    width = int((len(t) - 1) / max(t[-1] - t[0], 1e-9) * (clock[1] - clock[0]))
+    values = uniform_filter1d(values, width, axis=0) if width > 1 else values
+    return np.stack([np.interp(clock, t, column) for column in values.T], axis=1)
+
+
+def clipped_rows(tau: Floats) -> Bools:
+    """Rows (N, n) in which a torque stands at the largest of the log, several rows in a row: it was cut off there."""
+    at_most = np.abs(tau) >= (1.0 - 1e-6) * np.abs(tau).max(axis=0, initial=0.0)
+    out = np.zeros(tau.shape, dtype=bool)
+    for j, column in enumerate(at_most.T):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], column.astype(np.int8), [0]])))
+        for start, end in zip(edges[::2], edges[1::2], strict=True):
+            if end - start >= CLIPPED_ROWS and np.abs(tau[start, j]) > 0.0:
+                out[start:end, j] = True
+    return out
+
+
+def is_log(observations: Observations) -> bool:
+    """Whether torques are all that these rows measured beside the joints."""
+    measured = (
+        observations.position,
+        observations.markers,
+        observations.link_q,
+        observations.socket,
+        observations.plane,
+        observations.bar,
+        observations.pixels,
+        observations.tilt,
+    )
+    return observations.tau is not None and all(one is None for one in measured)

@@ -1,0 +1,278 @@
+"""Which effects a log shows: chosen by motions left out one after the other, judged by motions that no choice saw.
+
+In-sample gain takes curves first and makes unseen motions worse; so a term enters by what it gains on motions left out, and is
+named by what it gains on motions held out before anything was chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from kilter_core.motion.fit import Fit, Seen, covariance, fit_terms, score_terms
+from kilter_core.motion.layout import Term
+from kilter_core.motion.normal import Equations
+from kilter_core.types import Bools, Floats, Ints
+
+ALPHA = 0.01  # chance that any term enters where nothing is missing
+MOST_TERMS = 20
+TRIED = 8  # of the best by the score, tried on motions left out
+DEVIATIONS = 2.0  # standard errors by which a gain, or one over a rival, must be above zero
+LEAST_SHARE = 0.01  # of the squares left at its joint: a term that explains less is not worth a name
+HELD_SHARE = 1.0 / 3.0
+TIME_FOLDS = 5
+HALVES_APART = 3.0
+SURE = 3.0  # standard errors by which a term is above zero on blocks that no choice saw
+LEAST_UNSEEN = 0.5  # of its size there: below, it makes unseen motions worse or hardly better
+REPLICATED_APART = 3.0
+
+
+@dataclass(frozen=True)
+class Split:
+    """Blocks (B,) that choose, blocks that judge, folds of the former, and whether the latter are whole motions."""
+
+    train: Bools
+    held: Bools
+    folds: Ints
+    whole: bool
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A term that does as well in place of one that was chosen: by how many standard errors it is behind."""
+
+    term: Term
+    behind: float
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A term that was found: ``value`` and ``sigma (k,)`` of all rows, how large it is on blocks that no choice saw,
+    as a share of what was fitted, whether both halves agree, and its rivals.
+    """
+
+    term: Term
+    value: Floats
+    sigma: Floats
+    share: float
+    unseen: float
+    unseen_sigma: float
+    halves_agree: bool
+    sessions: tuple[bool, ...]
+    rivals: tuple[Rival, ...]
+    verdict: str
+
+
+def split_motions(equations: Equations, seed: int) -> Split:
+    """Hold out a third of the motions, of each session alike; of a single motion its last third."""
+    motions = np.unique(equations.motion)
+    held = np.zeros(len(equations.motion), dtype=bool)
+    if len(motions) > 1:
+        count = max(1, round(HELD_SHARE * len(motions)))
+        chosen = np.random.default_rng(seed).permutation(motions)[:count]
+        held = np.isin(equations.motion, chosen)
+    else:
+        held[int((1.0 - HELD_SHARE) * len(held)) :] = True
+    train = ~held
+    kept = np.unique(equations.motion[train])
+    folds = np.full(len(held), -1)
+    if len(kept) >= TIME_FOLDS:
+        folds[train] = np.searchsorted(kept, equations.motion[train]) % TIME_FOLDS
+    else:  # too few whole motions to leave one out: stretches of them
+        places = np.flatnonzero(train)
+        folds[places] = np.arange(len(places)) * TIME_FOLDS // len(places)
+    return Split(train, held, folds, len(motions) > 1)
+
+
+def unseen_losses(equations: Equations, terms: Sequence[Term], split: Split, weights: Floats) -> Floats:
+    """Weighted squares (T,) of each block that chooses, from fits to the other folds."""
+    out = np.zeros(len(equations.motion))
+    for fold in range(TIME_FOLDS):
+        inside = split.folds == fold
+        fit = fit_terms(equations, terms, split.train & ~inside, weights)
+        out[inside] = equations.losses(fit.theta, weights)[inside].sum(axis=1)
+    return out[split.train]
+
+
+def deviations(gain: Floats) -> float:
+    """Mean of gains over its standard error."""
+    if len(gain) < 2:
+        return 0.0
+    spread = float(gain.std(ddof=1)) / np.sqrt(len(gain))
+    return float(gain.mean()) / spread if spread > 0.0 else 0.0
+
+
+def search_terms(
+    equations: Equations, split: Split, weights: Floats, tests: int, progress: Callable[[float], None]
+) -> list[Term]:
+    """Return the terms that enter the model, common ones first."""
+    model = [term for term in equations.terms if term.effect.common]
+    rest = [term for term in equations.terms if not term.effect.common and weights[term.joint] > 0.0]
+    losses = unseen_losses(equations, model, split, weights)
+    while len(model) < MOST_TERMS + equations.rows.shape[1] * 3:
+        progress(len(model) / (MOST_TERMS + 3 * equations.rows.shape[1]))
+        fit = fit_terms(equations, model, split.train, weights)
+        best = _best_entry(equations, split, weights, model, losses, _significant(equations, fit, split, rest, tests))
+        if best is None:
+            break
+        term, losses = best
+        model.append(term)
+        rest.remove(term)
+        model, losses = _without_idle(equations, split, weights, model, losses)
+    return model
+
+
+def _significant(equations: Equations, fit: Fit, split: Split, rest: Sequence[Term], tests: int) -> list[Seen]:
+    seen = score_terms(equations, fit, split.train, rest)
+    seen = [one for one in seen if one.p * tests < ALPHA and one.share > LEAST_SHARE and is_plausible(one)]
+    return sorted(seen, key=lambda one: -one.gain)[:TRIED]
+
+
+def is_plausible(seen: Seen) -> bool:
+    """Whether physics allows the values of a term."""
+    low, high = seen.term.effect.within
+    return bool(np.all((seen.value > low) & (seen.value < high)))
+
+
+def _best_entry(
+    equations: Equations, split: Split, weights: Floats, model: list[Term], losses: Floats, seen: Sequence[Seen]
+) -> tuple[Term, Floats] | None:
+    best: tuple[float, Term, Floats] | None = None
+    for one in seen:
+        left = unseen_losses(equations, [*model, one.term], split, weights)
+        gain = losses - left
+        if deviations(gain) > DEVIATIONS and (best is None or gain.sum() > best[0]):
+            best = float(gain.sum()), one.term, left
+    return None if best is None else best[1:]
+
+
+def _without_idle(
+    equations: Equations, split: Split, weights: Floats, model: list[Term], losses: Floats
+) -> tuple[list[Term], Floats]:
+    """Leave out what the latest term has made superfluous."""
+    for term in [term for term in model[:-1] if not term.effect.common]:
+        without = [other for other in model if other is not term]
+        left = unseen_losses(equations, without, split, weights)
+        if deviations(left - losses) <= DEVIATIONS:
+            model, losses = without, left
+    return model, losses
+
+
+def judge_terms(equations: Equations, split: Split, weights: Floats, model: Sequence[Term]) -> list[Judged]:
+    """Judge each term that was found by blocks that no choice saw, by halves, by sessions, and against its rivals."""
+    every = np.ones(len(equations.motion), dtype=bool)
+    whole = fit_terms(equations, model, every, weights)
+    spread = covariance(equations, whole, every)
+    trained = fit_terms(equations, model, split.train, weights)
+    found = [term for term in model if not term.effect.common]
+    return [_judge(equations, split, weights, model, term, whole, spread, trained) for term in found]
+
+
+def _judge(
+    equations: Equations,
+    split: Split,
+    weights: Floats,
+    model: Sequence[Term],
+    term: Term,
+    whole: Fit,
+    spread: Floats,
+    trained: Fit,
+) -> Judged:
+    without = [other for other in model if other is not term]
+    at = _places(whole, term)
+    value, sigma = whole.theta[term.columns], np.sqrt(np.diag(spread)[at])
+    full = fit_terms(equations, without, np.ones_like(split.train), weights)
+    before = equations.losses(full.theta, weights)[:, term.joint].sum()
+    after = equations.losses(whole.theta, weights)[:, term.joint].sum()
+    judged = Judged(
+        term,
+        value,
+        sigma,
+        1.0 - float(after / max(before, 1e-12)),
+        *_unseen_size(equations, split, weights, fit_terms(equations, without, split.train, weights), trained),
+        _halves_agree(equations, weights, model, term),
+        _sessions_that_show(equations, weights, model, term, value, sigma),
+        _rivals(equations, split, weights, model, term),
+        "",
+    )
+    return replace(judged, verdict=_verdict(judged, split))
+
+
+def _unseen_size(
+    equations: Equations, split: Split, weights: Floats, without: Fit, trained: Fit
+) -> tuple[float, float]:
+    """How large a term is on blocks that no choice saw, as a share of what was fitted, and the standard error of that."""
+    torque = equations.squares(trained.theta - without.theta, weights)[split.held]
+    lost = [equations.losses(fit.theta, weights)[split.held].sum(axis=1) for fit in (without, trained)]
+    along = 0.5 * (lost[0] - lost[1] + torque)
+    size = float(along.sum() / max(torque.sum(), 1e-12))
+    return size, float(np.sqrt(np.sum((along - size * torque) ** 2)) / max(torque.sum(), 1e-12))
+
+
+def _places(fit: Fit, term: Term) -> Ints:
+    return np.array([int(np.flatnonzero(fit.columns == c)[0]) for c in term.columns])
+
+
+def _halves_agree(equations: Equations, weights: Floats, model: Sequence[Term], term: Term) -> bool:
+    """Whether both halves of the log, by motions where there are several, show it alike."""
+    motions = np.unique(equations.motion)
+    order = np.searchsorted(motions, equations.motion) if len(motions) > 1 else np.arange(len(equations.motion))
+    first = order < 0.5 * (order.max() + 1)
+    (a, va), (b, vb) = (_value_in(equations, weights, model, term, part) for part in (first, ~first))
+    return bool(np.all(np.abs(a - b) < HALVES_APART * np.sqrt(va + vb)))
+
+
+def _value_in(
+    equations: Equations, weights: Floats, model: Sequence[Term], term: Term, blocks: Bools
+) -> tuple[Floats, Floats]:
+    fit = fit_terms(equations, model, blocks, weights)
+    spread = np.diag(covariance(equations, fit, blocks))
+    return fit.theta[term.columns], spread[_places(fit, term)]
+
+
+def _sessions_that_show(
+    equations: Equations, weights: Floats, model: Sequence[Term], term: Term, value: Floats, sigma: Floats
+) -> tuple[bool, ...]:
+    """Of each session, where there are several, whether it shows the same by itself."""
+    sessions = np.unique(equations.session)
+    if len(sessions) < 2:
+        return ()
+    shown = []
+    for session in sessions:
+        own, variance = _value_in(equations, weights, model, term, equations.session == session)
+        apart = np.abs(own - value) < REPLICATED_APART * np.sqrt(variance + sigma**2)
+        shown.append(bool(np.all(apart) and np.any(np.abs(own) > REPLICATED_APART * np.sqrt(variance))))
+    return tuple(shown)
+
+
+def _rivals(
+    equations: Equations, split: Split, weights: Floats, model: Sequence[Term], term: Term
+) -> tuple[Rival, ...]:
+    """Terms that do as well in its place, on blocks left out of the fit."""
+    without = [other for other in model if other is not term]
+    fit = fit_terms(equations, without, split.train, weights)
+    others = [t for t in equations.terms if t not in model and weights[t.joint] > 0.0]
+    seen = score_terms(equations, fit, split.train, [term, *others])
+    own = next((one.gain for one in seen if one.term is term), 0.0)
+    near = [one for one in seen if one.term is not term and one.gain > 0.5 * own and is_plausible(one)]
+    losses = unseen_losses(equations, model, split, weights)
+    rivals = []
+    for one in near:
+        behind = deviations(unseen_losses(equations, [*without, one.term], split, weights) - losses)
+        if behind <= DEVIATIONS:
+            rivals.append(Rival(one.term, behind))
+    return tuple(sorted(rivals, key=lambda rival: rival.behind))
+
+
+def _verdict(judged: Judged, split: Split) -> str:
+    """How sure a name is: replicated, confirmed, class_confirmed or provisional."""
+    seen = judged.unseen > max(LEAST_UNSEEN, SURE * judged.unseen_sigma)
+    if not (split.whole and seen and judged.halves_agree):
+        return "provisional"
+    others = [rival.term for rival in judged.rivals]
+    same = all(t.joint == judged.term.joint and t.effect.physical.id == judged.term.effect.physical.id for t in others)
+    if others:
+        return "class_confirmed" if same else "provisional"
+    return "replicated" if judged.sessions and all(judged.sessions) else "confirmed"

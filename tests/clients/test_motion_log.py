@@ -1,0 +1,90 @@
+"""A log of joint torques from a file to its answer: a real server, the command, the page, and files that cannot be searched."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+
+from kilter_client import Kilter
+from kilter_client.cli import run
+from kilter_client.errors import NotFoundError
+from tests.core.motion.moving_arm import Logger, ur_like
+from tests.core.motion.test_find import HIDDEN, at_joint
+
+Capture = pytest.CaptureFixture[str]
+JOINTS = range(1, 7)
+HEAD = ["t_s", *(f"q{j}_deg" for j in JOINTS), *(f"tau{j}_nm" for j in JOINTS)]
+
+
+@pytest.fixture(scope="module")
+def hidden(tmp_path_factory: pytest.TempPathFactory) -> tuple[Logger, Path]:
+    """An arm and the file of a log of it, in which a ripple of joint 3 is hidden."""
+    logger = Logger(ur_like(np.random.default_rng(7)), seed=7)
+    joint, shape = HIDDEN["gear_ripple"]
+    logger.extra = [at_joint(joint, shape, 1.5)(logger)]
+    log = logger.log()
+    path = tmp_path_factory.mktemp("log") / "log.csv"
+    columns = np.column_stack([log["t"], np.degrees(log["q"]), log["tau"]])
+    np.savetxt(path, columns, delimiter=",", header=",".join(HEAD), comments="", fmt="%.7g")
+    return logger, path
+
+
+@pytest.fixture
+def logged(server: Path, hidden: tuple[Logger, Path]) -> Path:
+    """The file, once the server knows the robot ``mover``."""
+    del server
+    logger, path = hidden
+    with Kilter() as kilter:
+        try:
+            kilter.robots.get("mover")
+        except NotFoundError:
+            kilter.robots.add(logger.arm.document() | {"name": "mover"})
+    return path
+
+
+def test_a_log_is_uploaded_and_its_missing_effect_named(server: Path, logged: Path, capsys: Capture) -> None:
+    assert run(["upload", "mover", str(logged), "--name", "log"]) == 0
+    capsys.readouterr()
+    assert run(["gap", "mover", "-c", "log"]) == 0
+    printed = capsys.readouterr()
+    assert printed.out.startswith("Found: gear ripple of joint 3")
+    assert "Torque error of joint 3 on motions that were never used" in printed.out
+    assert "Warning" not in printed.out
+    assert len(printed.out.splitlines()) <= 25
+    assert run(["gap", "mover", "-c", "log", "--details"]) == 0
+    assert "coulomb_friction_6" in capsys.readouterr().out
+    assert run(["gap", "mover", "-c", "log", "--json"]) == 0
+    job = json.loads(capsys.readouterr().out)
+    result = job["result"]
+    assert [(one["id"], one["joints"], one["verdict"]) for one in result["effects"]] == [
+        ("gear_ripple", [3], "confirmed")
+    ]
+    (third,) = [one for one in result["motion"]["joints"] if one["joint"] == 3]
+    assert third["found"] < 0.9 * third["friction"] < third["rigid"]
+    assert result["version_id"] is None
+    assert ("motor_inertia", [1]) in [(one["id"], one["joints"]) for one in result["not_testable"]]
+    with Kilter() as kilter, httpx.Client(base_url=kilter.url) as page:
+        page.post("/login", data={"token": (server / "token").read_text().splitlines()[0]})
+        text = page.get(f"/jobs/{job['id']}").raise_for_status().text
+    assert "What is left of the torques" in text
+    assert "rms error before" not in text
+
+
+def test_a_log_without_its_time_is_refused(server: Path, logged: Path, tmp_path: Path, capsys: Capture) -> None:
+    table = np.genfromtxt(logged, delimiter=",", names=True)
+    names = [name for name in table.dtype.names if name != "t_s"]
+    bare = tmp_path / "bare.csv"
+    np.savetxt(bare, np.column_stack([table[n] for n in names]), delimiter=",", header=",".join(names), comments="")
+    assert run(["upload", "mover", str(bare), "--name", "bare"]) == 0
+    assert run(["gap", "mover", "-c", "bare"]) != 0
+    assert "no t_s" in capsys.readouterr().err
+
+
+def test_an_identification_of_a_log_says_what_searches_it(server: Path, logged: Path, capsys: Capture) -> None:
+    assert run(["upload", "mover", str(logged), "--name", "fit"]) == 0
+    assert run(["identify", "mover", "-c", "fit"]) != 0
+    assert "A log of joint torques alone is searched by `kilter gap`" in capsys.readouterr().err

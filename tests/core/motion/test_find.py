@@ -1,0 +1,146 @@
+"""A search in torques: what is hidden in a simulator's log is named at its joint, and nothing is where nothing is hidden."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kilter_core.arm.documents import robot_from_document
+from kilter_core.errors import ObservationError, TooFewPosesError
+from kilter_core.motion import MotionReport, find_missing_torque, to_document
+from kilter_core.observations import Observations
+from tests.core.motion.moving_arm import Extra, Floats, Logger, State, reversed_softly, seven_like, ur_like
+
+Make = Callable[[Logger], Extra]
+
+
+def at_joint(j: int, shape: Callable[[State], Floats], share: float = 1.0) -> Make:
+    """Add a torque of this shape to a joint, as large as its noise times ``share``."""
+
+    def make(logger: Logger) -> Extra:
+        scale: list[float] = []
+
+        def extra(state: State) -> Floats:
+            torque = shape(state)
+            scale.append(share * logger.noise_share * logger.usual[j] / float(np.std(torque)))
+            out = np.zeros_like(state.q)
+            out[:, j] = scale[0] * torque
+            return out
+
+        return extra
+
+    return make
+
+
+def rows(logger: Logger) -> Observations:
+    log = logger.log()
+    return Observations(q=log["q"], t=log["t"], tau=log["tau"])
+
+
+def hunt(logger: Logger) -> MotionReport:
+    return find_missing_torque(robot_from_document(logger.arm.document()), rows(logger))
+
+
+HIDDEN: dict[str, tuple[int, Callable[[State], Floats]]] = {
+    "stribeck": (4, lambda s: reversed_softly(s.qd[:, 4], 0.004) * np.exp(-np.abs(s.qd[:, 4]) / 0.08)),
+    "load_friction": (1, lambda s: reversed_softly(s.qd[:, 1], 0.004) * np.abs(s.rigid[:, 1])),
+    "gear_ripple": (2, lambda s: np.sin(24.0 * s.q[:, 2] + 1.0)),
+    "one_sided_damping": (3, lambda s: np.maximum(s.qd[:, 3], 0.0)),
+    "warm_up": (0, lambda s: s.qd[:, 0] * s.seconds),
+}
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_what_is_hidden_is_named_at_its_joint_and_nothing_else_is(name: str) -> None:
+    joint, shape = HIDDEN[name]
+    logger = Logger(ur_like(np.random.default_rng(7)), seed=7)
+    logger.extra = [at_joint(joint, shape, 1.5)(logger)]
+    found = hunt(logger)
+    assert [(one.term.effect.id, one.term.joint) for one in found.judged] == [(name, joint)]
+    assert found.judged[0].verdict in ("confirmed", "class_confirmed")
+    assert found.held.found[joint] < found.held.common[joint]
+
+
+@pytest.mark.parametrize("arm", [ur_like, seven_like])
+def test_nothing_is_named_where_nothing_is_hidden(arm: Callable[[np.random.Generator], object]) -> None:
+    found = hunt(Logger(arm(np.random.default_rng(11)), seed=11))  # type: ignore[arg-type]
+    assert not found.judged
+    assert np.all(found.held.common < 0.25 * found.held.rigid)
+
+
+def test_load_friction_delay_and_gain_have_their_sizes() -> None:
+    arm = seven_like(np.random.default_rng(5))
+    logger = Logger(arm, seed=5)
+    logger.extra = [lambda s: 0.06 * reversed_softly(s.qd, 0.004) * np.abs(s.rigid) * (np.arange(7) == 3)]
+    logger.delay_s = 0.015 * (np.arange(7) == 1)
+    found = {(one.term.effect.id, one.term.joint): one for one in hunt(logger).judged}
+    friction, delay = found["load_friction", 3], found["torque_delay", 1]
+    assert abs(friction.value[0] - 0.06) < 4.0 * friction.sigma[0] + 0.004
+    assert abs(delay.value[0] - 0.015) < 4.0 * delay.sigma[0] + 0.001
+
+
+def test_a_gain_of_a_drive_is_told_from_masses_by_the_other_joints() -> None:
+    logger = Logger(ur_like(np.random.default_rng(2)), seed=2)
+    logger.gain = np.array([1.0, 1.0, 1.1, 1.0, 1.0, 1.0])
+    (one,) = hunt(logger).judged
+    assert (one.term.effect.id, one.term.joint) == ("drive_gain", 2)
+    assert abs(one.value[0] - 0.1) < 4.0 * one.sigma[0] + 0.01
+
+
+def test_what_the_bodies_imitate_is_said_not_to_be_testable() -> None:
+    """The inertia of the first motor and that of its link turn together: no motion tells them apart."""
+    report = hunt(Logger(ur_like(np.random.default_rng(3)), seed=3, motor_inertia=np.array([2.0, 0, 0, 0, 0, 0])))
+    assert ("motor_inertia", 0) in {(term.effect.id, term.joint) for term in report.hidden}
+    assert not report.judged
+
+
+def test_clipped_torques_and_resting_joints_are_left_out_by_name() -> None:
+    logger = Logger(ur_like(np.random.default_rng(4)), seed=4)
+    log = rows(logger)
+    assert log.tau is not None
+    most = np.quantile(np.abs(log.tau[:, 1]), 0.97)
+    tau, q = log.tau.copy(), log.q.copy()
+    tau[:, 1] = np.clip(tau[:, 1], -most, most)
+    q[:, 5] = q[0, 5]
+    report = find_missing_torque(robot_from_document(logger.arm.document()), replace(log, tau=tau, q=q))
+    said = {one["code"]: one for one in to_document(report)["warnings"]}
+    assert said["torque_clipped"]["joints"] == [2]
+    assert said["joints_at_rest"]["joints"] == [6]
+    assert not [one for one in report.judged if one.term.joint == 1]
+
+
+def test_one_motion_confirms_nothing() -> None:
+    logger = Logger(ur_like(np.random.default_rng(7)), seed=7, motions=1, seconds=90.0)
+    joint, shape = HIDDEN["gear_ripple"]
+    logger.extra = [at_joint(joint, shape, 2.0)(logger)]
+    report = hunt(logger)
+    assert not report.unseen
+    assert {one.verdict for one in report.judged} == {"provisional"}
+    assert [one["code"] for one in to_document(report)["warnings"]] == ["one_motion"]
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [({"t": None}, "log_incomplete"), ({"tau": None}, "log_incomplete"), ({"t": np.zeros(1000)}, "log_clock")],
+)
+def test_what_is_no_log_is_refused(change: dict[str, Any], code: str) -> None:
+    q = np.zeros((1000, 6))
+    log = Observations(q=q, t=np.arange(1000) * 0.01, tau=np.zeros_like(q))
+    with pytest.raises(ObservationError) as refused:
+        find_missing_torque(robot_from_document(ur_like(np.random.default_rng(0)).document()), replace(log, **change))
+    assert refused.value.code == code
+
+
+def test_a_log_at_rest_and_a_log_of_a_second_are_refused() -> None:
+    robot = robot_from_document(ur_like(np.random.default_rng(0)).document())
+    q = np.zeros((6000, 6))
+    rest = Observations(q=q, t=np.arange(6000) * 0.01, tau=np.ones_like(q))
+    with pytest.raises(ObservationError) as refused:
+        find_missing_torque(robot, rest)
+    assert refused.value.code == "log_at_rest"
+    with pytest.raises(TooFewPosesError):
+        find_missing_torque(robot, rest.select(slice(0, 100)))
