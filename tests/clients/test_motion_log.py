@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import httpx
@@ -14,6 +16,7 @@ from kilter_client.cli import run
 from kilter_client.errors import NotFoundError
 from tests.core.motion.moving_arm import Logger, ur_like
 from tests.core.motion.test_find import HIDDEN, at_joint
+from tests.core.truth import Body
 
 Capture = pytest.CaptureFixture[str]
 JOINTS = range(1, 7)
@@ -88,3 +91,22 @@ def test_an_identification_of_a_log_says_what_searches_it(server: Path, logged: 
     assert run(["upload", "mover", str(logged), "--name", "fit"]) == 0
     assert run(["identify", "mover", "-c", "fit"]) != 0
     assert "A log of joint torques alone is searched by `kilter gap`" in capsys.readouterr().err
+
+
+def test_what_is_carried_is_weighed(server: Path, logged: Path, hidden: tuple[Logger, Path], capsys: Capture) -> None:
+    logger, _ = hidden
+    body = Body(5, 1.8, np.array([0.02, 0.0, 0.05]), np.diag([0.004, 0.004, 0.002]))
+    heavy = Logger(replace(logger.arm, bodies=(*logger.arm.bodies, body)), seed=7)
+    heavy.rng = np.random.default_rng(70)
+    log = heavy.log()
+    loaded = logged.with_name("loaded.csv")
+    columns = np.column_stack([log["t"], np.degrees(log["q"]), log["tau"]])
+    np.savetxt(loaded, columns, delimiter=",", header=",".join(HEAD), comments="", fmt="%.7g")
+    assert run(["upload", "mover", str(logged), "--name", "without"]) == 0
+    assert run(["upload", "mover", str(loaded), "--name", "with"]) == 0
+    capsys.readouterr()
+    asked = ["measure", "payload", "mover", "-c", "with", "-c", "without"]
+    assert run([*asked, "--empty", "without"]) == 0
+    assert re.match(r"It carries 1\.[78]\d? kg", capsys.readouterr().out)
+    assert run([*asked, "--empty", "other"]) != 0
+    assert "not a campaign of this job" in capsys.readouterr().err

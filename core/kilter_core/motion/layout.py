@@ -10,7 +10,7 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.motion.effects import MOTION_EFFECTS, JointSignals, MotionEffect
 from kilter_core.motion.record import Log, Part
-from kilter_core.motion.regressor import base_columns, rigid_regressor
+from kilter_core.motion.regressor import PER_LINK, base_columns, link_elements, rigid_regressor
 from kilter_core.types import Floats, Ints
 
 
@@ -29,6 +29,7 @@ class Layout:
 
     ``K (p, 10 L)`` takes the numbers of the bodies to base parameters. Of each joint: the speed that it usually reaches,
     the middle of its range and the order of its ripple. ``mean_t`` s and ``mean_c`` are means of the log.
+    In sessions that are ``loaded`` the outermost body carries ten numbers more, whose columns follow the base columns.
     """
 
     robot: Robot
@@ -41,9 +42,10 @@ class Layout:
     orders: tuple[float | None, ...]
     mean_t: float
     mean_c: float
+    loaded: frozenset[int] = frozenset()
 
     @classmethod
-    def of_log(cls, robot: Robot, log: Log) -> Layout:
+    def of_log(cls, robot: Robot, log: Log, loaded: frozenset[int] = frozenset()) -> Layout:
         """Return the layout of rigid bodies and the effects that every model has."""
         kept, K = base_columns(robot)
         n = robot.n_joints
@@ -66,6 +68,7 @@ class Layout:
             (None,) * n,
             float(np.mean(times)),
             mean_c,
+            loaded,
         )
         return bare._with([effect for effect in MOTION_EFFECTS if effect.common])
 
@@ -74,7 +77,7 @@ class Layout:
         return replace(self, orders=tuple(orders))._with(MOTION_EFFECTS)
 
     def _with(self, effects: Sequence[MotionEffect]) -> Layout:
-        terms, at = [], len(self.kept)
+        terms, at = [], self.shared
         for j in range(self.robot.n_joints):
             for effect in effects:
                 if ("temperature" in effect.needs and np.isnan(self.mean_c)) or (
@@ -85,9 +88,19 @@ class Layout:
                 at += len(effect.parameters)
         return replace(self, terms=tuple(terms), width=at)
 
+    @property
+    def shared(self) -> int:
+        """Number of columns that all joints share; they come first."""
+        return len(self.kept) + (PER_LINK if self.loaded else 0)
+
     def regressor(self, part: Part) -> Floats:
-        """Base columns (N, n, p) of a stretch of the log."""
-        return rigid_regressor(self.robot, part.q, part.qd, part.qdd)[:, :, self.kept]
+        """Columns (N, n, shared) of a stretch of the log that all joints share: bodies, and what is carried."""
+        Y = rigid_regressor(self.robot, part.q, part.qd, part.qdd)
+        if not self.loaded:
+            return Y[:, :, self.kept]
+        outermost = PER_LINK * int(np.argmax(link_elements(self.robot)))
+        carried = Y[:, :, outermost : outermost + PER_LINK] * float(part.session in self.loaded)
+        return np.concatenate([Y[:, :, self.kept], carried], axis=2)
 
     def joint_columns(self, part: Part, Y: Floats, j: int, known: Known | None) -> Floats:
         """Columns (N, m) of one joint: those of the base parameters, then its terms in order."""
@@ -96,7 +109,7 @@ class Layout:
 
     def places(self, j: int) -> Ints:
         """Where the columns of a joint stand in the whole layout."""
-        return np.concatenate([np.arange(len(self.kept)), *(t.columns for t in self.terms if t.joint == j)])
+        return np.concatenate([np.arange(self.shared), *(t.columns for t in self.terms if t.joint == j)])
 
     def signals(self, part: Part, Y: Floats, j: int, known: Known | None) -> JointSignals:
         """Return what effects at a joint read; without a model so far there is no load."""
@@ -132,4 +145,4 @@ class Known:
     def from_values(cls, layout: Layout, theta: Floats) -> Known:
         """Return what the values (width,) of a layout say."""
         common = {(t.effect.id, t.joint): theta[t.columns] for t in layout.terms if t.effect.common}
-        return cls(theta[: len(layout.kept)], common)
+        return cls(theta[: layout.shared], common)

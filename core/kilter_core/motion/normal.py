@@ -34,8 +34,8 @@ class Equations:
 
     @property
     def base(self) -> int:
-        """Number of base parameters, whose columns come first."""
-        return len(self.layout.kept)
+        """Number of columns that all joints share; they come first."""
+        return self.layout.shared
 
     @property
     def terms(self) -> tuple[Term, ...]:

@@ -136,6 +136,7 @@ GROUPS: Mapping[str, Group] = {
             "ballbar-join",
             "tilt-join",
             "joint-parameters",
+            "payload",
             "hand-eye",
         ),
     ),
