@@ -49,13 +49,13 @@ def test_the_first_level_is_short_and_each_command_on_one_line(
     assert groups
     lines = commands[1].splitlines() + groups[1].splitlines()
     assert len(FIRST) <= 16
-    assert sorted(line.split()[0] for line in lines) == sorted((*FIRST, *MADE))
+    assert sorted(line.split()[0] for line in lines) == sorted((*FIRST, *(set(MADE) - set(MOVED))))
     assert all(line.endswith(".") for line in lines)
 
 
 def test_every_command_is_in_reach_once() -> None:
     inside = [old for group in GROUPS.values() for old in (*group.commands.values(), group.own)]
-    known = [*inside, *(name for name in (*FIRST, *MADE) if name not in GROUPS)]
+    known = [*inside, *(name for name in (*FIRST, *MADE) if name not in GROUPS and name not in MOVED)]
     assert sorted(filter(None, known)) == sorted(ENTRIES)
 
 

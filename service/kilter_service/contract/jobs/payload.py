@@ -74,7 +74,7 @@ PAYLOAD = JobContract(
     "payload",
     noun="weighing of a payload",
     title="Weigh what it carries",
-    summary="Find mass, centre and inertia of what an arm carries, from torques with it and without it.",
+    summary="Weigh what an arm carries, by its joint torques.",
     options=PayloadOptions,
     result=PayloadResult,
     seconds=(2.0, 0.5, 30.0),

@@ -175,10 +175,11 @@ FIRST = (
     "watch",
     "server",
 )
-SUMMARIES: Mapping[str, str] = {
-    name: GROUPS[name].summary if name in GROUPS else ENTRIES[name].summary for name in (*FIRST, *MADE)
-}
 # Where a command is that stood on the first level before; it works there for one release more.
 MOVED: Mapping[str, str] = {
     old: f"{name} {new}" for name, group in GROUPS.items() for new, old in group.commands.items() if old not in FIRST
 } | {"versions": "version"}
+SUMMARIES: Mapping[str, str] = {
+    name: GROUPS[name].summary if name in GROUPS else ENTRIES[name].summary
+    for name in (*FIRST, *(one for one in MADE if one not in MOVED))
+}
