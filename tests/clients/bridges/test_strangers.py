@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import socket
+import sys
 import threading
+import time
 from collections.abc import Iterator
 from importlib import import_module
 from itertools import islice
@@ -125,7 +127,7 @@ def test_what_is_no_request_keeps_no_controller_from_coming(correction: Correcti
 
     def send(port: int) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-            while not over.wait(0.02):  # the loop shares this interpreter: more would starve it, not confuse it
+            while not over.wait(0.001):
                 for data in noise:
                     one.sendto(data, ("127.0.0.1", port))
 
@@ -138,6 +140,64 @@ def test_what_is_no_request_keeps_no_controller_from_coming(correction: Correcti
         finally:
             over.set()
             thread.join()
+
+
+class Held(RsiWire):
+    """Messages of which one holds the reader up until the test lets it go on."""
+
+    def __init__(self) -> None:
+        super().__init__([1.0] * 6)
+        self.reads, self.goes_on = threading.Event(), threading.Event()
+
+    def read(self, data: bytes) -> Request | None:
+        if data == b"hold":
+            self.reads.set()
+            assert self.goes_on.wait(20.0)
+        return super().read(data)
+
+
+def test_a_request_among_packets_of_strangers_is_found(correction: Correction, controllers: Make) -> None:
+    wire = Held()
+    with looping(correction, wire) as (loop, address, _):
+        controller, stranger = controllers(address), controllers(address)
+        stranger.socket.send(b"hold")
+        assert wire.reads.wait(10.0)
+        for _ in range(20):
+            stranger.socket.send(b"noise")
+        controller.socket.send(message(4))
+        for _ in range(10):
+            stranger.socket.send(b"noise")
+        wire.goes_on.set()
+        controller.socket.settimeout(10.0)
+        assert b"<IPOC>4</IPOC>" in controller.socket.recv(2048)
+        assert loop.counts["malformed"] == 21
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="packets have no times of arrival")
+@pytest.mark.parametrize("noise", [0, 5000])
+def test_silence_is_told_by_when_packets_came_unless_some_found_no_room(
+    correction: Correction, controllers: Make, noise: int
+) -> None:
+    """All noise waits at once: a bridge that took time to read for time of arrival would see no silence before it."""
+    wire = Held()
+    with looping(correction, wire) as (loop, address, _):
+        first, second = controllers(address), controllers(address)
+        assert first.ask(message(4)) is not None
+        first.socket.send(b"hold")
+        assert wire.reads.wait(10.0)
+        for _ in range(noise):  # one that is dropped may have been a request
+            first.socket.send(b"noise")
+        time.sleep(1.2 * GONE_S)
+        for _ in range(100):
+            first.socket.send(b"noise")
+        second.socket.send(message(400))
+        wire.goes_on.set()
+        if noise:
+            assert second.ask(message(404), 0.3) is None
+            assert loop.counts["no_room"] > 0
+        else:
+            second.socket.settimeout(10.0)
+            assert b"<IPOC>400</IPOC>" in second.socket.recv(2048)
 
 
 def repeats(tree: object) -> Iterator[int]:

@@ -119,9 +119,10 @@ def _gives_back(text: str, at: int, by_value: Collection[str]) -> bool:
     return bool(by) and not second and READS.fullmatch(by) is None
 
 
-def _by_value(text: str) -> set[str]:
+@lru_cache(maxsize=2)
+def _by_value(text: str) -> frozenset[str]:
     """The routines of the file, in small letters, that change nothing which they are given."""
-    return {match[1].lower() for match in ROUTINE.finditer(text) if GIVES_BACK.search(match[2]) is None}
+    return frozenset(match[1].lower() for match in ROUTINE.finditer(text) if GIVES_BACK.search(match[2]) is None)
 
 
 def declared_again(text: str, names: Collection[str]) -> Iterator[re.Match[str]]:

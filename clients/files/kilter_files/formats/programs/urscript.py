@@ -19,9 +19,9 @@ from kilter_files.formats.programs.keyed import Keyed
 from kilter_files.formats.programs.one_target import JointTarget, Span
 from kilter_files.formats.programs.poses.urscript import (
     BY_FORCE,
-    CALLED,
     CHANGED,
     Poses,
+    calls_of_others,
     inside,
     inverse_arguments,
 )
@@ -163,7 +163,7 @@ def _hint(
 def _name_calls(program: Program, text: str, declared: Places) -> None:
     """Name the calls that hand a target on: to a subprogram, or to a function that may move the arm."""
     targets = {name for name, places in declared.items() if any(TARGET.match(written) for _, written in places)}
-    for match in CALLED.finditer(text):
+    for match in calls_of_others(text):
         said = inside(text, match.end())
         bare = INNER.sub("", said) if targets or "[" in said else ""
         if (TARGET.search(bare) or targets.intersection(WORDS.findall(bare))) and not MOVE.match(text, match.start()):

@@ -19,10 +19,7 @@ from kilter_client.bridges.news import TELL_S, Line
 if TYPE_CHECKING:
     from kilter_client.bridges.correction import Correction
 
-# How long answers took: a distribution that is kept up to date answer by answer, since nothing may hold up the loop.
-#
-# To sort the last 20 000 times takes 4 ms, a whole cycle of a KUKA controller.
-
+# A distribution is kept up to date answer by answer: to sort 20 000 times takes 4 ms, a whole cycle of a KUKA controller.
 LAST = 20_000  # answers that count
 LEAST_S, OCTAVES, STEPS = 1e-6, 22, 32  # from 1 us to 4 s, in steps of 2.2 %
 
@@ -59,8 +56,10 @@ class AnswerTimes:
 LARGEST_PACKET = 1500  # bytes, of which a frame of Ethernet has no more; larger ones are malformed
 MOST_AHEAD = 2  # cycles by which stamps may be ahead of the time that has passed
 MOST_WAITING = 64  # requests that are looked at to find the newest
-SO_TIMESTAMPNS = 35  # of Linux: each packet comes with the time at which it arrived
-_TIMESPEC = struct.Struct("qq")
+# Of Linux: each packet comes with the time at which it arrived, and the system counts those that found no room.
+SO_TIMESTAMPNS, SO_MEMINFO = 35, 55
+_TIMESPEC, _MEMINFO = struct.Struct("qq"), struct.Struct("9I")
+ROOM = 1 << 20  # bytes for packets that wait; the system may give less
 
 
 @contextlib.contextmanager
@@ -95,23 +94,18 @@ class Wire(Protocol):
     @property
     def counts(self) -> Counter[str]:
         """What was not followed, by its name."""
-        ...
 
     def read(self, data: bytes) -> Request | None:
         """Return a request; None when the bytes are none."""
-        ...
 
     def cycles(self, stamps: int) -> int | None:
         """Return the cycles that are between stamps so far apart, at least one; None where that cannot be told."""
-        ...
 
     def wanted_joints(self, request: Request, cycles: int, fresh: bool) -> Sequence[float] | None:
         """Return the wanted joints (n,) rad, ``cycles`` after the last ones; ``fresh``: the controller begins."""
-        ...
 
     def answer(self, request: Request, offset: Sequence[float]) -> bytes:
         """Return the answer that offsets (n,) rad make; nothing where there is none."""
-        ...
 
 
 Address = tuple[str, int]
@@ -158,9 +152,11 @@ class Loop:
         self._asked = select.poll()
         self._asked.register(port, select.POLLIN)
         self._controller: Address | None = None
-        self._heard_s = self._quiet_s = time.monotonic()  # when the controller asked last; when nobody did
+        self._heard_s = self._taken_s = time.monotonic()  # the last request of any who may ask; the last that was taken
+        self._read_up_to_s = self._heard_s  # whatever came before was read
+        self._dropped = 0  # packets that found no room
         self._patience_s = min(TELL_S, gone_after_s / 4.0)
-        self._stamp, self._last = -1, b""
+        self._stamp = -1
         self._passed_over = 0  # requests that waited while a newer one came, since the last answer
         self._leaving = self._was_out = False  # the latter: the controller had an answer without offsets in time
         self.counts: Counter[str] = Counter()
@@ -175,10 +171,11 @@ class Loop:
     def run(self) -> None:
         """Answer until :meth:`leave`."""
         self._port.setblocking(False)
+        self._port.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, ROOM)
         if sys.platform == "linux":  # elsewhere a request counts from when it is read
             self._port.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         with without_collections():
-            while not (self._leaving and (self._is_out() or self._silent())):
+            while not (self._leaving and (self._is_out() or self._is_unanswered(time.monotonic()))):
                 self._cycle()
 
     def _is_out(self) -> bool:
@@ -187,62 +184,82 @@ class Loop:
 
     def _cycle(self) -> None:
         self._asked.poll(1000 * self._patience_s)
-        newest, more_wait = self._newest()
-        asked = newest is not None and self._answer_request(newest)
-        if not asked and not more_wait:  # what came was of nobody who may ask, or of no controller
-            self._quiet_s = time.monotonic()
+        if sys.platform == "linux":
+            self._note_dropped()
+        if (newest := self._read_newest()) is not None:
+            self._answer_request(*newest)
         while (packet := self._line.receive()) is not None:
             self._correction.hear(*packet)
         if self._leaving:
             self._correction.off = "the bridge is being ended"
         self._line.send_state_if_due(self.document)
 
+    def _note_dropped(self) -> None:
+        """Take packets that found no room for requests: silence is only what was seen to be silent."""
+        *_, dropped = _MEMINFO.unpack(self._port.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, _MEMINFO.size))
+        if dropped != self._dropped:
+            self.counts["no_room"] += (dropped - self._dropped) % (1 << 32)
+            self._dropped, self._heard_s = dropped, time.monotonic()
+
     def _receive_packet(self) -> Packet:
+        """Return what came first of all that waits: whatever came before it was read."""
         data, ancillary, flags, sender = self._port.recvmsg(LARGEST_PACKET, 64)
         waited_s = 0.0
         if ancillary and len(ancillary[0][2]) == _TIMESPEC.size:
             seconds, nanoseconds = _TIMESPEC.unpack(ancillary[0][2])
-            waited_s = min(max(0.0, time.time() - seconds - 1e-9 * nanoseconds), self._gone_after_s)
+            waited_s = max(0.0, time.time() - seconds - 1e-9 * nanoseconds)
+            self._read_up_to_s = max(self._read_up_to_s, time.monotonic() - waited_s)
         return Packet(data, sender, waited_s, not flags & socket.MSG_TRUNC)
 
-    def _newest(self) -> tuple[Packet | None, bool]:
-        """Return the newest packet of the controller among those that wait, and whether more may wait.
+    def _read_newest(self) -> tuple[Request, Packet, bool] | None:
+        """Return the newest request of the controller among those that wait, and whether silence was before the first of them.
 
         Those before it are late. Nothing of another sender is read: a stranger must not cost more than its reception.
         """
-        newest: Packet | None = None
+        newest = None
         for _ in range(MOST_WAITING):
+            now_s = time.monotonic()
             try:
                 packet = self._receive_packet()
             except BlockingIOError:
-                return newest, False
+                self._read_up_to_s = now_s
+                break
             except ConnectionError:  # the controller's port was closed
                 continue
-            if not self._may_ask(packet.sender) or (newest is not None and packet.sender != newest.sender):
+            if not self._may_ask(packet.sender) or (newest is not None and packet.sender != newest[1].sender):
                 self.counts["other_controller"] += 1
                 continue
-            if newest is not None:
-                self.counts["late"] += 1
-                self._passed_over += 1
-            newest = packet
-        return newest, True
+            request = self._wire.read(packet.data) if packet.whole else None
+            if request is None:
+                self.counts["malformed"] += 1
+                continue
+            begins = self._is_silent() if newest is None else newest[2]
+            self.counts["late"] += newest is not None
+            self._passed_over += newest is not None
+            newest, self._heard_s = (request, packet, begins), time.monotonic()
+        return newest
 
     def _may_ask(self, sender: Address) -> bool:
         """Whether a sender is the controller, or may become it: the address named, and one at a time."""
         if self._expected is not None and (sender[0] != self._expected[0] or self._expected[1] not in (0, sender[1])):
             return False
-        return self._controller is None or sender == self._controller or self._silent()
+        return self._controller is None or sender == self._controller or self._is_silent()
 
-    def _answer_request(self, packet: Packet) -> bool:
-        """Answer a request; False: the packet is none."""
-        began_s = time.monotonic()
-        request = self._wire.read(packet.data) if packet.whole else None
-        if request is None:
-            self.counts["malformed"] += 1
-            return False
-        if self._admits(packet.sender, request.stamp, began_s):
-            self._answer(request, packet, began_s)
-        return True
+    def _answer_request(self, request: Request, packet: Packet, begins: bool) -> None:
+        """Answer the controller's request if it is newer than the last; ``begins``: silence was before it."""
+        now_s = time.monotonic()
+        if begins:
+            self._controller, self._stamp = packet.sender, -1
+            self._correction.reset_to_zero()
+        elif self._controller is None or self._is_unanswered(now_s):
+            # It asked before the bridge listened, or while the bridge was held up: it must fall silent first.
+            self._controller = None
+            self.counts["refused"] += 1
+            return
+        if request.stamp > self._stamp:
+            self._answer(request, packet, now_s)
+        else:
+            self.counts["old_stamp"] += 1
 
     def _answer(self, request: Request, packet: Packet, began_s: float) -> None:
         fresh = self._stamp < 0 or not request.moving
@@ -251,7 +268,7 @@ class Loop:
         self._passed_over = 0
         taken = fresh or self._was_taken(request.missed, cycles)
         self._was_out = taken and self._correction.out
-        self._stamp, self._heard_s, self._missed = request.stamp, began_s, request.missed
+        self._stamp, self._taken_s, self._missed = request.stamp, began_s, request.missed
         wanted = self._wire.wanted_joints(request, cycles, fresh)
         if not request.moving:
             self._correction.reset_to_zero()
@@ -283,33 +300,21 @@ class Loop:
 
     def _elapsed_cycles(self, stamp: int, now_s: float) -> int:
         """Cycles since the last request: by the controller's stamps, which do not jitter, else by the time that has passed."""
-        elapsed = max(1, round((now_s - self._heard_s) / self._cycle_s))
+        elapsed = max(1, round((now_s - self._taken_s) / self._cycle_s))
         counted = self._wire.cycles(stamp - self._stamp)
         return elapsed if counted is None else min(counted, elapsed + MOST_AHEAD)
 
-    def _admits(self, sender: Address, stamp: int, now_s: float) -> bool:
-        """Whether the controller's request is to be answered: newer than the last, after a silence at its start."""
-        if self._silent():
-            self._controller, self._stamp = sender, -1
-            self._correction.reset_to_zero()
-            return True
-        if self._controller is None or now_s - self._heard_s >= self._gone_after_s:
-            # It asked before the bridge listened, or while the bridge was held up: it must fall silent first.
-            self._controller, self._heard_s = None, now_s
-            self.counts["refused"] += 1
-            return False
-        if stamp <= self._stamp:
-            self.counts["old_stamp"] += 1
-            return False
-        return True
+    def _is_unanswered(self, now_s: float) -> bool:
+        """Whether no request was taken for so long that a controller has stopped."""
+        return now_s - self._taken_s >= self._gone_after_s
 
-    def _silent(self) -> bool:
-        """Whether nobody was seen to ask for so long that a controller has stopped."""
-        return self._quiet_s - self._heard_s >= self._gone_after_s
+    def _is_silent(self) -> bool:
+        """Whether nobody asked for so long that a controller has stopped: by when packets came, not by when they were read."""
+        return self._read_up_to_s - self._heard_s >= self._gone_after_s
 
     def _waits(self) -> str:
         """What it waits for, if no controller is being answered: the silence before the first one, or one that asks."""
-        if self._silent():
+        if self._is_silent():
             return "waiting"
         return "" if self._controller is not None else "refusing" if self.counts["refused"] else "starting"
 

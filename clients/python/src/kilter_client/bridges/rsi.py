@@ -40,9 +40,9 @@ class RsiWire:
         self.counts: Counter[str] = Counter()
 
     def read(self, data: bytes) -> Request | None:
-        """Return a request; None without an IPOC, which an answer must have."""
-        ipoc = _IPOC.search(data)
-        if ipoc is None or not data.lstrip().startswith(b"<Rob"):
+        """Return a request; None where the message is not whole, or without an IPOC, which an answer must have."""
+        whole, ipoc = data.strip(b" \t\r\n\0"), _IPOC.search(data)
+        if ipoc is None or not (whole.startswith(b"<Rob") and whole.endswith(b"</Rob>")):
             return None
         delay = _DELAY.search(data)
         missed = None if delay is None else _MISSED.search(delay[1])

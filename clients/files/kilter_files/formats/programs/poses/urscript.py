@@ -25,13 +25,13 @@ TWO_DEEP = rf"{WITHIN}(?:[(\[]{WITHIN}(?:[(\[]{WITHIN}[)\]]{WITHIN})*+[)\]]{WITH
 CLOSED = re.compile(rf"{TWO_DEEP}[)\]]")  # as nearly all calls are
 MOST_INSIDE = 2000  # characters
 # functions that only reckon, set or tell, and words before a bracket
-KNOWN = (
+KNOWN = re.compile(
     r"(?:set|get|pose|is|force|socket|rtde|rpc|to|read|write|str|tool|path|wrench|point|integer|modbus)_\w{1,64}"
     r"|interpolate_pose|textmsg|popup|norm|length|dot|cross|transpose|inv|if|elif|while|and|or|not|return|def|thread|run|join"
     r"|sleep|sync|abs|a?(?:sin|cos|tan)|atan2|sqrt|pow|exp|log|floor|ceil|random|d2r|r2d|zero_ftsensor|size|enter_critical"
     r"|end_force_mode|powerdown|varmsg|request_\w{1,64}"
 )
-CALLED = re.compile(rf"(?<![\w.])(?!(?:{KNOWN})[ \t]{{0,9}}\()(\w{{1,64}})[ \t]{{0,9}}\(")  # of others
+CALLED = re.compile(r"(?<![\w.])(\w{1,64}+)[ \t]{0,9}\(")
 MOVES = re.compile(r"(?:optimove|move|servo|speed)[jlpc]")
 DISPLACED = Keyed(
     "path_offset_ track_conveyor_", r"\b(?:path_offset_(?:set|enable)|track_conveyor_\w{1,20})[ \t]{0,9}\(", 0
@@ -70,7 +70,10 @@ class Poses:
         control = [(at, 0 if at in begun else way) for at, way in control]  # the end of a subprogram closes no block
         calls = [(at, 0) for at in calls_of_own(text, OWN)]
         self._tool = InForce(sorted([*control, *calls]), starts, owners)
-        others = [(at, 0) for at in _other_calls(text)]
+        own = {match.start(1) for match in OWN.finditer(text)}
+        others = [
+            (one.start(), 0) for one in calls_of_others(text) if one.start() not in own and not MOVES.fullmatch(one[1])
+        ]
         self._way = InForce(sorted([*control, *calls, *others]), starts, owners)
         self.forced = self._forced_spans(text)
         for at, tool in sorted(self._tools(text), key=lambda one: one[0]):
@@ -238,10 +241,12 @@ def _strip_argument_name(at: int, said: str) -> tuple[int, str]:
     return (at + named.end(), said[named.end() :]) if named else (at, said)
 
 
-def _other_calls(text: str) -> list[int]:
-    """Where a program calls what its text does not hold, which may move the arm."""
-    own = {match.start(1) for match in OWN.finditer(text)}
-    return [one.start() for one in CALLED.finditer(text) if one.start() not in own and not MOVES.fullmatch(one[1])]
+@lru_cache(maxsize=2)
+def calls_of_others(text: str) -> list[re.Match[str]]:
+    """Return the calls of what may move the arm, the name as group 1; heads of subprograms are among them."""
+    calls = [*CALLED.finditer(text)]
+    others = {name for name in {call[1] for call in calls} if not KNOWN.fullmatch(name)}
+    return [call for call in calls if call[1] in others]
 
 
 def inverse_arguments(text: str, at: int) -> dict[str, tuple[int, str]]:
