@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -20,7 +21,9 @@ from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.twin import Twin
 from kilter_service.ground.errors import ServiceError
-from kilter_service.robots.exporters.registry import Exported, export
+from kilter_service.robots.exporters.exportable import Exportable
+from kilter_service.robots.exporters.registry import FORMATS, Exported, export
+from kilter_service.robots.exporters.usd.file import stage_text, usd
 from tests.service.exporters.test_exporters import exportable
 from tests.service.exporters.test_mjcf import ALL, BACKLASH, EVERYTHING, GEOMETRY, MOUNT, SAG, WINDUP
 
@@ -54,7 +57,22 @@ def twin(
 ) -> tuple[Exported, Calibration]:
     document = (document or preset_document("ur10")) | changes
     calibration = Twin(robot_from_document(document), values, tuple(make_effect(e) for e in effects)).truth
-    return export("usd", exportable(document, calibration)), calibration
+    return make_stage_here(exportable(document, calibration)), calibration
+
+
+def make_stage_here(version: Exportable) -> Exported:
+    """Return what the server exports, made in this process: a process of its own imports for 3 s before it begins."""
+    written = usd(version)
+    assert isinstance(written.text, partial)
+    return Exported(stage_text(*written.text.args), FORMATS["usd"].media_type, "arm.usda", written.notes)
+
+
+def test_the_process_of_its_own_makes_the_same_stage() -> None:
+    document = preset_document("ur10")
+    effects = tuple(make_effect(name) for name in ALL)
+    version = exportable(document, Twin(robot_from_document(document), EVERYTHING, effects).truth)
+    exported, here = export("usd", version), make_stage_here(version)
+    assert (exported.text, exported.media_type, exported.notes) == (here.text, here.media_type, here.notes)
 
 
 def opened(exported: Exported) -> Usd.Stage:
