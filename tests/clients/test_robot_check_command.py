@@ -22,7 +22,7 @@ TABLE = "theta_offset_deg,d_mm,a_mm,alpha_deg\n0,300,0,90\n0,0,500,0\n0,0,400,0\
 def test_a_table_is_drawn_and_listed(server: Path, tmp_path: Path, capsys: Capture) -> None:
     path = tmp_path / "arm.csv"
     path.write_text(TABLE)
-    assert run(["robot", "check", str(path), "--convention", "dh"]) == 0
+    assert run(["robot", "check", str(path), "--convention", "dh", "--details"]) == 0
     text = capsys.readouterr().out
     side = text.split("z up\n")[1].split("\n\n")[0].splitlines()
     # Upright for 300 mm, then level for 900: base below, tool at the far right of the top line.

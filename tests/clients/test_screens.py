@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from kilter_client.cli import run
+from kilter_client.cli.reports.answer import fit_messages
 from kilter_client.cli.terminal import tables
+from kilter_client.cli.terminal.session_notes import is_note_due
 from tests.clients.arms_with_play import ArmWithPlay
 
 LINES, COLUMNS = 25, 120
@@ -60,8 +63,12 @@ def test_every_answer_fits_on_a_screen_and_its_headline_is_true(
         ("later.csv", arm.measured(6, 4)),
     ):
         (tmp_path / file).write_text(text)
-    screen("robot", "add", "arm.urdf", "--name", name, "--base-link", "link_0", "--tip-link", "ball")
+    described = ("arm.urdf", "--name", name, "--base-link", "link_0", "--tip-link", "ball")
+    assert screen("robot", "check", *described).startswith(f"{name}: {arm.axes} axes, reach ")
+    added = screen("robot", "add", *described)
+    assert "is not known. If it does" in added
     screen("inspect", "measured.csv", "--robot", name)
+    screen("upload", name, "measured.csv", "--dry-run")
     screen("upload", name, "measured.csv", "--name", "measured")
     screen("upload", name, "unseen.csv", "--name", "unseen", "--role", "validation")
     both = ("--campaign", "measured", "--validation", "unseen")
@@ -74,26 +81,69 @@ def test_every_answer_fits_on_a_screen_and_its_headline_is_true(
     assert low <= 2.0 * arm.loose_play_deg <= high < 1.1 * low
     before, after = map(float, re.findall(r"unseen poses: (\S+) -> (\S+) mm", said)[0])
     assert after < 0.5 * before
+    activated = screen("activate", "latest", "--robot", name)
+    assert activated.startswith(f"{name} v2 is active.")
+    assert "whether the controller" not in activated.lower()  # said as the robot was added
     for arguments in (
-        ("activate", "latest", "--robot", name),
         ("version", "latest", "--robot", name),
         ("versions", name),
         ("jobs", "list", "--robot", name),
         ("jobs", "show", "latest", "--robot", name),
         ("campaigns", name),
-        ("evaluate", name, "--campaign", "unseen", "--version", "latest"),
         ("today", name),
         ("diff", "nominal", "latest", "--robot", name),
         ("drift", name),
         ("activations", name),
         ("plan", "check", name, "--poses", "6", "-o", "check.csv"),
         ("suspicious", "measured", "--robot", name),
+        ("robot", "list"),
+        ("robot", "show", name),
+        ("server", "status"),
+        ("server", "audit"),
+        ("version", "residuals", "latest", "--robot", name, "-o", "residuals.csv"),
     ):
         screen(*arguments)
+    evaluated = screen("evaluate", name, "--campaign", "unseen", "--version", "latest")
+    (before, after) = map(float, re.findall(r"^Mean error on \d+ rows of unseen.*: (\S+) -> (\S+) mm", evaluated)[0])
+    assert after < 0.1 * before
     screen("check", name, "later.csv", codes=(0, 3, 4))
     np.savetxt("path.csv", np.zeros((3, arm.axes)), delimiter=",", header=",".join(arm.columns), comments="")
     screen("correct", name, "path.csv", "-o", "corrected.csv")
     assert not screen.too_much, "\n\n".join(screen.too_much)
+
+
+CAUSE = "The third joint of this arm turns further than its encoder says, by an amount that grows with the load. " * 3
+REMEDY = "Look at its coupling, and say so with `kilter watch repair arm j3`."
+
+
+@pytest.mark.parametrize("room", [2, 4, 6, 20])
+def test_the_remedy_of_a_warning_is_never_cut(room: int) -> None:
+    lines = fit_messages([f"Warning: {CAUSE}{REMEDY}"] * 2, COLUMNS, room)
+    assert len(lines) <= max(room, 3)
+    assert max(map(len, lines)) <= COLUMNS
+    shown = " ".join(line.strip() for line in lines)
+    assert REMEDY in shown
+    assert shown.count(REMEDY) == 2 or "and 1 more (--details)" in shown
+
+
+def test_details_of_a_check_draw_the_arm(server: Path, capsys: Capture, tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(ARMS["twelve"].urdf())
+    command = ["robot", "check", str(tmp_path / "arm.urdf"), "--base-link", "link_0", "--tip-link", "ball"]
+    assert run([*command, "--details"]) == 0
+    assert "from above: x to the right" in capsys.readouterr().out
+
+
+def test_a_note_is_shown_again_for_another_cause_and_after_the_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert is_note_due("http://one", "a is unknown")
+    assert not is_note_due("http://one", "a is unknown")
+    assert is_note_due("http://two", "a is unknown")
+    assert is_note_due("http://one", "b is unknown")
+    now = time.time()
+    monkeypatch.setattr(time, "time", lambda: now + 13 * 3600)
+    assert is_note_due("http://one", "a is unknown")
 
 
 def test_details_and_json_hold_all_that_an_answer_leaves_out(server: Path, capsys: Capture, tmp_path: Path) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field
 
 from kilter_service.contract.cameras import LeftOpen
 from kilter_service.contract.fits import StageErrors
+from kilter_service.contract.headlines import HEADLINE, MOST_NAMED, number
 from kilter_service.contract.jobs.job import JobOf
 from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.jobs.shared import NewFrames, Version
@@ -106,6 +107,30 @@ class EvaluateResult(Stored):
     warnings: list[Remark] | None = Field(None, description="What to know before trusting the result.")
     standard: str | None = Field(None, description="The standard, with its year.")
     iso9283: dict[str, Iso9283] | None = Field(None, description="Criteria, by campaign.")
+    headline: str | None = Field(None, description=HEADLINE)
+
+    def model_post_init(self, context: Any, /) -> None:
+        """Add the headline, to results of earlier releases too."""
+        if self.metrics or self.iso9283:
+            errors = (_describe_errors(one.name or key, one) for key, one in (self.metrics or {}).items())
+            criteria = (_describe_criteria(one) for one in (self.iso9283 or {}).values())
+            self.headline = "\n".join([line for line in (*errors, *criteria) if line][:MOST_NAMED]) or None
+
+
+def _describe_errors(name: str, one: CampaignErrors) -> str:
+    before = one.registration_only or one.nominal
+    after = one.identified or before
+    if before is None or after is None:
+        return ""
+    aside = f" ({one.left_out} more set aside)" if one.left_out else ""
+    fell = "" if after is before else f"{number(before.mean_mm)} -> "
+    fitted = " Before: nominal arm, base and tool fitted." if one.registration_only is not None else ""
+    return f"Mean error on {one.n} rows of {name}{aside}: {fell}{number(after.mean_mm)} mm.{fitted}"
+
+
+def _describe_criteria(report: Iso9283) -> str:
+    found = [f"{symbol} {number(one.mm)} mm" for symbol, one in (report.metrics or {}).items() if one.mm is not None]
+    return f"ISO 9283: {', '.join(found)}." if found else ""
 
 
 EVALUATE = JobContract(

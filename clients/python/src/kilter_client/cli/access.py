@@ -9,9 +9,12 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
-from kilter_client.cli.terminal.arguments import Json, Robot, split_names
+from kilter_client.cli.terminal.arguments import Details, Json, Robot, split_names
 from kilter_client.cli.terminal.output import emit, note, print_line
-from kilter_client.cli.terminal.tables import show_rows
+from kilter_client.cli.terminal.tables import show_list, show_rows
+
+FEW = 2  # entries whose changes fit on one screen
+LONGEST = 36  # characters of a route or a thing in a line of the audit
 
 token = typer.Typer(help="Make, list and revoke tokens.", rich_markup_mode=None, cls=Group)
 
@@ -114,14 +117,17 @@ def audit(
     verify: Verify = False,
     head: Head = None,
     limit: Annotated[int, typer.Option(min=1, help="How many of the newest entries to show.")] = 50,
+    details: Details = False,
     as_json: Json = False,
 ) -> None:
-    """Show who changed what, from where, before and after; or check that the audit is whole."""
+    """Show who changed what, from where; --details shows before and after. Or check that the audit is whole."""
     with Kilter() as kilter:
         if verify:
             emit(kilter.verify_audit(head), as_json, _show_verified)
         else:
-            emit({"entries": kilter.audit()[-limit:]}, as_json, _show_audit)
+            emit(
+                {"entries": kilter.audit()[-limit:]}, as_json, _show_changes if details or limit <= FEW else _show_audit
+            )
 
 
 def _show_made(made: dict[str, Any]) -> None:
@@ -162,7 +168,7 @@ def _show_list(document: dict[str, Any]) -> None:
         )
         for one in document["tokens"]
     ]
-    show_rows(("token", "name", "role", "robots", "made by", "expires", "revoked"), rows)
+    show_list(("token", "name", "role", "robots", "made by", "expires", "revoked"), rows)
 
 
 def _show_verified(found: dict[str, Any]) -> None:
@@ -172,7 +178,7 @@ def _show_verified(found: dict[str, Any]) -> None:
     print_line(found["head"])
 
 
-def _show_audit(document: dict[str, Any]) -> None:
+def _show_changes(document: dict[str, Any]) -> None:
     rows = []
     for entry in document["entries"]:
         place = "/".join(json.loads(entry["place"]).values())
@@ -180,3 +186,18 @@ def _show_audit(document: dict[str, Any]) -> None:
         at = entry["at"][:19].replace("T", " ")
         rows.append((str(entry["number"]), at, entry["actor"], entry["address"], entry["route"], place, changes))
     show_rows(("entry", "at", "who", "from", "route", "what", "before -> after"), rows)
+
+
+def _show_audit(document: dict[str, Any]) -> None:
+    """Print an entry a line, without the values before and after."""
+    rows = []
+    for entry in document["entries"]:
+        first, *others = [_cut(str(change["thing"])) for change in entry["changes"]] or [""]
+        more = f" and {len(others)} more" if others else ""
+        at = entry["at"][:16].replace("T", " ")
+        rows.append((str(entry["number"]), at, entry["actor"], _cut(entry["route"]), first + more))
+    show_list(("entry", "at", "who", "route", "changed"), rows, newest_last=True)
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."

@@ -15,7 +15,7 @@ from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.terminal.output import emit, note
 from kilter_client.cli.terminal.progress import job_bar
 from kilter_client.cli.terminal.references import OfRobot, looked_up, resolve_reference
-from kilter_client.cli.terminal.tables import show_rows
+from kilter_client.cli.terminal.tables import show_list
 
 jobs = typer.Typer(help="List, show, watch and cancel jobs.", rich_markup_mode=None, cls=Group)
 
@@ -96,4 +96,4 @@ def _show_list(document: dict[str, Any]) -> None:
         )
         for job in document["jobs"]
     ]
-    show_rows(("job", "kind", "robot", "name", "state", "done", "made", "by"), rows)
+    show_list(("job", "kind", "robot", "name", "state", "done", "made", "by"), rows)

@@ -11,7 +11,7 @@ from kilter_client import Kilter
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.cli.terminal.references import OfRobot, resolve_reference
-from kilter_client.cli.terminal.tables import number, show_rows
+from kilter_client.cli.terminal.tables import number, show_list
 
 CampaignId = Annotated[str, typer.Argument(help="Campaign: id, name or `latest`.", show_default=False)]
 
@@ -42,7 +42,7 @@ def show_suspicious(document: Mapping[str, Any]) -> None:
         for one in document["found"]
     ]
     if rows:
-        show_rows(("row", "off by mm", "sigma", "says who", "why"), rows)
+        show_list(("row", "off by mm", "sigma", "says who", "why"), rows)
 
 
 def _place(one: Mapping[str, Any]) -> str:

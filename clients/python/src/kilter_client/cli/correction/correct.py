@@ -21,6 +21,7 @@ from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot
 from kilter_client.cli.terminal.interrupt import on_interrupt
 from kilter_client.cli.terminal.output import emit, note, print_line
+from kilter_client.cli.terminal.session_notes import is_note_due
 from kilter_client.errors import UsageError
 from kilter_files import prepare
 from kilter_files.tables import CSV_TYPE, JSON_TYPE
@@ -104,7 +105,8 @@ def correct(
     centre = arguments.three("--payload-com-mm", payload_com_mm)
     trajectory = prepare(file, column_map=column_map)
     with on_interrupt(partial(_not_written, output)), Kilter() as kilter:
-        used = version or kilter.robots.get(robot).get("active_version")
+        arm = kilter.robots.get(robot)
+        used = version or arm.get("active_version")
         content = kilter.correct(
             robot,
             trajectory,
@@ -120,7 +122,8 @@ def correct(
         found = None if used is None else kilter.versions.get(used, robot=robot)
         frames = {} if found is None else correction_frames(found)
     status = {} if form else verdicts(content, trajectory.content_type)
-    _remark(content, status, as_json)
+    controller = arm["controller_sentence"]
+    _remark(content, status, as_json, "" if as_json or is_note_due(kilter.url, controller) else controller)
     if frames and not form:
         of_u95 = f" u95 is {content.u95}." if content.u95 else ""
         note(f"dx_mm, dy_mm, dz_mm are along the axes of the {frames['axes']}.{of_u95}", as_json)
@@ -150,8 +153,8 @@ def _show_written(told: dict[str, Any], content: Corrected, as_json: bool) -> No
     )
 
 
-def _remark(content: Corrected, status: Mapping[str, int], as_json: bool) -> None:
-    """Say what is not corrected, and which load was taken."""
+def _remark(content: Corrected, status: Mapping[str, int], as_json: bool, known: str) -> None:
+    """Say what is not corrected, and which load was taken, but not what is ``known`` from before."""
     left = {name: count for name, count in status.items() if name not in ANSWERED}
     if left:
         counts = ", ".join(f"{name} {count}" for name, count in left.items())
@@ -159,7 +162,8 @@ def _remark(content: Corrected, status: Mapping[str, int], as_json: bool) -> Non
     if content.left_out:
         note(f"Warning: not corrected is what {', '.join(content.left_out)} does.", as_json)
     for remark in content.notes:
-        note(f"Note: {remark}", as_json)
+        if remark != known:
+            note(f"Note: {remark}", as_json)
 
 
 def correction_frames(version: Mapping[str, Any]) -> dict[str, str]:

@@ -14,11 +14,12 @@ from kilter_client.cli.files.inspect import JointOrder, Topic
 from kilter_client.cli.files.joint_names import fetch_joint_names
 from kilter_client.cli.files.rig_file import rig_conditions
 from kilter_client.cli.files.sending import send
+from kilter_client.cli.reports.answer import fit_messages
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.references import resolve_reference
-from kilter_client.cli.terminal.tables import number, show_rows
+from kilter_client.cli.terminal.tables import number, screen_columns, show_rows
 from kilter_client.cli.terminal.wording import in_words, parameters_by_request_name
 from kilter_client.errors import KilterError, UsageError
 from kilter_client.verbs import campaigns
@@ -30,6 +31,7 @@ from kilter_files.match import checked_markers
 
 Document = dict[str, Any]
 
+MOST_COLUMNS, LINES_FOUND, MOST_JOINTS = 13, 7, 4  # shown of a dry run
 LOAD_UNITS = {"kg": "kg", "mm": "mm", "m": "m", "n": "N", "nm": "N m"}
 
 
@@ -55,27 +57,26 @@ def _rephrase_for_upload(detail: str) -> str:
 
 
 def show_dry_run(document: Document) -> None:
-    """Print it for people."""
+    """Print what would be refused, then what a file holds, for people."""
+    found = [f"would be refused: {text}" for text in document["refused"] or ("nothing found",)]
+    found += [f"looks odd: {text}" for text in document["odd"]]
+    found += [f"left out: {text}" for text in document["left_out"]]
+    found += [f"not checked: {document['not_checked']}"] if document["not_checked"] else []
+    lines = fit_messages(found, screen_columns(), LINES_FOUND, "(--json)")
+    for line in lines:
+        print_line(line)
     rows = [
         (c["name"], c["unit"], *("" if c[k] is None else f"{c[k]:.6g}" for k in ("low", "high")), str(c["empty"] or ""))
         for c in document.get("ranges", ())
     ]
     if rows:
-        show_rows(("column", "unit", "lowest", "highest", "empty"), rows)
-        print_line(f"rows: {document['rows']}")
+        shown = MOST_COLUMNS - len(lines)
+        show_rows(("column", "unit", "lowest", "highest", "empty"), rows[:shown])
+        more = f"; {len(rows) - shown} more columns (--json)" if len(rows) > shown else ""
+        print_line(f"rows: {document['rows']}{more}")
         print_line(f"poses: {_poses(document['poses'])}")
         print_line(f"loads: {_loads(document['loads'])}")
         print_line(f"directions: {_directions(document['directions'])}")
-    for text in document["left_out"]:
-        print_line(f"left out: {text}")
-    for text in document["refused"]:
-        print_line(f"would be refused: {text}")
-    if not document["refused"]:
-        print_line("would be refused: nothing found")
-    for text in document["odd"]:
-        print_line(f"looks odd: {text}")
-    if document["not_checked"]:
-        print_line(f"not checked: {document['not_checked']}")
     print_line("Nothing was stored.")
 
 
@@ -110,7 +111,8 @@ def _loads(loads: Document) -> str:
 
 def _directions(directions: Document) -> str:
     parts = [f"{name} {count['-1']} down, {count['0']} unknown, {count['1']} up" for name, count in directions.items()]
-    return "; ".join(parts) or "not given (dir1 ...)"
+    left = len(parts) - MOST_JOINTS
+    return "; ".join([*parts[:MOST_JOINTS], *([f"{left} more (--json)"] if left > 0 else [])]) or "not given (dir1 ...)"
 
 
 Role = Literal["train", "validation", "confirmation"]

@@ -6,20 +6,24 @@ from collections.abc import Mapping
 from typing import Any
 
 from kilter_client.cli.terminal.output import print_line
-from kilter_client.cli.terminal.tables import number, show_rows
+from kilter_client.cli.terminal.session_notes import is_note_due
+from kilter_client.cli.terminal.tables import number, show_list, show_rows
+
+ONCE = {"compensation_unknown"}  # warnings that hold until somebody does what they ask for
 
 
-def show_active(document: Mapping[str, Any], state: str) -> None:
-    """Print that a version is active, on what it was compared, and what its stream leaves out."""
-    _show_comparison(document["id"], document.get("compared"))
-    _show_preview(document.get("preview"))
-    for warning in document.get("warnings") or ():
-        print_line(f"warning: {warning['message']}")
-    for objection in document.get("objections") or ():
-        print_line(f"forced, though: {objection['message']}")
+def show_active(server: str, state: str, document: Mapping[str, Any]) -> None:
+    """Print that a version is active, what its stream leaves out, and on what it was compared."""
     print_line(f"{document['id']} is {state}.")
     if document["not_corrected"]:
         print_line(document["not_corrected"])
+    for objection in document.get("objections") or ():
+        print_line(f"forced, though: {objection['message']}")
+    for warning in document.get("warnings") or ():
+        if warning["code"] not in ONCE or is_note_due(server, warning["message"]):
+            print_line(f"warning: {warning['message']}")
+    _show_preview(document.get("preview"))
+    _show_comparison(document["id"], document.get("compared"))
 
 
 def _show_preview(preview: Mapping[str, Any] | None) -> None:
@@ -65,7 +69,7 @@ def show_activations(document: Mapping[str, Any]) -> None:
         )
         for entry in document["activations"]
     ]
-    show_rows(("when", "what", "version", "by", "why"), rows)
+    show_list(("when", "what", "version", "by", "why"), rows)
 
 
 def show_today(document: Mapping[str, Any]) -> None:

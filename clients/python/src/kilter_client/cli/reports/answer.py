@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -13,6 +14,8 @@ from kilter_client.results.shown import MODELS, nominal_words
 LINES = 20  # of an answer, but for a table that is longer
 MOST_ROWS = 8  # of its table
 DETAILS = "(--details)"
+SENTENCE = re.compile(r"(?<=[.!?]) (?=[A-Z`])")
+SHORTEST_CAUSE = 60  # characters that are kept of what is the matter
 IN_HEADLINE = {"poses_will_not_tell"}  # warnings that the headline says
 ROWS = {"train": "fitted", "validation": "unseen"}
 ERRORS = (("mean_mm", "mean mm"), ("rms_mm", "rms mm"), ("p95_mm", "p95 mm"), ("max_mm", "max mm"))
@@ -31,23 +34,36 @@ def format_answer(result: Mapping[str, Any], stored: Sequence[str], columns: int
     middle = _format_table(result, columns)
     warnings = [one for one in result.get("warnings") or () if one.get("code") not in IN_HEADLINE]
     room = max(LINES - len(head) - len(middle) - len(foot), 2)
-    return [*head, *_format_warnings([str(one["message"]) for one in warnings], columns, room), *middle, *foot]
+    return [*head, *fit_messages([f"Warning: {one['message']}" for one in warnings], columns, room), *middle, *foot]
 
 
-def _format_warnings(messages: Sequence[str], columns: int, room: int) -> Iterator[str]:
-    """Warnings as far as there is room; the first is cut where it alone is longer, the others are counted."""
-    for k, message in enumerate(messages):
-        lines, left = wrap_line(f"Warning: {message}", columns), len(messages) - k
-        if len(lines) > room - (left > 1):
-            if k == 0:
-                kept = lines[: max(room - (left > 1), 1)]
-                yield from [*kept[:-1], f"{kept[-1][: columns - len(DETAILS) - 5]} ... {DETAILS}"]
-                left -= 1
-            if left:
-                yield f"and {left} more warning{'s' if left > 1 else ''} {DETAILS}"
-            return
-        yield from lines
-        room -= len(lines)
+def fit_messages(messages: Sequence[str], columns: int, room: int, rest: str = DETAILS) -> list[str]:
+    """Return messages as at most ``room`` lines: whole, or each with its remedy, or the first ones; ``rest`` has all."""
+    whole = [wrap_line(one, columns) for one in messages]
+    if sum(map(len, whole)) <= room:
+        return [line for lines in whole for line in lines]
+    short = [wrap_line(_shorten(one, 2 * columns - 6, rest), columns) for one in messages]
+    kept: list[str] = []
+    for k, lines in enumerate(short):
+        left = len(short) - k
+        if kept and len(kept) + len(lines) > room - (left > 1):
+            return [*kept, f"and {left} more {rest}"]
+        kept += lines
+    return kept
+
+
+def _shorten(message: str, characters: int, rest: str) -> str:
+    """Return a message of at most so many characters: its cause is cut, its remedy is not.
+
+    The remedy is the last sentence that has a command in it, or else the last.
+    """
+    if len(message) <= characters:
+        return message
+    cause, *others = SENTENCE.split(message)
+    remedy = next((one for one in reversed(others) if "`" in one), others[-1] if others else "")
+    room = max(characters - len(remedy) - len(rest) - 6, SHORTEST_CAUSE)
+    cause = cause if len(cause) <= room else f"{cause[:room].rpartition(' ')[0]} ..."
+    return " ".join(part for part in (cause, remedy, rest) if part)
 
 
 def _format_table(result: Mapping[str, Any], columns: int) -> list[str]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
 from kilter_client.cli.terminal.output import print_line
-from kilter_client.cli.terminal.tables import number, show_rows
+from kilter_client.cli.terminal.tables import number, show_list, show_rows
 
 EXIT_CODES = {"ok": 0, "moved": 3, "cannot_tell": 4}
 NEVER_SUMMED = (
@@ -15,6 +16,8 @@ NEVER_SUMMED = (
     "seen. Leave the instrument where it stands for some checks."
 )
 LISTED = 6  # causes of a table, the best first
+HISTORY = 6  # newest checks and changes that are shown
+FIRST = re.compile(r"; |(?<=[.]) ")  # the rest of a sentence of a check says what it rests on
 
 
 def show_drift(result: Mapping[str, Any]) -> None:
@@ -50,9 +53,11 @@ def show_history(found: Mapping[str, Any]) -> None:
     print_line(f"{found['robot']}: {found['sentence']}")
     events = [(str(one["at"]), one["verdict"].replace("_", " "), one["sentence"]) for one in found["history"]]
     events += [(str(one["at"]), one["what"], _said_of_mark(one)) for one in found["marks"]]
+    events.sort(key=itemgetter(0))
+    if left := max(len(events) - HISTORY, 0):
+        print_line(f"{left} older checks and changes: --json")
     show_rows(
-        ("when", "", ""),
-        [(at[:16].replace("T", " "), what, said) for at, what, said in sorted(events, key=itemgetter(0))],
+        ("when", "", ""), [(at[:16].replace("T", " "), what, FIRST.split(said)[0]) for at, what, said in events[left:]]
     )
     charts = sorted(found["charts"], key=_height, reverse=True)[:LISTED]
     rows = [
@@ -98,7 +103,7 @@ def show_robots(found: Mapping[str, Any]) -> None:
         )
         for one in found["robots"]
     ]
-    show_rows(("robot", "stands", "checks", "last", ""), rows)
+    show_list(("robot", "stands", "checks", "last", ""), rows)
 
 
 def _show_causes(result: Mapping[str, Any]) -> None:

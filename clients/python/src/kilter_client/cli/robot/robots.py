@@ -6,6 +6,7 @@ import itertools
 import json
 from collections.abc import Sequence
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,14 +14,16 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
+from kilter_client.cli.reports.answer import DETAILS, fit_messages
 from kilter_client.cli.robot import circles
 from kilter_client.cli.robot.arm_figure import save_arm
 from kilter_client.cli.robot.robot_file import RobotSource, takes_a_robot
 from kilter_client.cli.stored import keeping
 from kilter_client.cli.stored.versions import write
-from kilter_client.cli.terminal.arguments import Json, Retired, Robot
+from kilter_client.cli.terminal.arguments import Details, Json, Retired, Robot
 from kilter_client.cli.terminal.output import emit, note, print_line
-from kilter_client.cli.terminal.tables import show_rows
+from kilter_client.cli.terminal.session_notes import is_note_due
+from kilter_client.cli.terminal.tables import screen_columns, show_list, show_rows
 from kilter_client.errors import UsageError
 
 Document = dict[str, Any]
@@ -30,26 +33,43 @@ Points = Sequence[tuple[float, float]]
 
 WIDTH, HEIGHT = 60, 20
 ASPECT = 2.0  # a character is twice as high as wide
+MOST_AXES, LINES_OF_CHECK = 12, 20  # of the table; of the messages and the table's rows
+AXIS_COLUMNS = ("", "joint", "kind", "axis", "through mm", "to the one before", "limits")
 VIEWS = (("from the side: x to the right, z up", 0, 2), ("from above: x to the right, y up", 0, 1))
 
 
-def show_check(document: Document) -> None:
-    """Print the check of a robot."""
-    print_line(f"{document['name']} at zero, o base, 1 2 3 ... axes, * flange, T tool")
+def show_check(document: Document, details: bool = True) -> None:
+    """Print what looks wrong with a robot, and its axes; with ``details`` how it stands at zero too, drawn."""
+    axes = [_axis(k, axis, document["joints"]) for k, axis in enumerate(document["axes"], 1)]
+    suspicious: list[str] = document["suspicious"]
+    count = len(suspicious)
+    found = f"{count or 'no'} thing{'' if count == 1 else 's'} look{'s' if count == 1 else ''} wrong"
+    print_line(f"{document['name']}: {len(axes)} axes, reach {document['reach_mm']:.0f} mm; {found}.")
+    messages = [f"suspicious: {word}" for word in suspicious]
+    messages += [f"drive: {word}" for word in document.get("drives") or ()]
+    messages += [f"note: {word}" for word in document["notes"]]
+    if details:
+        for message in messages:
+            print_line(message)
+        _draw_at_zero(document)
+        show_rows(AXIS_COLUMNS, axes)
+        return
+    shown = min(len(axes), MOST_AXES)
+    for line in fit_messages(messages, screen_columns(), LINES_OF_CHECK - shown):
+        print_line(line)
+    show_rows(("", "joint", "kind", "axis", "limits"), [(*axis[:4], axis[-1]) for axis in axes[:shown]])
+    if shown < len(axes):
+        print_line(f"and {len(axes) - shown} more axes {DETAILS}")
+
+
+def _draw_at_zero(document: Document) -> None:
+    print_line(f"\n{document['name']} at zero, o base, 1 2 3 ... axes, * flange, T tool")
     for title, across, up in VIEWS:
         print_line(f"\n{title}")
         print_line(drawing([(p[across], p[up]) for p in document["zero"]["points_mm"]]))
     tool = document["zero"]["tool"]
     print_line(f"\ntool at zero: {', '.join(f'{name} {value:g}' for name, value in tool.items())}")
     print_line(f"reach of the tool from the first axis: {document['reach_mm']:.0f} mm\n")
-    columns = ("", "joint", "kind", "axis", "through mm", "to the one before", "limits")
-    show_rows(columns, [_axis(k, axis, document["joints"]) for k, axis in enumerate(document["axes"], 1)])
-    for word in document.get("drives") or ():
-        print_line(f"drive: {word}")
-    for word in document["suspicious"] or ("nothing",):
-        print_line(f"suspicious: {word}")
-    for word in document["notes"]:
-        print_line(f"note: {word}")
 
 
 def _axis(number: int, axis: Document, joints: Sequence[Document]) -> tuple[str, ...]:
@@ -134,7 +154,7 @@ def add(
     if controller_compensation is not None:
         document = {**document, "controller_compensation": controller_compensation.value}
     with Kilter() as kilter:
-        emit(kilter.robots.add(document), as_json, _show)
+        emit(kilter.robots.add(document), as_json, partial(_show, kilter.url))
         for line in () if as_json else kilter.robots.check(document)["suspicious"]:
             print_line(f"suspicious: {line}")
 
@@ -144,9 +164,10 @@ def add(
 def check(
     source: RobotSource,
     plot: Annotated[Path | None, typer.Option(help="Draw the arm into this .png or .svg file too.")] = None,
+    details: Details = False,
     as_json: Json = False,
 ) -> None:
-    """Draw and check a robot: it at zero, axes, limits, reach, what looks wrong; nothing is added."""
+    """Check a robot: what looks wrong, reach, axes, limits; --details draws it at zero. Nothing is added."""
     if plot is not None and plot.suffix.lower() not in (".png", ".svg"):
         raise UsageError(f"--plot {plot}: give a file that ends in .png or .svg.")
     document = source.document(source.file.stem if source.file else None)
@@ -154,7 +175,7 @@ def check(
         found = kilter.robots.check(document)
     if plot is not None:
         save_arm(plot, found)
-    emit(found, as_json, show_check)
+    emit(found, as_json, partial(show_check, details=details))
 
 
 @robot.command(epilog="Example: kilter robot convert arm.csv --name arm --convention dh --to mcpc -o arm.json")
@@ -214,7 +235,7 @@ def list_(retired: Retired = False, as_json: Json = False) -> None:
 def show(robot: Robot, as_json: Json = False) -> None:
     """Show a robot: joints, limits, and the names of its parameters."""
     with Kilter() as kilter:
-        emit(kilter.robots.get(robot), as_json, _show)
+        emit(kilter.robots.get(robot), as_json, partial(_show, kilter.url))
 
 
 def say_document(document: dict[str, Any]) -> None:
@@ -222,7 +243,7 @@ def say_document(document: dict[str, Any]) -> None:
     print_line(json.dumps(document, indent=1))
 
 
-def _show(document: dict[str, Any]) -> None:
+def _show(server: str, document: dict[str, Any]) -> None:
     print_line(
         f"{document['name']} ({document['convention']}), active version: {document.get('active_version') or 'none'}"
     )
@@ -237,7 +258,11 @@ def _show(document: dict[str, Any]) -> None:
         for number, joint in enumerate(document.get("joints", ()), 1)
     ]
     show_rows(("", "joint", "kind", "limits", "gear ratio"), rows)
-    print_line(document["controller_sentence"])
+    known = document.get("controller_compensation", "unknown") != "unknown"
+    if known or is_note_due(server, document["controller_sentence"]):
+        print_line(document["controller_sentence"])
+    else:
+        print_line("controller: unknown (`kilter robot compensation` says what it does)")
     names = list(document.get("parameters", ()))
     more = f" and {len(names) - MOST_NAMES} more (--json)" if len(names) > MOST_NAMES else ""
     print_line(f"{len(names)} parameters: {', '.join(names[:MOST_NAMES]) or 'none'}{more}")
@@ -271,4 +296,4 @@ def _show_list(document: dict[str, Any]) -> None:
         )
         for r in document["robots"]
     ]
-    show_rows(("robot", "convention", "campaigns", "versions", "active", "controller"), rows)
+    show_list(("robot", "convention", "campaigns", "versions", "active", "controller"), rows)

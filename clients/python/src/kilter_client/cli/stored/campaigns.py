@@ -10,7 +10,7 @@ from kilter_client import Kilter
 from kilter_client.cli.stored import keeping
 from kilter_client.cli.terminal.arguments import Json, Retired, Robot
 from kilter_client.cli.terminal.output import emit
-from kilter_client.cli.terminal.tables import show_rows
+from kilter_client.cli.terminal.tables import show_list
 
 group = typer.Typer(
     help="List, name, retire and purge campaigns; without a command, list those of a robot.",
@@ -46,4 +46,4 @@ def _show_campaigns(document: dict[str, Any]) -> None:
         )
         for c in document["campaigns"]
     ]
-    show_rows(("campaign", "name", "device", "role", "rows", "made"), rows)
+    show_list(("campaign", "name", "device", "role", "rows", "made"), rows, newest_last=True)

@@ -15,7 +15,7 @@ from kilter_client.cli.stored import exported, keeping
 from kilter_client.cli.terminal.arguments import Details, Json, Retired, Robot, VersionId
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.references import OfRobot, resolve_reference
-from kilter_client.cli.terminal.tables import number, show_rows
+from kilter_client.cli.terminal.tables import number, show_list, show_rows
 from kilter_client.errors import UsageError
 from kilter_client.files import files_robots
 from kilter_client.requests.calls.versions import NOMINAL
@@ -71,14 +71,13 @@ def activate(
     with Kilter() as kilter:
         version = resolve_reference(kilter, "version", version, robot, as_json)
         document = kilter.versions.activate(version, force=force, reason=reason)
-    emit(document, as_json, lambda _: show_active(document, "active"))
+        emit(document, as_json, partial(show_active, kilter.url, "active"))
 
 
 def rollback(robot: Robot, as_json: Json = False) -> None:
     """Return to the version that was active before."""
     with Kilter() as kilter:
-        document = kilter.versions.rollback(robot)
-    emit(document, as_json, lambda _: show_active(document, "active again"))
+        emit(kilter.versions.rollback(robot), as_json, partial(show_active, kilter.url, "active again"))
 
 
 def today(robot: Robot, as_json: Json = False) -> None:
@@ -162,7 +161,7 @@ def _show_list(document: dict[str, Any]) -> None:
         )
         for v in document["versions"]
     ]
-    show_rows(("", "version", "name", "effects", "mean mm", "parent", "made"), rows)
+    show_list(("", "version", "name", "effects", "mean mm", "parent", "made"), rows)
 
 
 def _effects(ids: list[str]) -> str:

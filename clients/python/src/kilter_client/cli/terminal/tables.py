@@ -12,6 +12,7 @@ from typing import Any
 from kilter_client.cli.terminal.version_words import name_versions
 
 GAP, NARROWEST = 3, 8
+LINES_OF_LIST = 23  # of a table on one screen
 
 
 def table(
@@ -73,6 +74,18 @@ def show_rows(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "
     """Print a table on stdout; ``numbers`` sets all columns but the first to the right."""
     named = [[name_versions(cell) for cell in row] for row in rows]
     print(table(head, named, screen_columns(), title, numbers))
+
+
+def show_list(head: Sequence[str], rows: Sequence[Sequence[str]], newest_last: bool = False) -> None:
+    """Print the rows of a list that fit a screen, and how many more there are."""
+    named, screen = [[name_versions(cell) for cell in row] for row in rows], screen_columns()
+    for count in range(min(len(named), LINES_OF_LIST), -1, -1):
+        text = table(head, named[len(named) - count :] if newest_last else named[:count], screen)
+        if text.count("\n") < LINES_OF_LIST or count == 1:
+            break
+    print(text)
+    if left := len(named) - count:
+        print(f"and {left} {'older' if newest_last else 'more'} (--json)")
 
 
 def number(value: Any, digits: int = 4) -> str:
