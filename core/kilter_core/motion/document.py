@@ -13,6 +13,7 @@ from kilter_core.motion.search import Judged
 from kilter_core.types import Floats
 
 NORMAL_95 = 1.959964
+FEWEST_LATE = 3  # joints, from which a common delay is that of a clock
 IMITATED = "masses, inertias and friction of the model make the same torques in this log"
 
 
@@ -31,10 +32,12 @@ def to_document(report: MotionReport) -> dict[str, Any]:
         }
         for j in range(report.robot.n_joints)
     ]
+    clock = _find_clock(report)
+    judged = () if clock is not None or report.unexplained else report.judged
     friction = [one for term, value in report.common for one in _amplitudes(term, value, None, units)]
     return {
-        "verdict": "provisional" if any(one.verdict == "provisional" for one in report.judged) else "not_known",
-        "effects": [_effect(one, units) for one in report.judged],
+        "verdict": "provisional" if any(one.verdict == "provisional" for one in judged) else "not_known",
+        "effects": [_effect(one, units) for one in judged],
         "motion": {
             "joints": joints,
             "friction": friction,
@@ -47,8 +50,22 @@ def to_document(report: MotionReport) -> dict[str, Any]:
             {"id": t.effect.id, "joints": [t.joint + 1], "reason": IMITATED, "remedy": f"Record {t.effect.remedy}."}
             for t in report.hidden
         ],
-        "warnings": list(_warnings(report)),
+        "warnings": [*([] if clock is None else [clock]), *_warnings(report)],
     }
+
+
+def _find_clock(report: MotionReport) -> dict[str, Any] | None:
+    """Say that torques come late at most joints alike: that is their clock, and hides what else there is."""
+    late = [one for one in report.judged if one.term.effect.id == "torque_delay"]
+    moving = report.robot.n_joints - len(report.resting)
+    if 2 * len(late) <= moving or moving < FEWEST_LATE:
+        return None
+    delay = float(np.median([one.value[0] for one in late]))
+    message = (
+        f"Torques come {abs(delay):.3f} s {'after' if delay > 0.0 else 'before'} the positions at {len(late)} of {moving} "
+        "joints: they have another clock. Shift their times and upload the log again; nothing else was named."
+    )
+    return {"code": "torque_clock", "message": message, "delay_s": delay}
 
 
 def _effect(one: Judged, units: list[str]) -> dict[str, Any]:
@@ -115,6 +132,20 @@ def _warnings(report: MotionReport) -> list[dict[str, Any]]:
         named = ", ".join(str(j + 1) for j in report.resting)
         message = f"Joints {named} do not move in this log: nothing is said of them. Record a motion of them too."
         found.append({"code": "joints_at_rest", "message": message, "joints": [j + 1 for j in report.resting]})
+    odd = [j + 1 for j in report.unexplained]
+    if odd:
+        message = (
+            f"The model explains little of the torque of joints {', '.join(map(str, odd))}. Compare the order and the signs of "
+            "the joints, the unit and the side of the gear with the robot's description; nothing was named."
+        )
+        found.append({"code": "torques_unexplained", "message": message, "joints": odd})
+    if report.pushed_s:
+        first = ", ".join(f"{one:.0f}" for one in report.pushed_s[:4])
+        message = (
+            f"Something leant on the arm for {len(report.pushed_s)} s, first at t_s {first}: the torques are far beyond all "
+            "others there, and were left out. Record it anew without contact if these seconds matter."
+        )
+        found.append({"code": "log_pushed", "message": message})
     clipped = [j + 1 for j, rows in enumerate(report.clipped) if rows]
     if clipped:
         message = (

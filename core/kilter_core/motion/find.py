@@ -8,7 +8,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError
-from kilter_core.motion.fit import find_hidden_terms, fit_terms, joint_weights
+from kilter_core.motion.fit import Fit, covariance, find_hidden_terms, fit_terms, joint_weights
 from kilter_core.motion.layout import Known, Layout, Term
 from kilter_core.motion.normal import Equations, form_equations
 from kilter_core.motion.options import MotionOptions
@@ -19,6 +19,11 @@ from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Progress, unheard
 
 FEWEST_BLOCKS = 20
+PUSH = 30.0  # times the usual square of a second, from which something else moved the arm
+MOST_PUSHED = 0.1  # of the seconds
+PASSES = 3
+UNEXPLAINED = 0.33  # of the spread of a torque, left by bodies and friction
+NEGATIVE = 5.0  # standard errors below zero of a friction
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,8 @@ class MotionReport:
 
     ``base (p,)`` are base parameters; ``common`` the values of the effects that every model has; ``judged`` what was found.
     ``resting`` and ``clipped`` are joints without a row, and rows that were left out because the drive gave no more.
-    ``hidden`` are effects that the bodies and the friction imitate in this log.
+    ``hidden`` are effects that the bodies and the friction imitate in this log, ``pushed_s`` the seconds left out because
+    something leant on the arm, ``unexplained`` joints of whose torque the model leaves a third or more.
     """
 
     robot: Robot
@@ -50,6 +56,8 @@ class MotionReport:
     resting: tuple[int, ...]
     clipped: tuple[int, ...]
     hidden: tuple[Term, ...]
+    pushed_s: tuple[float, ...]
+    unexplained: tuple[int, ...]
 
 
 def find_missing_torque(
@@ -69,9 +77,10 @@ def find_missing_torque(
     layout = Layout.of_log(robot, log)
     first = form_equations(layout, log)
     _refuse_rest(first)
-    split = split_motions(first, options.seed)
+    split, pushed = _set_pushes_aside(first, split_motions(first, options.seed))
     weights = joint_weights(first, first.terms, split.train)
     fit = fit_terms(first, first.terms, split.train, weights)
+    _refuse_negative_friction(first, fit, split)
     progress(0.3, "what they leave")
     orders, tried = find_orders(log, first, fit)
     equations = form_equations(layout.with_candidates(orders), log, Known.from_values(layout, fit.theta))
@@ -80,7 +89,42 @@ def find_missing_torque(
     terms = search_terms(equations, split, weights, tests, lambda share: progress(0.6 + 0.3 * share, "which effects"))
     progress(0.9, "motions that were never used")
     judged = judge_terms(equations, split, weights, terms)
-    return _report(log, equations, split, weights, terms, judged)
+    return _report(log, equations, split, weights, terms, judged, pushed)
+
+
+def _set_pushes_aside(equations: Equations, split: Split) -> tuple[Split, Bools]:
+    """Leave out the few seconds in which something leant on the arm: far beyond what is left of all others."""
+    pushed = np.zeros(len(equations.motion), dtype=bool)
+    for _ in range(PASSES):
+        kept = split.without(pushed)
+        weights = joint_weights(equations, equations.terms, kept.every)
+        fit = fit_terms(equations, equations.terms, kept.every, weights)
+        left = equations.losses(fit.theta, weights) / np.maximum(equations.rows, 1)
+        usual = np.median(left[kept.every], axis=0)
+        pushed = np.any(left > PUSH * np.maximum(usual, 1e-12), axis=1)
+        if pushed.mean() > MOST_PUSHED:  # not a contact: the model is wrong
+            return split, np.zeros_like(pushed)
+    return split.without(pushed), pushed
+
+
+def _refuse_negative_friction(equations: Equations, fit: Fit, split: Split) -> None:
+    """Refuse torques that would speed a joint up: their sign is not that of the joint's motion."""
+    spread = np.sqrt(np.maximum(np.diag(covariance(equations, fit, split.train)), 0.0))
+    sigma = dict(zip(fit.columns.tolist(), spread.tolist(), strict=True))
+    at = {(term.effect.id, term.joint): int(term.columns[0]) for term in equations.terms}
+    wrong = [
+        j + 1
+        for j in range(len(equations.products))
+        if fit.theta[at["coulomb", j]] < -NEGATIVE * sigma[at["coulomb", j]] and fit.theta[at["viscous", j]] < 0.0
+    ]
+    if wrong:
+        named = ", ".join(map(str, wrong))
+        raise ObservationError(
+            f"Friction of {'joint' if len(wrong) == 1 else 'joints'} {named} is negative: its torque drives it the other way than "
+            f"its position says. Change their signs (tau{wrong[0]}_nm), or the order of the joints.",
+            code="torque_sign",
+            joints=wrong,
+        )
 
 
 def _refuse_rest(equations: Equations) -> None:
@@ -93,12 +137,20 @@ def _refuse_rest(equations: Equations) -> None:
 
 
 def _report(
-    log: Log, equations: Equations, split: Split, weights: Floats, terms: list[Term], judged: list[Judged]
+    log: Log,
+    equations: Equations,
+    split: Split,
+    weights: Floats,
+    terms: list[Term],
+    judged: list[Judged],
+    pushed: Bools,
 ) -> MotionReport:
     common = [term for term in terms if term.effect.common]
-    every = np.ones(len(equations.motion), dtype=bool)
-    whole = fit_terms(equations, terms, every, weights)
-    rms = [_held_rms(equations, split, weights, model) for model in ([], common, terms)]
+    whole = fit_terms(equations, terms, split.every, weights)
+    rms = [
+        _held_rms(equations, split, weights, model)
+        for model in ([], common, _borne_out(equations, split, weights, judged))
+    ]
     rows = equations.rows.sum(axis=0)
     return MotionReport(
         equations.layout.robot,
@@ -111,8 +163,29 @@ def _report(
         whole.theta[: equations.base],
         tuple(np.flatnonzero(rows == 0).tolist()),
         tuple(np.count_nonzero(clipped_rows(log.tau), axis=0).tolist()),
-        tuple(find_hidden_terms(equations, whole, every, [t for t in equations.terms if _is_asked(t, terms, weights)])),
+        tuple(
+            find_hidden_terms(
+                equations, whole, split.every, [t for t in equations.terms if _is_asked(t, terms, weights)]
+            )
+        ),
+        tuple(equations.start_s[pushed].tolist()),
+        tuple(np.flatnonzero((rms[1] > UNEXPLAINED * log.tau.std(axis=0)) & (rows > 0)).tolist()),
     )
+
+
+def _borne_out(equations: Equations, split: Split, weights: Floats, judged: list[Judged]) -> list[Term]:
+    """Return the common terms and those found that held-out blocks bear out, so that these are never left worse."""
+    common = [term for term in equations.terms if term.effect.common]
+    found = sorted((one for one in judged if one.verdict != "contradicted"), key=lambda one: -one.unseen)
+    bare = _held_loss(equations, split, weights, common)
+    while found and _held_loss(equations, split, weights, [*common, *(one.term for one in found)]) > bare:
+        found.pop()
+    return [*common, *(one.term for one in found)]
+
+
+def _held_loss(equations: Equations, split: Split, weights: Floats, terms: list[Term]) -> float:
+    fit = fit_terms(equations, terms, split.train, weights)
+    return float(equations.losses(fit.theta, weights)[split.held].sum())
 
 
 def _is_asked(term: Term, model: list[Term], weights: Floats) -> bool:

@@ -22,7 +22,8 @@ MOST_BLOCKS = 400
 @dataclass(frozen=True)
 class Equations:
     """Products of all columns by block: ``products`` has (B, m, m) for each joint, the torque last, with ``places`` of its
-    columns in the whole layout; ``rows (B, n)`` counts. ``motion`` and ``session (B,)`` are those of each block.
+    columns in the whole layout; ``rows (B, n)`` counts. ``motion``, ``session`` and ``start_s (B,)`` are those of each
+    block.
     """
 
     layout: Layout
@@ -31,6 +32,7 @@ class Equations:
     rows: Floats
     motion: Ints
     session: Ints
+    start_s: Floats
 
     @property
     def base(self) -> int:
@@ -89,7 +91,7 @@ def form_equations(layout: Layout, log: Log, known: Known | None = None) -> Equa
     """Return the products of the columns of a layout and the torques of a log."""
     n = layout.robot.n_joints
     sums: list[list[Floats]] = [[] for _ in range(n)]
-    rows, motion, session = [], [], []
+    rows, motion, session, start_s = [], [], [], []
     length = max(BLOCK_S, sum(float(part.t[-1] - part.t[0]) for part in log.parts()) / MOST_BLOCKS)
     for part in log.parts():
         use = (part.moving & part.usable)[part.rows]
@@ -103,9 +105,10 @@ def form_equations(layout: Layout, log: Log, known: Known | None = None) -> Equa
             rows.append(inside.sum(axis=0))
             motion.append(part.motion)
             session.append(part.session)
+            start_s.append(part.t[0] + b * length)
     places = tuple(layout.places(j) for j in range(n))
     products = tuple(np.array(one) for one in sums)
-    return Equations(layout, products, places, np.array(rows), np.array(motion), np.array(session))
+    return Equations(layout, products, places, np.array(rows), np.array(motion), np.array(session), np.array(start_s))
 
 
 def _smooth_columns(layout: Layout, part: Part, known: Known | None) -> list[Floats]:

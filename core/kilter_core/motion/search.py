@@ -38,6 +38,17 @@ class Split:
     folds: Ints
     whole: bool
 
+    @property
+    def every(self) -> Bools:
+        """Blocks that take part at all."""
+        return np.asarray(self.train | self.held)
+
+    def without(self, blocks: Bools) -> Split:
+        """Return the same without some blocks."""
+        return replace(
+            self, train=self.train & ~blocks, held=self.held & ~blocks, folds=np.where(blocks, -1, self.folds)
+        )
+
 
 @dataclass(frozen=True)
 class Rival:
@@ -162,9 +173,8 @@ def _without_idle(
 
 def judge_terms(equations: Equations, split: Split, weights: Floats, model: Sequence[Term]) -> list[Judged]:
     """Judge each term that was found by blocks that no choice saw, by halves, by sessions, and against its rivals."""
-    every = np.ones(len(equations.motion), dtype=bool)
-    whole = fit_terms(equations, model, every, weights)
-    spread = covariance(equations, whole, every)
+    whole = fit_terms(equations, model, split.every, weights)
+    spread = covariance(equations, whole, split.every)
     trained = fit_terms(equations, model, split.train, weights)
     found = [term for term in model if not term.effect.common]
     return [_judge(equations, split, weights, model, term, whole, spread, trained) for term in found]
@@ -182,18 +192,17 @@ def _judge(
 ) -> Judged:
     without = [other for other in model if other is not term]
     at = _places(whole, term)
-    value, sigma = whole.theta[term.columns], np.sqrt(np.diag(spread)[at])
-    full = fit_terms(equations, without, np.ones_like(split.train), weights)
-    before = equations.losses(full.theta, weights)[:, term.joint].sum()
-    after = equations.losses(whole.theta, weights)[:, term.joint].sum()
+    value, sigma = whole.theta[term.columns], np.sqrt(np.maximum(np.diag(spread)[at], 0.0))
+    full = fit_terms(equations, without, split.every, weights)
+    before, after = (equations.losses(fit.theta, weights)[split.every, term.joint].sum() for fit in (full, whole))
     judged = Judged(
         term,
         value,
         sigma,
         1.0 - float(after / max(before, 1e-12)),
         *_unseen_size(equations, split, weights, fit_terms(equations, without, split.train, weights), trained),
-        _halves_agree(equations, weights, model, term),
-        _sessions_that_show(equations, weights, model, term, value, sigma),
+        _halves_agree(equations, split, weights, model, term),
+        _sessions_that_show(equations, split, weights, model, term, value, sigma),
         _rivals(equations, split, weights, model, term),
         "",
     )
@@ -215,12 +224,14 @@ def _places(fit: Fit, term: Term) -> Ints:
     return np.array([int(np.flatnonzero(fit.columns == c)[0]) for c in term.columns])
 
 
-def _halves_agree(equations: Equations, weights: Floats, model: Sequence[Term], term: Term) -> bool:
+def _halves_agree(equations: Equations, split: Split, weights: Floats, model: Sequence[Term], term: Term) -> bool:
     """Whether both halves of the log, by motions where there are several, show it alike."""
     motions = np.unique(equations.motion)
     order = np.searchsorted(motions, equations.motion) if len(motions) > 1 else np.arange(len(equations.motion))
     first = order < 0.5 * (order.max() + 1)
-    (a, va), (b, vb) = (_value_in(equations, weights, model, term, part) for part in (first, ~first))
+    (a, va), (b, vb) = (
+        _value_in(equations, weights, model, term, part) for part in (first & split.every, ~first & split.every)
+    )
     return bool(np.all(np.abs(a - b) < HALVES_APART * np.sqrt(va + vb)))
 
 
@@ -233,7 +244,7 @@ def _value_in(
 
 
 def _sessions_that_show(
-    equations: Equations, weights: Floats, model: Sequence[Term], term: Term, value: Floats, sigma: Floats
+    equations: Equations, split: Split, weights: Floats, model: Sequence[Term], term: Term, value: Floats, sigma: Floats
 ) -> tuple[bool, ...]:
     """Of each session, where there are several, whether it shows the same by itself."""
     sessions = np.unique(equations.session)
@@ -241,7 +252,7 @@ def _sessions_that_show(
         return ()
     shown = []
     for session in sessions:
-        own, variance = _value_in(equations, weights, model, term, equations.session == session)
+        own, variance = _value_in(equations, weights, model, term, split.every & (equations.session == session))
         apart = np.abs(own - value) < REPLICATED_APART * np.sqrt(variance + sigma**2)
         shown.append(bool(np.all(apart) and np.any(np.abs(own) > REPLICATED_APART * np.sqrt(variance))))
     return tuple(shown)
@@ -267,7 +278,9 @@ def _rivals(
 
 
 def _verdict(judged: Judged, split: Split) -> str:
-    """How sure a name is: replicated, confirmed, class_confirmed or provisional."""
+    """How sure a name is: replicated, confirmed, class_confirmed, provisional or contradicted."""
+    if judged.unseen + DEVIATIONS * judged.unseen_sigma < 1.0 and judged.unseen < LEAST_UNSEEN:
+        return "contradicted"
     seen = judged.unseen > max(LEAST_UNSEEN, SURE * judged.unseen_sigma)
     if not (split.whole and seen and judged.halves_agree):
         return "provisional"

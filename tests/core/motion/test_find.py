@@ -113,6 +113,55 @@ def test_clipped_torques_and_resting_joints_are_left_out_by_name() -> None:
     assert not [one for one in report.judged if one.term.joint == 1]
 
 
+def changed(change: Callable[[Floats], None], seed: int = 4) -> dict[str, dict[str, Any]]:
+    """What is said of a log without anything hidden, its torques changed; nothing may be named."""
+    logger = Logger(ur_like(np.random.default_rng(seed)), seed=seed)
+    log = rows(logger)
+    assert log.tau is not None
+    change(log.tau)
+    document = to_document(find_missing_torque(robot_from_document(logger.arm.document()), log))
+    assert document["effects"] == []
+    return {one["code"]: one for one in document["warnings"]}
+
+
+def test_a_push_is_left_out_and_not_named() -> None:
+    def push(tau: Floats) -> None:
+        tau[2300:2450, 1] += 25.0
+        tau[7000:7150, 2] -= 12.0
+
+    assert "83" in changed(push)["log_pushed"]["message"]
+
+
+def test_torques_of_another_clock_are_said_to_be() -> None:
+    def shift(tau: Floats) -> None:
+        tau[:] = np.roll(tau, 20, axis=0)
+
+    assert 0.1 < changed(shift)["torque_clock"]["delay_s"] < 0.25
+
+
+def test_swapped_joints_are_said_to_be_unexplained() -> None:
+    def swap(tau: Floats) -> None:
+        tau[:, [1, 2]] = tau[:, [2, 1]]
+
+    assert set(changed(swap)["torques_unexplained"]["joints"]) & {2, 3}
+
+
+def test_a_torque_of_the_other_sign_is_refused() -> None:
+    def turn(tau: Floats) -> None:
+        tau[:, 3] *= -1.0
+
+    with pytest.raises(ObservationError, match="tau4_nm") as refused:
+        changed(turn)
+    assert refused.value.code == "torque_sign"
+
+
+def test_currents_without_their_mean_name_nothing() -> None:
+    def centre(tau: Floats) -> None:
+        tau -= tau.mean(axis=0)
+
+    assert not changed(centre)
+
+
 def test_one_motion_confirms_nothing() -> None:
     logger = Logger(ur_like(np.random.default_rng(7)), seed=7, motions=1, seconds=90.0)
     joint, shape = HIDDEN["gear_ripple"]
