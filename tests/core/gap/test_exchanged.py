@@ -37,7 +37,7 @@ def test_what_imitates_two_effects_is_exchanged_for_both(name: str, hidden: dict
         # Torsion of the link and compliance of the joint behind it leave the same to 0.5 points of chi-square.
         ("0468-two-seven-60", {"axial_compliance": [3], "clearance_tilt": [4]}),
         # Eighteen steps of a walk cost as much as if all rows told each of them, and six numbers of a settling stood for it.
-        ("0063-two-elbow-60", {"random_walk": None, "direction_compliance": [6]}),
+        pytest.param("0063-two-elbow-60", {"random_walk": None, "direction_compliance": [6]}, marks=pytest.mark.slow),
         # Of the load across the last joint only one component differs from pose to pose: its tilt was asked for by both.
         pytest.param("0281-two-katana-60", {"random_walk": None, "reading_tilt": [5]}, marks=pytest.mark.slow),
         # A field of six numbers that follows the temperature stood for both, and so did what was tried first beside one.

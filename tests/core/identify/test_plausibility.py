@@ -350,7 +350,7 @@ def test_real_campaigns_are_not_accused(shared_data: Any, name: str) -> None:
     assert {w["code"] for w in judged(robot, rows)} <= {"orientation_right_angle"}
 
 
-@pytest.mark.parametrize("name", WITH_TOOL)
+@pytest.mark.parametrize("name", [pytest.param(WITH_TOOL[0], marks=pytest.mark.slow), *WITH_TOOL[1:]])  # two of one arm
 def test_real_campaigns_with_a_mix_up_are(shared_data: Any, name: str) -> None:
     robot, rows = real_campaign(shared_data, name)
     n = robot.n_joints

@@ -119,7 +119,7 @@ def test_a_line_of_megabytes_is_refused_with_its_number(tmp_path: Path, ending: 
 def test_a_program_of_more_lines_than_a_controller_loads_is_refused(tmp_path: Path, ending: str, line: str) -> None:
     begin, end, _ = PROGRAMS[ending]
     path = tmp_path / f"a{ending}"
-    path.write_text(f"{begin}{line * (5 << 20)}{end}", newline="")
+    path.write_text(f"{begin}{line * (1 << 20)}{end}", newline="")
     with pytest.raises(FileError, match=r"line 400001.*more than 400000 lines.*Part it into several programs"):
         read_programs(path)
 
