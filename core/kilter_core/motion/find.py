@@ -120,8 +120,8 @@ def _refuse_negative_friction(equations: Equations, fit: Fit, split: Split) -> N
     if wrong:
         named = ", ".join(map(str, wrong))
         raise ObservationError(
-            f"Friction of {'joint' if len(wrong) == 1 else 'joints'} {named} is negative: its torque drives it the other way than "
-            f"its position says. Change their signs (tau{wrong[0]}_nm), or the order of the joints.",
+            f"Friction of {'joint' if len(wrong) == 1 else 'joints'} {named} is negative: torque and position have "
+            f"opposite signs there. Change the sign (tau{wrong[0]}_nm), or the order of the joints.",
             code="torque_sign",
             joints=wrong,
         )
