@@ -30,7 +30,7 @@ with later(__name__):
     from kilter_files.tables import joint_log as joint_logs
     from kilter_files.tables import source
 
-__all__ = ["DEVICES", "Prepared", "draft", "inspect", "prepare", "read_joints"]
+__all__ = ["DEVICES", "Prepared", "draft", "has_contract_header", "inspect", "prepare", "read_joints"]
 
 
 def __getattr__(name: str) -> Any:
@@ -80,7 +80,7 @@ def prepare(
         )
     if preset is None and column_map is None and path.suffix.lower() not in (".xlsx", ".xlsm"):
         by_device = registry.readers_for(reader.DEVICE).get(device) if device else None
-        if by_device is None or _is_joined(path):
+        if by_device is None or has_contract_header(path):
             return as_it_is(path)
         table = by_device.read(path)
     elif preset is not None:
@@ -147,8 +147,8 @@ def _read_with_map(path: Path, column_map: Path | None, joined: Path | None) -> 
     return mapped.apply_column_map(first, chosen, others)
 
 
-def _is_joined(path: Path) -> bool:
-    """Tell whether a device's log was joined with the joint log already: all of its columns are the contract's."""
+def has_contract_header(path: Path) -> bool:
+    """Tell whether all columns of a CSV file are the contract's, as of a device's log that was joined with its joints."""
     if path.suffix.lower() != ".csv":
         return False
     try:

@@ -46,9 +46,15 @@ from .programs.rigid import Rigid as Rigid
 from .programs.rigid import of_document as of_document
 from .programs.rigid import to_document as to_document
 from .reader import DEVICE as DEVICE
+from .reader import MAP as MAP
+from .reader import MATCH as MATCH
+from .reader import PRESET as PRESET
 from .reader import Head as Head
+from .reader import Hints as Hints
 from .reader import LogHints as LogHints
+from .reader import RecordingReader as RecordingReader
 from .registry import all_readers as all_readers
+from .registry import find_reader as find_reader
 from .registry import has_format as has_format
 from .registry import list_formats as list_formats
 from .registry import readers_for as readers_for

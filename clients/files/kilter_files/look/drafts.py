@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from kilter_files.formats.unknown.guess import Columns, Entry
+from kilter_files.formats.unknown.guess import ASK_INSTRUMENT, COMMANDED, COMPUTED, Columns, Entry
+from kilter_files.formats.unknown.names import name_as_words
 from kilter_files.formats.unknown.table_shape import TableShape
 from kilter_files.formats.unknown.turns import Turned
-from kilter_files.formats.unknown.understood import joined_names, understand
+from kilter_files.formats.unknown.understood import Understood, joined_names, understand
 from kilter_files.ground.clusters import clusters
 from kilter_files.ground.errors import UsageError
-from kilter_files.ground.units import UNKNOWN, converter
+from kilter_files.ground.units import JOINT, UNKNOWN, converter
 
 SAME_DEG = 0.01
+AXES_MM = ("x_mm", "y_mm", "z_mm")
 MOST_STATES = 6
 JOIN = """
 # Joints in another file? Then delete the line q* above and take the # away here:
@@ -34,13 +37,25 @@ POSES = f"""
 
 @dataclass
 class Draft:
-    """A drafted map: its text, the places that have to be filled in, what was guessed, and columns nobody uses."""
+    """A drafted map: its text, the places that have to be filled in, what was guessed, and columns nobody uses.
+
+    ``readings`` says in a line what is read from which columns, ``rivals`` which other columns might be it.
+    ``least_reach_mm`` is of joints in radians by their size: as degrees, only an arm that reaches further moves as measured.
+    """
 
     text: str
     open: list[str] = field(default_factory=list)
     guessed: list[str] = field(default_factory=list)
     used: list[str] = field(default_factory=list)
     unused: list[str] = field(default_factory=list)
+    readings: str = ""
+    rivals: list[str] = field(default_factory=list)
+    least_reach_mm: float | None = None
+
+    @property
+    def has_contract_joints(self) -> bool:
+        """Whether joints have the names of the contract, as in a file that needs no map."""
+        return any(JOINT.fullmatch(name) for name in (*self.used, *self.unused))
 
     def save(self, path: Path | str) -> None:
         """Write the map, never over a file that is there.
@@ -80,7 +95,48 @@ def draft(path: Path, robot: Sequence[str] = ()) -> Draft:
     lines += ["", *_orientation_lines(columns, turn)] if turn else []
     lines += _poses(columns, found.entries, axes) + _rows(columns, found.entries, found.unused_columns)
     text = _top(path, found.open) + "\n".join(lines) + "\n"
-    return Draft(text, found.open, found.guess_remarks, sorted(found.taken), found.unused_columns)
+    used, reach = sorted(found.taken), _least_reach(found)
+    rivals = _rivals(found, patterns)
+    return Draft(text, found.open, found.guess_remarks, used, found.unused_columns, _readings(found), rivals, reach)
+
+
+def _rivals(found: Understood, joints: Sequence[str]) -> list[str]:
+    """Return what else might be the joints or the position: not what was commanded, or computed beside a measurement."""
+    out = [f"joints {one}" for one in joints if not COMMANDED.search(name_as_words(one))]
+    places = [name_as_words(one) for one in found.other_places]
+    out += [f"position {one}" for one in places if not COMMANDED.search(one) and not COMPUTED.search(one)]
+    asked = any(ASK_INSTRUMENT in entry.remark for entry in found.entries)
+    return [*out, *(["no measurement: a position that the controller computes from its joints"] if asked else [])]
+
+
+def _readings(found: Understood) -> str:
+    """Return what is read, in a line: joints and position from the first to the last of their columns."""
+    place = [entry for entry in found.entries if entry.target in AXES_MM]
+    others = [entry.target for entry in found.entries if entry not in (*found.axes, *place)]
+    parts = [_span("joints", found.axes), _span("position", place), *others, *(["orientation"] if found.turn else [])]
+    return "; ".join(part for part in parts if part)
+
+
+def _span(words: str, entries: Sequence[Entry]) -> str:
+    sources = list(dict.fromkeys((entries[0].source, entries[-1].source))) if entries else []
+    units = "/".join(dict.fromkeys(str(entry.unit) for entry in entries))
+    return f"{words} {' ... '.join(sources)} [{units}]" if sources else ""
+
+
+def _least_reach(found: Understood) -> float | None:
+    guessed = [name for entry in found.axes if entry.unit == "rad" and entry.remark for name in entry.used]
+    place = [entry for entry in found.entries if entry.target in AXES_MM and not entry.open]
+    convert = converter(place[0].unit or "mm", "mm") if place else None
+    turned = math.radians(sum(_span_of_values(found.columns, name) for name in guessed))  # were they degrees
+    if convert is None or len(place) < len(AXES_MM) or not turned:
+        return None
+    moved = math.hypot(*(_span_of_values(found.columns, entry.source) for entry in place))
+    return (convert(moved) - convert(0.0)) / turned
+
+
+def _span_of_values(columns: Columns, name: str) -> float:
+    values = columns.numbers(name)
+    return max(values) - min(values) if values else 0.0
 
 
 def _matches(pattern: str, name: str) -> bool:

@@ -8,6 +8,7 @@ from .matching import Columns as Columns
 from .matching import clock_report as clock_report
 from .matching import frame_rows as frame_rows
 from .matching import match_dwells as match_dwells
+from .matching import pose_row_indices as pose_row_indices
 from .rigid_body import Body as Body
 from .rigid_body import find_body as find_body
 from .rigid_body import names_a_file as names_a_file

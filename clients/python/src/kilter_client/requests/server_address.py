@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field
 from ipaddress import ip_address
 from pathlib import Path
@@ -44,7 +45,8 @@ def locate(url: str | None = None, token: str | None = None) -> Place:
     secret = token or os.environ.get("KILTER_TOKEN")
     # The token file belongs to a server on this machine: it must not travel to another one.
     if secret is None and _is_this_machine(found):
-        secret = _read_token(data_folder())
+        with suppress(OSError, UnicodeDecodeError):
+            secret = (data_folder() / TOKEN_FILE).read_text(encoding="ascii").strip() or None
     return Place(found, secret, by_file=not told)
 
 
@@ -63,13 +65,6 @@ def _running_server() -> str:
             file=str(file),
         ) from error
     return str(url)
-
-
-def _read_token(folder: Path) -> str | None:
-    try:
-        return (folder / TOKEN_FILE).read_text(encoding="ascii").strip() or None
-    except (OSError, UnicodeDecodeError):
-        return None
 
 
 def _is_this_machine(url: str) -> bool:

@@ -12,6 +12,8 @@ from kilter_client import Kilter
 from kilter_client.cli.files.calibrated_rows import stated_servos
 from kilter_client.cli.files.inspect import JointOrder, Topic
 from kilter_client.cli.files.joint_names import fetch_joint_names
+from kilter_client.cli.files.match import match
+from kilter_client.cli.files.readings import guess_pairing, is_recording, read_unstated
 from kilter_client.cli.files.rig_file import rig_conditions
 from kilter_client.cli.files.sending import send
 from kilter_client.cli.reports.answer import fit_messages
@@ -25,7 +27,7 @@ from kilter_client.errors import KilterError, UsageError
 from kilter_client.verbs import campaigns
 from kilter_client.verbs.dry_run import checked_here, checked_rows
 from kilter_client.verbs.inputs import parse_time
-from kilter_files import Prepared, prepare
+from kilter_files import Prepared, has_contract_header, prepare
 from kilter_files.formats import PRESETS, LogHints, has_format
 from kilter_files.match import checked_markers
 
@@ -181,6 +183,10 @@ ServoCalibration = Annotated[
     ),
 ]
 
+JointUnit = Annotated[
+    Literal["rad", "deg"] | None,
+    typer.Option("--joint-unit", help="Unit of joints of a file that states none, where its numbers do not decide."),
+]
 DryRun = Annotated[
     bool,
     typer.Option(
@@ -202,6 +208,7 @@ def upload(
     preset: PresetName = None,
     euler: Euler = None,
     joints: Joints = None,
+    joint_unit: JointUnit = None,
     topic: Topic = None,
     joint_order: JointOrder = None,
     role: Annotated[Role, typer.Option(help="What the measurements are for.")] = "train",
@@ -222,19 +229,41 @@ def upload(
     unchecked: Unchecked = False,
     as_json: Json = False,
 ) -> None:
-    """Upload measurements: contract columns as they are, a device's files converted, a lab's own through a map.
+    """Upload measurements: how a file is read is found out, and said; --device, --preset or --map say it instead.
 
-    Makes a campaign, or adds to --campaign. The same file again changes nothing.
+    A recording of markers is joined with --joints. Makes a campaign, or adds to --campaign; the same file changes nothing.
     """
     stated = (payload_kg, payload_com_mm, temperature_c, tool_force_n, tool_moment_nm)
     conditions, at = build_conditions(*stated, cameras, unchecked and not campaign), parse_time(measured_at)
     if campaign and (name or notes or conditions or at or instrument or calibration):
         raise UsageError("--campaign adds to a campaign that has its name, notes and conditions already.")
+    order = arguments.split_names([joint_order]) if joint_order else []
+    if joints is not None and not (device or preset or column_map) and is_recording(file):
+        if conditions or campaign or notes or at or instrument or calibration:
+            raise UsageError(
+                f"{file}: is a recording. Join it by `kilter measure match --out r.csv`, then upload r.csv."
+            )
+        to = {"model": robot} if dry_run else {"robot": robot, "name": name}
+        by = guess_pairing(file, joints, LogHints(topic, order, fetch_joint_names(robot)), as_json)
+        match(
+            file,
+            joints,
+            by,
+            topic=topic,
+            joint_order=joint_order,
+            role=role,
+            unchecked=unchecked,
+            as_json=as_json,
+            **to,
+        )
+        return
     # The robot's joints, where a bag names its joints and nobody said which is the first.
     asks = joints is not None and column_map is None and not joint_order and has_format(joints, "bag")
-    order = arguments.split_names([joint_order]) if joint_order else []
     hints = LogHints(topic, order, fetch_joint_names(robot) if asks else [])
-    read = prepare(file, device, column_map, joints, preset=preset, euler=euler, hints=hints)
+    if device or preset or column_map or has_contract_header(file):
+        read = prepare(file, device, column_map, joints, preset=preset, euler=euler, hints=hints)
+    else:
+        read, device = read_unstated(robot, file, joints, euler, joint_unit, hints)
     prepared = checked_markers(file, read, unchecked)
     servos, prepared = stated_servos(robot, calibration, prepared, file, dry_run) if calibration else ({}, prepared)
     _print_file_notes(file, prepared, as_json)
