@@ -1,3 +1,4 @@
+from .drafts import Draft as Draft
 from .drafts import draft as draft
 from .inspection import inspect as inspect
 from .refused import otherwise_separated as otherwise_separated

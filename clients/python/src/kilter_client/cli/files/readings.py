@@ -21,7 +21,7 @@ from kilter_files import Prepared, draft, prepare, read_joints
 from kilter_files.formats import DEVICE, MAP, PRESET, Head, Hints, LogHints, RecordingReader, find_reader
 
 if TYPE_CHECKING:
-    from kilter_files.look.drafts import Draft
+    from kilter_files.look import Draft
 
 MOST_UNUSED = 4  # columns that are named
 UNITS = {"rad": "radians", "deg": "degrees"}
