@@ -72,7 +72,7 @@ def test_every_command_of_the_contract_is_there() -> None:
         "bridge fci",
         "sheet-read", "sheet-join", "ballbar-join", "tilt-join",
         "identify", "gap", "evaluate", "plan poses", "plan check", "hand-eye", "check", "drift", "rezero",
-        "joint-parameters", "repair",
+        "joint-parameters", "payload", "repair",
         *(f"mesh {verb}" for verb in ("list", "set", "from-urdf", "remove")),
         *(f"fleet {verb}" for verb in ("identify", "list", "show", "watch", "cancel")),
         "jobs list", "jobs show", "jobs watch", "jobs cancel", "version show", "activate", "rollback", "diff",

@@ -17,8 +17,9 @@ CampaignName = Annotated[str, Field(min_length=1, max_length=128)]
 class PayloadOptions(Asked):
     """Which of the campaigns have no load."""
 
-    empty: Annotated[list[CampaignName], Field(min_length=1, max_length=50)] = Field(
-        description="Campaigns of the job that were recorded without the load, by name or id; the others are with it."
+    empty: Annotated[list[CampaignName], Field(max_length=50)] = Field(
+        [],
+        description="Campaigns of the job without the load, by name or id; the others are with it. Empty: the last one.",
     )
 
 

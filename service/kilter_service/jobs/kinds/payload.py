@@ -44,15 +44,21 @@ def _empty_campaigns(job: JobInput) -> list[str]:
 
     """
     options: PayloadOptions = job.options
+    if len(job.campaigns) < 2:
+        raise OptionError(
+            "A payload is weighed by two campaigns: name the one with the load, then the one without it.",
+            option="empty",
+        )
     ids = {name: campaign for campaign, name in job.names.items()} | {campaign: campaign for campaign in job.campaigns}
-    for name in options.empty:
+    named = options.empty or [*job.campaigns][-1:]
+    for name in named:
         if ids.get(name) not in job.campaigns:
             raise OptionError(
                 f"empty names {name!r}, which is not a campaign of this job: name both, the one with the load and the one "
                 "without it.",
                 option="empty",
             )
-    empty = list(dict.fromkeys(ids[name] for name in options.empty))
+    empty = list(dict.fromkeys(ids[name] for name in named))
     if len(empty) == len(job.campaigns):
         raise OptionError("All campaigns are named as empty: name one with the load too.", option="empty")
     return empty

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import typer
 
 from kilter_client.cli.analyse import run_job
-from kilter_client.cli.catalogue import KINDS_BY_COMMAND
+from kilter_client.cli.catalogue import KINDS_BY_COMMAND, MOVED
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import (
     CampaignIds,
@@ -26,7 +26,9 @@ from kilter_client.typed.option_texts import KINDS
 def register(app: typer.Typer) -> None:
     """Add the commands to the ``kilter`` command."""
     for name, kind in KINDS_BY_COMMAND.items():
-        example = f"Example: kilter {name} ur10{' --campaign cmp_1f' if KINDS[kind].needs_campaigns else ''}"
+        example = (
+            f"Example: kilter {MOVED.get(name, name)} ur10{' --campaign cmp_1f' if KINDS[kind].needs_campaigns else ''}"
+        )
         app.command(name, help=KINDS[kind].summary, epilog=example)(_make_command(kind))
 
 
