@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -14,8 +14,7 @@ from kilter_client.results.shown import MODELS, nominal_words
 LINES = 20  # of an answer, but for a table that is longer
 MOST_ROWS = 8  # of its table
 DETAILS = "(--details)"
-SENTENCE = re.compile(r"(?<=[.!?]) (?=[A-Z`])")
-SHORTEST_CAUSE = 60  # characters that are kept of what is the matter
+CAUSE = 70  # characters that are kept of what is the matter
 IN_HEADLINE = {"poses_will_not_tell"}  # warnings that the headline says
 ROWS = {"train": "fitted", "validation": "unseen"}
 ERRORS = (("mean_mm", "mean mm"), ("rms_mm", "rms mm"), ("p95_mm", "p95 mm"), ("max_mm", "max mm"))
@@ -53,17 +52,12 @@ def fit_messages(messages: Sequence[str], columns: int, room: int, rest: str = D
 
 
 def _shorten(message: str, characters: int, rest: str) -> str:
-    """Return a message of at most so many characters: its cause is cut, its remedy is not.
-
-    The remedy is the last sentence that has a command in it, or else the last.
-    """
+    """Return a message of at most so many characters, cut in its middle: its end, where the remedy stands, is kept."""
     if len(message) <= characters:
         return message
-    cause, *others = SENTENCE.split(message)
-    remedy = next((one for one in reversed(others) if "`" in one), others[-1] if others else "")
-    room = max(characters - len(remedy) - len(rest) - 6, SHORTEST_CAUSE)
-    cause = cause if len(cause) <= room else f"{cause[:room].rpartition(' ')[0]} ..."
-    return " ".join(part for part in (cause, remedy, rest) if part)
+    head = textwrap.shorten(message, CAUSE, placeholder=" ...")
+    tail = textwrap.wrap(message[::-1], characters - len(head) - len(rest) - 2)[0][::-1]  # of whole words
+    return f"{head} {tail} {rest}"
 
 
 def _format_table(result: Mapping[str, Any], columns: int) -> list[str]:
