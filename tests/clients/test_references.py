@@ -149,7 +149,8 @@ def test_retire_restore_and_purge(robot: str, command: Command, kilter: Kilter) 
     assert "the left one" in command("robot", "show", robot)[0]
     command("robot", "retire", robot)
     assert robot not in command("robot", "list")[0]
-    assert f"{robot} (retired)" in re.sub(r"\s+", " ", command("robot", "list", "--retired")[0])
+    retired = {one["name"]: one["retired_at"] for one in command.json("robot", "list", "--retired")["robots"]}
+    assert retired[robot]
     with pytest.raises(ConflictError, match=f"kilter robot restore {re.escape(robot)}"):
         kilter.campaigns.add(robot, "late")
     command("robot", "restore", robot)
