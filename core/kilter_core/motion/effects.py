@@ -220,6 +220,4 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
     ),
 )
 
-EFFECTS_BY_ID = {effect.id: effect for effect in MOTION_EFFECTS}
-
 CARRIED_WITH = ("load_friction",)  # what a load changes beside the bodies

@@ -194,9 +194,4 @@ def _is_asked(term: Term, model: list[Term], weights: Floats) -> bool:
 
 def _held_rms(equations: Equations, split: Split, weights: Floats, terms: list[Term]) -> Floats:
     fit = fit_terms(equations, terms, split.train, weights)
-    return _rms(equations, split.held, fit.theta)
-
-
-def _rms(equations: Equations, blocks: Bools, theta: Floats) -> Floats:
-    squares = equations.losses(theta, np.ones(len(equations.products)))[blocks].sum(axis=0)
-    return np.asarray(np.sqrt(squares / np.maximum(equations.rows[blocks].sum(axis=0), 1)))
+    return equations.rms(fit.theta, split.held)

@@ -27,14 +27,13 @@ class Term:
 class Layout:
     """``kept (p,)`` columns of the regressor come first, then those of the ``terms``, ``width`` in all.
 
-    ``K (p, 10 L)`` takes the numbers of the bodies to base parameters. Of each joint: the speed that it usually reaches,
+    Of each joint: the speed that it usually reaches,
     the middle of its range and the order of its ripple. ``mean_t`` s and ``mean_c`` are means of the log.
     In sessions that are ``loaded`` the outermost body carries ten numbers more, whose columns follow the base columns.
     """
 
     robot: Robot
     kept: Ints
-    K: Floats
     terms: tuple[Term, ...]
     width: int
     speeds: Floats
@@ -47,7 +46,7 @@ class Layout:
     @classmethod
     def of_log(cls, robot: Robot, log: Log, loaded: frozenset[int] = frozenset()) -> Layout:
         """Return the layout of rigid bodies and the effects that every model has."""
-        kept, K = base_columns(robot)
+        kept, _ = base_columns(robot)
         n = robot.n_joints
         speeds, low, high = np.zeros(n), np.full(n, np.inf), np.full(n, -np.inf)
         times, warmth = [], []
@@ -60,7 +59,6 @@ class Layout:
         bare = cls(
             robot,
             kept,
-            K,
             (),
             len(kept),
             np.maximum(speeds, 1e-6),

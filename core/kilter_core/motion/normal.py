@@ -78,6 +78,11 @@ class Equations:
             b[self.places[j]] += total[:-1, -1]
         return A, b
 
+    def rms(self, theta: Floats, blocks: Bools) -> Floats:
+        """Root mean square (n,) of what the values ``theta (width,)`` leave of each torque in some blocks."""
+        squares = self.losses(theta, np.ones(len(self.products)))[blocks].sum(axis=0)
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0) / np.maximum(self.rows[blocks].sum(axis=0), 1)))
+
     def torque_squares(self, blocks: Bools) -> Floats:
         """Sum of the squared torques (n,) of some blocks."""
         return np.array([p[blocks, -1, -1].sum() for p in self.products])

@@ -7,7 +7,7 @@ Friction that grows with the load belongs to the model: without it the load woul
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -68,14 +68,13 @@ def weigh_payload(robot: Robot, loaded: Sequence[Observations], empty: Sequence[
     numbers, spread = fit.theta[at], covariance(equations, fit, every)[at, at]
     without = fit.theta.copy()
     without[at] = 0.0
-    left = np.stack([_rms(equations, with_load, theta) for theta in (without, fit.theta)])
+    left = np.stack([equations.rms(theta, with_load) for theta in (without, fit.theta)])
     return _in_tool_frame(robot, numbers, spread, left)
 
 
 def _as_session(parts: Sequence[Observations], session: int) -> list[Observations]:
     """Rows without what differs between campaigns and torques do not need."""
-    bare = [Observations(q=one.q, t=one.t, tau=one.tau) for one in parts]
-    return [replace(one, session=np.full(len(one), session)) for one in bare]
+    return [Observations(q=one.q, t=one.t, tau=one.tau, session=np.full(len(one), session)) for one in parts]
 
 
 def _refuse_one_sided(equations: Equations, with_load: Bools) -> None:
@@ -85,11 +84,6 @@ def _refuse_one_sided(equations: Equations, with_load: Bools) -> None:
         raise ObservationError(
             f"No joint moves in the log {which}: record the same motions with and without the load.", code="log_at_rest"
         )
-
-
-def _rms(equations: Equations, blocks: Bools, theta: Floats) -> Floats:
-    squares = equations.losses(theta, np.ones(len(equations.products)))[blocks].sum(axis=0)
-    return np.asarray(np.sqrt(np.maximum(squares, 0.0) / np.maximum(equations.rows[blocks].sum(axis=0), 1)))
 
 
 def _in_tool_frame(robot: Robot, numbers: Floats, spread: Floats, left: Floats) -> CarriedBody:

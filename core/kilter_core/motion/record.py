@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -112,11 +113,6 @@ class Log:
             )
         return log
 
-    @property
-    def motions(self) -> int:
-        """Number of stretches between gaps of the clock."""
-        return len(self.starts) - 1
-
     def parts(self) -> Iterator[Part]:
         """Each motion on an even clock, long ones in several parts; what is shorter than 2 s is passed over."""
         speeds = self._rest_speeds
@@ -126,7 +122,7 @@ class Log:
                 if self.t[piece[-1]] - self.t[piece[0]] >= SHORTEST_S:
                     yield self._part(motion, piece, speeds)
 
-    @property
+    @cached_property
     def _rest_speeds(self) -> Floats:
         """Speed (n,) below which each joint counts as at rest."""
         reached = np.zeros(self.tau.shape[1])

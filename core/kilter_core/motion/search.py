@@ -67,7 +67,6 @@ class Judged:
     term: Term
     value: Floats
     sigma: Floats
-    share: float
     unseen: float
     unseen_sigma: float
     halves_agree: bool
@@ -77,7 +76,7 @@ class Judged:
 
 
 def split_motions(equations: Equations, seed: int) -> Split:
-    """Hold out a third of the motions, of each session alike; of a single motion its last third."""
+    """Hold out a third of the motions; of a single motion its last third."""
     motions = np.unique(equations.motion)
     held = np.zeros(len(equations.motion), dtype=bool)
     if len(motions) > 1:
@@ -122,8 +121,9 @@ def search_terms(
     model = [term for term in equations.terms if term.effect.common]
     rest = [term for term in equations.terms if not term.effect.common and weights[term.joint] > 0.0]
     losses = unseen_losses(equations, model, split, weights)
-    while len(model) < MOST_TERMS + equations.rows.shape[1] * 3:
-        progress(len(model) / (MOST_TERMS + 3 * equations.rows.shape[1]))
+    most = len(model) + MOST_TERMS
+    while len(model) < most:
+        progress(len(model) / most)
         fit = fit_terms(equations, model, split.train, weights)
         best = _best_entry(equations, split, weights, model, losses, _significant(equations, fit, split, rest, tests))
         if best is None:
@@ -137,8 +137,7 @@ def search_terms(
 
 def _significant(equations: Equations, fit: Fit, split: Split, rest: Sequence[Term], tests: int) -> list[Seen]:
     seen = score_terms(equations, fit, split.train, rest)
-    seen = [one for one in seen if one.p * tests < ALPHA and one.share > LEAST_SHARE and is_plausible(one)]
-    return sorted(seen, key=lambda one: -one.gain)[:TRIED]
+    return [one for one in seen if one.p * tests < ALPHA and one.share > LEAST_SHARE and is_plausible(one)][:TRIED]
 
 
 def is_plausible(seen: Seen) -> bool:
@@ -193,13 +192,10 @@ def _judge(
     without = [other for other in model if other is not term]
     at = _places(whole, term)
     value, sigma = whole.theta[term.columns], np.sqrt(np.maximum(np.diag(spread)[at], 0.0))
-    full = fit_terms(equations, without, split.every, weights)
-    before, after = (equations.losses(fit.theta, weights)[split.every, term.joint].sum() for fit in (full, whole))
     judged = Judged(
         term,
         value,
         sigma,
-        1.0 - float(after / max(before, 1e-12)),
         *_unseen_size(equations, split, weights, fit_terms(equations, without, split.train, weights), trained),
         _halves_agree(equations, split, weights, model, term),
         _sessions_that_show(equations, split, weights, model, term, value, sigma),
