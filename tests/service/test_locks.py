@@ -6,7 +6,8 @@ from contextlib import ExitStack
 from datetime import UTC, datetime
 
 import pytest
-from sqlalchemy import text
+from sqlalchemy import event, text
+from sqlalchemy.pool import QueuePool
 
 from kilter_service.ground.db import Database, database, revision
 from kilter_service.ground.db.tables import HeartbeatRow
@@ -56,3 +57,17 @@ def test_a_connection_in_use_is_closed_when_its_thread_is_done(postgresql: str) 
             database_.close()
         assert driver is not None
         assert driver.closed
+
+
+def test_a_connection_that_comes_back_while_its_pool_closes_is_closed(postgresql: str) -> None:
+    """Handed back after the queue was emptied, by a thread that had asked before whether the pool is open."""
+    with database_of(postgresql) as url:
+        database_ = Database(url)
+        pool = database_.engine.pool
+        event.listen(database_.engine, "checkin", lambda *_: database_.close())
+        with database_.reading() as session:
+            driver = session.connection().connection.dbapi_connection
+        assert driver is not None
+        assert driver.closed
+        assert isinstance(pool, QueuePool)
+        assert pool.checkedin() == 0

@@ -15,7 +15,7 @@ from typing import Any
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
 from sqlalchemy.orm import Session, sessionmaker
-from sqlalchemy.pool import ConnectionPoolEntry
+from sqlalchemy.pool import ConnectionPoolEntry, QueuePool
 
 from kilter_service.ground.db import audited, sealed, seals
 from kilter_service.ground.db.audited_rows import AuditedTokens
@@ -45,8 +45,6 @@ class Database:
         self.engine = open_engine(url, connect_timeout_s)
         file = self.engine.url.database if self.engine.dialect.name == "sqlite" else None
         self._folder = Path(file).parent if file else None
-        self._closed = False
-        event.listen(self.engine, "checkin", self._close_if_late)
         self.sealer = seals.sealer()
         self.audited_tokens = AuditedTokens()
         self._changing = sessionmaker(self.engine, expire_on_commit=False)
@@ -90,12 +88,22 @@ class Database:
 
     def close(self) -> None:
         """Close all connections; those that a thread still uses, when it is done with them."""
-        self._closed = True
-        self.engine.dispose()
+        self.engine.pool.dispose()
 
-    def _close_if_late(self, _connection: Any, record: ConnectionPoolEntry) -> None:
-        if self._closed:  # SQLAlchemy drops it unclosed then: the server learns of it when Python collects it
-            record.invalidate()
+
+class _Pool(QueuePool):
+    """Connections of one database. Once it is disposed of it keeps none: one that comes back late is closed."""
+
+    _disposed = False
+
+    def dispose(self) -> None:
+        self._disposed = True
+        super().dispose()
+
+    def _do_return_conn(self, record: ConnectionPoolEntry) -> None:
+        super()._do_return_conn(record)
+        if self._disposed:  # asked last: whoever disposes meanwhile finds the connection in the queue, or we find this
+            super().dispose()
 
 
 def open_engine(url: str, connect_timeout_s: int = CONNECT_TIMEOUT_S) -> Engine:
@@ -109,7 +117,7 @@ def open_engine(url: str, connect_timeout_s: int = CONNECT_TIMEOUT_S) -> Engine:
     if parsed.database:
         private_folder(Path(parsed.database).parent)
         private_file(Path(parsed.database))  # SQLite gives its -wal and -shm the same rights
-    engine = create_engine(parsed)
+    engine = create_engine(parsed, poolclass=_Pool if parsed.database else None)
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine
@@ -120,6 +128,7 @@ def _postgresql(url: URL, connect_timeout_s: int) -> Engine:
         return create_engine(
             url.set(drivername="postgresql+psycopg"),
             pool_pre_ping=True,
+            poolclass=_Pool,
             connect_args={"connect_timeout": connect_timeout_s, **SILENCE},
         )
     except ModuleNotFoundError as error:

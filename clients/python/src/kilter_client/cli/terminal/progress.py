@@ -14,7 +14,7 @@ from kilter_client.verbs.progress import bars
 @contextmanager
 def upload_bar(name: str, as_json: bool, doing: str = "sending") -> Iterator[Callable[[int, int], None]]:
     """Show how much is done of the total: bytes sent, or what else is being done."""
-    if not _is_interactive(as_json):
+    if as_json or not sys.stderr.isatty():
         yield lambda sent, total: None
         return
     with bars(stderr=True) as bar:
@@ -25,7 +25,7 @@ def upload_bar(name: str, as_json: bool, doing: str = "sending") -> Iterator[Cal
 @contextmanager
 def job_bar(name: str, as_json: bool) -> Iterator[Callable[[float, str], None]]:
     """Show the fraction and the stage of a job; where nobody watches a bar, say once that the server is away."""
-    if not _is_interactive(as_json):
+    if as_json or not sys.stderr.isatty():
         yield _said_once(name, as_json)
         return
     with bars(stderr=True) as bar:
@@ -42,7 +42,3 @@ def _said_once(name: str, as_json: bool) -> Callable[[float, str], None]:
             note(f"{name}: {stage}", as_json)
 
     return note_stage_once
-
-
-def _is_interactive(as_json: bool) -> bool:
-    return not as_json and sys.stderr.isatty()
