@@ -247,7 +247,7 @@ def test_the_bar_says_that_pictures_are_looked_through(
     pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bar = Bar()
-    monkeypatch.setattr("kilter_client.cli.terminal.progress._is_interactive", lambda as_json: not as_json)
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
     monkeypatch.setattr("kilter_client.cli.terminal.progress.bars", lambda **_: nullcontext(bar))
     assert run(["see", str(pictures), "--board", own_board(), "-o", str(tmp_path / "views.csv")]) == 0
     assert bar.titles == ["looking through 3 pictures"]
