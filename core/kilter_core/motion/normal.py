@@ -108,7 +108,7 @@ def form_equations(layout: Layout, log: Log, known: Known | None = None) -> Equa
                 chosen = X[inside[:, j]]
                 sums[j].append(chosen.T @ chosen)
             rows.append(inside.sum(axis=0))
-            motion.append(part.motion)
+            motion.append(part.motion[part.rows][int(np.argmax(block == b))])
             session.append(part.session)
             start_s.append(part.t[0] + b * length)
     places = tuple(layout.places(j) for j in range(n))
@@ -118,6 +118,6 @@ def form_equations(layout: Layout, log: Log, known: Known | None = None) -> Equa
 
 def _smooth_columns(layout: Layout, part: Part, known: Known | None) -> list[Floats]:
     """Of each joint its columns and the torque, filtered and thinned."""
-    Y = layout.regressor(part)
-    columns = (layout.joint_columns(part, Y, j, known) for j in range(layout.robot.n_joints))
-    return [part.smooth(np.column_stack([X, part.tau[:, j]])) for j, X in enumerate(columns)]
+    bodies = layout.bodies(part)
+    columns = (layout.joint_columns(part, bodies, j, known) for j in range(layout.robot.n_joints))
+    return [part.smooth(np.column_stack([X, bodies.tau[:, j]])) for j, X in enumerate(columns)]
