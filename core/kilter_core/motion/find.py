@@ -216,7 +216,7 @@ def _borne_out(equations: Equations, split: Split, weights: Floats, judged: list
 
 def _held_loss(equations: Equations, split: Split, weights: Floats, terms: list[Term]) -> float:
     fit = fit_terms(equations, terms, split.train, weights)
-    return float(equations.losses(fit.theta, weights)[split.held].sum())
+    return float(equations.losses(fit.theta, weights, split.held).sum())
 
 
 def _is_asked(term: Term, model: list[Term], weights: Floats) -> bool:

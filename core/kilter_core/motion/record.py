@@ -22,7 +22,7 @@ from kilter_core.types import Bools, Floats, Ints
 BREAK = 5.0  # times the usual step of the clock: a longer one ends a motion
 LONGEST_S = 120.0  # one motion is read in parts of so long: memory stays flat
 SHORTEST_S = 2.0
-FASTEST_HZ = 100.0  # rows that come faster are thinned first: torques are compared far below
+FASTEST_HZ = 50.0  # rows that come faster are thinned first: torques are compared far below
 CUT_OFF_HZ = 5.0
 JOINT_BAND = 4.0  # joints pass a filter so many times as wide, so that their accelerations keep what the torques keep
 ROWS_PER_PERIOD = 4.0  # of the cut-off: rows that come faster repeat each other
@@ -143,7 +143,7 @@ class Log:
         for start, end in self._stretches():
             if end - start > 2:
                 rate = np.abs(np.gradient(self.observations.q[start:end], self.t[start:end], axis=0))
-                ends.append(start + _middles_of_rests(self.t[start:end], np.all(rate < self._rest_speeds, axis=1)))
+                ends.append(start + _ends_of_motions(self.t[start:end], np.all(rate < self._rest_speeds, axis=1)))
         edges = np.unique(np.concatenate([[0], *ends]))
         spread = np.maximum(self.observations.q.std(axis=0), LEAST_SPREAD)
         paths: list[tuple[float, Floats]] = []
@@ -207,11 +207,17 @@ class Log:
         return min(CUT_OFF_HZ, 0.2 / self.step_s)
 
 
-def _middles_of_rests(t: Floats, resting: Bools) -> Ints:
-    """Rows in the middle of each rest that lasts."""
+def _ends_of_motions(t: Floats, resting: Bools) -> Ints:
+    """Rows in the middle of each rest that lasts, with enough motion before it and behind it to be one of its own."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], resting.astype(np.int8), [0]])))
     firsts, lasts = edges[::2], edges[1::2] - 1
-    return np.asarray((firsts + lasts)[t[lasts] - t[firsts] >= REST_S] // 2)
+    moved_s = np.cumsum(np.where(resting, 0.0, np.gradient(t)))
+    ends, before = [], 0.0
+    for row in ((firsts + lasts)[t[lasts] - t[firsts] >= REST_S] // 2).tolist():
+        if min(moved_s[row] - before, moved_s[-1] - moved_s[row]) >= SHORTEST_S:
+            ends.append(row)
+            before = moved_s[row]
+    return np.array(ends, dtype=np.int64)
 
 
 def _is_driven_again(duration: float, path: Floats, known_duration: float, known: Floats) -> bool:

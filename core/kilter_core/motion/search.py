@@ -108,7 +108,7 @@ def unseen_losses(equations: Equations, terms: Sequence[Term], split: Split, wei
     for fold in range(TIME_FOLDS):
         inside = split.folds == fold
         fit = fit_terms(equations, terms, split.train & ~inside, weights)
-        out[inside] = equations.losses(fit.theta, weights)[inside].sum(axis=1)
+        out[inside] = equations.losses(fit.theta, weights, inside).sum(axis=1)
     return out[split.train]
 
 
@@ -216,7 +216,7 @@ def _unseen_size(
 ) -> tuple[float, float]:
     """How large a term is on blocks that no choice saw, as a share of what was fitted, and the standard error of that."""
     torque = equations.squares(trained.theta - without.theta, weights)[split.held]
-    lost = [equations.losses(fit.theta, weights)[split.held].sum(axis=1) for fit in (without, trained)]
+    lost = [equations.losses(fit.theta, weights, split.held).sum(axis=1) for fit in (without, trained)]
     along = 0.5 * (lost[0] - lost[1] + torque)
     size = float(along.sum() / max(torque.sum(), 1e-12))
     return size, float(np.sqrt(np.sum((along - size * torque) ** 2)) / max(torque.sum(), 1e-12))
