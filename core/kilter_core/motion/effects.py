@@ -49,7 +49,8 @@ class MotionEffect:
     """An effect on the torque of one joint; ``columns`` are (N, k) for ``parameters`` with their units (angles in rad).
 
     ``common`` ones belong to every model and are fitted, not searched. ``within`` are the values that
-    physics allows. It may need the ``temperature``, or the ``order`` of a ripple.
+    physics allows. It may need the ``temperature``, or the ``order`` of a ripple. Where it ``follows_model``, its columns
+    are computed anew from the model that has it.
     """
 
     id: str
@@ -61,6 +62,7 @@ class MotionEffect:
     within: tuple[float, float] = (-np.inf, np.inf)
     needs: frozenset[str] = frozenset()
     remedy: str = ""
+    follows_model: bool = False
 
 
 def _one(column: Callable[[JointSignals], Floats]) -> Callable[[JointSignals], Floats]:
@@ -133,6 +135,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         (("share", "1"),),
         _one(lambda s: np.abs(s.load) * s.sign),
         within=(0.0, 0.5),
+        follows_model=True,
         remedy="the same slow motion with the arm stretched and folded, or with and without a payload",
     ),
     MotionEffect(
@@ -151,6 +154,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         (("share", "1"),),
         _one(lambda s: s.model),
         within=(-0.7, 2.0),
+        follows_model=True,
         remedy="the same motion with a known weight on the flange",
     ),
     MotionEffect(
@@ -160,6 +164,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         (("delay", "s"),),
         _one(lambda s: -np.gradient(s.model, s.step_s)),
         within=(-0.2, 0.2),
+        follows_model=True,
         remedy="fast reversals, and both signals on one clock",
     ),
     MotionEffect(
@@ -231,6 +236,7 @@ CARRIED_MASS = MotionEffect(
     (("mass", "kg"), *((f"moment_{x}", "kg m") for x in "xyz"), *((f"inertia_{x}", "kg m2") for x in INERTIAS)),
     _one(lambda s: np.zeros_like(s.q)),
     remedy="the same motions with and without it, and state payload_kg",
+    follows_model=True,
 )
 
 CARRIED_WITH = ("load_friction",)  # what a load changes beside the bodies

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,26 +93,28 @@ def find_missing_torque(
     progress(0.3, "what they leave")
     orders, tried = find_orders(log, first, fit)
     layout = layout.with_candidates(orders, np.unique(first.session[split.train])[1:].tolist())
-    equations = form_equations(layout, log, Known.from_values(first.layout, fit.theta))
-    progress(0.6, "which effects explain it")
-    tests = tried + len(equations.terms)
-    terms = search_terms(equations, split, weights, tests, lambda share: progress(0.6 + 0.1 * share, "which effects"))
-    if any(term.session is not None for term in terms):  # friction follows what is carried too
-        fit = fit_terms(equations, terms, split.train, weights)
-        equations = form_equations(layout, log, Known.from_values(layout, fit.theta))
+    known, earlier = Known.from_values(first.layout, fit.theta), frozenset[Term]()
+    for k in range(PASSES):
+        equations = form_equations(layout, log, known)
+        tests = tried + len(equations.terms)
+        share = _between(progress, 0.6 + 0.1 * k, 0.6 + 0.1 * (k + 1), "which effects explain it")
+        terms = search_terms(equations, split, weights, tests, share)
+        if frozenset(terms) == earlier or not any(term.effect.follows_model for term in terms):
+            break
+        earlier = frozenset(terms)
+        known = Known.from_values(layout, fit_terms(equations, terms, split.train, weights).theta)
         weights = joint_weights(equations, terms, split.train)
-        terms = search_terms(
-            equations, split, weights, tests, lambda share: progress(0.7 + 0.1 * share, "with the load")
-        )
     odd = _find_unexplained(log, equations, split, weights, terms)
     if odd.any():  # they say nothing of the others: a channel without a signal, or one of another joint
         weights = np.where(odd, 0.0, weights)
-        terms = search_terms(
-            equations, split, weights, tests, lambda share: progress(0.8 + 0.1 * share, "without them")
-        )
+        terms = search_terms(equations, split, weights, tests, _between(progress, 0.85, 0.9, "without them"))
     progress(0.9, "motions that were never used")
     judged = judge_terms(equations, split, weights, terms)
     return _report(log, equations, split, weights, terms, judged, pushed, odd)
+
+
+def _between(progress: Progress, low: float, high: float, stage: str) -> Callable[[float], None]:
+    return lambda share: progress(low + (high - low) * share, stage)
 
 
 def _find_unexplained(log: Log, equations: Equations, split: Split, weights: Floats, terms: list[Term]) -> Bools:

@@ -25,7 +25,7 @@ from kilter_core.types import Floats, Ints
 MOST_CARRIED = 60  # columns of masses that are carried in one session; where there are many, only outer links carry
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Term:
     """An effect at a joint (from 0) and its columns of the whole layout; in one ``session``, where it is a mass on a link."""
 
