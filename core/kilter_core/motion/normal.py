@@ -38,7 +38,7 @@ class Equations:
     @property
     def base(self) -> int:
         """Number of columns that all joints share; they come first."""
-        return self.layout.shared
+        return self.layout.n_common_columns
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -71,7 +71,7 @@ class Equations:
             out[:, self.places[j]] += w * (self.products[j][:, :-1] @ v)
         return out
 
-    def summed(self, blocks: Bools, weights: Floats) -> tuple[Floats, Floats]:
+    def sum_blocks(self, blocks: Bools, weights: Floats) -> tuple[Floats, Floats]:
         """Normal matrix (width, width) and right side (width,) of some blocks."""
         width = self.layout.width
         A, b = np.zeros((width, width)), np.zeros(width)

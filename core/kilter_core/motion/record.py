@@ -130,7 +130,7 @@ class Log:
             count = max(1, int(np.ceil((self.t[end - 1] - self.t[start]) / LONGEST_S)))
             for piece in np.array_split(np.arange(start, end), count):
                 if self.t[piece[-1]] - self.t[piece[0]] >= SHORTEST_S:
-                    yield self._part(piece)
+                    yield self._resample_stretch(piece)
 
     def _stretches(self) -> Iterator[tuple[int, int]]:
         """First row of each stretch without a gap, and the one behind its last."""
@@ -172,7 +172,7 @@ class Log:
                 reached = np.maximum(reached, np.quantile(rate, 0.95, axis=0))
         return np.minimum(REST_RAD_S, np.maximum(REST_SHARE * reached, 1e-4))
 
-    def _part(self, piece: Ints) -> Part:
+    def _resample_stretch(self, piece: Ints) -> Part:
         obs, t = self.observations, self.t[piece]
         clock = np.arange(t[0], t[-1], self.step_s)
         tau = self.tau[piece]
