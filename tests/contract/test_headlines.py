@@ -168,6 +168,7 @@ def test_a_check_says_what_it_found_and_what_to_do() -> None:
 
 def test_ranges_are_rounded_outward_and_joints_are_counted_up() -> None:
     assert format_range(0.04612, 0.0638) == "0.046-0.064"
+    assert format_range(1.9982, 2.0056) == "1.998-2.006"
     assert format_range(-0.0701, -0.0672) == "-0.071 to -0.067"
     assert format_range(-3.0, 12.4) == "-3 to 13"
     assert [format_joints(one) for one in ([2], [2, 3], [1, 3, 4, 5], [7, 8, 9])] == [

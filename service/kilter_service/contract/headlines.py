@@ -93,9 +93,11 @@ def format_joints(joints: Sequence[int]) -> str:
 
 
 def format_range(low: float, high: float) -> str:
-    """Write a range rounded outward, to two digits of its larger end."""
-    largest = max(abs(low), abs(high))
+    """Write a range rounded outward, to two digits of its larger end; to at most two more where it is narrower than these."""
+    largest, width = max(abs(low), abs(high)), high - low
     places = 1 - math.floor(math.log10(largest)) if largest else 0
+    if width > 0.0:
+        places += min(max(-math.floor(math.log10(width)) - places, 0), 2)
     step = 10.0**-places
     ends = [math.floor(low / step + 1e-9) * step, math.ceil(high / step - 1e-9) * step]
     first, last = (f"{end + 0.0:.{max(places, 0)}f}" for end in ends)
