@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from kilter_client.cli.terminal.output import print_line
+from kilter_client.cli.reports.next_step import PLACEHOLDER, format_next, suggest_after_today
+from kilter_client.cli.terminal.output import print_line, print_lines
 from kilter_client.cli.terminal.session_notes import is_note_due
 from kilter_client.cli.terminal.tables import number, show_list, show_rows
 
@@ -24,6 +25,7 @@ def show_active(server: str, state: str, document: Mapping[str, Any]) -> None:
             print_line(f"warning: {warning['message']}")
     _show_preview(document.get("preview"))
     _show_comparison(document["id"], document.get("compared"))
+    print_lines(format_next("correct", document["robot"], PLACEHOLDER, "-o", "corrected.csv"))
 
 
 def _show_preview(preview: Mapping[str, Any] | None) -> None:
@@ -74,5 +76,5 @@ def show_activations(document: Mapping[str, Any]) -> None:
 
 def show_today(document: Mapping[str, Any]) -> None:
     """Print how good a robot is today, in the server's words."""
-    for sentence in document["sentences"]:
-        print_line(sentence)
+    print_lines(document["sentences"])
+    print_lines(suggest_after_today(document))
