@@ -75,7 +75,7 @@ def test_every_command_of_the_contract_is_there() -> None:
         "joint-parameters", "payload", "repair",
         *(f"mesh {verb}" for verb in ("list", "set", "from-urdf", "remove")),
         *(f"fleet {verb}" for verb in ("identify", "list", "show", "watch", "cancel")),
-        "jobs list", "jobs show", "jobs watch", "jobs cancel", "version show", "activate", "rollback", "diff",
+        "jobs list", "jobs show", "jobs watch", "jobs cancel", "server demo", "version show", "activate", "rollback", "diff",
         "residuals", "activations", "export", "correct", "status", "suspicious", "today", "accept", "stream-session",
         "twin compare", "twin onto", "twin read", "homing",
         "effects", "methods", "presets", "formats", "columns", "try",

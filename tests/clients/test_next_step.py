@@ -9,6 +9,7 @@ import re
 import shlex
 import socket
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -126,8 +127,8 @@ def test_names_are_not_waited_for_where_a_server_hangs(
         assert name_ids(text) == text
         waited = time.monotonic() - begun
         silent.settimeout(0.2)
-        with pytest.raises(TimeoutError):
-            while True:
+        with suppress(TimeoutError):
+            while asked < 40:
                 silent.accept()[0].close()
                 asked += 1
     assert asked == 1  # not once for each of forty
