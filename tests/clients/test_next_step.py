@@ -29,7 +29,7 @@ class Person:
     """Types commands, and reads which one comes next; no id of a version or a campaign is ever shown to it."""
 
     def __init__(self, capsys: Capture) -> None:
-        self._capsys = capsys
+        self._capsys, self.said = capsys, ""
 
     def __call__(self, *words: object, codes: tuple[int, ...] = (0,)) -> list[str]:
         """Run a command and return the words of the one that its answer names."""
@@ -39,6 +39,7 @@ class Person:
         out, err = self._capsys.readouterr()
         assert code in codes, f"kilter {shlex.join(typed)}: {code}\n{out}{err}"
         assert not ID.search(out + err), out + err
+        self.said = " ".join(out.split())
         (line,) = re.findall(r"Next(?:, if that is right)?: kilter (.*(?:\n  .*)*)", out) or [""]
         return shlex.split(line)
 
@@ -75,9 +76,14 @@ def test_a_person_who_types_what_each_answer_names_calibrates_an_arm(
     assert first in (["activate", "next", "v1"], step)  # whether more than noise is left
     activate = person.follow(step, "gap next", more=tuple(QUICK))
     assert person("version", "show", "next", "v2") == activate
+    assert "corrects backlash" in person.said
     assert person("version", "evaluate", "next", "-c", "unseen", "--version", "next v2") == activate
     step = person.follow(activate, "activate next v2")
+    ((poses, before, after),) = re.findall(r"on (\d+) poses that no fit used: (\S+) -> (\S+) mm\.", person.said)
+    assert int(poses) == 24
+    assert float(after) < 0.2 * float(before)
     step = person.follow(step, "correct next FILE -o corrected.csv", "path.csv")
+    assert "corrected.csv: 6 rows, corrected with next v2" in person.said
     person.follow(step, "plan check next", more=("--poses", "6"))
     evaluate = person("upload", "next", "unseen.csv", "--name", "unseen", "--role", "validation")
     today = person.follow(evaluate, "version evaluate next --campaign unseen")
@@ -87,6 +93,8 @@ def test_a_person_who_types_what_each_answer_names_calibrates_an_arm(
     assert person("check", "next", "same.csv") == today
     assert person.follow(today, "today next")[:2] == ["plan", "check"]
     rezero = person("check", "next", "hit.csv", codes=(3,))
+    assert person.said.startswith("moved: zero of joint 3 by 0.1")
+    assert 0.5 < float(re.findall(r"Measured and predicted are (\S+) mm apart", person.said)[0]) < 3.0  # 2 mrad at 1 m
     assert person("server", "jobs", "show", "latest", "--robot", "next") == rezero
     assert person("today", "next") == rezero
     person.follow(rezero, "watch rezero next --campaign hit.csv")

@@ -148,7 +148,7 @@ def _show_written(told: dict[str, Any], content: Corrected, as_json: bool) -> No
         "u95": content.u95,
     }
     lines = [
-        f"{told['output']}: {rows or len(content)} {'rows' if rows else 'bytes'}",
+        f"{told['output']}: {rows or len(content)} {'rows' if rows else 'bytes'}, corrected with {told['version_id']}",
         *format_next("plan", "check", told["robot"]),
     ]
     emit(document, as_json, lambda _: print_lines(lines))

@@ -24,6 +24,7 @@ MEASURES = (
     ("orientation_deg", "orientation deg"),
 )
 
+MASSES = "load_error"  # carried beside effects that follow loads: nobody asks for it
 MOST_CHANGES = 8  # that planned poses show, of a table
 
 
@@ -90,6 +91,8 @@ def show_version(version: dict[str, Any], details: bool = True) -> None:
     print_line(f"version {version['id']} of {version.get('robot')}, made {str(version.get('created_at'))[:16]}")
     started = f", started from {version['parent_id']}" if version["parent_id"] else ""
     print_line(f"  {'active' if version['active'] else 'not active'}, made by job {version['job_id']}{started}")
+    effects = [name.replace("_", " ") for name in version.get("effects") or () if name != MASSES]
+    print_line(f"  corrects {', '.join(effects) or 'geometry alone'}")
     for objection in version.get("objections") or ():
         print_line(f"  not fit to correct with: {objection['message']}")
     for campaign in version["campaigns"]:
