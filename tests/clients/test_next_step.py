@@ -102,22 +102,22 @@ def test_a_person_who_types_what_each_answer_names_calibrates_an_arm(
 
 def test_lists_and_errors_name_what_has_an_id(server: Path, capsys: Capture, tmp_path: Path) -> None:
     arm, person = ArmWithPlay(6, seed=12), Person(capsys)
-    (tmp_path / "named.urdf").write_text(arm.urdf())
+    (tmp_path / "called.urdf").write_text(arm.urdf())
     (tmp_path / "rows.csv").write_text(arm.measured(40, 1))
-    person("robot", "add", tmp_path / "named.urdf", "--base-link", "link_0", "--tip-link", "ball", "--name", "named")
-    person("upload", "named", tmp_path / "rows.csv", "--name", "rows")
-    person("identify", "named", "-c", "rows", "--name", "first")
-    for words in (("measure", "campaigns", "named"), ("version", "list", "named"), ("server", "jobs")):
+    person("robot", "add", tmp_path / "called.urdf", "--base-link", "link_0", "--tip-link", "ball", "--name", "called")
+    person("upload", "called", tmp_path / "rows.csv", "--name", "rows")
+    person("identify", "called", "-c", "rows", "--name", "first")
+    for words in (("measure", "campaigns", "called"), ("version", "list", "called"), ("server", "jobs")):
         person(*words)
     with Kilter() as kilter:
-        (version,), (campaign,) = kilter.versions.list("named"), kilter.campaigns.list("named")
-        (job,) = kilter.jobs.list("named")
-    assert name_ids(f"{version['id']} of {job['id']}, {campaign['id']} 'rows'.") == "named v1 of first, rows."
+        (version,), (campaign,) = kilter.versions.list("called"), kilter.campaigns.list("called")
+        (job,) = kilter.jobs.list("called")
+    assert name_ids(f"{version['id']} of {job['id']}, {campaign['id']} 'rows'.") == "called v1 of first, rows."
     assert name_ids("cmp_0123456789abcdef") == "cmp_0123456789abcdef"  # nobody's
     person("version", "retire", version["id"])
     capsys.readouterr()
     assert run(["activate", version["id"]]) == 1
-    assert "named v1 is retired" in capsys.readouterr().err
+    assert "called v1 is retired" in capsys.readouterr().err
     assert run(["activate", version["id"], "--json"]) == 1
     assert version["id"] in capsys.readouterr().out
 

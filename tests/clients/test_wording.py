@@ -28,11 +28,13 @@ def refused(capsys: Capture, *arguments: object, code: int = 1) -> str:
     assert run(given) == code
     said = capsys.readouterr().err.splitlines()[-1]
     assert said.startswith("Error: ")
+    assert not re.search(r"\b(?:ver|cmp)_[1-9a-f][0-9a-f]{15}\b", said) or code == 2  # names, but where a command needs an id
     assert run([*given, "--json"]) == code
     problem = json.loads(capsys.readouterr().out)
-    assert problem["detail"] == said.removeprefix("Error: ")
+    ids = re.compile(r"(?:ver|cmp)_[0-9a-f]{16}(?: '[^']+')?")
+    assert all(part in said for part in ids.split(problem["detail"]))  # the same, with ids
     assert not OF_A_REQUEST.search(problem["detail"]), problem["detail"]
-    return str(problem["detail"])
+    return said.removeprefix("Error: ")
 
 
 def test_every_route_that_a_refusal_names_has_its_command() -> None:
@@ -134,13 +136,12 @@ def test_names(robot: str, campaign: str, write_campaign: Write, capsys: Capture
 def test_a_purge_of_what_is_cited(robot: str, campaign: str, kilter: Kilter, capsys: Capture) -> None:
     assert run(["identify", robot, "--campaign", campaign, "--level", "1"]) == 0
     whole = kilter.campaigns.resolve_id(campaign, robot)
-    version = kilter.versions.resolve_id("latest", robot)
     kilter.campaigns.change(whole, name="only this")
     assert f"is {whole}. Give that" in refused(capsys, "campaigns", "purge", "only this", "--yes", code=2)
     assert "`kilter measure campaigns list ROBOT` lists them" in refused(
         capsys, "campaigns", "purge", "nobody", "--yes", code=2
     )
-    assert version in refused(capsys, "campaigns", "purge", whole, "--yes")
+    assert f"is cited by {robot} v1: purge" in refused(capsys, "campaigns", "purge", whole, "--yes")
     assert "1 campaign" in refused(capsys, "robot", "purge", robot, "--yes")
 
 

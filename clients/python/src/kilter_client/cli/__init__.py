@@ -15,6 +15,8 @@ from kilter_client.cli.terminal.name_words import begin_command, name_ids
 from kilter_client.cli.terminal.output import note, report_error, report_usage
 from kilter_client.errors import KilterError, UsageError
 
+CALLED_ALIKE = ("reference_ambiguous", "retired")  # errors about what may be called as something else is
+
 app = typer.Typer(
     name="kilter",
     help="Work with a Kilter server: describe robots, upload measurements, identify, and correct.\n\n"
@@ -85,7 +87,8 @@ def run(arguments: Sequence[str]) -> int:
         from kilter_client.cli.terminal.wording import rephrase_error
 
         error = rephrase_error(error, arguments)
-        error.detail = error.detail if as_json else name_ids(error.detail)
+        if not as_json:
+            error.detail = name_ids(error.detail, versions_only=error.code in CALLED_ALIKE)
         report_error(error, as_json)
         return 1
     except typer.TyperException as error:

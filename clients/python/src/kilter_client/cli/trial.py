@@ -35,7 +35,7 @@ Measured = Annotated[
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
     app.command("try", epilog="Example: kilter try measured.csv --robot katana450-chapter5")(try_files)
-    app.command(epilog="Example: kilter demo")(demo)
+    app.command(epilog="Example: kilter server demo")(demo)
 
 
 def try_files(

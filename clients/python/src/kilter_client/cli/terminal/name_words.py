@@ -22,9 +22,14 @@ _names: dict[str, str] = {}
 _unasked = [True]  # empty: the server did not answer
 
 
-def name_ids(text: str) -> str:
-    """Return a text with names instead of ids, said once; an id that the server does not know stays."""
+def name_ids(text: str, versions_only: bool = False) -> str:
+    """Return a text with names instead of ids, said once; an id that the server does not know stays.
+
+    ``versions_only``: where a name would not do, as of two campaigns called alike.
+    """
     for key in dict.fromkeys(ID.findall(text)):
+        if versions_only and not key.startswith("ver_"):
+            continue
         word = _names.get(key) or _ask(key)
         if not key.startswith("ver_"):
             plain = "".join(shlex.split(word))
