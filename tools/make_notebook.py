@@ -50,7 +50,7 @@ def _link_from_examples(text: str) -> str:
 
 
 def _cell(number: int, kind: str, text: str) -> dict[str, Any]:
-    ran = {"execution_count": None, "outputs": []} if kind == "code" else {}
+    ran: dict[str, Any] = {"execution_count": None, "outputs": []} if kind == "code" else {}
     source = text.splitlines(keepends=True)
     return {"cell_type": kind, "id": f"part-{number}", "metadata": {}, **ran, "source": source}
 

@@ -28,7 +28,8 @@ def refused(capsys: Capture, *arguments: object, code: int = 1) -> str:
     assert run(given) == code
     said = capsys.readouterr().err.splitlines()[-1]
     assert said.startswith("Error: ")
-    assert not re.search(r"\b(?:ver|cmp)_[1-9a-f][0-9a-f]{15}\b", said) or code == 2  # names, but where a command needs an id
+    # Names, but where a command needs an id.
+    assert code == 2 or not re.search(r"\b(?:ver|cmp)_[1-9a-f][0-9a-f]{15}\b", said)
     assert run([*given, "--json"]) == code
     problem = json.loads(capsys.readouterr().out)
     ids = re.compile(r"(?:ver|cmp)_[0-9a-f]{16}(?: '[^']+')?")
