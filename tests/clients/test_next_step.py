@@ -70,6 +70,7 @@ def test_a_person_who_types_what_each_answer_names_calibrates_an_arm(
     step = person.follow(step, "robot add next.urdf --payload-kg 0.0 --base-link link_0 --tip-link ball --name next")
     step = person.follow(step, "upload next FILE", "grid (1).csv")
     assert step == ["gap", "next", "--campaign", "grid (1).csv"]
+    assert "campaign 'grid (1).csv': 105 rows; nothing looks wrong with them." in person.said
     step = person("upload", "next", "unseen.csv", "--name", "unseen", "--role", "validation")
     assert step == ["gap", "next", "--campaign", "grid (1).csv", "--validation", "unseen"]
     first = person("identify", "next", "-c", "grid (1).csv", "-v", "unseen")
@@ -83,7 +84,7 @@ def test_a_person_who_types_what_each_answer_names_calibrates_an_arm(
     assert int(poses) == 24
     assert float(after) < 0.2 * float(before)
     step = person.follow(step, "correct next FILE -o corrected.csv", "path.csv")
-    assert "corrected.csv: 6 rows, corrected with next v2" in person.said
+    assert re.search(r"corrected.csv: 6 rows, largest change \S+ mm.*; corrected with next v2\.", person.said)
     person.follow(step, "plan check next", more=("--poses", "6"))
     evaluate = person("upload", "next", "unseen.csv", "--name", "unseen", "--role", "validation")
     today = person.follow(evaluate, "version evaluate next --campaign unseen")

@@ -82,10 +82,7 @@ class Corrected(bytes):
         if self.media_type not in (CSV_TYPE, JSON_TYPE):
             return f"corrected trajectory: {len(self)} bytes of {self.media_type}{left}"
         told = ", ".join(f"{count} {name}" for name, count in self.status.items())
-        change = _largest(self.rows, "dx_mm", "dy_mm", "dz_mm")
-        # Of rows that are OK no more is left than the version states of itself.
-        kept = f", most left {_largest(self.rows, 'left_mm')}" if self.status.keys() & {"DAMPED", "LIMITED"} else ""
-        return f"corrected trajectory: {len(self.rows)} rows ({told}), largest change {change}{kept}{left}"
+        return f"corrected trajectory: {len(self.rows)} rows ({told}){describe_changes(self)}{left}"
 
     def __str__(self) -> str:
         return repr(self)
@@ -94,6 +91,17 @@ class Corrected(bytes):
         if self.media_type not in (CSV_TYPE, JSON_TYPE):
             return html_table((), (), repr(self))
         return self.rows._repr_html_()
+
+
+def describe_changes(corrected: Corrected) -> str:
+    """Say how far the tool was moved at most, and what is left of the error, as the end of a sentence; CSV and JSON alone."""
+    if corrected.media_type not in (CSV_TYPE, JSON_TYPE):
+        return ""
+    rows = corrected.rows
+    # Of rows that are OK no more is left than the version states of itself.
+    left = {"DAMPED", "LIMITED"} & set(rows.to_dict().get("status", ()))
+    kept = f", most left {_largest(rows, 'left_mm')}" if left else ""
+    return f", largest change {_largest(rows, 'dx_mm', 'dy_mm', 'dz_mm')}{kept}"
 
 
 def _largest(rows: Rows, *names: str) -> str:

@@ -147,11 +147,15 @@ def _show_written(told: dict[str, Any], content: Corrected, as_json: bool) -> No
         "notes": list(content.notes),
         "u95": content.u95,
     }
-    lines = [
-        f"{told['output']}: {rows or len(content)} {'rows' if rows else 'bytes'}, corrected with {told['version_id']}",
-        *format_next("plan", "check", told["robot"]),
-    ]
-    emit(document, as_json, lambda _: print_lines(lines))
+
+    def show(_: dict[str, Any]) -> None:
+        from kilter_client.results.corrected import describe_changes
+
+        count = f"{rows} rows{describe_changes(content)}" if rows else f"{len(content)} bytes"
+        print_line(f"{told['output']}: {count}; corrected with {told['version_id'] or 'no version'}.")
+        print_lines(format_next("plan", "check", told["robot"]))
+
+    emit(document, as_json, show)
 
 
 def _remark(content: Corrected, status: Mapping[str, int], as_json: bool, known: str) -> None:

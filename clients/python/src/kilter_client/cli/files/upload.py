@@ -352,6 +352,7 @@ def _print_file_notes(file: Path, prepared: Prepared, as_json: bool) -> None:
 
 def _show_upload(robot: str, done: dict[str, Any]) -> None:
     known = "" if done.get("new", True) else ", there already"
-    print_line(f"campaign {done['campaign_id']}: {done['rows']} rows{known} (sha256 {done['sha256'][:12]})")
+    fine = "" if done["warnings"] else "; nothing looks wrong with them"
+    print_line(f"campaign {done['campaign_id']}: {done['rows']} rows{known}{fine}.")
     with Kilter() as kilter:
         print_lines(suggest_after_upload(kilter, robot, done["campaign_id"]))

@@ -8,6 +8,7 @@ from operator import itemgetter
 from typing import Any
 
 from kilter_client import Kilter
+from kilter_client.cli.terminal.name_words import name_ids
 
 Document = Mapping[str, Any]
 PLACEHOLDER = "FILE"  # of the person's own
@@ -15,7 +16,7 @@ PLACEHOLDER = "FILE"  # of the person's own
 
 def format_next(*words: str, when: str = "") -> list[str]:
     """Return the line that names a command, its words quoted as a shell needs them, and ``when`` it is next."""
-    return [f"Next{when}: kilter {shlex.join(words)}"]
+    return [f"Next{when}: kilter {name_ids(shlex.join(words))}"]
 
 
 def suggest_after_job(kilter: Kilter, job: Document) -> list[str]:

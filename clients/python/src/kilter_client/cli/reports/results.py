@@ -90,7 +90,7 @@ def show_version(version: dict[str, Any], details: bool = True) -> None:
     """Print a version, its parameters and what is next; without ``details`` its errors and what speaks against it."""
     print_line(f"version {version['id']} of {version.get('robot')}, made {str(version.get('created_at'))[:16]}")
     started = f", started from {version['parent_id']}" if version["parent_id"] else ""
-    print_line(f"  {'active' if version['active'] else 'not active'}, made by job {version['job_id']}{started}")
+    print_line(f"  {'active' if version['active'] else 'not active'}, made by {version['job_id']}{started}")
     effects = [name.replace("_", " ") for name in version.get("effects") or () if name != MASSES]
     print_line(f"  corrects {', '.join(effects) or 'geometry alone'}")
     for objection in version.get("objections") or ():
