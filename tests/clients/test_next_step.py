@@ -115,6 +115,9 @@ def test_lists_and_errors_name_what_has_an_id(server: Path, capsys: Capture, tmp
         (job,) = kilter.jobs.list("called")
     assert name_ids(f"{version['id']} of {job['id']}, {campaign['id']} 'rows'.") == "called v1 of first, rows."
     assert name_ids("cmp_0123456789abcdef") == "cmp_0123456789abcdef"  # nobody's
+    person("measure", "campaigns", "name", "rows", "new rows", "--robot", "called")
+    person("version", "show", "called", "v1")
+    assert "train: campaign 'new rows'," in person.said  # not as it was called then
     person("version", "retire", version["id"])
     capsys.readouterr()
     assert run(["activate", version["id"]]) == 1

@@ -20,7 +20,7 @@ CALLED_ALIKE = ("reference_ambiguous", "retired")  # errors about what may be ca
 app = typer.Typer(
     name="kilter",
     help="Work with a Kilter server: describe robots, upload measurements, identify, and correct.\n\n"
-    "First time: robot add, upload, gap, activate, correct, check.\n\n"
+    "First time: robot add, upload, gap, activate, correct, check. To see it work on a simulated arm: kilter demo.\n\n"
     "The server is the one of KILTER_URL, else the one running on this machine. "
     "Every command takes --json: one JSON document on stdout and nothing else. "
     "`kilter COMMAND --help` shows its options and an example.",

@@ -90,7 +90,7 @@ def demo(
 
 
 def _need_server(command: str) -> None:
-    if find_spec("kilter_service") is None:
+    if getattr(find_spec("kilter_service"), "origin", None) is None:  # a folder that was left behind has none
         raise UsageError(
             f"kilter {command} runs a server for a while, and it is not installed here: pip install kilter."
         )

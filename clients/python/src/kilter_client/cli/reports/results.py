@@ -96,7 +96,7 @@ def show_version(version: dict[str, Any], details: bool = True) -> None:
     for objection in version.get("objections") or ():
         print_line(f"  not fit to correct with: {objection['message']}")
     for campaign in version["campaigns"]:
-        print_line(f"  {campaign['use']}: campaign {campaign['name'] or campaign['id']}, {campaign['rows']} rows")
+        print_line(f"  {campaign['use']}: campaign {campaign['id']}, {campaign['rows']} rows")
     if not details:
         show_answer(version, suggest_for_version(version))
         return

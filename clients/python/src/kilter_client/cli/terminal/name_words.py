@@ -40,11 +40,11 @@ def name_ids(text: str, versions_only: bool = False) -> str:
 
 
 def remember_names(document: Any) -> None:
-    """Learn the names in a document of the server, so that nobody asks for them."""
+    """Learn the names in a document of the server, so that nobody asks for them; what a version cites may be renamed."""
     for one in document.values() if isinstance(document, Mapping) else document:
         if isinstance(one, Mapping | list | tuple):
             remember_names(one)
-    if isinstance(document, Mapping) and ID.fullmatch(str(document.get("id"))) and "name" in document:
+    if isinstance(document, Mapping) and ID.fullmatch(str(document.get("id"))) and {"name", "robot"} <= document.keys():
         _names[document["id"]] = _word(document["id"], document)
 
 
