@@ -32,7 +32,7 @@ def refused(capsys: Capture, *arguments: object, code: int = 1) -> str:
     assert code == 2 or not re.search(r"\b(?:ver|cmp)_[1-9a-f][0-9a-f]{15}\b", said)
     assert run([*given, "--json"]) == code
     problem = json.loads(capsys.readouterr().out)
-    ids = re.compile(r"(?:ver|cmp)_[0-9a-f]{16}(?: '[^']+')?")
+    ids = re.compile(r"(?:, )?(?:ver|cmp)_[0-9a-f]{16}(?: '[^']+')?")
     assert all(part in said for part in ids.split(problem["detail"]))  # the same, with ids
     assert not OF_A_REQUEST.search(problem["detail"]), problem["detail"]
     return said.removeprefix("Error: ")
@@ -124,7 +124,7 @@ def test_options_of_other_jobs(robot: str, campaign: str, capsys: Capture) -> No
 def test_names(robot: str, campaign: str, write_campaign: Write, capsys: Capture) -> None:
     file = write_campaign(31, "other.csv")
     taken = refused(capsys, "upload", robot, file, "--name", campaign)
-    assert "has a campaign called 'Montag früh' already" in taken
+    assert "has a campaign called 'Montag früh' already: give another name" in taken
     assert "add to that one with --campaign" in taken
     assert "looks like an id" in refused(capsys, "upload", robot, file, "--name", "cmp_12")
     assert run(["upload", robot, str(file), "--name", "Dienstag"]) == 0

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from kilter_service.contract.comparisons import PairedErrors
 from kilter_service.contract.fits import Covariance, FitDetails, Metrics, NullDirection, Parameter
-from kilter_service.contract.headlines import FAR, HEADLINE, count_noise_left, describe_fit
+from kilter_service.contract.headlines import HEADLINE, NEAR, count_noise_left, describe_fit
 from kilter_service.contract.joints import JointMotions
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.references import RETIRED_AT, TITLE
@@ -197,7 +197,7 @@ class Version(VersionSummary):
         """Add the headline."""
         about = self.details
         self.headline = describe_fit(self.metrics, self.parameters, self.noise_mm, about.noise, about.pixels)
-        self.something_missing = (count_noise_left(self.metrics, self.noise_mm, about.noise) or 0.0) >= FAR
+        self.something_missing = (count_noise_left(self.metrics, self.noise_mm, about.noise) or 0.0) > NEAR
 
 
 class VersionList(Listed):

@@ -126,7 +126,8 @@ def check_name(session: Session, kind: Kind, robot_id: int, name: str, own_id: s
         remedy = f", add to that one with --campaign {others[0].id}" if kind == "campaign" else ""
         retire = "" if kind == "job" else f", or retire that one (kilter {COMMANDS[kind]} retire {others[0].id})"
         raise ServiceError(
-            f"Robot {others[0].robot!r} has a {kind} called {name!r} already: give another name{remedy}{retire}.",
+            f"Robot {others[0].robot!r} has a {kind} called {name!r} already, {others[0].id}: give another name"
+            f"{remedy}{retire}.",
             code="name_taken",
             name=name,
             id=others[0].id,

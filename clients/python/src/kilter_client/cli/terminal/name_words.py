@@ -35,6 +35,7 @@ def name_ids(text: str, versions_only: bool = False) -> str:
             plain = "".join(shlex.split(word))
             for twice in (f"{key} {plain!r}", f"{key} ({plain!r})", f"{key} ({plain})"):
                 text = text.replace(twice, key)
+            text = text.replace(f"called {plain!r} already, {key}", f"called {plain!r} already")
         text = text.replace(key, word)
     return text
 
