@@ -77,7 +77,7 @@ def test_a_person_who_types_what_each_answer_names_calibrates_an_arm(
     assert first in (["activate", "next", "v1"], step)  # whether more than noise is left
     activate = person.follow(step, "gap next", more=tuple(QUICK))
     assert person("version", "show", "next", "v2") == activate
-    assert "corrects backlash" in person.said
+    assert "effects: backlash" in person.said
     assert person("version", "evaluate", "next", "-c", "unseen", "--version", "next v2") == activate
     step = person.follow(activate, "activate next v2")
     ((poses, before, after),) = re.findall(r"on (\d+) poses that no fit used: (\S+) -> (\S+) mm\.", person.said)

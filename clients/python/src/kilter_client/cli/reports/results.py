@@ -92,7 +92,7 @@ def show_version(version: dict[str, Any], details: bool = True) -> None:
     started = f", started from {version['parent_id']}" if version["parent_id"] else ""
     print_line(f"  {'active' if version['active'] else 'not active'}, made by {version['job_id']}{started}")
     effects = [name.replace("_", " ") for name in version.get("effects") or () if name != MASSES]
-    print_line(f"  corrects {', '.join(effects) or 'geometry alone'}")
+    print_line(f"  effects: {', '.join(effects) or 'none, geometry alone'}")
     for objection in version.get("objections") or ():
         print_line(f"  not fit to correct with: {objection['message']}")
     for campaign in version["campaigns"]:
