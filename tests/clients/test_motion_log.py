@@ -96,7 +96,7 @@ def test_an_identification_of_a_log_says_what_searches_it(server: Path, logged: 
 def test_what_is_carried_is_weighed(server: Path, logged: Path, hidden: tuple[Logger, Path], capsys: Capture) -> None:
     logger, _ = hidden
     body = Body(5, 1.8, np.array([0.02, 0.0, 0.05]), np.diag([0.004, 0.004, 0.002]))
-    heavy = Logger(replace(logger.arm, bodies=(*logger.arm.bodies, body)), seed=7)
+    heavy = Logger(replace(logger.arm, bodies=(*logger.arm.bodies, body)), seed=7, extra=logger.extra)
     heavy.rng = np.random.default_rng(70)
     log = heavy.log()
     loaded = logged.with_name("loaded.csv")
@@ -112,3 +112,12 @@ def test_what_is_carried_is_weighed(server: Path, logged: Path, hidden: tuple[Lo
     assert "weighed by two campaigns" in capsys.readouterr().err
     assert run([*asked, "--empty", "other"]) != 0
     assert "not a campaign of this job" in capsys.readouterr().err
+    # A search of both, which nobody told of the weight, names it, where it is and in which campaign.
+    assert run(["gap", "mover", "-c", "without", "-c", "with"]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"^Found: .*carried mass of joint 6 in with \(1\.[78]\d*(-1\.[89]\d*)? kg\)", printed)
+    centre = ["--payload-com-mm", "20,0,50"]
+    assert run(["upload", "mover", str(loaded), "--name", "stated", "--payload-kg", "1.8", *centre]) == 0
+    capsys.readouterr()
+    assert run(["gap", "mover", "-c", "without", "-c", "stated"]) == 0
+    assert "carried mass" not in capsys.readouterr().out

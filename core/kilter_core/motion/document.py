@@ -13,6 +13,7 @@ from kilter_core.motion.search import Judged
 from kilter_core.types import Floats
 
 NORMAL_95 = 1.959964
+SCRAMBLED_SHARE = 0.25  # of all torque; joints without a signal have little
 FEWEST_LATE = 3  # joints, from which a common delay is that of a clock
 IMITATED = "masses, inertias and friction of the model make the same torques in this log"
 
@@ -33,7 +34,7 @@ def to_document(report: MotionReport) -> dict[str, Any]:
         for j in range(report.robot.n_joints)
     ]
     clock = _find_clock(report)
-    judged = () if clock is not None or report.unexplained else report.judged
+    judged = () if clock is not None or _is_scrambled(report) else report.judged
     friction = [one for term, value in report.common for one in _amplitudes(term, value, None, units)]
     return {
         "verdict": "provisional" if any(one.verdict == "provisional" for one in judged) else "not_known",
@@ -68,12 +69,19 @@ def _find_clock(report: MotionReport) -> dict[str, Any] | None:
     return {"code": "torque_clock", "message": message, "delay_s": delay}
 
 
+def _is_scrambled(report: MotionReport) -> bool:
+    """Whether so much torque is not explained that the order of the joints, a sign or a unit must be another."""
+    odd = list(report.unexplained)
+    return bool(report.spread[odd].sum() > SCRAMBLED_SHARE * report.spread.sum())
+
+
 def _effect(one: Judged, units: list[str]) -> dict[str, Any]:
     effect, j = one.term.effect, one.term.joint
     members = [other.id for other in MOTION_EFFECTS if other.physical.id == effect.physical.id]
     return {
         "id": effect.id,
         "joints": [j + 1],
+        "session": one.term.session,
         "seen_joints": [j + 1],
         "verdict": one.verdict,
         "empirical": False,
@@ -134,9 +142,10 @@ def _warnings(report: MotionReport) -> list[dict[str, Any]]:
         found.append({"code": "joints_at_rest", "message": message, "joints": [j + 1 for j in report.resting]})
     odd = [j + 1 for j in report.unexplained]
     if odd:
+        nothing = "" if _is_scrambled(report) else " of them"
         message = (
             f"The model explains little of the torque of joints {', '.join(map(str, odd))}. Compare the order and the signs of "
-            "the joints, the unit and the side of the gear with the robot's description; nothing was named."
+            f"the joints, the unit and the side of the gear with the robot's description; nothing{nothing} was named."
         )
         found.append({"code": "torques_unexplained", "message": message, "joints": odd})
     if report.pushed_s:

@@ -84,7 +84,9 @@ POSITION = PhysicalClass(
 )
 WARMTH = PhysicalClass("friction_by_time", "friction of {joint} that changed with time", ("temperature", "running in"))
 DRIFT = PhysicalClass("torque_drift", "torque of {joint} that drifted", ("bias of the sensor", "temperature"))
-CARRIED = PhysicalClass("carried_mass", "mass that differs between sessions", ("payload", "tool", "fixture"))
+CARRIED = PhysicalClass(
+    "carried_mass", "mass on the link of {joint} that differs between sessions", ("payload", "tool", "fixture")
+)
 
 MOTION_EFFECTS: tuple[MotionEffect, ...] = (
     MotionEffect(
@@ -218,6 +220,17 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         _one(lambda s: s.t),
         remedy="the same motion at the start and at the end",
     ),
+)
+
+INERTIAS = ("xx", "xy", "xz", "yy", "yz", "zz")
+# A mass on a link in one session and not in the first. Its columns are those of the link, at all joints: see the layout.
+CARRIED_MASS = MotionEffect(
+    "carried_mass",
+    "mass",
+    CARRIED,
+    (("mass", "kg"), *((f"moment_{x}", "kg m") for x in "xyz"), *((f"inertia_{x}", "kg m2") for x in INERTIAS)),
+    _one(lambda s: np.zeros_like(s.q)),
+    remedy="the same motions with and without it, and state payload_kg",
 )
 
 CARRIED_WITH = ("load_friction",)  # what a load changes beside the bodies

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
 from scipy.stats import f as fisher
 
 from kilter_core.motion.layout import Term
@@ -17,6 +16,8 @@ PRIOR_SHARE = 3.0  # of the torque of a joint: no base parameter is believed to 
 ITERATIONS = 3
 OWN_SHARE = 0.002  # of a column, that the model must leave of it
 HIDDEN_SHARE = 0.02  # of a column, below which only a very large effect would be seen
+HIDDEN_BLOCKS = 3.0  # over the number of blocks: the same in a short log
+ALIKE_COLUMNS = 1e-10  # of the largest eigenvalue, below which columns of one term count as the same
 JUDGED = 20  # of the terms that gain most
 
 
@@ -56,7 +57,7 @@ def joint_weights(equations: Equations, terms: Sequence[Term], blocks: Bools) ->
     weights = np.where(used, rows / np.where(used, squares, 1.0), 0.0)
     for _ in range(ITERATIONS):
         fit = fit_terms(equations, terms, blocks, weights)
-        left = equations.losses(fit.theta, np.ones_like(weights))[blocks].sum(axis=0)
+        left = equations.losses(fit.theta, np.ones_like(weights), blocks).sum(axis=0)
         least = 1e-12 * squares
         weights = np.where(used, rows / np.maximum(np.where(used, left, 1.0), np.where(used, least, 1.0)), 0.0)
     return weights
@@ -87,7 +88,7 @@ def score_terms(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[T
     A term that the model imitates has nothing of its own left and is passed over.
     """
     A, b = equations.summed(blocks, fit.weights)
-    left = equations.losses(fit.theta, fit.weights)[blocks].sum(axis=0)
+    left = equations.losses(fit.theta, fit.weights, blocks).sum(axis=0)
     found = []
     for term in terms:
         c = term.columns
@@ -97,7 +98,7 @@ def score_terms(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[T
         if not np.trace(M) > OWN_SHARE * np.trace(own):
             continue
         s = b[c] - A[np.ix_(c, fit.columns)] @ fit.theta[fit.columns]
-        value = np.asarray(scipy.linalg.solve(M + 1e-12 * np.trace(M) * np.eye(len(c)), s, assume_a="pos"))
+        value = np.asarray(np.linalg.pinv(M, rcond=ALIKE_COLUMNS, hermitian=True) @ s)
         gain = float(s @ value)
         found.append((gain, Seen(term, value, 1.0, gain, gain / max(float(left[term.joint]), 1e-12)), beta))
     found.sort(key=lambda one: -one[0])
@@ -108,10 +109,11 @@ def score_terms(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[T
 def find_hidden_terms(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[Term]) -> list[Term]:
     """Return terms that the fit imitates in these blocks, so that nothing can be said of them."""
     A, _ = equations.summed(blocks, fit.weights)
+    least = max(HIDDEN_SHARE, HIDDEN_BLOCKS / max(int(np.count_nonzero(blocks)), 1))
     hidden = []
     for term in terms:
         own, across = A[np.ix_(term.columns, term.columns)], A[np.ix_(fit.columns, term.columns)]
-        if np.trace(own - across.T @ fit.inverse @ across) <= HIDDEN_SHARE * np.trace(own):
+        if np.trace(own - across.T @ fit.inverse @ across) <= least * np.trace(own):
             hidden.append(term)
     return hidden
 

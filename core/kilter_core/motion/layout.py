@@ -8,19 +8,42 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.motion.effects import MOTION_EFFECTS, JointSignals, MotionEffect
+from kilter_core.motion.effects import CARRIED_MASS, MOTION_EFFECTS, JointSignals, MotionEffect
 from kilter_core.motion.record import Log, Part
-from kilter_core.motion.regressor import PER_LINK, base_columns, link_elements, rigid_regressor
+from kilter_core.motion.regressor import (
+    PER_LINK,
+    base_columns,
+    joint_behind_link,
+    link_elements,
+    numbers_of_point,
+    rigid_regressor,
+    shown_columns,
+    tool_in_link,
+)
 from kilter_core.types import Floats, Ints
+
+MOST_CARRIED = 60  # columns of masses that are carried in one session; where there are many, only outer links carry
 
 
 @dataclass(frozen=True)
 class Term:
-    """An effect at a joint (from 0) and its columns of the whole layout."""
+    """An effect at a joint (from 0) and its columns of the whole layout; in one ``session``, where it is a mass on a link."""
 
     effect: MotionEffect
     joint: int
     columns: Ints
+    session: int | None = None
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """Of a stretch of a log: columns (N, n, m) that all joints share, torques ``stated (N, n)`` N m of the payload that the
+    log states, and ``tau (N, n)`` without them.
+    """
+
+    columns: Floats
+    stated: Floats
+    tau: Floats
 
 
 @dataclass(frozen=True)
@@ -30,6 +53,7 @@ class Layout:
     Of each joint: the speed that it usually reaches,
     the middle of its range and the order of its ripple. ``mean_t`` s and ``mean_c`` are means of the log.
     In sessions that are ``loaded`` the outermost body carries ten numbers more, whose columns follow the base columns.
+    ``carried`` are columns of the regressor that count in one session only: theirs come next.
     """
 
     robot: Robot
@@ -42,6 +66,7 @@ class Layout:
     mean_t: float
     mean_c: float
     loaded: frozenset[int] = frozenset()
+    carried: tuple[tuple[int, Ints], ...] = ()
 
     @classmethod
     def of_log(cls, robot: Robot, log: Log, loaded: frozenset[int] = frozenset()) -> Layout:
@@ -68,14 +93,23 @@ class Layout:
             mean_c,
             loaded,
         )
-        return bare._with([effect for effect in MOTION_EFFECTS if effect.common])
+        return bare._with_effects([effect for effect in MOTION_EFFECTS if effect.common])
 
-    def with_candidates(self, orders: Sequence[float | None]) -> Layout:
-        """Return the layout with every effect of the library, ripples of these orders."""
-        return replace(self, orders=tuple(orders))._with(MOTION_EFFECTS)
+    def with_candidates(self, orders: Sequence[float | None], sessions: Sequence[int] = ()) -> Layout:
+        """Return the layout with every effect of the library, ripples of these orders, and masses carried in ``sessions``."""
+        most = max(1, MOST_CARRIED // (PER_LINK * max(1, len(sessions))))
+        shown = [shown_columns(self.robot, k) for k in range(len(link_elements(self.robot)))[-most:]]
+        carried = [(session, columns) for session in sessions for columns in shown if len(columns)]
+        return replace(self, orders=tuple(orders), carried=tuple(carried))._with_effects(MOTION_EFFECTS)
 
-    def _with(self, effects: Sequence[MotionEffect]) -> Layout:
+    def _with_effects(self, effects: Sequence[MotionEffect]) -> Layout:
         terms, at = [], self.shared
+        for session, columns in self.carried:
+            shown = tuple(CARRIED_MASS.parameters[c % PER_LINK] for c in columns.tolist())
+            effect = replace(CARRIED_MASS, parameters=shown)
+            joint = joint_behind_link(self.robot, int(columns[0]) // PER_LINK)
+            terms.append(Term(effect, joint, np.arange(at, at + len(shown)), session))
+            at += len(shown)
         for j in range(self.robot.n_joints):
             for effect in effects:
                 if ("temperature" in effect.needs and np.isnan(self.mean_c)) or (
@@ -88,30 +122,45 @@ class Layout:
 
     @property
     def shared(self) -> int:
-        """Number of columns that all joints share; they come first."""
+        """Number of columns that every model has and all joints share; they come first."""
         return len(self.kept) + (PER_LINK if self.loaded else 0)
 
-    def regressor(self, part: Part) -> Floats:
-        """Columns (N, n, shared) of a stretch of the log that all joints share: bodies, and what is carried."""
-        Y = rigid_regressor(self.robot, part.q, part.qd, part.qdd)
-        if not self.loaded:
-            return Y[:, :, self.kept]
-        outermost = PER_LINK * int(np.argmax(link_elements(self.robot)))
-        carried = Y[:, :, outermost : outermost + PER_LINK] * float(part.session in self.loaded)
-        return np.concatenate([Y[:, :, self.kept], carried], axis=2)
+    @property
+    def of_bodies(self) -> int:
+        """Number of columns that all joints share, masses of one session with them."""
+        return self.shared + sum(len(columns) for _, columns in self.carried)
 
-    def joint_columns(self, part: Part, Y: Floats, j: int, known: Known | None) -> Floats:
-        """Columns (N, m) of one joint: those of the base parameters, then its terms in order."""
-        signals = self.signals(part, Y, j, known)
-        return np.concatenate([Y[:, j], *(t.effect.columns(signals) for t in self.terms if t.joint == j)], axis=1)
+    def bodies(self, part: Part) -> Bodies:
+        """Return the columns of a stretch of the log that all joints share: bodies, and what is carried."""
+        Y = rigid_regressor(self.robot, part.q, part.qd, part.qdd)
+        last = int(np.argmax(link_elements(self.robot)))
+        outermost = Y[:, :, PER_LINK * last : PER_LINK * (last + 1)]
+        centre = tool_in_link(self.robot) @ np.append(part.payload_com, 1.0)
+        stated = outermost @ numbers_of_point(part.payload_kg, centre[:3])
+        columns = [Y[:, :, self.kept]]
+        columns += [outermost * float(part.session in self.loaded)] if self.loaded else []
+        columns += [Y[:, :, one] * float(part.session == session) for session, one in self.carried]
+        return Bodies(np.concatenate(columns, axis=2), stated, part.tau - stated)
+
+    def joint_columns(self, part: Part, bodies: Bodies, j: int, known: Known | None) -> Floats:
+        """Columns (N, m) of one joint: those that all joints share, then its terms in order."""
+        signals = self.signals(part, bodies, j, known)
+        return np.concatenate(
+            [bodies.columns[:, j], *(t.effect.columns(signals) for t in self._terms_of_joint(j))], axis=1
+        )
 
     def places(self, j: int) -> Ints:
         """Where the columns of a joint stand in the whole layout."""
-        return np.concatenate([np.arange(self.shared), *(t.columns for t in self.terms if t.joint == j)])
+        return np.concatenate([np.arange(self.of_bodies), *(t.columns for t in self._terms_of_joint(j))])
 
-    def signals(self, part: Part, Y: Floats, j: int, known: Known | None) -> JointSignals:
+    def _terms_of_joint(self, j: int) -> list[Term]:
+        return [t for t in self.terms if t.joint == j and t.session is None]
+
+    def signals(self, part: Part, bodies: Bodies, j: int, known: Known | None) -> JointSignals:
         """Return what effects at a joint read; without a model so far there is no load."""
-        load = np.zeros(len(part.t)) if known is None else Y[:, j] @ known.base
+        load = np.zeros(len(part.t))
+        if known is not None:
+            load = bodies.columns[:, j, : len(known.base)] @ known.base + bodies.stated[:, j]
         warm = np.zeros(len(part.t)) if part.temperature_c is None else part.temperature_c - self.mean_c
         bare = JointSignals(
             part.q[:, j],
@@ -134,7 +183,9 @@ class Layout:
 
 @dataclass(frozen=True)
 class Known:
-    """A model so far: base parameters (p,), and values of the effects that every model has by id and joint."""
+    """A model so far: values (m,) of the columns that all joints share, and of the effects that every model has by id and
+    joint.
+    """
 
     base: Floats
     common: Mapping[tuple[str, int], Floats]
@@ -143,4 +194,4 @@ class Known:
     def from_values(cls, layout: Layout, theta: Floats) -> Known:
         """Return what the values (width,) of a layout say."""
         common = {(t.effect.id, t.joint): theta[t.columns] for t in layout.terms if t.effect.common}
-        return cls(theta[: layout.shared], common)
+        return cls(theta[: layout.of_bodies], common)

@@ -44,9 +44,15 @@ class Equations:
         """Terms that have columns."""
         return self.layout.terms
 
-    def losses(self, theta: Floats, weights: Floats) -> Floats:
-        """Weighted squares (B, n) that the values ``theta (width,)`` leave."""
-        return np.stack([w * self._left(j, theta)[1] for j, w in enumerate(weights)], axis=1)
+    def losses(self, theta: Floats, weights: Floats, blocks: Bools | None = None) -> Floats:
+        """Weighted squares (B, n) that the values ``theta (width,)`` leave, of all blocks or of some."""
+        out = []
+        for j, w in enumerate(weights):
+            v = np.append(-theta[self.places[j]], 1.0)
+            used = np.flatnonzero(v)
+            chosen = self.products[j] if blocks is None else self.products[j][blocks]
+            out.append(w * (chosen[:, used][:, :, used] @ v[used] @ v[used] if w else np.zeros(len(chosen))))
+        return np.stack(out, axis=1)
 
     def squares(self, theta: Floats, weights: Floats) -> Floats:
         """Weighted squares (B,) of the torques that the values ``theta (width,)`` make."""
@@ -60,13 +66,9 @@ class Equations:
         """What is left, along every column (B, width), block by block."""
         out = np.zeros((len(self.motion), self.layout.width))
         for j, w in enumerate(weights):
-            out[:, self.places[j]] += w * self._left(j, theta)[0]
+            v = np.append(-theta[self.places[j]], 1.0)
+            out[:, self.places[j]] += w * (self.products[j][:, :-1] @ v)
         return out
-
-    def _left(self, j: int, theta: Floats) -> tuple[Floats, Floats]:
-        v = np.append(-theta[self.places[j]], 1.0)
-        along = self.products[j] @ v
-        return along[:, :-1], along @ v
 
     def summed(self, blocks: Bools, weights: Floats) -> tuple[Floats, Floats]:
         """Normal matrix (width, width) and right side (width,) of some blocks."""
@@ -80,7 +82,7 @@ class Equations:
 
     def rms(self, theta: Floats, blocks: Bools) -> Floats:
         """Root mean square (n,) of what the values ``theta (width,)`` leave of each torque in some blocks."""
-        squares = self.losses(theta, np.ones(len(self.products)))[blocks].sum(axis=0)
+        squares = self.losses(theta, np.ones(len(self.products)), blocks).sum(axis=0)
         return np.asarray(np.sqrt(np.maximum(squares, 0.0) / np.maximum(self.rows[blocks].sum(axis=0), 1)))
 
     def torque_squares(self, blocks: Bools) -> Floats:
@@ -108,7 +110,7 @@ def form_equations(layout: Layout, log: Log, known: Known | None = None) -> Equa
                 chosen = X[inside[:, j]]
                 sums[j].append(chosen.T @ chosen)
             rows.append(inside.sum(axis=0))
-            motion.append(part.motion)
+            motion.append(part.motion[part.rows][int(np.argmax(block == b))])
             session.append(part.session)
             start_s.append(part.t[0] + b * length)
     places = tuple(layout.places(j) for j in range(n))
@@ -118,6 +120,6 @@ def form_equations(layout: Layout, log: Log, known: Known | None = None) -> Equa
 
 def _smooth_columns(layout: Layout, part: Part, known: Known | None) -> list[Floats]:
     """Of each joint its columns and the torque, filtered and thinned."""
-    Y = layout.regressor(part)
-    columns = (layout.joint_columns(part, Y, j, known) for j in range(layout.robot.n_joints))
-    return [part.smooth(np.column_stack([X, part.tau[:, j]])) for j, X in enumerate(columns)]
+    bodies = layout.bodies(part)
+    columns = (layout.joint_columns(part, bodies, j, known) for j in range(layout.robot.n_joints))
+    return [part.smooth(np.column_stack([X, bodies.tau[:, j]])) for j, X in enumerate(columns)]

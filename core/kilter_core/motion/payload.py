@@ -18,7 +18,7 @@ from kilter_core.motion.fit import covariance, fit_terms, joint_weights
 from kilter_core.motion.layout import Known, Layout
 from kilter_core.motion.normal import Equations, form_equations
 from kilter_core.motion.record import Log
-from kilter_core.motion.regressor import link_elements
+from kilter_core.motion.regressor import tool_in_link
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats
 
@@ -87,7 +87,7 @@ def _refuse_one_sided(equations: Equations, with_load: Bools) -> None:
 
 
 def _in_tool_frame(robot: Robot, numbers: Floats, spread: Floats, left: Floats) -> CarriedBody:
-    tool = _tool_in_body(robot)
+    tool = tool_in_link(robot)
     told = _describe(numbers, tool)
     slopes = np.stack([(_describe(numbers + d, tool) - told) / STEP for d in STEP * np.eye(len(numbers))], axis=1)
     sigma = np.sqrt(np.maximum(np.diag(slopes @ spread @ slopes.T), 0.0))
@@ -112,11 +112,3 @@ def _symmetric(six: Floats) -> Floats:
     for value, (i, k) in zip(six.tolist(), SYMMETRIC, strict=True):
         out[i, k] = out[k, i] = value
     return out
-
-
-def _tool_in_body(robot: Robot) -> Floats:
-    """Pose (4, 4) of the tool in the frame of the outermost body."""
-    T = np.eye(4)
-    for element in robot.chain.elements[max(link_elements(robot)) + 1 :]:
-        T = T @ element.axis.motion(element.value)
-    return np.asarray(T @ robot.T_tool)

@@ -6,9 +6,10 @@ and Poignet 2001), so that a sign of the speed and the friction it makes are smo
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -21,7 +22,7 @@ from kilter_core.types import Bools, Floats, Ints
 BREAK = 5.0  # times the usual step of the clock: a longer one ends a motion
 LONGEST_S = 120.0  # one motion is read in parts of so long: memory stays flat
 SHORTEST_S = 2.0
-FASTEST_HZ = 100.0  # rows that come faster are thinned first: torques are compared far below
+FASTEST_HZ = 50.0  # rows that come faster are thinned first: torques are compared far below
 CUT_OFF_HZ = 5.0
 JOINT_BAND = 4.0  # joints pass a filter so many times as wide, so that their accelerations keep what the torques keep
 ROWS_PER_PERIOD = 4.0  # of the cut-off: rows that come faster repeat each other
@@ -30,17 +31,25 @@ ORDER = 4
 CLIPPED_ROWS = 5  # equal extremes in a row: the drive or its sensor gave no more
 REST_SHARE = 0.02  # of the speed that a joint reaches: slower is at rest
 REST_RAD_S = 0.02
+REST_S = 0.5  # of rest of all joints: one motion ends, another begins
+PATH_POINTS = 51  # by which two motions are compared
+SAME_PATH = 0.02  # of the spread of the joints: a path as near to another is that one again
+SAME_DURATION = 0.05
+LEAST_SPREAD = 1e-3  # rad or m, of a joint that hardly moves
 
 
 @dataclass(frozen=True)
 class Part:
-    """A stretch of one motion: ``t (N,)`` s, joints, speeds, accelerations and torques ``(N, n)`` on an even clock.
+    """A stretch of a log without a gap: ``t (N,)`` s, joints, speeds, accelerations and torques ``(N, n)`` on an even clock.
 
-    ``temperature_c (N,)`` or None. ``usable (N, n)`` are torques that were not clipped.
+    ``motion (N,)`` numbers the motions, ``temperature_c (N,)`` or None. ``usable (N, n)`` are torques that were not clipped.
+    ``payload_kg`` is stated to hang at ``payload_com (3,)`` m in the tool frame.
     """
 
-    motion: int
+    motion: Ints
     session: int
+    payload_kg: float
+    payload_com: Floats
     t: Floats
     q: Floats
     qd: Floats
@@ -72,7 +81,9 @@ class Part:
 
 @dataclass(frozen=True)
 class Log:
-    """Joint logs with torques: ``t (N,)`` s, ``q (N, n)`` rad or m, ``tau (N, n)`` N m or N; ``starts`` of its motions."""
+    """Joint logs with torques: ``t (N,)`` s, ``q (N, n)`` rad or m, ``tau (N, n)`` N m or N; ``starts`` are
+    rows at which its clock breaks.
+    """
 
     observations: Observations
     t: Floats
@@ -82,7 +93,7 @@ class Log:
 
     @classmethod
     def from_observations(cls, observations: Observations) -> Log:
-        """Read a log; a gap of the clock or another session begins another motion.
+        """Read a log; a gap of the clock, another session or a rest of all joints begins another motion.
 
         Raises:
             ObservationError: no clock, no torque, or a clock that does not run. TooFewPosesError: no motion of 2 s.
@@ -114,25 +125,54 @@ class Log:
         return log
 
     def parts(self) -> Iterator[Part]:
-        """Each motion on an even clock, long ones in several parts; what is shorter than 2 s is passed over."""
-        speeds = self._rest_speeds
-        for motion, (start, end) in enumerate(zip(self.starts[:-1], self.starts[1:], strict=True)):
+        """Each stretch on an even clock, long ones in several parts; what is shorter than 2 s is passed over."""
+        for start, end in self._stretches():
             count = max(1, int(np.ceil((self.t[end - 1] - self.t[start]) / LONGEST_S)))
             for piece in np.array_split(np.arange(start, end), count):
                 if self.t[piece[-1]] - self.t[piece[0]] >= SHORTEST_S:
-                    yield self._part(motion, piece, speeds)
+                    yield self._part(piece)
+
+    def _stretches(self) -> Iterator[tuple[int, int]]:
+        """First row of each stretch without a gap, and the one behind its last."""
+        return pairwise(self.starts.tolist())
+
+    @cached_property
+    def motion(self) -> Ints:
+        """Number (N,) of the motion of each row. A path that is driven again is one motion with the first."""
+        ends = [self.starts[1:]]
+        for start, end in self._stretches():
+            if end - start > 2:
+                rate = np.abs(np.gradient(self.observations.q[start:end], self.t[start:end], axis=0))
+                ends.append(start + _ends_of_motions(self.t[start:end], np.all(rate < self._rest_speeds, axis=1)))
+        edges = np.unique(np.concatenate([[0], *ends]))
+        spread = np.maximum(self.observations.q.std(axis=0), LEAST_SPREAD)
+        paths: list[tuple[float, Floats]] = []
+        out = np.empty(len(self.t), dtype=np.int64)
+        for start, end in pairwise(edges.tolist()):
+            path = self._path(start, end) / spread
+            duration = float(self.t[end - 1] - self.t[start])
+            known = (k for k, one in enumerate(paths) if _is_driven_again(duration, path, *one))
+            out[start:end] = next(known, len(paths))
+            if out[start] == len(paths):
+                paths.append((duration, path))
+        return out
+
+    def _path(self, start: int, end: int) -> Floats:
+        """Joints (PATH_POINTS, n) of a motion at even times."""
+        at = np.linspace(self.t[start], self.t[end - 1], PATH_POINTS)
+        return np.stack([np.interp(at, self.t[start:end], one) for one in self.observations.q[start:end].T], axis=1)
 
     @cached_property
     def _rest_speeds(self) -> Floats:
         """Speed (n,) below which each joint counts as at rest."""
         reached = np.zeros(self.tau.shape[1])
-        for start, end in zip(self.starts[:-1], self.starts[1:], strict=True):
+        for start, end in self._stretches():
             if end - start > 2:
                 rate = np.abs(np.gradient(self.observations.q[start:end], self.t[start:end], axis=0))
                 reached = np.maximum(reached, np.quantile(rate, 0.95, axis=0))
         return np.minimum(REST_RAD_S, np.maximum(REST_SHARE * reached, 1e-4))
 
-    def _part(self, motion: int, piece: Ints, rest: Floats) -> Part:
+    def _part(self, piece: Ints) -> Part:
         obs, t = self.observations, self.t[piece]
         clock = np.arange(t[0], t[-1], self.step_s)
         tau = self.tau[piece]
@@ -143,9 +183,12 @@ class Log:
         qd = np.gradient(q, self.step_s, axis=0)
         warm = None if obs.temperature_c is None else np.interp(clock, t, obs.temperature_c[piece])
         session = 0 if obs.session is None else int(obs.session[piece[0]])
+        carried = 0.0 if obs.payload_kg is None else float(obs.payload_kg[piece[0]])
         return Part(
-            motion,
+            self.motion[piece][nearest],
             session,
+            carried,
+            np.zeros(3) if obs.payload_com is None else obs.payload_com[piece[0]],
             clock,
             q,
             qd,
@@ -153,7 +196,7 @@ class Log:
             _interpolate(clock, t, tau),
             warm,
             ~clipped_rows(tau)[nearest],
-            rest,
+            self._rest_speeds,
             self.step_s,
             self.cut_off_hz,
         )
@@ -162,6 +205,26 @@ class Log:
     def cut_off_hz(self) -> float:
         """Above which nothing is compared: 5 Hz, or less where rows are few."""
         return min(CUT_OFF_HZ, 0.2 / self.step_s)
+
+
+def _ends_of_motions(t: Floats, resting: Bools) -> Ints:
+    """Rows in the middle of each rest that lasts, with enough motion before it and behind it to be one of its own."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], resting.astype(np.int8), [0]])))
+    firsts, lasts = edges[::2], edges[1::2] - 1
+    moved_s = np.cumsum(np.where(resting, 0.0, np.gradient(t)))
+    ends, before = [], 0.0
+    for row in ((firsts + lasts)[t[lasts] - t[firsts] >= REST_S] // 2).tolist():
+        if min(moved_s[row] - before, moved_s[-1] - moved_s[row]) >= SHORTEST_S:
+            ends.append(row)
+            before = moved_s[row]
+    return np.array(ends, dtype=np.int64)
+
+
+def _is_driven_again(duration: float, path: Floats, known_duration: float, known: Floats) -> bool:
+    return (
+        abs(duration - known_duration) <= SAME_DURATION * known_duration
+        and float(np.sqrt(np.mean((path - known) ** 2))) < SAME_PATH
+    )
 
 
 def _interpolate(clock: Floats, t: Floats, values: Floats) -> Floats:
@@ -181,6 +244,25 @@ def clipped_rows(tau: Floats) -> Bools:
             if end - start >= CLIPPED_ROWS and np.abs(tau[start, j]) > 0.0:
                 out[start:end, j] = True
     return out
+
+
+def join_logs(parts: Sequence[Observations]) -> Observations:
+    """Stack logs by what a search in torques reads: a payload that is not stated is none, a temperature must all have."""
+    warm = all(one.temperature_c is not None for one in parts)
+    return Observations.concatenate(
+        [
+            Observations(
+                q=one.q,
+                t=one.t,
+                tau=one.tau,
+                session=np.zeros(len(one), dtype=np.int64) if one.session is None else one.session,
+                temperature_c=one.temperature_c if warm else None,
+                payload_kg=np.zeros(len(one)) if one.payload_kg is None else one.payload_kg,
+                payload_com=np.zeros((len(one), 3)) if one.payload_com is None else one.payload_com,
+            )
+            for one in parts
+        ]
+    )
 
 
 def is_log(observations: Observations) -> bool:

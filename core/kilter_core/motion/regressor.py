@@ -85,9 +85,35 @@ def stated_numbers(robot: Robot) -> Floats:
 
 
 def _numbers_of_link(link: Link) -> Floats:
-    c = np.asarray(link.com, dtype=np.float64)
-    about_origin = link.inertia + link.mass * (c @ c * np.eye(3) - np.outer(c, c))
-    return np.array([link.mass, *(link.mass * c), *about_origin[np.triu_indices(3)]])
+    at_centre = numbers_of_point(link.mass, np.asarray(link.com, dtype=np.float64))
+    at_centre[4:] += link.inertia[np.triu_indices(3)]
+    return at_centre
+
+
+def numbers_of_point(mass: float, centre: Floats) -> Floats:
+    """Return the numbers (10,) of a point mass, kg, at ``centre (3,)`` m in the frame of its body."""
+    about_origin = mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    return np.array([mass, *(mass * centre), *about_origin[np.triu_indices(3)]])
+
+
+def joint_behind_link(robot: Robot, link: int) -> int:
+    """Return the joint (from 0) that moves a body last."""
+    element = link_elements(robot)[link]
+    return max(j for j, k in enumerate(robot.chain.primary) if k <= element)
+
+
+def tool_in_link(robot: Robot) -> Floats:
+    """Return the pose (4, 4) of the tool in the frame of the outermost body."""
+    T = np.eye(4)
+    for element in robot.chain.elements[max(link_elements(robot)) + 1 :]:
+        T = T @ element.axis.motion(element.value)
+    return np.asarray(T @ robot.T_tool)
+
+
+def shown_columns(robot: Robot, link: int) -> Ints:
+    """Return the columns of a body that show in the torques by themselves."""
+    own, Y = np.arange(PER_LINK * link, PER_LINK * (link + 1)), _random_regressor(robot)
+    return np.asarray(own[_independent_columns(Y[:, own], float(np.linalg.norm(Y, axis=0).max()))])
 
 
 def base_columns(robot: Robot, seed: int = 0) -> tuple[Ints, Floats]:
@@ -95,21 +121,27 @@ def base_columns(robot: Robot, seed: int = 0) -> tuple[Ints, Floats]:
 
     By QR with pivoting of the regressor at random states within the joints' limits (Gautier 1991).
     """
-    rng = np.random.default_rng(seed)
-    limits = np.clip(robot.limits, -NO_LIMIT_RAD, NO_LIMIT_RAD)
-    shape = (RANDOM_STATES, robot.n_joints)
-    q = rng.uniform(limits[:, 0], limits[:, 1], shape)
-    Y = rigid_regressor(robot, q, rng.normal(size=shape), rng.normal(size=shape)).reshape(-1, PER_LINK * _bodies(robot))
-    R, order = scipy.linalg.qr(Y, mode="r", pivoting=True)
-    size = np.abs(np.diag(R))
-    rank = int(np.count_nonzero(size > SAME * size[0]))
-    kept = np.sort(order[:rank]).astype(np.int64)
+    Y = _random_regressor(robot, seed)
+    kept = _independent_columns(Y)
     K, *_ = np.linalg.lstsq(Y[:, kept], Y, rcond=None)
     return kept, np.asarray(K, dtype=np.float64)
 
 
-def _bodies(robot: Robot) -> int:
-    return len(link_elements(robot))
+def _random_regressor(robot: Robot, seed: int = 0) -> Floats:
+    """Rows of all joints (n RANDOM_STATES, 10 L) at random states within the limits."""
+    rng = np.random.default_rng(seed)
+    limits = np.clip(robot.limits, -NO_LIMIT_RAD, NO_LIMIT_RAD)
+    shape = (RANDOM_STATES, robot.n_joints)
+    q = rng.uniform(limits[:, 0], limits[:, 1], shape)
+    Y = rigid_regressor(robot, q, rng.normal(size=shape), rng.normal(size=shape))
+    return Y.reshape(-1, Y.shape[2])
+
+
+def _independent_columns(Y: Floats, largest: float = 0.0) -> Ints:
+    R, order = scipy.linalg.qr(Y, mode="r", pivoting=True)
+    size = np.abs(np.diag(R))
+    rank = int(np.count_nonzero(size > SAME * max(size[0], largest)))
+    return np.sort(order[:rank]).astype(np.int64)
 
 
 def _wrench_of_numbers(frame: _Frame) -> tuple[Floats, Floats]:

@@ -54,10 +54,10 @@ def _left_over(log: Log, equations: Equations, fit: Fit) -> list[Floats]:
     layout, rows = equations.layout, 0
     found: list[list[Floats]] = [[] for _ in equations.products]
     for part in log.parts():
-        Y, use = layout.regressor(part), (part.moving & part.usable)[part.rows]
+        bodies, use = layout.bodies(part), (part.moving & part.usable)[part.rows]
         for j, one in enumerate(found):
-            model = layout.joint_columns(part, Y, j, None) @ fit.theta[equations.places[j]]
-            left = part.smooth(part.tau[:, j] - model)
+            model = layout.joint_columns(part, bodies, j, None) @ fit.theta[equations.places[j]]
+            left = part.smooth(bodies.tau[:, j] - model)
             one.append(np.stack([part.q[part.rows, j], left])[:, use[:, j]])
         rows += len(use)
         if rows > MOST_ROWS:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import norm
 
 from kilter_core.motion.fit import Fit, Seen, covariance, fit_terms, score_terms
 from kilter_core.motion.layout import Term
@@ -23,10 +24,9 @@ DEVIATIONS = 2.0  # standard errors by which a gain, or one over a rival, must b
 LEAST_SHARE = 0.01  # of the squares left at its joint: a term that explains less is not worth a name
 HELD_SHARE = 1.0 / 3.0
 TIME_FOLDS = 5
-HALVES_APART = 3.0
+ALIKE = 0.0027  # chance that two values of one effect count as different
 SURE = 3.0  # standard errors by which a term is above zero on blocks that no choice saw
 LEAST_UNSEEN = 0.5  # of its size there: below, it makes unseen motions worse or hardly better
-REPLICATED_APART = 3.0
 
 
 @dataclass(frozen=True)
@@ -75,25 +75,31 @@ class Judged:
     verdict: str
 
 
-def split_motions(equations: Equations, seed: int) -> Split:
-    """Hold out a third of the motions; of a single motion its last third."""
-    motions = np.unique(equations.motion)
-    held = np.zeros(len(equations.motion), dtype=bool)
-    if len(motions) > 1:
-        count = max(1, round(HELD_SHARE * len(motions)))
-        chosen = np.random.default_rng(seed).permutation(motions)[:count]
-        held = np.isin(equations.motion, chosen)
-    else:
-        held[int((1.0 - HELD_SHARE) * len(held)) :] = True
+def split_motions(equations: Equations, seed: int, apart: Sequence[int] = ()) -> Split:
+    """Hold out the sessions ``apart``; else a third of the motions, so that each session keeps one that is not held out;
+    where none can be spared, the last third of each session.
+    """
+    held = np.isin(equations.session, apart)
+    motions = np.random.default_rng(seed).permutation(np.unique(equations.motion))
+    for motion in [] if len(apart) else motions.tolist():
+        with_it = held | (equations.motion == motion)
+        kept = all(np.any(~with_it[equations.session == s]) for s in np.unique(equations.session))
+        if kept and len(np.unique(equations.motion[with_it])) <= max(1, round(HELD_SHARE * len(motions))):
+            held = with_it
+    whole = bool(held.any())
+    if not whole:
+        for session in np.unique(equations.session):
+            own = np.flatnonzero(equations.session == session)
+            held[own[int((1.0 - HELD_SHARE) * len(own)) :]] = True
     train = ~held
-    kept = np.unique(equations.motion[train])
+    kept_motions = np.unique(equations.motion[train])
     folds = np.full(len(held), -1)
-    if len(kept) >= TIME_FOLDS:
-        folds[train] = np.searchsorted(kept, equations.motion[train]) % TIME_FOLDS
+    if len(kept_motions) >= TIME_FOLDS:
+        folds[train] = np.searchsorted(kept_motions, equations.motion[train]) % TIME_FOLDS
     else:  # too few whole motions to leave one out: stretches of them
         places = np.flatnonzero(train)
         folds[places] = np.arange(len(places)) * TIME_FOLDS // len(places)
-    return Split(train, held, folds, len(motions) > 1)
+    return Split(train, held, folds, whole)
 
 
 def unseen_losses(equations: Equations, terms: Sequence[Term], split: Split, weights: Floats) -> Floats:
@@ -102,7 +108,7 @@ def unseen_losses(equations: Equations, terms: Sequence[Term], split: Split, wei
     for fold in range(TIME_FOLDS):
         inside = split.folds == fold
         fit = fit_terms(equations, terms, split.train & ~inside, weights)
-        out[inside] = equations.losses(fit.theta, weights)[inside].sum(axis=1)
+        out[inside] = equations.losses(fit.theta, weights, inside).sum(axis=1)
     return out[split.train]
 
 
@@ -210,7 +216,7 @@ def _unseen_size(
 ) -> tuple[float, float]:
     """How large a term is on blocks that no choice saw, as a share of what was fitted, and the standard error of that."""
     torque = equations.squares(trained.theta - without.theta, weights)[split.held]
-    lost = [equations.losses(fit.theta, weights)[split.held].sum(axis=1) for fit in (without, trained)]
+    lost = [equations.losses(fit.theta, weights, split.held).sum(axis=1) for fit in (without, trained)]
     along = 0.5 * (lost[0] - lost[1] + torque)
     size = float(along.sum() / max(torque.sum(), 1e-12))
     return size, float(np.sqrt(np.sum((along - size * torque) ** 2)) / max(torque.sum(), 1e-12))
@@ -221,21 +227,29 @@ def _places(fit: Fit, term: Term) -> Ints:
 
 
 def _halves_agree(equations: Equations, split: Split, weights: Floats, model: Sequence[Term], term: Term) -> bool:
-    """Whether both halves of the log, by motions where there are several, show it alike."""
-    motions = np.unique(equations.motion)
-    order = np.searchsorted(motions, equations.motion) if len(motions) > 1 else np.arange(len(equations.motion))
-    first = order < 0.5 * (order.max() + 1)
+    """Whether both halves of the log, of each session by motions where it has several, show it alike."""
+    first = np.zeros(len(equations.motion), dtype=bool)
+    for session in np.unique(equations.session):
+        own = np.flatnonzero(equations.session == session)
+        motions, place = np.unique(equations.motion[own], return_inverse=True)
+        order = place if len(motions) > 1 else np.arange(len(own))
+        first[own[order < 0.5 * (order.max() + 1)]] = True
     (a, va), (b, vb) = (
         _value_in(equations, weights, model, term, part) for part in (first & split.every, ~first & split.every)
     )
-    return bool(np.all(np.abs(a - b) < HALVES_APART * np.sqrt(va + vb)))
+    return _are_alike(a - b, va + vb)
+
+
+def _are_alike(apart: Floats, variance: Floats) -> bool:
+    """Whether none of some differences (k,) is larger than chance makes the largest of so many."""
+    return bool(np.all(np.abs(apart) < norm.isf(0.5 * ALIKE / len(apart)) * np.sqrt(variance)))
 
 
 def _value_in(
     equations: Equations, weights: Floats, model: Sequence[Term], term: Term, blocks: Bools
 ) -> tuple[Floats, Floats]:
     fit = fit_terms(equations, model, blocks, weights)
-    spread = np.diag(covariance(equations, fit, blocks))
+    spread = np.maximum(np.diag(covariance(equations, fit, blocks)), 0.0)
     return fit.theta[term.columns], spread[_places(fit, term)]
 
 
@@ -244,13 +258,13 @@ def _sessions_that_show(
 ) -> tuple[bool, ...]:
     """Of each session, where there are several, whether it shows the same by itself."""
     sessions = np.unique(equations.session)
-    if len(sessions) < 2:
+    if len(sessions) < 2 or term.session is not None:
         return ()
     shown = []
     for session in sessions:
         own, variance = _value_in(equations, weights, model, term, split.every & (equations.session == session))
-        apart = np.abs(own - value) < REPLICATED_APART * np.sqrt(variance + sigma**2)
-        shown.append(bool(np.all(apart) and np.any(np.abs(own) > REPLICATED_APART * np.sqrt(variance))))
+        seen = bool(np.any(np.abs(own) > SURE * np.sqrt(variance)))
+        shown.append(seen and _are_alike(own - value, variance + sigma**2))
     return tuple(shown)
 
 
@@ -278,10 +292,11 @@ def _verdict(judged: Judged, split: Split) -> str:
     if judged.unseen + DEVIATIONS * judged.unseen_sigma < 1.0 and judged.unseen < LEAST_UNSEEN:
         return "contradicted"
     seen = judged.unseen > max(LEAST_UNSEEN, SURE * judged.unseen_sigma)
-    if not (split.whole and seen and judged.halves_agree):
+    replicated = bool(judged.sessions) and all(judged.sessions)
+    if not (seen and judged.halves_agree and (split.whole or replicated)):
         return "provisional"
     others = [rival.term for rival in judged.rivals]
     same = all(t.joint == judged.term.joint and t.effect.physical.id == judged.term.effect.physical.id for t in others)
     if others:
         return "class_confirmed" if same else "provisional"
-    return "replicated" if judged.sessions and all(judged.sessions) else "confirmed"
+    return "replicated" if replicated else "confirmed"

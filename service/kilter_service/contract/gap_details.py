@@ -188,6 +188,7 @@ class NamedEffect(AtJoints):
         None, description="What the campaign's halves say; null: not asked, or too few poses."
     )
     to_confirm: list[str] | None = Field(None, description="What would raise the verdict, in words.")
+    campaign: str | None = Field(None, description="Campaign that shows it alone, as a mass that it does not state.")
 
 
 class JointTorque(Stored):

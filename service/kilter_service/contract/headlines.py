@@ -144,9 +144,11 @@ def _rows_of_effect(effect: NamedEffect) -> Iterator[_Row]:
 
 def _row(effect: NamedEffect, joints: tuple[int, ...], sure: Sure) -> _Row:
     amounts = [one for one in effect.parameters or () if not joints or _joint(one) in joints]
+    amounts = [one for one in amounts if one.unit == amounts[0].unit]  # of a mass with its moments, the mass
     units = {one.unit or "" for one in amounts}
     moves = effect.moves_mm or 0.0
-    words = _words(effect) + (" (contradicted by unseen poses)" if effect.verdict == "contradicted" else "")
+    words = _words(effect) + (f" in {effect.campaign}" if effect.campaign else "")
+    words += " (contradicted by unseen poses)" if effect.verdict == "contradicted" else ""
     plain = _Row(words, sure, joints, moves=moves)
     if len(units) != 1 or len(amounts) != max(len(joints), 1):
         return plain

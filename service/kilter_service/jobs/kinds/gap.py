@@ -110,7 +110,8 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
     options = _core(job.options)
     rows, validation, confirmation = _rows(job)
     if core_motion.is_log(rows):
-        return _search_torques(job, rows, progress)
+        apart = [one for one in (validation, confirmation) if isinstance(one, Observations)]
+        return _search_torques(job, rows, apart, progress)
     progress(0.0, "fitting the geometry")
     train, held = core_gap.split_held_out_rows(rows, validation, options.seed)
     known = _of_type(job, train)
@@ -137,10 +138,19 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
     return JobOutput(result, replace(version, report={**version.report, "prior": result["prior"]}))
 
 
-def _search_torques(job: JobInput, rows: Observations, progress: Progress) -> JobOutput:
-    """Search a log of joint torques; it makes no version, for it says nothing of where the tool is."""
-    report = core_motion.find_missing_torque(job.robot, rows, core_motion.MotionOptions(job.options.seed), progress)
-    return JobOutput(to_json_types({**core_motion.to_document(report), "start": job.version_id, "version_id": None}))
+def _search_torques(job: JobInput, rows: Observations, apart: list[Observations], progress: Progress) -> JobOutput:
+    """Search logs of joint torques; it makes no version, for it says nothing of where the tool is."""
+    held = [int(session) for one in apart if one.session is not None for session in np.unique(one.session)]
+    options = core_motion.MotionOptions(job.options.seed)
+    every = Observations.concatenate([rows, *apart])
+    report = core_motion.find_missing_torque(job.robot, every, options, progress, held)
+    found = core_motion.to_document(report)
+    starts = np.cumsum([0, *(len(one) for one in job.campaigns.values())])[:-1]
+    assert rows.session is not None
+    names = {int(rows.session[k]): job.names.get(c, c) for c, k in zip(job.campaigns, starts, strict=True)}
+    for effect in found["effects"]:
+        effect["campaign"] = names.get(effect.pop("session"))
+    return JobOutput(to_json_types({**found, "start": job.version_id, "version_id": None}))
 
 
 def _of_type(job: JobInput, rows: Observations) -> KnownType | None:
@@ -216,9 +226,11 @@ def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Obs
     job.refuse_rows_of_start()
     held = job.validation if isinstance(job.validation, dict) else {}
     given = [*job.campaigns.values(), *held.values(), *job.confirmation.values()]
-    parts = iter(renumber_poses_and_sessions(map(_as_session, given) if job.options.refit else given))
+    logs = all(map(core_motion.is_log, given))
+    parts = iter(renumber_poses_and_sessions(map(_as_session, given) if job.options.refit or logs else given))
+    join = core_motion.join_logs if logs else Observations.concatenate
     groups = [[next(parts) for _ in campaigns] for campaigns in (job.campaigns, held, job.confirmation)]
-    rows, others, confirmation = (Observations.concatenate(group) if group else None for group in groups)
+    rows, others, confirmation = (join(group) if group else None for group in groups)
     assert rows is not None
     validation = others if others is not None else job.validation
     assert validation is None or isinstance(validation, Observations | float)
