@@ -12,4 +12,4 @@ build/wheels/bin/python -m pip install --disable-pip-version-check --quiet --con
 build/wheels/bin/python -I tools/try_wheels.py docs/tutorial
 # The client without a server says what to install.
 build/wheels/bin/python -m pip uninstall --yes --quiet kilter
-build/wheels/bin/kilter demo 2>&1 | grep "pip install kilter"
+build/wheels/bin/kilter demo 2>&1 | grep "install the wheels of kilter"

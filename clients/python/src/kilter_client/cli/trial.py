@@ -92,7 +92,8 @@ def demo(
 def _need_server(command: str) -> None:
     if getattr(find_spec("kilter_service"), "origin", None) is None:  # a folder that was left behind has none
         raise UsageError(
-            f"kilter {command} runs a server for a while, and it is not installed here: pip install kilter."
+            f"kilter {command} runs a server for a while, and it is not installed here: install the wheels of kilter and "
+            "kilter_core, or in the repository `pip install ./core ./clients/files .`."
         )
 
 

@@ -149,9 +149,7 @@ def _show_written(told: dict[str, Any], content: Corrected, as_json: bool) -> No
     }
 
     def show(_: dict[str, Any]) -> None:
-        from kilter_client.results.corrected import describe_changes
-
-        count = f"{rows} rows{describe_changes(content)}" if rows else f"{len(content)} bytes"
+        count = f"{rows} rows{content.describe_changes()}" if rows else f"{len(content)} bytes"
         print_line(f"{told['output']}: {count}; corrected with {told['version_id'] or 'no version'}.")
         print_lines(format_next("plan", "check", told["robot"]))
 
