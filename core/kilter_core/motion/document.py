@@ -35,10 +35,10 @@ def to_document(report: MotionReport) -> dict[str, Any]:
     ]
     clock = _find_clock(report)
     judged = () if clock is not None or _is_scrambled(report) else report.judged
-    friction = [one for term, value in report.common for one in _amplitudes(term, value, None, units)]
+    friction = [one for term, value in report.common for one in _list_amplitudes(term, value, None, units)]
     return {
         "verdict": "provisional" if any(one.verdict == "provisional" for one in judged) else "not_known",
-        "effects": [_effect(one, units) for one in judged],
+        "effects": [_describe_effect(one, units) for one in judged],
         "motion": {
             "joints": joints,
             "friction": friction,
@@ -51,7 +51,7 @@ def to_document(report: MotionReport) -> dict[str, Any]:
             {"id": t.effect.id, "joints": [t.joint + 1], "reason": IMITATED, "remedy": f"Record {t.effect.remedy}."}
             for t in report.hidden
         ],
-        "warnings": [*([] if clock is None else [clock]), *_warnings(report)],
+        "warnings": [*([] if clock is None else [clock]), *_list_warnings(report)],
     }
 
 
@@ -75,7 +75,7 @@ def _is_scrambled(report: MotionReport) -> bool:
     return bool(report.spread[odd].sum() > SCRAMBLED_SHARE * report.spread.sum())
 
 
-def _effect(one: Judged, units: list[str]) -> dict[str, Any]:
+def _describe_effect(one: Judged, units: list[str]) -> dict[str, Any]:
     effect, j = one.term.effect, one.term.joint
     members = [other.id for other in MOTION_EFFECTS if other.physical.id == effect.physical.id]
     return {
@@ -97,7 +97,7 @@ def _effect(one: Judged, units: list[str]) -> dict[str, Any]:
             {"id": rival.term.effect.id, "joints": [rival.term.joint + 1], "behind": rival.behind}
             for rival in one.rivals
         ],
-        "parameters": list(_amplitudes(one.term, one.value, one.sigma, units)),
+        "parameters": list(_list_amplitudes(one.term, one.value, one.sigma, units)),
         "held_out_gain": {
             "gain": None,
             "standard_error": None,
@@ -107,7 +107,7 @@ def _effect(one: Judged, units: list[str]) -> dict[str, Any]:
     }
 
 
-def _amplitudes(term: Term, value: Floats, sigma: Floats | None, units: list[str]) -> list[dict[str, Any]]:
+def _list_amplitudes(term: Term, value: Floats, sigma: Floats | None, units: list[str]) -> list[dict[str, Any]]:
     found = []
     for k, (name, unit) in enumerate(term.effect.parameters):
         unit = (
@@ -128,7 +128,7 @@ def _amplitudes(term: Term, value: Floats, sigma: Floats | None, units: list[str
     return found
 
 
-def _warnings(report: MotionReport) -> list[dict[str, Any]]:
+def _list_warnings(report: MotionReport) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = []
     if not report.unseen:
         message = (

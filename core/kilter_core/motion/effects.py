@@ -49,7 +49,8 @@ class MotionEffect:
     """An effect on the torque of one joint; ``columns`` are (N, k) for ``parameters`` with their units (angles in rad).
 
     ``common`` ones belong to every model and are fitted, not searched. ``within`` are the values that
-    physics allows. It may need the ``temperature``, or the ``order`` of a ripple.
+    physics allows. It may need the ``temperature``, or the ``order`` of a ripple. Where it ``follows_model``, its columns
+    are computed anew from the model that has it.
     """
 
     id: str
@@ -61,9 +62,10 @@ class MotionEffect:
     within: tuple[float, float] = (-np.inf, np.inf)
     needs: frozenset[str] = frozenset()
     remedy: str = ""
+    follows_model: bool = False
 
 
-def _one(column: Callable[[JointSignals], Floats]) -> Callable[[JointSignals], Floats]:
+def _single_column(column: Callable[[JointSignals], Floats]) -> Callable[[JointSignals], Floats]:
     return lambda signals: column(signals)[:, None]
 
 
@@ -90,16 +92,25 @@ CARRIED = PhysicalClass(
 
 MOTION_EFFECTS: tuple[MotionEffect, ...] = (
     MotionEffect(
-        "torque_offset", "offset", OFFSET, (("offset", "N m"),), _one(lambda s: np.ones_like(s.q)), common=True
+        "torque_offset",
+        "offset",
+        OFFSET,
+        (("offset", "N m"),),
+        _single_column(lambda s: np.ones_like(s.q)),
+        common=True,
     ),
-    MotionEffect("coulomb", "Coulomb friction", SPEED, (("friction", "N m"),), _one(lambda s: s.sign), common=True),
-    MotionEffect("viscous", "viscous friction", SPEED, (("damping", "N m s/rad"),), _one(lambda s: s.qd), common=True),
+    MotionEffect(
+        "coulomb", "Coulomb friction", SPEED, (("friction", "N m"),), _single_column(lambda s: s.sign), common=True
+    ),
+    MotionEffect(
+        "viscous", "viscous friction", SPEED, (("damping", "N m s/rad"),), _single_column(lambda s: s.qd), common=True
+    ),
     MotionEffect(
         "stribeck",
         "friction of breaking loose (Stribeck)",
         SPEED,
         (("friction", "N m"),),
-        _one(lambda s: s.sign * np.exp(-((s.qd / (STRIBECK_SHARE * s.usual_speed)) ** 2))),
+        _single_column(lambda s: s.sign * np.exp(-((s.qd / (STRIBECK_SHARE * s.usual_speed)) ** 2))),
         remedy="slow motions, below a tenth of the usual speed, in both directions",
     ),
     MotionEffect(
@@ -107,7 +118,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "friction that grows with the root of the speed",
         SPEED,
         (("friction", "N m (s/rad)^0.5"),),
-        _one(lambda s: s.sign * np.sqrt(np.abs(s.qd))),
+        _single_column(lambda s: s.sign * np.sqrt(np.abs(s.qd))),
         remedy="motions at constant speeds from slow to fast",
     ),
     MotionEffect(
@@ -115,7 +126,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "friction that grows with the square of the speed",
         SPEED,
         (("friction", "N m s2/rad2"),),
-        _one(lambda s: s.qd * np.abs(s.qd)),
+        _single_column(lambda s: s.qd * np.abs(s.qd)),
         remedy="motions at constant speeds from slow to fast",
     ),
     MotionEffect(
@@ -123,7 +134,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "viscous friction that differs between the directions",
         SIDE,
         (("damping", "N m s/rad"),),
-        _one(lambda s: np.abs(s.qd)),
+        _single_column(lambda s: np.abs(s.qd)),
         remedy="the same path in both directions at several speeds",
     ),
     MotionEffect(
@@ -131,8 +142,9 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "friction that grows with the load",
         LOAD,
         (("share", "1"),),
-        _one(lambda s: np.abs(s.load) * s.sign),
+        _single_column(lambda s: np.abs(s.load) * s.sign),
         within=(0.0, 0.5),
+        follows_model=True,
         remedy="the same slow motion with the arm stretched and folded, or with and without a payload",
     ),
     MotionEffect(
@@ -140,7 +152,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "inertia of the motor",
         INERTIA,
         (("inertia", "kg m2"),),
-        _one(lambda s: s.qdd),
+        _single_column(lambda s: s.qdd),
         within=(0.0, np.inf),
         remedy="fast reversals of this joint while the joints beyond it are stretched and folded",
     ),
@@ -149,8 +161,9 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "gain of the drive",
         SCALE,
         (("share", "1"),),
-        _one(lambda s: s.model),
+        _single_column(lambda s: s.model),
         within=(-0.7, 2.0),
+        follows_model=True,
         remedy="the same motion with a known weight on the flange",
     ),
     MotionEffect(
@@ -158,8 +171,9 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "delay of the torque",
         TIME_SHIFT,
         (("delay", "s"),),
-        _one(lambda s: -np.gradient(s.model, s.step_s)),
+        _single_column(lambda s: -np.gradient(s.model, s.step_s)),
         within=(-0.2, 0.2),
+        follows_model=True,
         remedy="fast reversals, and both signals on one clock",
     ),
     MotionEffect(
@@ -176,7 +190,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "spring about the joint",
         POSITION,
         (("stiffness", "N m/rad"),),
-        _one(lambda s: s.q - s.middle),
+        _single_column(lambda s: s.q - s.middle),
         remedy="the whole range of this joint while gravity on it changes otherwise",
     ),
     MotionEffect(
@@ -200,7 +214,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "viscous friction that changes while it runs",
         WARMTH,
         (("change", "N m/rad"),),
-        _one(lambda s: s.qd * s.t),
+        _single_column(lambda s: s.qd * s.t),
         remedy="a log of half an hour from cold, with the temperature of the joint",
     ),
     MotionEffect(
@@ -208,7 +222,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "viscous friction that follows the temperature",
         WARMTH,
         (("change", "N m s/(rad K)"),),
-        _one(lambda s: s.qd * s.temperature),
+        _single_column(lambda s: s.qd * s.temperature),
         needs=frozenset({"temperature"}),
         remedy="a log from cold and one when warm, with temperature_c",
     ),
@@ -217,7 +231,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "offset that drifts",
         DRIFT,
         (("drift", "N m/s"),),
-        _one(lambda s: s.t),
+        _single_column(lambda s: s.t),
         remedy="the same motion at the start and at the end",
     ),
 )
@@ -229,8 +243,9 @@ CARRIED_MASS = MotionEffect(
     "mass",
     CARRIED,
     (("mass", "kg"), *((f"moment_{x}", "kg m") for x in "xyz"), *((f"inertia_{x}", "kg m2") for x in INERTIAS)),
-    _one(lambda s: np.zeros_like(s.q)),
+    _single_column(lambda s: np.zeros_like(s.q)),
     remedy="the same motions with and without it, and state payload_kg",
+    follows_model=True,
 )
 
 CARRIED_WITH = ("load_friction",)  # what a load changes beside the bodies

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,26 +93,28 @@ def find_missing_torque(
     progress(0.3, "what they leave")
     orders, tried = find_orders(log, first, fit)
     layout = layout.with_candidates(orders, np.unique(first.session[split.train])[1:].tolist())
-    equations = form_equations(layout, log, Known.from_values(first.layout, fit.theta))
-    progress(0.6, "which effects explain it")
-    tests = tried + len(equations.terms)
-    terms = search_terms(equations, split, weights, tests, lambda share: progress(0.6 + 0.1 * share, "which effects"))
-    if any(term.session is not None for term in terms):  # friction follows what is carried too
-        fit = fit_terms(equations, terms, split.train, weights)
-        equations = form_equations(layout, log, Known.from_values(layout, fit.theta))
+    known, earlier = Known.from_values(first.layout, fit.theta), frozenset[Term]()
+    for k in range(PASSES):
+        equations = form_equations(layout, log, known)
+        tests = tried + len(equations.terms)
+        share = _scale_progress(progress, 0.6 + 0.1 * k, 0.6 + 0.1 * (k + 1), "which effects explain it")
+        terms = search_terms(equations, split, weights, tests, share)
+        if frozenset(terms) == earlier or not any(term.effect.follows_model for term in terms):
+            break
+        earlier = frozenset(terms)
+        known = Known.from_values(layout, fit_terms(equations, terms, split.train, weights).theta)
         weights = joint_weights(equations, terms, split.train)
-        terms = search_terms(
-            equations, split, weights, tests, lambda share: progress(0.7 + 0.1 * share, "with the load")
-        )
     odd = _find_unexplained(log, equations, split, weights, terms)
     if odd.any():  # they say nothing of the others: a channel without a signal, or one of another joint
         weights = np.where(odd, 0.0, weights)
-        terms = search_terms(
-            equations, split, weights, tests, lambda share: progress(0.8 + 0.1 * share, "without them")
-        )
+        terms = search_terms(equations, split, weights, tests, _scale_progress(progress, 0.85, 0.9, "without them"))
     progress(0.9, "motions that were never used")
     judged = judge_terms(equations, split, weights, terms)
-    return _report(log, equations, split, weights, terms, judged, pushed, odd)
+    return _write_report(log, equations, split, weights, terms, judged, pushed, odd)
+
+
+def _scale_progress(progress: Progress, low: float, high: float, stage: str) -> Callable[[float], None]:
+    return lambda share: progress(low + (high - low) * share, stage)
 
 
 def _find_unexplained(log: Log, equations: Equations, split: Split, weights: Floats, terms: list[Term]) -> Bools:
@@ -165,7 +167,7 @@ def _refuse_rest(equations: Equations) -> None:
         )
 
 
-def _report(
+def _write_report(
     log: Log,
     equations: Equations,
     split: Split,
@@ -178,8 +180,8 @@ def _report(
     common = [term for term in terms if term.effect.common]
     whole = fit_terms(equations, terms, split.every, weights)
     rms = [
-        _held_rms(equations, split, weights, model)
-        for model in ([], common, _borne_out(equations, split, weights, judged))
+        _compute_held_rms(equations, split, weights, model)
+        for model in ([], common, _choose_borne_out_terms(equations, split, weights, judged))
     ]
     rows = equations.rows.sum(axis=0)
     return MotionReport(
@@ -195,7 +197,7 @@ def _report(
         tuple(np.count_nonzero(clipped_rows(log.tau), axis=0).tolist()),
         tuple(
             find_hidden_terms(
-                equations, whole, split.every, [t for t in equations.terms if _is_asked(t, terms, weights)]
+                equations, whole, split.every, [t for t in equations.terms if _could_be_named(t, terms, weights)]
             )
         ),
         tuple(equations.start_s[pushed].tolist()),
@@ -204,25 +206,25 @@ def _report(
     )
 
 
-def _borne_out(equations: Equations, split: Split, weights: Floats, judged: list[Judged]) -> list[Term]:
+def _choose_borne_out_terms(equations: Equations, split: Split, weights: Floats, judged: list[Judged]) -> list[Term]:
     """Return the common terms and those found that held-out blocks bear out, so that these are never left worse."""
     common = [term for term in equations.terms if term.effect.common]
     found = sorted((one for one in judged if one.verdict != "contradicted"), key=lambda one: -one.unseen)
-    bare = _held_loss(equations, split, weights, common)
-    while found and _held_loss(equations, split, weights, [*common, *(one.term for one in found)]) > bare:
+    bare = _sum_held_loss(equations, split, weights, common)
+    while found and _sum_held_loss(equations, split, weights, [*common, *(one.term for one in found)]) > bare:
         found.pop()
     return [*common, *(one.term for one in found)]
 
 
-def _held_loss(equations: Equations, split: Split, weights: Floats, terms: list[Term]) -> float:
+def _sum_held_loss(equations: Equations, split: Split, weights: Floats, terms: list[Term]) -> float:
     fit = fit_terms(equations, terms, split.train, weights)
     return float(equations.losses(fit.theta, weights, split.held).sum())
 
 
-def _is_asked(term: Term, model: list[Term], weights: Floats) -> bool:
+def _could_be_named(term: Term, model: list[Term], weights: Floats) -> bool:
     return term not in model and weights[term.joint] > 0.0
 
 
-def _held_rms(equations: Equations, split: Split, weights: Floats, terms: list[Term]) -> Floats:
+def _compute_held_rms(equations: Equations, split: Split, weights: Floats, terms: list[Term]) -> Floats:
     fit = fit_terms(equations, terms, split.train, weights)
     return equations.rms(fit.theta, split.held)

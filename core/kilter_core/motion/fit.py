@@ -34,7 +34,7 @@ class Fit:
 def fit_terms(equations: Equations, terms: Sequence[Term], blocks: Bools, weights: Floats) -> Fit:
     """Fit base parameters and terms to some blocks; what they do not show stays near zero."""
     columns = equations.columns_of(terms)
-    A, b = equations.summed(blocks, weights)
+    A, b = equations.sum_blocks(blocks, weights)
     A, b = A[np.ix_(columns, columns)], b[columns]
     inverse = np.asarray(np.linalg.inv(A + np.diag(_ridge(equations, A, weights, blocks))), dtype=np.float64)
     theta = np.zeros(equations.layout.width)
@@ -87,7 +87,7 @@ def score_terms(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[T
 
     A term that the model imitates has nothing of its own left and is passed over.
     """
-    A, b = equations.summed(blocks, fit.weights)
+    A, b = equations.sum_blocks(blocks, fit.weights)
     left = equations.losses(fit.theta, fit.weights, blocks).sum(axis=0)
     found = []
     for term in terms:
@@ -108,7 +108,7 @@ def score_terms(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[T
 
 def find_hidden_terms(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[Term]) -> list[Term]:
     """Return terms that the fit imitates in these blocks, so that nothing can be said of them."""
-    A, _ = equations.summed(blocks, fit.weights)
+    A, _ = equations.sum_blocks(blocks, fit.weights)
     least = max(HIDDEN_SHARE, HIDDEN_BLOCKS / max(int(np.count_nonzero(blocks)), 1))
     hidden = []
     for term in terms:

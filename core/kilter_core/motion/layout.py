@@ -25,7 +25,7 @@ from kilter_core.types import Floats, Ints
 MOST_CARRIED = 60  # columns of masses that are carried in one session; where there are many, only outer links carry
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Term:
     """An effect at a joint (from 0) and its columns of the whole layout; in one ``session``, where it is a mass on a link."""
 
@@ -103,7 +103,7 @@ class Layout:
         return replace(self, orders=tuple(orders), carried=tuple(carried))._with_effects(MOTION_EFFECTS)
 
     def _with_effects(self, effects: Sequence[MotionEffect]) -> Layout:
-        terms, at = [], self.shared
+        terms, at = [], self.n_common_columns
         for session, columns in self.carried:
             shown = tuple(CARRIED_MASS.parameters[c % PER_LINK] for c in columns.tolist())
             effect = replace(CARRIED_MASS, parameters=shown)
@@ -121,14 +121,14 @@ class Layout:
         return replace(self, terms=tuple(terms), width=at)
 
     @property
-    def shared(self) -> int:
+    def n_common_columns(self) -> int:
         """Number of columns that every model has and all joints share; they come first."""
         return len(self.kept) + (PER_LINK if self.loaded else 0)
 
     @property
-    def of_bodies(self) -> int:
+    def n_body_columns(self) -> int:
         """Number of columns that all joints share, masses of one session with them."""
-        return self.shared + sum(len(columns) for _, columns in self.carried)
+        return self.n_common_columns + sum(len(columns) for _, columns in self.carried)
 
     def bodies(self, part: Part) -> Bodies:
         """Return the columns of a stretch of the log that all joints share: bodies, and what is carried."""
@@ -151,7 +151,7 @@ class Layout:
 
     def places(self, j: int) -> Ints:
         """Where the columns of a joint stand in the whole layout."""
-        return np.concatenate([np.arange(self.of_bodies), *(t.columns for t in self._terms_of_joint(j))])
+        return np.concatenate([np.arange(self.n_body_columns), *(t.columns for t in self._terms_of_joint(j))])
 
     def _terms_of_joint(self, j: int) -> list[Term]:
         return [t for t in self.terms if t.joint == j and t.session is None]
@@ -194,4 +194,4 @@ class Known:
     def from_values(cls, layout: Layout, theta: Floats) -> Known:
         """Return what the values (width,) of a layout say."""
         common = {(t.effect.id, t.joint): theta[t.columns] for t in layout.terms if t.effect.common}
-        return cls(theta[: layout.of_bodies], common)
+        return cls(theta[: layout.n_body_columns], common)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class Equations:
     @property
     def base(self) -> int:
         """Number of columns that all joints share; they come first."""
-        return self.layout.shared
+        return self.layout.n_common_columns
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -70,7 +71,7 @@ class Equations:
             out[:, self.places[j]] += w * (self.products[j][:, :-1] @ v)
         return out
 
-    def summed(self, blocks: Bools, weights: Floats) -> tuple[Floats, Floats]:
+    def sum_blocks(self, blocks: Bools, weights: Floats) -> tuple[Floats, Floats]:
         """Normal matrix (width, width) and right side (width,) of some blocks."""
         width = self.layout.width
         A, b = np.zeros((width, width)), np.zeros(width)
@@ -104,15 +105,15 @@ def form_equations(layout: Layout, log: Log, known: Known | None = None) -> Equa
         use = (part.moving & part.usable)[part.rows]
         joints = _smooth_columns(layout, part, known)
         block = ((part.t[part.rows] - part.t[0]) / length).astype(np.int64)
-        for b in np.unique(block):
-            inside = (block == b)[:, None] & use
+        edges = np.flatnonzero(np.diff(block, prepend=-1, append=-1))
+        for inside in (slice(a, b) for a, b in pairwise(edges.tolist())):
             for j, X in enumerate(joints):
-                chosen = X[inside[:, j]]
+                chosen = X[inside][use[inside, j]]
                 sums[j].append(chosen.T @ chosen)
-            rows.append(inside.sum(axis=0))
-            motion.append(part.motion[part.rows][int(np.argmax(block == b))])
+            rows.append(use[inside].sum(axis=0))
+            motion.append(part.motion[part.rows][inside][0])
             session.append(part.session)
-            start_s.append(part.t[0] + b * length)
+            start_s.append(part.t[0] + block[inside][0] * length)
     places = tuple(layout.places(j) for j in range(n))
     products = tuple(np.array(one) for one in sums)
     return Equations(layout, products, places, np.array(rows), np.array(motion), np.array(session), np.array(start_s))

@@ -64,7 +64,7 @@ def weigh_payload(robot: Robot, loaded: Sequence[Observations], empty: Sequence[
     equations = form_equations(layout.with_candidates((None,) * robot.n_joints), log, known)
     terms = [t for t in equations.terms if t.effect.common or t.effect.id in CARRIED_WITH]
     fit = fit_terms(equations, terms, every, weights)
-    at = slice(len(layout.kept), layout.shared)
+    at = slice(len(layout.kept), layout.n_common_columns)
     numbers, spread = fit.theta[at], covariance(equations, fit, every)[at, at]
     without = fit.theta.copy()
     without[at] = 0.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -63,7 +63,7 @@ class Part:
 
     def smooth(self, columns: Floats) -> Floats:
         """Return columns (N, ...) filtered as the torques are, at the :attr:`rows` that are compared."""
-        sos = butter(ORDER, self.cut_off_hz, fs=1.0 / self.step_s, output="sos")
+        sos = _design_filter(self.cut_off_hz, self.step_s)
         return np.asarray(sosfiltfilt(sos, columns, axis=0)[self.rows])
 
     @property
@@ -130,7 +130,7 @@ class Log:
             count = max(1, int(np.ceil((self.t[end - 1] - self.t[start]) / LONGEST_S)))
             for piece in np.array_split(np.arange(start, end), count):
                 if self.t[piece[-1]] - self.t[piece[0]] >= SHORTEST_S:
-                    yield self._part(piece)
+                    yield self._resample_stretch(piece)
 
     def _stretches(self) -> Iterator[tuple[int, int]]:
         """First row of each stretch without a gap, and the one behind its last."""
@@ -172,13 +172,13 @@ class Log:
                 reached = np.maximum(reached, np.quantile(rate, 0.95, axis=0))
         return np.minimum(REST_RAD_S, np.maximum(REST_SHARE * reached, 1e-4))
 
-    def _part(self, piece: Ints) -> Part:
+    def _resample_stretch(self, piece: Ints) -> Part:
         obs, t = self.observations, self.t[piece]
         clock = np.arange(t[0], t[-1], self.step_s)
         tau = self.tau[piece]
         nearest = np.minimum(np.searchsorted(t, clock), len(t) - 1)
         band = min(JOINT_BAND * self.cut_off_hz, 0.4 / self.step_s)
-        sos = butter(ORDER, band, fs=1.0 / self.step_s, output="sos")
+        sos = _design_filter(band, self.step_s)
         q = np.asarray(sosfiltfilt(sos, _interpolate(clock, t, obs.q[piece]), axis=0))
         qd = np.gradient(q, self.step_s, axis=0)
         warm = None if obs.temperature_c is None else np.interp(clock, t, obs.temperature_c[piece])
@@ -205,6 +205,11 @@ class Log:
     def cut_off_hz(self) -> float:
         """Above which nothing is compared: 5 Hz, or less where rows are few."""
         return min(CUT_OFF_HZ, 0.2 / self.step_s)
+
+
+@cache
+def _design_filter(cut_off_hz: float, step_s: float) -> Floats:
+    return np.asarray(butter(ORDER, cut_off_hz, fs=1.0 / step_s, output="sos"))
 
 
 def _ends_of_motions(t: Floats, resting: Bools) -> Ints:

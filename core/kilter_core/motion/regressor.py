@@ -177,7 +177,7 @@ def _walk(robot: Robot, q: Floats, qd: Floats, qdd: Floats) -> tuple[list[tuple[
     bodies, frames, drives = link_elements(robot), {}, []
     for k, element in enumerate(robot.chain.elements):
         z, j = R[:, :, element.axis % 3], element.joint
-        moved, speed, rate = _motion(element, q, qd, qdd)
+        moved, speed, rate = _follow_element(element, q, qd, qdd)
         if j is not None and _carries(robot.chain, k):
             drives.append(_Drive(k, j, element.ratio, element.axis.rotates, z.copy(), origin))
         if element.axis.rotates:
@@ -194,7 +194,7 @@ def _walk(robot: Robot, q: Floats, qd: Floats, qdd: Floats) -> tuple[list[tuple[
     return [(k, frames[k]) for k in bodies], drives
 
 
-def _motion(element: Element, q: Floats, qd: Floats, qdd: Floats) -> tuple[Floats, Floats, Floats]:
+def _follow_element(element: Element, q: Floats, qd: Floats, qdd: Floats) -> tuple[Floats, Floats, Floats]:
     """How far (N, 1) an element has moved, how fast, and how that changes."""
     if element.joint is None:
         return np.full((len(q), 1), element.value), np.zeros((len(q), 1)), np.zeros((len(q), 1))

@@ -32,24 +32,24 @@ def find_orders(log: Log, equations: Equations, fit: Fit) -> tuple[tuple[float |
     robot = equations.layout.robot
     best: list[float | None] = []
     tried = 0
-    for j, (q, left) in enumerate(_left_over(log, equations, fit)):
+    for j, (q, left) in enumerate(_list_residuals(log, equations, fit)):
         orders = np.zeros(0)
         if len(q) >= FEWEST_ROWS and robot.joints[j].kind == "revolute":
             orders = orders_tried(robot, j, float(equations.layout.speeds[j]), log.cut_off_hz)
             orders = orders[orders * np.ptp(q) > FEWEST_PERIODS * 2.0 * np.pi]
         tried += len(orders)
-        power = [_power(order, q, left) for order in orders.tolist()]
+        power = [_measure_ripple(order, q, left) for order in orders.tolist()]
         best.append(float(orders[int(np.argmax(power))]) if power else None)
     return tuple(best), tried
 
 
-def _power(order: float, q: Floats, r: Floats) -> float:
+def _measure_ripple(order: float, q: Floats, r: Floats) -> float:
     waves = np.stack([np.sin(order * q), np.cos(order * q)], axis=1)
     along = waves.T @ r
     return float(along @ np.linalg.pinv(waves.T @ waves) @ along)
 
 
-def _left_over(log: Log, equations: Equations, fit: Fit) -> list[Floats]:
+def _list_residuals(log: Log, equations: Equations, fit: Fit) -> list[Floats]:
     """Angles and what is left of the torques (2, N) of each joint where it moves."""
     layout, rows = equations.layout, 0
     found: list[list[Floats]] = [[] for _ in equations.products]

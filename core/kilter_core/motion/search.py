@@ -131,17 +131,21 @@ def search_terms(
     while len(model) < most:
         progress(len(model) / most)
         fit = fit_terms(equations, model, split.train, weights)
-        best = _best_entry(equations, split, weights, model, losses, _significant(equations, fit, split, rest, tests))
+        best = _best_entry(
+            equations, split, weights, model, losses, _list_significant_terms(equations, fit, split, rest, tests)
+        )
         if best is None:
             break
         term, losses = best
         model.append(term)
         rest.remove(term)
-        model, losses = _without_idle(equations, split, weights, model, losses)
+        model, losses = _drop_idle_terms(equations, split, weights, model, losses)
     return model
 
 
-def _significant(equations: Equations, fit: Fit, split: Split, rest: Sequence[Term], tests: int) -> list[Seen]:
+def _list_significant_terms(
+    equations: Equations, fit: Fit, split: Split, rest: Sequence[Term], tests: int
+) -> list[Seen]:
     seen = score_terms(equations, fit, split.train, rest)
     return [one for one in seen if one.p * tests < ALPHA and one.share > LEAST_SHARE and is_plausible(one)][:TRIED]
 
@@ -164,7 +168,7 @@ def _best_entry(
     return None if best is None else best[1:]
 
 
-def _without_idle(
+def _drop_idle_terms(
     equations: Equations, split: Split, weights: Floats, model: list[Term], losses: Floats
 ) -> tuple[list[Term], Floats]:
     """Leave out what the latest term has made superfluous."""
@@ -196,7 +200,7 @@ def _judge(
     trained: Fit,
 ) -> Judged:
     without = [other for other in model if other is not term]
-    at = _places(whole, term)
+    at = _find_places(whole, term)
     value, sigma = whole.theta[term.columns], np.sqrt(np.maximum(np.diag(spread)[at], 0.0))
     judged = Judged(
         term,
@@ -205,7 +209,7 @@ def _judge(
         *_unseen_size(equations, split, weights, fit_terms(equations, without, split.train, weights), trained),
         _halves_agree(equations, split, weights, model, term),
         _sessions_that_show(equations, split, weights, model, term, value, sigma),
-        _rivals(equations, split, weights, model, term),
+        _find_rivals(equations, split, weights, model, term),
         "",
     )
     return replace(judged, verdict=_verdict(judged, split))
@@ -222,7 +226,7 @@ def _unseen_size(
     return size, float(np.sqrt(np.sum((along - size * torque) ** 2)) / max(torque.sum(), 1e-12))
 
 
-def _places(fit: Fit, term: Term) -> Ints:
+def _find_places(fit: Fit, term: Term) -> Ints:
     return np.array([int(np.flatnonzero(fit.columns == c)[0]) for c in term.columns])
 
 
@@ -250,7 +254,7 @@ def _value_in(
 ) -> tuple[Floats, Floats]:
     fit = fit_terms(equations, model, blocks, weights)
     spread = np.maximum(np.diag(covariance(equations, fit, blocks)), 0.0)
-    return fit.theta[term.columns], spread[_places(fit, term)]
+    return fit.theta[term.columns], spread[_find_places(fit, term)]
 
 
 def _sessions_that_show(
@@ -268,7 +272,7 @@ def _sessions_that_show(
     return tuple(shown)
 
 
-def _rivals(
+def _find_rivals(
     equations: Equations, split: Split, weights: Floats, model: Sequence[Term], term: Term
 ) -> tuple[Rival, ...]:
     """Terms that do as well in its place, on blocks left out of the fit."""

@@ -95,10 +95,10 @@ class Logger:
 
     def log(self) -> dict[str, Floats]:
         """Columns t (N,), q and tau (N, n), motion (N,): motions are a minute apart."""
-        parts = [self._motion(k) for k in range(self.motions)]
+        parts = [self._follow_element(k) for k in range(self.motions)]
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
-    def _motion(self, k: int) -> dict[str, Floats]:
+    def _follow_element(self, k: int) -> dict[str, Floats]:
         fine = 1.0 / (4 * self.hz)
         t = np.arange(0.0, self.seconds, fine)
         q, qd, qdd = self._path(t)

@@ -21,11 +21,11 @@ def hand(arm: Arm, mass: float = MASS_KG) -> Arm:
     return replace(arm, bodies=(*arm.bodies, Body(5, mass, np.array(CENTRE_M), 0.004 * np.eye(3))))
 
 
-def campaigns(arms: list[Arm], extra: list[Extra] | None = None, motions: int = 3) -> list[Observations]:
+def campaigns(arms: list[Arm], extra: list[Extra] | None = None, gain: Floats | None = None) -> list[Observations]:
     """A log of each arm, all with the same friction, each with paths of its own."""
     out = []
     for session, arm in enumerate(arms):
-        logger = Logger(arm, seed=3, motions=motions, extra=extra or [])
+        logger = Logger(arm, seed=3, motions=3, extra=extra or [], gain=gain)
         logger.rng = np.random.default_rng(100 + session)
         log = logger.log()
         out.append(
@@ -57,18 +57,30 @@ def test_a_weight_that_one_campaign_does_not_state_is_named_on_its_link() -> Non
     assert abs(mass - MASS_KG) < max(0.02 * MASS_KG, 4.0 * float(one.sigma[0]))
 
 
+def with_stated_weight(gain: Floats | None = None) -> list[Observations]:
+    """A campaign with nothing in the hand, and one that states what it holds."""
+    arm = ur_like(np.random.default_rng(3))
+    centre = (np.linalg.inv(arm.tool) @ np.append(CENTRE_M, 1.0))[:3]
+    parts = campaigns([arm, hand(arm)], gain=gain)
+    return [
+        replace(one, payload_kg=np.full(len(one), kg), payload_com=np.tile(centre, (len(one), 1)))
+        for one, kg in zip(parts, (0.0, MASS_KG), strict=True)
+    ]
+
+
 def test_a_weight_that_is_stated_is_not_named() -> None:
-    arm = ur_like(np.random.default_rng(3))
-    empty, loaded = campaigns([arm, hand(arm)])
-    rows = len(loaded)
-    stated = replace(loaded, payload_kg=np.full(rows, MASS_KG), payload_com=np.tile(_centre_in_tool(), (rows, 1)))
-    none = replace(empty, payload_kg=np.zeros(len(empty)), payload_com=np.zeros((len(empty), 3)))
-    assert not hunt([none, stated]).judged
+    assert not hunt(with_stated_weight()).judged
 
 
-def _centre_in_tool() -> Floats:
-    arm = ur_like(np.random.default_rng(3))
-    return np.asarray((np.linalg.inv(arm.tool) @ np.append(CENTRE_M, 1.0))[:3])
+def test_a_known_weight_tells_the_gain_of_each_drive() -> None:
+    """Without it, gains and masses are one number."""
+    gains = np.array([1.0, 1.08, 0.95, 1.1, 1.0, 1.05])
+    found = hunt(with_stated_weight(gains)).judged
+    values = {one.term.joint: one for one in found if one.term.effect.id == "drive_gain"}
+    assert set(values) == {1, 2, 3, 5}
+    assert len(found) == len(values)
+    for joint, one in values.items():
+        assert abs(float(one.value[0]) - (gains[joint] - 1.0)) < 4.0 * float(one.sigma[0]) + 0.004
 
 
 def test_friction_that_each_campaign_shows_by_itself_is_replicated() -> None:
