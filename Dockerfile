@@ -11,6 +11,9 @@ COPY migrations migrations
 RUN /opt/kilter/bin/pip install --no-cache-dir --no-build-isolation --constraint constraints.txt ./core './clients/files[formats]' '.[cluster,files,pdf,postgresql,tracing]'
 
 FROM python:3.11-slim
+LABEL org.opencontainers.image.title="Kilter" \
+      org.opencontainers.image.version="0.2.0" \
+      org.opencontainers.image.licenses="Apache-2.0"
 # Reports as PDF are set by Pango; Debian keeps one version of it at a time, so none can be pinned.
 # hadolint ignore=DL3008
 RUN apt-get update \

@@ -37,7 +37,7 @@ $(MADE): $(KERNELS) tests/contract/openapi.txt $(MADE_FROM)
 	touch $@
 
 demo: $(KERNELS) ## calibrate a simulated Katana 450 from measured poses to corrected setpoints
-	$(BIN)/python -m tools.demo
+	$(BIN)/kilter demo
 
 serve: $(KERNELS) ## run the server on this machine until Ctrl-C
 	$(BIN)/kilterd serve

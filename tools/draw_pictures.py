@@ -1,6 +1,6 @@
 """Draw the pictures of the documentation as SVG: ``python tools/draw_pictures.py [PATH.json]``.
 
-Without an argument the data flow alone; with the file that ``tools/demo.py --record PATH.json`` writes also the error
+Without an argument the data flow alone; with the file that ``kilter demo --json`` prints also the error
 along the demo's circle.
 """
 

@@ -10,3 +10,6 @@ rm -rf dist build/wheels
 build/wheels/bin/python -m pip install --disable-pip-version-check --quiet --constraint constraints.txt dist/*.whl
 # The examples are the tutorial's; -I keeps this folder's own sources away, which are called as what is installed.
 build/wheels/bin/python -I tools/try_wheels.py docs/tutorial
+# The client without a server says what to install.
+build/wheels/bin/python -m pip uninstall --yes --quiet kilter
+build/wheels/bin/kilter demo 2>&1 | grep "install the wheels of kilter"

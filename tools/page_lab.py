@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kilter_client import Kilter
+from kilter_client.cli.demo import PRESET, ROBOT, STAGES, identify, measure
 from kilter_client.requests.local_server import LocalServer, local_server
 from kilter_client.stream import CorrectedStream
 from kilter_core.twin import thesis_katana
-from tools.demo import PRESET, ROBOT, STAGES, identify, measure
 
 HOME = (0.1, 0.6, 0.4, 0.3, 0.2)  # rad
 

@@ -32,6 +32,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="kilter-wheels-") as folder:
         os.chdir(folder)
         run("kilter", "--help")
+        assert "full tilting" in run("kilter", "demo", "--circle-s", "1")
         print(run("kilterd", "migrate", "--data", f"{folder}/data").strip())
         with (
             server(Path(folder, "data")) as url,

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from kilter_client.cli import demo
+from kilter_client.cli.trial import CIRCLE_S
 from kilter_core.plan.iso9283_poses import iso_poses
 from kilter_core.twin import thesis_katana
-from tools import demo, demo_path
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "tutorial"
 CIRCLE_RATE_HZ = 25.0
@@ -26,7 +27,7 @@ def main() -> None:
         poses = iso_poses(twin.robot, count, seed)
         poses = np.vstack([poses, poses[:again]])
         demo.write_campaign(FOLDER / f"{name}.csv", twin.observe(poses, noise_m=demo.NOISE_MM / 1000.0, seed=seed))
-    path = demo_path.circle(twin.robot, seconds=demo.CIRCLE_S, rate_hz=CIRCLE_RATE_HZ)
+    path = demo.circle(twin.robot, seconds=CIRCLE_S, rate_hz=CIRCLE_RATE_HZ)
     with (FOLDER / "circle.csv").open("w", newline="", encoding="utf-8") as out:
         rows = csv.writer(out)
         rows.writerow(["t_s", *(f"q{joint + 1}_deg" for joint in range(path.q.shape[1]))])

@@ -11,6 +11,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli import run
+from kilter_client.cli.reports.next_step import suggest_for_version
 from kilter_client.cli.reports.results import show_job, show_version
 
 Write = Callable[..., Path]
@@ -51,7 +52,7 @@ def test_a_worse_version_is_refused_forced_and_rolled_back(
     )  # in the order of their ids
     assert run(["activate", coarse]) == 1
     refused = " ".join(capsys.readouterr().err.split())
-    for words in (f"Version {coarse} was not activated", "On 30 poses", f"version {good}, active now", "--force"):
+    for words in (f"Version {robot} v2 was not activated", "On 30 poses", f"version {robot} v1, active now", "--force"):
         assert words in refused, words
     assert run(["activate", coarse, "--force", "--reason", "for a trial"]) == 0
     assert "forced, though: On 30 poses" in " ".join(capsys.readouterr().out.split())
@@ -72,15 +73,19 @@ JOB: dict[str, Any] = {"id": "job_1", "robot": "arm", "state": "succeeded"}
 
 @pytest.mark.parametrize("kind", ["identify", "joint_parameters"])
 def test_a_version_with_objections_is_not_recommended(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
-    show_job(JOB | {"kind": kind, "result": {"version_id": "ver_1", "objections": [OBJECTION]}})
+    version = {"id": "ver_1", "active": False, "robot": "arm", "objections": []}
+    advised = suggest_for_version(version)
+    assert advised == ["Next: kilter activate ver_1"]
+    assert suggest_for_version(version | {"objections": [OBJECTION]}) == []
+    show_job(JOB | {"kind": kind, "result": {"version_id": "ver_1", "objections": [OBJECTION]}}, suggested=advised)
     said = capsys.readouterr().out
     assert "443 mm" in said
     assert "kilter activate" not in said
-    show_job(JOB | {"kind": kind, "result": {"version_id": "ver_1", "objections": []}})
+    show_job(JOB | {"kind": kind, "result": {"version_id": "ver_1", "objections": []}}, suggested=advised)
     assert "kilter activate ver_1" in capsys.readouterr().out
 
 
 def test_a_version_says_what_speaks_against_it(capsys: pytest.CaptureFixture[str]) -> None:
-    version = {"id": "ver_1", "active": False, "job_id": "job_1", "parent_id": None, "campaigns": []}
+    version = {"id": "ver_1", "robot": "arm", "active": False, "job_id": "job_1", "parent_id": None, "campaigns": []}
     show_version(version | {"objections": [OBJECTION]})
     assert "not fit to correct with: It leaves 443 mm" in capsys.readouterr().out

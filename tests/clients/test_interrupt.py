@@ -51,14 +51,13 @@ def test_while_a_job_runs(robot: str, kilter: Kilter, write_campaign: Write, com
         job = kilter.jobs.submit("gap", robot, [campaign], options={"bootstraps": MANY})["id"]
         process = started("server", "jobs", "watch", "latest", "--robot", robot)
         assert process.stderr is not None
-        assert process.stderr.readline() == f"job 'latest' is {job}\n"
+        assert process.stderr.readline() == f"job 'latest' is {job[:12]}\n"
         while kilter.jobs.get(job)["state"] == "queued":
             continue
     else:
         process = started("gap", robot, "--campaign", "monday", "--option", f"bootstraps={MANY}")
         assert process.stderr is not None
-        process.stderr.readline()
-        job = process.stderr.readline().split()[1]
+        job = kilter.resolve("job", process.stderr.readline().split()[1]).id
     _, err = interrupted(process)
     assert f"job {job} continues at the server" in err
     assert f"`kilter server jobs watch {job}` follows it, `kilter server jobs cancel {job}` stops it." in err

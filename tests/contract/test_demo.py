@@ -15,16 +15,9 @@ DEADLINE_S = 180
 CIRCLE_S = 3  # 8 when nobody says how fast: the path is solved and streamed point by point
 
 
-@pytest.fixture(scope="module")
-def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("demo") / "path.json"
-
-
-@pytest.fixture(scope="module")
-def output(record: Path) -> str:
+def run_demo(*arguments: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-m", "tools.demo", "--circle-s", str(CIRCLE_S), "--record", str(record)],
-        cwd=REPOSITORY,
+        [Path(sys.executable).with_name("kilter"), "demo", "--circle-s", str(CIRCLE_S), *arguments],
         capture_output=True,
         text=True,
         timeout=DEADLINE_S,
@@ -33,6 +26,11 @@ def output(record: Path) -> str:
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
     assert done.stderr == ""
     return done.stdout
+
+
+@pytest.fixture(scope="module")
+def output() -> str:
+    return run_demo()
 
 
 def figures(output: str, name: str) -> list[float]:
@@ -48,8 +46,8 @@ def test_full_tilting_reaches_the_noise_on_held_out_poses(output: str) -> None:
     assert full <= 0.020
 
 
-def test_the_streamed_circle_is_corrected(output: str, record: Path) -> None:
-    document = json.loads(record.read_text(encoding="utf-8"))
+def test_the_streamed_circle_is_corrected() -> None:
+    document = json.loads(run_demo("--json"))
     before, after = document["before_mm"], document["after_mm"]
     assert len(before) == len(after) == 500 * CIRCLE_S + 1
     assert sum(after) < 0.1 * sum(before)

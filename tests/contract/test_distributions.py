@@ -74,6 +74,24 @@ def test_they_are_released_together() -> None:
     assert str(project("kilter")["dependencies"]).count(f"=={version}") == 2
 
 
+@pytest.mark.parametrize(
+    ("file", "pattern"),
+    [
+        ("CHANGELOG.md", r"^## \[(\d.+)\] - "),  # the newest
+        ("CITATION.cff", r"^version: (.+)$"),
+        ("Dockerfile", r'image\.version="(.+)"'),
+        ("clients/ros2_control/package.xml", r"<version>(.+)</version>"),
+        ("clients/python/src/kilter_client/cli/release.py", r'^SOURCE_TREE = "(.+)\+source"'),
+        ("service/kilter_service/ground/version.py", r'^SOURCE_TREE = "(.+)\+source"'),
+        ("docs/how-to/run-on-several-machines.md", r'"registry/kilter:(.+?)"'),
+    ],
+)
+def test_the_release_is_the_same_wherever_it_stands(file: str, pattern: str) -> None:
+    found = re.search(pattern, (REPOSITORY / file).read_text(encoding="utf-8"), re.MULTILINE)
+    assert found
+    assert found[1] == project("kilter")["version"]
+
+
 @pytest.mark.parametrize("name", FOLDERS)
 def test_the_pythons_are_named_and_no_other_is_taken(name: str) -> None:
     found = project(name)

@@ -32,6 +32,7 @@ PAGES = sorted(
 )
 KINDS = ("Added", "Changed", "Fixed")
 MOST_OF_A_CHANGE = 140
+MOST_WORDS = 70_000
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 
 
@@ -76,6 +77,15 @@ def test_every_page_is_reached_from_the_index() -> None:
         aims = [(page.parent / target.partition("#")[0]).resolve() for target in internal_links(page)]
         waiting += [aim for aim in aims if aim.suffix == ".md" and aim.is_file() and aim.is_relative_to(DOCS)]
     assert set(DOCS.rglob("*.md")) <= reached
+
+
+def test_words_written_by_hand_are_few() -> None:
+    """Words with a letter; what is made, decisions and surprises do not count."""
+    made = {"cli.md", "job-options.md", "routes.md", "library.md", "library-types.md", "licences.md"}
+    pages = [page for page in (*DOCS.rglob("*.md"), *DOCS.rglob("*.md.in")) if page.name not in made | {"surprises.md"}]
+    texts = [page.read_text(encoding="utf-8") for page in pages if page.parent.name != "decisions"]
+    words = sum(bool(re.search("[A-Za-z]", word)) for text in texts for word in text.split())
+    assert words <= MOST_WORDS, f"{words} words: shorten a page"
 
 
 def test_every_picture_is_used() -> None:

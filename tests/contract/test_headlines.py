@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from kilter_service.contract.headlines import format_joints, format_range
+from kilter_service.contract.headlines import count_noise_left, format_joints, format_range
 from kilter_service.contract.jobs.drift import DriftResult
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.jobs.identify import IdentifyResult
@@ -153,6 +153,18 @@ def test_a_fit_says_its_error_beside_the_noise_and_what_it_cannot_determine() ->
     ]
     assert "Something is missing: 31 times the noise is left. `kilter gap` looks for it." in fit(0.5)
     assert "noise" not in fit(0.5, None).lower()
+
+
+@pytest.mark.parametrize(("mean_mm", "noise_mm", "times"), [(0.016, 0.01, 1.0), (0.16, 0.01, 10.0), (0.16, None, None)])
+def test_how_many_times_the_noise_is_left_is_counted_in_lengths(
+    mean_mm: float, noise_mm: float | None, times: float | None
+) -> None:
+    errors = {"mean_mm": mean_mm, "x_mm": 0.1, "y_mm": 0.1, "z_mm": 0.1}
+    found = IdentifyResult.model_validate(
+        {"metrics": {"validation": {"n": 9, "identified": errors}}, "noise": {"between_visits_mm": noise_mm}}
+    )
+    left = count_noise_left(found.metrics, noise_mm, found.noise)
+    assert left == (None if times is None else pytest.approx(times, rel=0.01))  # noise is 1.6 long on the average
 
 
 def test_views_say_how_far_the_tool_is_off() -> None:

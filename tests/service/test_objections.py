@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kilter_client.cli.reports.next_step import suggest_for_version
 from kilter_client.cli.reports.results import show_job
 from kilter_core.identify.comparison.model_comparison import PoseErrors
 from kilter_service.contract.versions import CorrectionLimits
@@ -55,7 +56,8 @@ def printed(report: dict[str, Any], objections: list[dict[str, Any]]) -> str:
     job = {"kind": "identify", "id": "job_1", "robot": "arm", "state": "succeeded"}
     out = io.StringIO()
     with redirect_stdout(out):
-        show_job(job | {"result": {"version_id": "ver_1", "objections": objections, **report}})
+        advised = suggest_for_version({"id": "ver_1", "active": False, "robot": "arm", "objections": objections})
+        show_job(job | {"result": {"version_id": "ver_1", "objections": objections, **report}}, suggested=advised)
     return " ".join(out.getvalue().split())
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from kilter_client.cli.demo import circle
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Robot
@@ -22,7 +23,6 @@ from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.plan.iso9283_poses import iso_poses
 from kilter_core.types import Floats
-from tools.demo_path import circle
 from tools.thesis.arms import CHAPTER_4, Arm, built
 
 POSES, UNSEEN = 118, 60

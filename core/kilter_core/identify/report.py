@@ -164,7 +164,8 @@ def _repeat_warnings(repeats: Repeats) -> Iterator[dict[str, Any]]:
             "code": "repeats_differ",
             "rows": (repeats.wrong + 1).tolist(),
             "message": f"{len(repeats.wrong)} rows stand too far from the repeats of their pose to be noise; the first is row "
-            f"{repeats.wrong[0] + 1} of the rows fitted. Remove them, or identify with loss tukey, which lets wrong rows go.",
+            f"{repeats.wrong[0] + 1} of the rows fitted. Backlash does that too, and `kilter gap` finds it. Wrong rows: remove "
+            "them, or identify with loss tukey, which lets them go.",
         }
 
 

@@ -15,7 +15,7 @@ from typing import Literal
 from pydantic import Field
 
 from kilter_service.contract.cameras import PixelsFound
-from kilter_service.contract.fits import Errors, Metrics, Noise, Parameter
+from kilter_service.contract.fits import Metrics, Noise, Parameter
 from kilter_service.contract.gap_details import Adequacy, Amplitude, GapNoise, GapSize, MotionFound, NamedEffect
 from kilter_service.contract.next_poses import NextPose, ToldApart
 from kilter_service.contract.units import Mm, Stored
@@ -324,8 +324,8 @@ def describe_fit(
     fell = "" if before is None else f"{number(before.mean_mm)} -> "
     fitted = " Before: nominal arm, base and tool fitted." if errors.registration_only is not None else ""
     lines = [f"Mean error on {where}: {fell}{number(errors.identified.mean_mm)} mm.{fitted}"]
-    repeats = noise is not None and noise.between_visits_mm is not None
-    lines.append(_compare_with_noise(errors.identified, noise_mm) if repeats and noise_mm else "")
+    times = count_noise_left(metrics, noise_mm, noise)
+    lines.append(_compare_with_noise(times, noise_mm) if times is not None and noise_mm else "")
     unknown = [one.name for one in parameters if one.identifiable is False and not one.from_prior]
     if unknown:
         lines.append(f"Open: {len(unknown)} of {len(parameters)} parameters, which these poses cannot determine.")
@@ -341,12 +341,18 @@ def _describe_views(pixels: PixelsFound | None) -> str:
     return f"Error of the tool in views {where}: {number(tool.rms_mm)} mm rms (95 %: {between} mm)."
 
 
-def _compare_with_noise(errors: Errors, noise_mm: float) -> str:
-    """What is left beside the noise, both as mean lengths in space."""
-    if errors.x_mm is None or errors.y_mm is None or errors.z_mm is None:  # not of points
-        return ""
-    floor = MEAN_LENGTH * noise_mm
-    times, said = errors.mean_mm / floor, f"Measurement noise: {number(floor)} mm."
+def count_noise_left(metrics: Metrics | None, noise_mm: float | None, noise: Noise | None) -> float | None:
+    """Return how many times the noise is left, both as mean lengths in space; None: no repeats of points tell the noise."""
+    held = None if metrics is None else metrics.validation or metrics.train
+    errors = None if held is None else held.identified
+    if errors is None or errors.x_mm is None or errors.y_mm is None or errors.z_mm is None:
+        return None
+    repeats = noise is not None and noise.between_visits_mm is not None
+    return errors.mean_mm / (MEAN_LENGTH * noise_mm) if repeats and noise_mm else None
+
+
+def _compare_with_noise(times: float, noise_mm: float) -> str:
+    said = f"Measurement noise: {number(MEAN_LENGTH * noise_mm)} mm."
     if times <= NEAR:
         return f"{said} What is left is about the noise."
     if times < FAR:

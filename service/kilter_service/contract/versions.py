@@ -9,7 +9,7 @@ from pydantic import Field
 
 from kilter_service.contract.comparisons import PairedErrors
 from kilter_service.contract.fits import Covariance, FitDetails, Metrics, NullDirection, Parameter
-from kilter_service.contract.headlines import HEADLINE, describe_fit
+from kilter_service.contract.headlines import HEADLINE, NEAR, count_noise_left, describe_fit
 from kilter_service.contract.joints import JointMotions
 from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.references import RETIRED_AT, TITLE
@@ -175,6 +175,7 @@ class Version(VersionSummary):
     """
 
     headline: str = Field("", description=HEADLINE)
+    something_missing: bool = Field(False, description="Whether it leaves more than noise; a gap search looks for it.")
     sha256: str = Field(description="SHA-256 of what the version holds, 64 hexadecimal digits.")
     hash_scheme: Annotated[int, Field(ge=1, le=2)] = Field(
         description="What `sha256` covers: 1 calibration and limits, 2 the robot's chain too."
@@ -196,6 +197,7 @@ class Version(VersionSummary):
         """Add the headline."""
         about = self.details
         self.headline = describe_fit(self.metrics, self.parameters, self.noise_mm, about.noise, about.pixels)
+        self.something_missing = (count_noise_left(self.metrics, self.noise_mm, about.noise) or 0.0) > NEAR
 
 
 class VersionList(Listed):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
-SOURCE_TREE = "0.1.0+source"
+SOURCE_TREE = "0.2.0+source"
 
 
 @cache

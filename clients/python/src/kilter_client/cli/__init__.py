@@ -11,13 +11,16 @@ import typer
 from kilter_client.cli.groups import FirstLevel, find_new_spelling, join_version_words
 from kilter_client.cli.quick_start import with_quick_values, without_httpx_command
 from kilter_client.cli.terminal.interrupt import CODE, UNKNOWN, InterruptedCommandError
+from kilter_client.cli.terminal.name_words import begin_command, name_ids
 from kilter_client.cli.terminal.output import note, report_error, report_usage
 from kilter_client.errors import KilterError, UsageError
+
+CALLED_ALIKE = ("reference_ambiguous", "retired")  # errors about what may be called as something else is
 
 app = typer.Typer(
     name="kilter",
     help="Work with a Kilter server: describe robots, upload measurements, identify, and correct.\n\n"
-    "First time: robot add, upload, gap, activate, correct, check.\n\n"
+    "First time: robot add, upload, gap, activate, correct, check. To see it work on a simulated arm: kilter demo.\n\n"
     "The server is the one of KILTER_URL, else the one running on this machine. "
     "Every command takes --json: one JSON document on stdout and nothing else. "
     "`kilter COMMAND --help` shows its options and an example.",
@@ -66,6 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run the command line and return its exit code."""
     as_json = "--json" in arguments
+    begin_command()
     arguments = join_version_words(arguments)
     if moved := find_new_spelling(arguments):
         note(f"`kilter {arguments[0]}` is now `kilter {moved}`; the old spelling goes with the next release.", as_json)
@@ -82,7 +86,10 @@ def run(arguments: Sequence[str]) -> int:
     except KilterError as error:
         from kilter_client.cli.terminal.wording import rephrase_error
 
-        report_error(rephrase_error(error, arguments), as_json)
+        error = rephrase_error(error, arguments)
+        if not as_json:
+            error.detail = name_ids(error.detail, versions_only=error.code in CALLED_ALIKE)
+        report_error(error, as_json)
         return 1
     except typer.TyperException as error:
         report_usage(error, as_json)

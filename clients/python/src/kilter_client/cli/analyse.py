@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
+from kilter_client.cli.reports.next_step import suggest_after_job
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal import arguments
@@ -65,9 +66,9 @@ def show_check(told: Mapping[str, Any]) -> None:
     )
     for problem in told["problems"]:
         print_line(f"  {problem['code']}: {problem['message']}")
-    rows = [(c["id"], c["name"], c["use"], str(c["rows"]), number(c["poses"])) for c in told["campaigns"]]
+    rows = [(c["name"] or c["id"], c["use"], str(c["rows"]), number(c["poses"])) for c in told["campaigns"]]
     if rows:
-        show_rows(("campaign", "name", "use", "rows", "poses"), rows)
+        show_rows(("campaign", "use", "rows", "poses"), rows)
     held = told["held_out"]
     if held["how"] != "none":
         print_line(f"held out: {held['poses']} poses, {held['rows']} rows ({HOW[held['how']]})")
@@ -386,6 +387,7 @@ def run_job(
             with on_interrupt(partial(job_goes_on, job["id"])), job_bar(kind, as_json) as progress:
                 note(f"job {job['id']}", as_json)
                 job = kilter.jobs.wait(job["id"], progress)
+        suggested = [] if as_json else suggest_after_job(kilter, job)
     if files is not None and not no_wait:
         files(job)
-    emit(job, as_json, partial(show_job, details=details, head=False))
+    emit(job, as_json, partial(show_job, details=details, head=False, suggested=suggested))

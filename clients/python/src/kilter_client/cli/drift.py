@@ -12,6 +12,7 @@ from kilter_client import Kilter
 from kilter_client.cli.analyse import run_job
 from kilter_client.cli.files.upload import ColumnMap, Device, InstrumentName, MeasuredAt, build_conditions, sent_file
 from kilter_client.cli.reports.drift_report import EXIT_CODES, show_history, show_robots
+from kilter_client.cli.reports.next_step import suggest_after_job
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Details, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
@@ -96,7 +97,8 @@ def check(
             with on_interrupt(partial(job_goes_on, job["id"])), job_bar("check", as_json) as progress:
                 note(f"job {job['id']}", as_json)
                 job = dict(kilter.jobs.wait(job["id"], progress))
-    emit(job, as_json, partial(show_job, details=details, head=False))
+        suggested = [] if as_json else suggest_after_job(kilter, job)
+    emit(job, as_json, partial(show_job, details=details, head=False, suggested=suggested))
     code = EXIT_CODES.get(_verdict(job), 0)
     if code:
         raise typer.Exit(code)

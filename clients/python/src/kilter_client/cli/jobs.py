@@ -9,6 +9,7 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
+from kilter_client.cli.reports.next_step import suggest_after_job
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.terminal.arguments import Details, Json
 from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
@@ -58,7 +59,9 @@ def show(job: JobId, robot: OfRobot = None, details: Details = False, as_json: J
     """Show a job and its result."""
     with Kilter() as kilter:
         job = resolve_reference(kilter, "job", job, robot, as_json)
-        emit(kilter.jobs.get(job), as_json, partial(show_job, details=details))
+        document = kilter.jobs.get(job)
+        suggested = [] if as_json else suggest_after_job(kilter, document)
+    emit(document, as_json, partial(show_job, details=details, suggested=suggested))
 
 
 @jobs.command(epilog="Example: kilter server jobs watch job_1f")
@@ -71,7 +74,8 @@ def watch(job: JobId, robot: OfRobot = None, details: Details = False, as_json: 
                 note(sentence, as_json)
             with job_bar(job, as_json) as progress:
                 document = kilter.jobs.wait(job, progress)
-    emit(document, as_json, partial(show_job, details=details))
+        suggested = [] if as_json else suggest_after_job(kilter, document)
+    emit(document, as_json, partial(show_job, details=details, suggested=suggested))
 
 
 @jobs.command(epilog="Example: kilter server jobs cancel job_1f")
@@ -88,7 +92,6 @@ def _show_list(document: dict[str, Any]) -> None:
             job["id"],
             job["kind"],
             job["robot"],
-            job.get("name", ""),
             job["state"],
             f"{100 * float((job.get('progress') or {}).get('fraction') or 0):.0f} %",
             str(job.get("created_at", ""))[:16].replace("T", " "),
@@ -96,4 +99,4 @@ def _show_list(document: dict[str, Any]) -> None:
         )
         for job in document["jobs"]
     ]
-    show_list(("job", "kind", "robot", "name", "state", "done", "made", "by"), rows)
+    show_list(("job", "kind", "robot", "state", "done", "made", "by"), rows)

@@ -11,7 +11,7 @@ from kilter_client.requests.server_address import locate
 from kilter_client.requests.steps import Document, Request, read
 
 PATIENCE_S = 3.0
-SOURCE_TREE = "0.1.0+source"
+SOURCE_TREE = "0.2.0+source"
 
 
 def show_releases(as_json: bool) -> None:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from kilter_client import Kilter
+from kilter_client.cli.reports.next_step import format_next
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import CampaignIds, Json, VersionId, split_names
-from kilter_client.cli.terminal.output import emit, print_line
+from kilter_client.cli.terminal.output import emit, print_line, print_lines
 from kilter_client.cli.terminal.references import OfRobot, resolve_reference, resolved_all
 from kilter_client.errors import UsageError
 
@@ -40,9 +42,16 @@ def residuals(
         version = resolve_reference(kilter, "version", version, robot, as_json)
         used = resolved_all(kilter, "campaign", split_names(campaign), robot, as_json)
         content = kilter.versions.residuals(version, used, form or suffix)
+        of = kilter.versions.get(version)
+        looked_at = ((used or [one["id"] for one in of["campaigns"]])[0], "--robot", of["robot"])
     if output is None:
         typer.get_binary_stream("stdout").write(content)
         return
     write(output, content)
     document = {"version_id": version, "format": form or suffix, "output": str(output), "bytes": len(content)}
-    emit(document, as_json, lambda _: print_line(f"{output}: {len(content)} bytes"))
+    emit(document, as_json, lambda _: _show_written(document, looked_at))
+
+
+def _show_written(document: Mapping[str, Any], looked_at: Sequence[str]) -> None:
+    print_line(f"{document['output']}: {document['bytes']} bytes")
+    print_lines(format_next("measure", "suspicious", *looked_at))

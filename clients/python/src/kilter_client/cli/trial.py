@@ -1,4 +1,4 @@
-"""``kilter try``: from a file of measurements to one page, on a server that runs as long as the trial does."""
+"""``kilter try | demo``: from a file of measurements to one page, or a simulated arm, on a server that runs meanwhile."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from kilter_client.requests.local_server import local_server
 from kilter_client.results.rows import write_file
 
 ROBOT = "arm"
+CIRCLE_S = 8.0  # that the demo drives
 HELD_OUT = "0.25"  # of the poses: what a search says is checked on poses that it has not seen
 Measured = Annotated[
     list[Path], typer.Argument(metavar="FILE...", help="Measurements of the arm.", exists=True, show_default=False)
@@ -34,6 +35,7 @@ Measured = Annotated[
 def register(app: typer.Typer) -> None:
     """Add the command to the ``kilter`` command."""
     app.command("try", epilog="Example: kilter try measured.csv --robot katana450-chapter5")(try_files)
+    app.command(epilog="Example: kilter server demo")(demo)
 
 
 def try_files(
@@ -53,8 +55,7 @@ def try_files(
 
     What it stores is in a temporary folder that goes when it ends. Each step is the command that does the same on a server.
     """
-    if find_spec("kilter_service") is None:
-        raise UsageError("kilter try runs a server for a while, and it is not installed here: pip install kilter.")
+    _need_server("try")
     stated = {"device": device, "preset": preset, "map": column_map, "joints": joints, "payload-kg": payload_kg}
     options = [f"--{name}={value}" for name, value in stated.items() if value is not None]
     with _server_for_trial(as_json):
@@ -70,6 +71,30 @@ def try_files(
             found = {job["kind"]: kilter.jobs.get(job["id"]) for job in kilter.jobs.list(ROBOT)}
             write_file(kilter.run(report_page(found["gap"]["id"])), output)
     emit({"report": str(output), **found}, as_json, _show)
+
+
+def demo(
+    circle_s: Annotated[float, typer.Option(min=0.1, help="Seconds that the circle takes.")] = CIRCLE_S,
+    as_json: Json = False,
+) -> None:
+    """Calibrate and correct a simulated Katana 450, from measured poses to corrected setpoints, without a server.
+
+    With --json: the error along the circle that it drives, before and after.
+    """
+    _need_server("demo")
+    from kilter_client.cli.demo import run_demo  # it has the core, which a client alone does without
+
+    with redirect_stdout(io.StringIO()) if as_json else nullcontext():
+        record = run_demo(circle_s)
+    emit(record, as_json, lambda _: None)
+
+
+def _need_server(command: str) -> None:
+    if getattr(find_spec("kilter_service"), "origin", None) is None:  # a folder that was left behind has none
+        raise UsageError(
+            f"kilter {command} runs a server for a while, and it is not installed here: install the wheels of kilter and "
+            "kilter_core, or in the repository `pip install ./core ./clients/files .`."
+        )
 
 
 @contextmanager

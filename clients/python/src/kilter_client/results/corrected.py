@@ -68,6 +68,16 @@ class Corrected(bytes):
         """
         return dict(Counter(self.rows.to_dict().get("status", ())))
 
+    def describe_changes(self) -> str:
+        """Say how far the tool is moved at most and what is left of its error, as the end of a sentence; CSV and JSON alone."""
+        if self.media_type not in (CSV_TYPE, JSON_TYPE):
+            return ""
+        rows = self.rows
+        # Of rows that are OK no more is left than the version states of itself.
+        left = {"DAMPED", "LIMITED"} & set(rows.to_dict().get("status", ()))
+        kept = f", most left {_largest(rows, 'left_mm')}" if left else ""
+        return f", largest change {_largest(rows, 'dx_mm', 'dy_mm', 'dz_mm')}{kept}"
+
     def save(self, path: Path | str) -> Path:
         """Write the file, byte for byte as it came.
 
@@ -82,10 +92,7 @@ class Corrected(bytes):
         if self.media_type not in (CSV_TYPE, JSON_TYPE):
             return f"corrected trajectory: {len(self)} bytes of {self.media_type}{left}"
         told = ", ".join(f"{count} {name}" for name, count in self.status.items())
-        change = _largest(self.rows, "dx_mm", "dy_mm", "dz_mm")
-        # Of rows that are OK no more is left than the version states of itself.
-        kept = f", most left {_largest(self.rows, 'left_mm')}" if self.status.keys() & {"DAMPED", "LIMITED"} else ""
-        return f"corrected trajectory: {len(self.rows)} rows ({told}), largest change {change}{kept}{left}"
+        return f"corrected trajectory: {len(self.rows)} rows ({told}){self.describe_changes()}{left}"
 
     def __str__(self) -> str:
         return repr(self)

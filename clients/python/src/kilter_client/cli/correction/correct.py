@@ -16,11 +16,12 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.reports.activation_report import show_today
+from kilter_client.cli.reports.next_step import format_next
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot
 from kilter_client.cli.terminal.interrupt import on_interrupt
-from kilter_client.cli.terminal.output import emit, note, print_line
+from kilter_client.cli.terminal.output import emit, note, print_line, print_lines
 from kilter_client.cli.terminal.session_notes import is_note_due
 from kilter_client.errors import UsageError
 from kilter_files import prepare
@@ -146,11 +147,13 @@ def _show_written(told: dict[str, Any], content: Corrected, as_json: bool) -> No
         "notes": list(content.notes),
         "u95": content.u95,
     }
-    emit(
-        document,
-        as_json,
-        lambda _: print_line(f"{told['output']}: {rows or len(content)} {'rows' if rows else 'bytes'}"),
-    )
+
+    def show(_: dict[str, Any]) -> None:
+        count = f"{rows} rows{content.describe_changes()}" if rows else f"{len(content)} bytes"
+        print_line(f"{told['output']}: {count}; corrected with {told['version_id'] or 'no version'}.")
+        print_lines(format_next("plan", "check", told["robot"]))
+
+    emit(document, as_json, show)
 
 
 def _remark(content: Corrected, status: Mapping[str, int], as_json: bool, known: str) -> None:

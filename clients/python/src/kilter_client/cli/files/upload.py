@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,9 +18,10 @@ from kilter_client.cli.files.readings import guess_pairing, is_recording, read_u
 from kilter_client.cli.files.rig_file import rig_conditions
 from kilter_client.cli.files.sending import send
 from kilter_client.cli.reports.answer import fit_messages
+from kilter_client.cli.reports.next_step import suggest_after_upload
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot
-from kilter_client.cli.terminal.output import emit, note, print_line
+from kilter_client.cli.terminal.output import emit, note, print_line, print_lines
 from kilter_client.cli.terminal.references import resolve_reference
 from kilter_client.cli.terminal.tables import number, screen_columns, show_rows
 from kilter_client.cli.terminal.wording import in_words, parameters_by_request_name
@@ -286,7 +288,7 @@ def upload(
         note(f"  Warning: {text}", as_json)
     report = {"columns": list(prepared.columns), "notes": list(prepared.notes)} | done
     report["warnings"] = [*prepared.warnings, *odd]
-    emit(report, as_json, show_dry_run if dry_run else _show_upload)
+    emit(report, as_json, show_dry_run if dry_run else partial(_show_upload, robot))
     if dry_run and done["refused"]:
         raise typer.Exit(1)
 
@@ -348,6 +350,9 @@ def _print_file_notes(file: Path, prepared: Prepared, as_json: bool) -> None:
         note(f"  Warning: {text}.", as_json)
 
 
-def _show_upload(done: dict[str, Any]) -> None:
+def _show_upload(robot: str, done: dict[str, Any]) -> None:
     known = "" if done.get("new", True) else ", there already"
-    print_line(f"campaign {done['campaign_id']}: {done['rows']} rows{known} (sha256 {done['sha256'][:12]})")
+    fine = "" if done["warnings"] else "; nothing looks wrong with them"
+    print_line(f"campaign {done['campaign_id']}: {done['rows']} rows{known}{fine}.")
+    with Kilter() as kilter:
+        print_lines(suggest_after_upload(kilter, robot, done["campaign_id"]))

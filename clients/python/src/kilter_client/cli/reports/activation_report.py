@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from kilter_client.cli.terminal.output import print_line
+from kilter_client.cli.reports.next_step import PLACEHOLDER, format_next, suggest_after_today
+from kilter_client.cli.terminal.output import print_line, print_lines
 from kilter_client.cli.terminal.session_notes import is_note_due
 from kilter_client.cli.terminal.tables import number, show_list, show_rows
 
@@ -14,7 +15,7 @@ ONCE = {"compensation_unknown"}  # warnings that hold until somebody does what t
 
 def show_active(server: str, state: str, document: Mapping[str, Any]) -> None:
     """Print that a version is active, what its stream leaves out, and on what it was compared."""
-    print_line(f"{document['id']} is {state}.")
+    print_line(f"{document['id']} is {state}.{_describe_gain(document.get('compared'))}")
     if document["not_corrected"]:
         print_line(document["not_corrected"])
     for objection in document.get("objections") or ():
@@ -24,6 +25,16 @@ def show_active(server: str, state: str, document: Mapping[str, Any]) -> None:
             print_line(f"warning: {warning['message']}")
     _show_preview(document.get("preview"))
     _show_comparison(document["id"], document.get("compared"))
+    print_lines(format_next("correct", document["robot"], PLACEHOLDER, "-o", "corrected.csv"))
+
+
+def _describe_gain(compared: Mapping[str, Any] | None) -> str:
+    """Say how large the error is now and was before, on poses that no fit used; nothing where there were none."""
+    if not compared:
+        return ""
+    rival = compared["active"] or compared["registration_only"]
+    before = f"{number(rival['mean_mm'], 2)} -> " if rival else ""
+    return f" Mean error on {compared['poses']} poses that no fit used: {before}{number(compared['mean_mm'], 2)} mm."
 
 
 def _show_preview(preview: Mapping[str, Any] | None) -> None:
@@ -74,5 +85,5 @@ def show_activations(document: Mapping[str, Any]) -> None:
 
 def show_today(document: Mapping[str, Any]) -> None:
     """Print how good a robot is today, in the server's words."""
-    for sentence in document["sentences"]:
-        print_line(sentence)
+    print_lines(document["sentences"])
+    print_lines(suggest_after_today(document))

@@ -9,8 +9,9 @@ from kilter_client.cli.reports.answer import show_answer
 from kilter_client.cli.reports.drift_report import show_drift, show_smallest
 from kilter_client.cli.reports.gap_report import show_gap
 from kilter_client.cli.reports.identify_report import show_identification, show_parameters
+from kilter_client.cli.reports.next_step import suggest_for_version
 from kilter_client.cli.reports.unobservable_report import show_unobservable
-from kilter_client.cli.terminal.output import print_line
+from kilter_client.cli.terminal.output import print_line, print_lines
 from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.results.shown import MODELS, nominal_words
 
@@ -23,14 +24,20 @@ MEASURES = (
     ("orientation_deg", "orientation deg"),
 )
 
+MASSES = "load_error"  # carried beside effects that follow loads: nobody asks for it
 MOST_CHANGES = 8  # that planned poses show, of a table
 
 
-def show_job(job: dict[str, Any], details: bool = True, head: bool = True) -> None:
-    """Print a job: how it stands (``head``), and what is in its result; without ``details`` its answer on one screen."""
+def show_job(job: dict[str, Any], details: bool = True, head: bool = True, suggested: Sequence[str] = ()) -> None:
+    """Print a job: how it stands (``head``), what is in its result, and what is ``suggested`` to do next.
+
+    Without ``details`` its answer is on one screen.
+    """
     result = job.get("result") or {}
     version = result.get("version_id")
-    stored = [] if not version or job["kind"] in ("evaluate", "drift") else describe_stored(version, result)
+    stored = list(suggested)
+    if version and job["kind"] not in ("evaluate", "drift"):
+        stored = describe_stored(version, result, suggested)
     if head or details or not result:
         print_line(f"{job['kind']} {job['id']} of {job['robot']}: {job['state']}{_stage(job)}")
     long = job["kind"] in ("plan", "joint_parameters", "fleet") or result.get("iso9283")
@@ -51,15 +58,14 @@ def show_job(job: dict[str, Any], details: bool = True, head: bool = True) -> No
         show_drift(result)
     else:
         show_result(result)
-    for line in stored:
-        print_line(line)
+    print_lines(stored)
 
 
-def describe_stored(version: str, result: Mapping[str, Any]) -> list[str]:
+def describe_stored(version: str, result: Mapping[str, Any], suggested: Sequence[str]) -> list[str]:
     """Say under which name a version is stored and how to go on, or what speaks against it, a line each."""
     objections: Sequence[Mapping[str, Any]] = result.get("objections") or ()
     if not objections:
-        return [f"Stored as {version}. Next: kilter activate {version}"]
+        return [" ".join([f"Stored as {version}.", *suggested])]
     return [f"Stored as {version}, but not fit to correct with:", *(f"  {one['message']}" for one in objections)]
 
 
@@ -81,20 +87,22 @@ def show_plan(result: Mapping[str, Any]) -> None:
 
 
 def show_version(version: dict[str, Any], details: bool = True) -> None:
-    """Print a version and its parameters; without ``details`` its errors and what speaks against it."""
+    """Print a version, its parameters and what is next; without ``details`` its errors and what speaks against it."""
     print_line(f"version {version['id']} of {version.get('robot')}, made {str(version.get('created_at'))[:16]}")
-    print_line(
-        f"  {'active' if version['active'] else 'not active'}, job {version['job_id']}, parent {version['parent_id']}"
-    )
+    started = f", started from {version['parent_id']}" if version["parent_id"] else ""
+    print_line(f"  {'active' if version['active'] else 'not active'}, made by {version['job_id']}{started}")
+    effects = [name.replace("_", " ") for name in version.get("effects") or () if name != MASSES]
+    print_line(f"  effects: {', '.join(effects) or 'none, geometry alone'}")
     for objection in version.get("objections") or ():
         print_line(f"  not fit to correct with: {objection['message']}")
     for campaign in version["campaigns"]:
-        print_line(f"  {campaign['use']}: campaign {campaign['id']} ({campaign['name']}), {campaign['rows']} rows")
+        print_line(f"  {campaign['use']}: campaign {campaign['id']}, {campaign['rows']} rows")
     if not details:
-        show_answer(version, ())
+        show_answer(version, suggest_for_version(version))
         return
     _workspace((version.get("details") or {}).get("workspace"))
     show_result({**(version.get("details") or {}), **version})
+    print_lines(suggest_for_version(version))
 
 
 def _workspace(found: Mapping[str, Any] | None) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -56,6 +56,7 @@ class RobotSource:
     preset: str | None
     described: Described
     load: dict[str, Any] | None = None
+    words: tuple[str, ...] = ()  # as they are typed
 
     def document(self, unnamed: str | None = None) -> dict[str, Any]:
         """Return the robot document; ``unnamed`` is the name of a robot that was given none.
@@ -94,12 +95,13 @@ def takes_a_robot(command: Callable[..., None]) -> Callable[..., None]:
 
     def run(**values: Any) -> None:
         shared = {name: values.pop(name) for name in OPTIONS}
+        words = tuple(_words(shared))
         file, preset = shared.pop("file"), shared.pop("preset")
         load = _load(shared.pop("payload_kg"), shared.pop("payload_com_mm"))
         described: dict[str, Any] = {
             name: value or () if name in ("turned", "follows") else value for name, value in shared.items()
         }
-        command(RobotSource(file, preset, Described(**described), load), **values)
+        command(RobotSource(file, preset, Described(**described), load, words), **values)
 
     parameters = [parameter.replace(kind=_KEYWORD) for parameter in own]
     needed = [parameter for parameter in parameters if parameter.default is inspect.Parameter.empty]
@@ -108,6 +110,14 @@ def takes_a_robot(command: Callable[..., None]) -> Callable[..., None]:
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in [*needed, *given, *rest]}
     run.__name__, run.__doc__ = command.__name__, command.__doc__
     return run
+
+
+def _words(given: Mapping[str, Any]) -> Iterator[str]:
+    """The file and the options that name a robot, as they are typed."""
+    for name, value in given.items():
+        for one in value if isinstance(value, list) else [] if value is None else [value]:
+            yield from ([] if name == "file" else [f"--{name.replace('_', '-')}"])
+            yield str(one)
 
 
 def _load(payload_kg: float | None, payload_com_mm: str | None) -> dict[str, Any] | None:

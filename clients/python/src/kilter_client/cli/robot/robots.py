@@ -15,13 +15,14 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
 from kilter_client.cli.reports.answer import DETAILS, fit_messages
+from kilter_client.cli.reports.next_step import PLACEHOLDER, format_next
 from kilter_client.cli.robot import circles
 from kilter_client.cli.robot.arm_figure import save_arm
 from kilter_client.cli.robot.robot_file import RobotSource, takes_a_robot
 from kilter_client.cli.stored import keeping
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import Details, Json, Retired, Robot
-from kilter_client.cli.terminal.output import emit, note, print_line
+from kilter_client.cli.terminal.output import emit, note, print_line, print_lines
 from kilter_client.cli.terminal.session_notes import is_note_due
 from kilter_client.cli.terminal.tables import screen_columns, show_list, show_rows
 from kilter_client.errors import UsageError
@@ -43,7 +44,7 @@ def show_check(document: Document, details: bool = True) -> None:
     axes = [_axis(k, axis, document["joints"]) for k, axis in enumerate(document["axes"], 1)]
     suspicious: list[str] = document["suspicious"]
     count = len(suspicious)
-    found = f"{count or 'no'} thing{'' if count == 1 else 's'} look{'s' if count == 1 else ''} wrong"
+    found = "1 thing looks wrong" if count == 1 else f"{count} things look wrong" if count else "nothing looks wrong"
     print_line(f"{document['name']}: {len(axes)} axes, reach {document['reach_mm']:.0f} mm; {found}.")
     messages = [f"suspicious: {word}" for word in suspicious]
     messages += [f"drive: {word}" for word in document.get("drives") or ()]
@@ -154,9 +155,11 @@ def add(
     if controller_compensation is not None:
         document = {**document, "controller_compensation": controller_compensation.value}
     with Kilter() as kilter:
-        emit(kilter.robots.add(document), as_json, partial(_show, kilter.url))
-        for line in () if as_json else kilter.robots.check(document)["suspicious"]:
-            print_line(f"suspicious: {line}")
+        added = kilter.robots.add(document)
+        emit(added, as_json, partial(_show, kilter.url))
+        if not as_json:
+            print_lines(f"suspicious: {line}" for line in kilter.robots.check(document)["suspicious"])
+            print_lines(format_next("upload", added["name"], PLACEHOLDER))
 
 
 @robot.command(epilog="Example: kilter robot check arm.csv --name arm --convention dh --plot arm.png")
@@ -176,6 +179,10 @@ def check(
     if plot is not None:
         save_arm(plot, found)
     emit(found, as_json, partial(show_check, details=details))
+    if not as_json:
+        named = [] if source.described.name or source.preset else ["--name", document["name"]]
+        when = ", if that is right" if found["suspicious"] else ""
+        print_lines(format_next("robot", "add", *source.words, *named, when=when))
 
 
 @robot.command(epilog="Example: kilter robot convert arm.csv --name arm --convention dh --to mcpc -o arm.json")

@@ -37,8 +37,7 @@ def list_(robot: Robot, retired: Retired = False, as_json: Json = False) -> None
 def _show_campaigns(document: dict[str, Any]) -> None:
     rows = [
         (
-            c["id"],
-            c["name"] + (" (retired)" if c.get("retired_at") else ""),
+            (c["name"] or c["id"]) + (" (retired)" if c.get("retired_at") else ""),
             c["device"],
             c["role"],
             str(c["rows"]),
@@ -46,4 +45,4 @@ def _show_campaigns(document: dict[str, Any]) -> None:
         )
         for c in document["campaigns"]
     ]
-    show_list(("campaign", "name", "device", "role", "rows", "made"), rows, newest_last=True)
+    show_list(("campaign", "device", "role", "rows", "made"), rows, newest_last=True)

@@ -10,7 +10,7 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.reports.activation_report import show_activations, show_active, show_today
-from kilter_client.cli.reports.results import show_version
+from kilter_client.cli.reports.results import MASSES, show_version
 from kilter_client.cli.stored import exported, keeping
 from kilter_client.cli.terminal.arguments import Details, Json, Retired, Robot, VersionId
 from kilter_client.cli.terminal.output import emit, note, print_line
@@ -21,8 +21,6 @@ from kilter_client.files import files_robots
 from kilter_client.requests.calls.versions import NOMINAL
 from kilter_client.results.digits import decimals, estimate
 from kilter_client.results.rows import write_file
-
-MASSES = "load_error"  # carried beside effects that follow loads: nobody asks for it
 
 group = typer.Typer(
     help="List, name, retire and purge versions; without a command, list those of a robot.",

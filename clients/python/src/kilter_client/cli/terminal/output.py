@@ -6,13 +6,13 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import typer
 
+from kilter_client.cli.terminal.name_words import name_ids, remember_names
 from kilter_client.cli.terminal.tables import screen_columns, wrap_line
-from kilter_client.cli.terminal.version_words import name_versions
 from kilter_client.errors import KilterError, UsageError
 
 Document = dict[str, Any]
@@ -30,6 +30,7 @@ def emit(document: Document, as_json: bool, show: Callable[[Document], None]) ->
 
     Whoever reads may stop before the end, as ``head`` does: the exit code still says how the command ended.
     """
+    remember_names(document)
     try:
         if as_json:
             print(json.dumps(document, indent=2, ensure_ascii=False))
@@ -43,7 +44,13 @@ def emit(document: Document, as_json: bool, show: Callable[[Document], None]) ->
 
 def print_line(text: str = "") -> None:
     """Print a line for people on stdout, as several where it is wider than a screen."""
-    print("\n".join(wrap_line(name_versions(text), screen_columns())))
+    print("\n".join(wrap_line(name_ids(text), screen_columns())))
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    """Print lines for people on stdout."""
+    for line in lines:
+        print_line(line)
 
 
 def say_remarks(document: Document) -> None:
@@ -57,7 +64,7 @@ def say_remarks(document: Document) -> None:
 def note(text: str, as_json: bool = False) -> None:
     """Print a line about what is being done, on stderr; nothing with --json."""
     if not as_json:
-        print("\n".join(wrap_line(name_versions(text), screen_columns())), file=sys.stderr)
+        print("\n".join(wrap_line(name_ids(text), screen_columns())), file=sys.stderr)
 
 
 def report_error(error: KilterError, as_json: bool) -> None:

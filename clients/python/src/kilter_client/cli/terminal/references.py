@@ -13,6 +13,8 @@ from kilter_client.cli.terminal.output import note
 from kilter_client.errors import ApiError
 from kilter_client.resources.references import Kind, is_full
 
+SAID = ("name", "number")  # of references that say by themselves what they stand for
+
 OfRobot = Annotated[
     str | None,
     typer.Option("--robot", metavar="ROBOT", help="Its robot, where `latest` or a name is ambiguous."),
@@ -43,9 +45,9 @@ def looked_up(
     except ApiError as error:
         error.detail = f"{option}: {error.detail}" if option else error.detail
         raise
-    told = f" ({found.name!r})" if found.name and found.by != "name" else ""
-    whose = "" if robot else f" of robot {found.robot!r}"
-    return found.id, f"{kind} {reference!r} is {found.id}{told}{whose}"
+    told = f" ({found.name!r})" if found.name and found.number else ""
+    whose = "" if robot or found.number else f" of robot {found.robot!r}"
+    return found.id, None if found.by in SAID else f"{kind} {reference!r} is {found.id}{told}{whose}"
 
 
 def resolved_all(

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from itertools import zip_longest
 from typing import Any
 
-from kilter_client.cli.terminal.version_words import name_versions
+from kilter_client.cli.terminal.name_words import name_ids
 
 GAP, NARROWEST = 3, 8
 LINES_OF_LIST = 23  # of a table on one screen
@@ -72,13 +72,13 @@ def wrap_line(line: str, columns: int) -> list[str]:
 
 def show_rows(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "", numbers: bool = False) -> None:
     """Print a table on stdout; ``numbers`` sets all columns but the first to the right."""
-    named = [[name_versions(cell) for cell in row] for row in rows]
+    named = [[name_ids(cell) for cell in row] for row in rows]
     print(table(head, named, screen_columns(), title, numbers))
 
 
 def show_list(head: Sequence[str], rows: Sequence[Sequence[str]], newest_last: bool = False) -> None:
     """Print the rows of a list that fit a screen, and how many more there are."""
-    named, screen = [[name_versions(cell) for cell in row] for row in rows], screen_columns()
+    named, screen = [[name_ids(cell) for cell in row] for row in rows], screen_columns()
     for count in range(min(len(named), LINES_OF_LIST), -1, -1):
         text = table(head, named[len(named) - count :] if newest_last else named[:count], screen)
         if text.count("\n") < LINES_OF_LIST or count == 1:
