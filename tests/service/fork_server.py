@@ -1,7 +1,7 @@
 """The process that `tests/service/forked.py` has fork processes of Kilter: it imports what they need once, and forks.
 
-It has neither a thread nor a zenoh session. A connection asks for one process: it is told its id, and its exit code once it
-ended. The server ends with the last connection.
+It has neither a thread (Arrow's allocator is told to have none) nor a zenoh session. A connection asks for one process: it
+is told its id, and its exit code once it ended. The server ends with the last connection.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import gc
 import importlib
 import json
 import os
+import pkgutil
 import resource
 import selectors
 import signal
@@ -22,7 +23,8 @@ import threading
 import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
+from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import SimpleNamespace
@@ -58,6 +60,30 @@ IMPORTED: Mapping[str, Sequence[str]] = {
 }
 
 
+@cache
+def _warm_up_correctors() -> None:
+    from kilter_core.correct.program import warm_up
+    from kilter_service.stream.corrector import fast_path
+
+    warm_up()
+    fast_path.warm_up()
+
+
+@cache
+def _warm_up_jobs() -> None:
+    """Import what jobs import when they run, and load their kernels: 2 s, which each worker would take for its first job."""
+    import pyarrow.dataset
+    import pyarrow.parquet  # noqa: F401
+
+    import kilter_core
+    from kilter_service.run.compiling import compile_kernels
+
+    for module in pkgutil.walk_packages(kilter_core.__path__, "kilter_core."):
+        importlib.import_module(module.name)
+    with redirect_stdout(None):
+        compile_kernels()
+
+
 class Asked(NamedTuple):
     """A process that runs: by which name, for which tests and for which process, and who is told of its end."""
 
@@ -77,7 +103,6 @@ class Server:
         self._running: dict[int, Asked] = {}  # by process id
         self._used_s: Counter[int] = Counter()
         self._imported: set[str] = set()
-        self._warm = False
 
     def run(self) -> None:
         """Serve until nobody is connected any more."""
@@ -136,13 +161,10 @@ class Server:
             if module not in self._imported:
                 importlib.import_module(module)
                 self._imported.add(module)
-        if not self._warm and set(_FORKED) <= self._imported:
-            from kilter_core.correct.program import warm_up
-            from kilter_service.stream.corrector import fast_path
-
-            warm_up()
-            fast_path.warm_up()
-            self._warm = True
+        if "kilter_service.jobs.work.worker" in self._imported:
+            _warm_up_jobs()
+        elif set(_FORKED) <= self._imported:
+            _warm_up_correctors()
         gc.freeze()
         gc.enable()
 

@@ -199,6 +199,6 @@ def _start_server() -> None:
         os.posix_spawn(  # nobody waits for it: it ends with the last connection, of whichever process
             sys.executable,
             [sys.executable, "-m", "tests.service.fork_server", str(listener.fileno())],
-            {**os.environ, _RUN_ID: _RUN, "PYTHONPATH": path},
+            {**os.environ, _RUN_ID: _RUN, "PYTHONPATH": path, "JE_ARROW_MALLOC_CONF": "background_thread:false"},
             file_actions=[(os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0)],
         )
