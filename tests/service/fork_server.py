@@ -22,66 +22,46 @@ import sys
 import threading
 import traceback
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
-from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple, NoReturn
 
+import kilter_core
+from kilter_service.run import compiling
 from tests.service import forked
 
 MOST_BYTES, MOST_FDS = 1 << 18, 32
 RESERVED = 64  # file descriptors below the limit, where received ones are put out of the way of their places
 ORDERS = 3  # where the fork server of a corrector finds the pipe of its orders
 
-_COMMAND = ["kilter_service.run.program"]
-_JOBS = [
-    "kilter_service.run.serving",
+IMPORTED = (
     "kilter_service.jobs.work.worker",
-    "kilter_core.identify",
-    "kilter_core.gap",
-    "kilter_core.evaluate",
-]
-_API = ["kilter_service.run.serving", "kilter_service.run.app", "kilter_service.web.connections", "uvicorn"]
-_CORRECTOR = ["kilter_service.stream.corrector.process", "kilter_service.ground.db"]
-_FORKED = [
-    "kilter_core.correct.program",
-    *(f"kilter_service.stream.corrector.{name}" for name in ("fast_path", "loop", "queries")),
-]
-_SERVE = ["kilter_service.run.supervisor", "kilter_service.run.backup.upgrade"]
-IMPORTED: Mapping[str, Sequence[str]] = {
-    "worker": [*_COMMAND, *_JOBS],
-    "api": [*_COMMAND, *_API],
-    "corrector": [*_COMMAND, *_CORRECTOR, *_FORKED],
-    "serve": [*_COMMAND, *_SERVE, *_JOBS, *_API, *_CORRECTOR, *_FORKED],
-    forked.CORRECTOR_FORKS: _FORKED,
-}
+    "kilter_service.run.app",
+    "kilter_service.run.backup.upgrade",
+    "kilter_service.run.program",
+    "kilter_service.run.supervisor",
+    "kilter_service.web.connections",
+    *(f"kilter_service.stream.corrector.{name}" for name in ("process", "fast_path", "loop", "queries")),
+    "pyarrow.dataset",
+    "pyarrow.parquet",
+    "uvicorn",
+)
 
 
-@cache
-def _warm_up_correctors() -> None:
-    from kilter_core.correct.program import warm_up
-    from kilter_service.stream.corrector import fast_path
-
-    warm_up()
-    fast_path.warm_up()
-
-
-@cache
-def _warm_up_jobs() -> None:
-    """Import what jobs import when they run, and load their kernels: 2 s, which each worker would take for its first job."""
-    import pyarrow.dataset
-    import pyarrow.parquet  # noqa: F401
-
-    import kilter_core
-    from kilter_service.run.compiling import compile_kernels
-
+def _import_and_load() -> None:
+    """Import what processes of Kilter need, now or for a job, and load all kernels: each would take 3 s for both."""
+    gc.disable()
     for module in pkgutil.walk_packages(kilter_core.__path__, "kilter_core."):
         importlib.import_module(module.name)
+    for name in IMPORTED:
+        importlib.import_module(name)
     with redirect_stdout(None):
-        compile_kernels()
+        compiling.compile_kernels()
+    gc.freeze()
+    gc.enable()
 
 
 class Asked(NamedTuple):
@@ -102,10 +82,10 @@ class Server:
         self._open: set[socket.socket] = set()
         self._running: dict[int, Asked] = {}  # by process id
         self._used_s: Counter[int] = Counter()
-        self._imported: set[str] = set()
 
     def run(self) -> None:
         """Serve until nobody is connected any more."""
+        _import_and_load()
         woken, wakes = os.pipe()
         for end in (woken, wakes):
             os.set_blocking(end, False)
@@ -146,7 +126,6 @@ class Server:
             return
         if asked["run"] == forked.STAY:
             return
-        self._prepare(asked["run"])
         pid = os.fork()
         if pid == 0:
             _be(asked, fds)
@@ -154,19 +133,6 @@ class Server:
             os.close(fd)
         self._running[pid] = Asked(asked["run"], asked["asker"], asked["parent"], connection)
         connection.send(json.dumps(pid).encode())
-
-    def _prepare(self, name: str) -> None:
-        gc.disable()
-        for module in IMPORTED.get(name, _COMMAND):
-            if module not in self._imported:
-                importlib.import_module(module)
-                self._imported.add(module)
-        if "kilter_service.jobs.work.worker" in self._imported:
-            _warm_up_jobs()
-        elif set(_FORKED) <= self._imported:
-            _warm_up_correctors()
-        gc.freeze()
-        gc.enable()
 
     def _ended(self, woken: int) -> None:
         os.read(woken, 4096)
