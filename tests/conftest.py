@@ -71,7 +71,8 @@ def pytest_collection() -> Generator[None, object, object]:
         return (yield)
     finally:
         gc.freeze()
-        ShortPauses(LONG_COLLECTION_S).watch_collections()  # what is imported later: each job that ends looks for garbage
+        # What is imported later: each job that ends looks for garbage.
+        ShortPauses(LONG_COLLECTION_S).watch_collections()
         gc.set_threshold(*COLLECTIONS)
         gc.enable()
 

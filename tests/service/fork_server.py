@@ -30,6 +30,7 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple, NoReturn
 
 import kilter_core
+from kilter_client.cli import main as kilter
 from kilter_service.run import compiling
 from tests.service import forked
 
@@ -38,6 +39,7 @@ RESERVED = 64  # file descriptors below the limit, where received ones are put o
 ORDERS = 3  # where the fork server of a corrector finds the pipe of its orders
 
 IMPORTED = (
+    *(f"kilter_client.bridges.{name}" for name in ("running", "egm", "fci", "rsi")),
     "kilter_service.jobs.work.worker",
     "kilter_service.run.app",
     "kilter_service.run.backup.upgrade",
@@ -182,7 +184,6 @@ def _be(asked: dict[str, Any], fds: list[int]) -> NoReturn:
         if asked["umask"] >= 0:
             os.umask(asked["umask"])
         forked.ASKER = asked["asker"]
-        gc.unfreeze()
         _run(asked["run"], asked["arguments"])
         code = 0
     except SystemExit as error:
@@ -209,6 +210,10 @@ def _run(name: str, arguments: list[str]) -> None:
         from kilter_service.stream.corrector.fork_server import fork_server_main
 
         fork_server_main(Connection(ORDERS))
+        return
+    if name == forked.CLIENT:
+        sys.argv = ["kilter", *arguments]
+        kilter()
         return
     from kilter_service import __main__
 
