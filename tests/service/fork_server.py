@@ -49,6 +49,7 @@ IMPORTED = (
     *(f"kilter_service.stream.corrector.{name}" for name in ("process", "fast_path", "loop", "queries")),
     "pyarrow.dataset",
     "pyarrow.parquet",
+    "httpx",
     "uvicorn",
 )
 

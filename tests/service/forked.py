@@ -136,18 +136,18 @@ def forked_command(
 
 def used_s() -> float:
     """Processor time of the processes that this one asked for, and of theirs."""
-    return float(_told(CPU, ASKER or os.getpid())) if _stay else 0.0
+    return float(_ask(_stay[0], CPU, ASKER or os.getpid())) if _stay else 0.0
 
 
 def children_of(pid: int) -> dict[str, int]:
     """Process ids of the processes that a forked one started, by command."""
-    return dict(_told(CHILDREN, pid))
-
-
-def _told(what: str, asker: int) -> Any:
     with _connected() as connection:
-        connection.send(dumps({"run": what, "asker": asker}).encode())
-        return loads(connection.recv(1 << 16))
+        return dict(_ask(connection, CHILDREN, pid))
+
+
+def _ask(connection: socket.socket, what: str, asker: int) -> Any:
+    connection.send(dumps({"run": what, "asker": asker}).encode())
+    return loads(connection.recv(1 << 16))
 
 
 def _fork(
