@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from kilter_service.ground.processes.memory import ShortPauses
 from tests.measured_seconds import measured
 from tests.temporary_files import put_in_memory
 
@@ -56,6 +57,7 @@ def wide_screen() -> Iterator[None]:
 
 
 COLLECTIONS = (50_000, 20, 20)  # Python: 700, 10, 10
+LONG_COLLECTION_S = 0.02
 
 
 @pytest.hookimpl(wrapper=True)
@@ -69,6 +71,8 @@ def pytest_collection() -> Generator[None, object, object]:
         return (yield)
     finally:
         gc.freeze()
+        # What is imported later: each job that ends looks for garbage.
+        ShortPauses(LONG_COLLECTION_S).watch_collections()
         gc.set_threshold(*COLLECTIONS)
         gc.enable()
 

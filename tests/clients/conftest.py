@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import subprocess
 import sys
@@ -19,14 +18,6 @@ from tests.service.forked import ForkedPopen
 
 READY_S = 120
 STOP_S = 20
-
-
-@pytest.fixture(autouse=True)
-def frozen_modules() -> Iterator[None]:
-    """Leave what was imported out of each look for garbage: a bridge in this process looks, and thaws it as it ends."""
-    yield
-    if gc.get_freeze_count() == 0:
-        gc.freeze()
 
 
 @pytest.fixture(scope="session")

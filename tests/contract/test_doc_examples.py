@@ -9,16 +9,18 @@ have printed, as its reader does.
 from __future__ import annotations
 
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from kilter_client.requests.local_server import LocalServer, local_server
-from tests.service.forked import ForkedPopen
+from tests.service.forked import KILTER, ForkedPopen
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCS = REPOSITORY / "docs"
@@ -29,6 +31,7 @@ NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?![\w.]*\w)")
 WITHIN = 0.15  # share by which a printed number may differ from the page's
 IDENTIFIER = re.compile(r"\b(?:cmp|ver|job)_[0-9a-f]{8,}\b")
 PLACEHOLDER = re.compile(r"\b(cmp|ver|job)_(\d)\b")
+SHELL = re.compile(r"[|<>;&$*?`~(){}\[\]!\\]")  # what makes of a line more than a command and its words
 DEADLINE_S = 240
 
 
@@ -77,27 +80,32 @@ def says_the_same(expected: str, line: str) -> bool:
     return said[0] == said[1] and all(abs(float(a) - float(b)) <= WITHIN * float(a) + 1e-9 for a, b in numbers)
 
 
+def start(language: str, source: str, **options: Any) -> subprocess.Popen[str]:
+    """Start a step of a block: a fork where a line is a command of Kilter alone, which needs no shell."""
+    if language != "sh":
+        return subprocess.Popen([sys.executable, "-c", source], **options)
+    if source.startswith("kilter ") and not SHELL.search(source):
+        return ForkedPopen([*KILTER, *shlex.split(source)[1:]], **options)
+    return subprocess.Popen(["bash", "-euo", "pipefail", "-c", source], **options)
+
+
 def run(example: Example, folder: Path, server: LocalServer, printed: list[str]) -> str:
     """Run a block and return what it printed; shell blocks by lines, since one may need an id printed before."""
     out = ""
-    shell = ["bash", "-euo", "pipefail", "-c"]
+    steps = [example.source]
     if example.language == "sh":
-        steps = [[*shell, line.partition("  #")[0]] for line in example.source.splitlines() if line.strip()]
-    else:
-        steps = [[sys.executable, "-c", example.source]]
-    for *command, source in steps:
-        done = subprocess.run(
-            [*command, with_identifiers(source, printed)],
-            cwd=folder,
-            env=server.environment(),
-            capture_output=True,
-            text=True,
-            timeout=DEADLINE_S,
-            check=False,
-        )
-        assert done.returncode == 0, f"{source}\n{done.stdout}\n{done.stderr}"
-        printed += IDENTIFIER.findall(done.stdout + done.stderr)
-        out += done.stdout
+        steps = [line.partition("  #")[0] for line in example.source.splitlines() if line.strip()]
+    options = {"cwd": folder, "env": server.environment(), "text": True}
+    for source in (with_identifiers(step, printed) for step in steps):
+        with start(example.language, source, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options) as step:
+            try:
+                said, complaints = step.communicate(timeout=DEADLINE_S)
+            except subprocess.TimeoutExpired:
+                step.kill()
+                raise
+        assert step.returncode == 0, f"{source}\n{said}\n{complaints}"
+        printed += IDENTIFIER.findall(said + complaints)
+        out += said
     return out
 
 

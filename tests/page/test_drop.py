@@ -8,6 +8,8 @@ import html
 import io
 import json
 import re
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -336,3 +338,10 @@ def test_real_files_are_understood_in_the_browser(
             page.wait_for_url("**/campaigns/new/*")
             assert page.get_by_text(kind, exact=True).first.is_visible(), path
             assert page.locator("table.column-map").get_by_text(column).first.is_visible(), path
+
+
+def test_what_reads_a_drop_starts_without_arrow() -> None:
+    """It is started for each file, and few are Parquet."""
+    code = "import sys, kilter_service.page.drop.child; print({'numpy', 'pyarrow'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"

@@ -1,7 +1,7 @@
 """The process that `tests/service/forked.py` has fork processes of Kilter: it imports what they need once, and forks.
 
-It has neither a thread nor a zenoh session. A connection asks for one process: it is told its id, and its exit code once it
-ended. The server ends with the last connection.
+It has neither a thread (Arrow's allocator is told to have none) nor a zenoh session. A connection asks for one process: it
+is told its id, and its exit code once it ended. The server ends with the last connection.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import gc
 import importlib
 import json
 import os
+import pkgutil
 import resource
 import selectors
 import signal
@@ -21,41 +22,49 @@ import sys
 import threading
 import traceback
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable
+from contextlib import redirect_stdout, suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple, NoReturn
 
+import kilter_core
+from kilter_client.cli import main as kilter
+from kilter_service.run import compiling
 from tests.service import forked
 
 MOST_BYTES, MOST_FDS = 1 << 18, 32
 RESERVED = 64  # file descriptors below the limit, where received ones are put out of the way of their places
 ORDERS = 3  # where the fork server of a corrector finds the pipe of its orders
 
-_COMMAND = ["kilter_service.run.program"]
-_JOBS = [
-    "kilter_service.run.serving",
+IMPORTED = (
+    *(f"kilter_client.bridges.{name}" for name in ("running", "egm", "fci", "rsi")),
     "kilter_service.jobs.work.worker",
-    "kilter_core.identify",
-    "kilter_core.gap",
-    "kilter_core.evaluate",
-]
-_API = ["kilter_service.run.serving", "kilter_service.run.app", "kilter_service.web.connections", "uvicorn"]
-_CORRECTOR = ["kilter_service.stream.corrector.process", "kilter_service.ground.db"]
-_FORKED = [
-    "kilter_core.correct.program",
-    *(f"kilter_service.stream.corrector.{name}" for name in ("fast_path", "loop", "queries")),
-]
-_SERVE = ["kilter_service.run.supervisor", "kilter_service.run.backup.upgrade"]
-IMPORTED: Mapping[str, Sequence[str]] = {
-    "worker": [*_COMMAND, *_JOBS],
-    "api": [*_COMMAND, *_API],
-    "corrector": [*_COMMAND, *_CORRECTOR, *_FORKED],
-    "serve": [*_COMMAND, *_SERVE, *_JOBS, *_API, *_CORRECTOR, *_FORKED],
-    forked.CORRECTOR_FORKS: _FORKED,
-}
+    "kilter_service.run.app",
+    "kilter_service.run.backup.upgrade",
+    "kilter_service.run.program",
+    "kilter_service.run.supervisor",
+    "kilter_service.web.connections",
+    *(f"kilter_service.stream.corrector.{name}" for name in ("process", "fast_path", "loop", "queries")),
+    "pyarrow.dataset",
+    "pyarrow.parquet",
+    "httpx",
+    "uvicorn",
+)
+
+
+def _import_and_load() -> None:
+    """Import what processes of Kilter need, now or for a job, and load all kernels: each would take 3 s for both."""
+    gc.disable()
+    for module in pkgutil.walk_packages(kilter_core.__path__, "kilter_core."):
+        importlib.import_module(module.name)
+    for name in IMPORTED:
+        importlib.import_module(name)
+    with redirect_stdout(None):
+        compiling.compile_kernels()
+    gc.freeze()
+    gc.enable()
 
 
 class Asked(NamedTuple):
@@ -76,11 +85,10 @@ class Server:
         self._open: set[socket.socket] = set()
         self._running: dict[int, Asked] = {}  # by process id
         self._used_s: Counter[int] = Counter()
-        self._imported: set[str] = set()
-        self._warm = False
 
     def run(self) -> None:
         """Serve until nobody is connected any more."""
+        _import_and_load()
         woken, wakes = os.pipe()
         for end in (woken, wakes):
             os.set_blocking(end, False)
@@ -121,7 +129,6 @@ class Server:
             return
         if asked["run"] == forked.STAY:
             return
-        self._prepare(asked["run"])
         pid = os.fork()
         if pid == 0:
             _be(asked, fds)
@@ -129,22 +136,6 @@ class Server:
             os.close(fd)
         self._running[pid] = Asked(asked["run"], asked["asker"], asked["parent"], connection)
         connection.send(json.dumps(pid).encode())
-
-    def _prepare(self, name: str) -> None:
-        gc.disable()
-        for module in IMPORTED.get(name, _COMMAND):
-            if module not in self._imported:
-                importlib.import_module(module)
-                self._imported.add(module)
-        if not self._warm and set(_FORKED) <= self._imported:
-            from kilter_core.correct.program import warm_up
-            from kilter_service.stream.corrector import fast_path
-
-            warm_up()
-            fast_path.warm_up()
-            self._warm = True
-        gc.freeze()
-        gc.enable()
 
     def _ended(self, woken: int) -> None:
         os.read(woken, 4096)
@@ -194,7 +185,6 @@ def _be(asked: dict[str, Any], fds: list[int]) -> NoReturn:
         if asked["umask"] >= 0:
             os.umask(asked["umask"])
         forked.ASKER = asked["asker"]
-        gc.unfreeze()
         _run(asked["run"], asked["arguments"])
         code = 0
     except SystemExit as error:
@@ -221,6 +211,10 @@ def _run(name: str, arguments: list[str]) -> None:
         from kilter_service.stream.corrector.fork_server import fork_server_main
 
         fork_server_main(Connection(ORDERS))
+        return
+    if name == forked.CLIENT:
+        sys.argv = ["kilter", *arguments]
+        kilter()
         return
     from kilter_service import __main__
 

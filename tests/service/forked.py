@@ -1,4 +1,4 @@
-"""Processes of `kilterd` as forks of one that has imported them: processes like any other, seconds of imports sooner.
+"""Processes of `kilterd` and `kilter` as forks of one that has imported them: like any other, seconds of imports sooner.
 
 `ForkedPopen` is a `subprocess.Popen` whose process is a fork of `tests/service/fork_server.py`, one for all processes that run
 the tests. A server's own processes are then forks too. What is tested of Python's start itself (preloaded libraries, the
@@ -25,8 +25,11 @@ from typing import Any
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DEADLINE_S = 240.0
-# What is asked for beside commands: the fork server of a corrector, a connection that keeps the server, numbers.
-CORRECTOR_FORKS, STAY, CPU, CHILDREN = "the forks of a corrector", "stay", "cpu", "children"
+KILTERD = [sys.executable, "-m", "kilter_service"]
+KILTER = [sys.executable, "-c", "from kilter_client.cli import main; main()"]
+# What is asked for beside commands of the server: `kilter`, the fork server of a corrector, a connection that keeps the
+# server, numbers.
+CLIENT, CORRECTOR_FORKS, STAY, CPU, CHILDREN = "kilter", "the forks of a corrector", "stay", "cpu", "children"
 ASKER: int | None = None  # to whom the processor time counts, of a process that was forked; of any other it is itself
 _RUN_ID = "RUN_OF_THE_TESTS"
 _RUN = os.environ.get(_RUN_ID) or str(os.getpid())
@@ -36,7 +39,7 @@ _stay: list[socket.socket] = []
 
 
 class ForkedPopen(subprocess.Popen[Any]):
-    """`subprocess.Popen` of `[sys.executable, "-m", "kilter_service", ...]`."""
+    """`subprocess.Popen` of `[*KILTERD, ...]` or `[*KILTER, ...]`."""
 
     _connection: socket.socket
 
@@ -46,12 +49,12 @@ class ForkedPopen(subprocess.Popen[Any]):
         errread: int, errwrite: int, restore_signals: Any, gid: Any, gids: Any, uid: Any, umask: int,
         start_new_session: bool, process_group: Any,
     ) -> None:  # fmt: skip
-        *python, command = map(str, args[:4])
-        assert python == [sys.executable, "-m", "kilter_service"], args
+        program, arguments = list(map(str, args[:3])), list(map(str, args[3:]))
+        assert program in (KILTERD, KILTER), args
         ends = ((p2cread, 0), (c2pwrite, 1), (errwrite, 2))
         places = {place: place if end == -1 else end for end, place in ends} | {fd: fd for fd in pass_fds}
         self._connection, self.pid = _fork(
-            command, [str(one) for one in args[3:]], places, environment=os.environ if env is None else env,
+            arguments[0] if program == KILTERD else CLIENT, arguments, places, environment=os.environ if env is None else env,
             folder=cwd or os.getcwd(), umask=umask, session=start_new_session,
         )  # fmt: skip
         self._child_created = True
@@ -111,17 +114,16 @@ def fork_those_of_correctors() -> None:
 
 def forked_worker(environment: Mapping[str, str], folder: Path) -> ForkedPopen:
     """Return a worker that is started."""
-    return ForkedPopen([sys.executable, "-m", "kilter_service", "worker"], env=environment, cwd=folder)
+    return ForkedPopen([*KILTERD, "worker"], env=environment, cwd=folder)
 
 
 def forked_command(
     *arguments: str, environment: Mapping[str, str], folder: Path, umask: int = -1, deadline_s: float = DEADLINE_S
 ) -> subprocess.CompletedProcess[str]:
     """Run a command to its end, as `subprocess.run` would."""
-    command = [sys.executable, "-m", "kilter_service", *arguments]
     with ForkedPopen(
-        command, env=environment, cwd=folder, umask=umask, text=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        [*KILTERD, *arguments], env=environment, cwd=folder, umask=umask, text=True, stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     ) as process:  # fmt: skip
         try:
             out, err = process.communicate(timeout=deadline_s)
@@ -134,18 +136,18 @@ def forked_command(
 
 def used_s() -> float:
     """Processor time of the processes that this one asked for, and of theirs."""
-    return float(_told(CPU, ASKER or os.getpid())) if _stay else 0.0
+    return float(_ask(_stay[0], CPU, ASKER or os.getpid())) if _stay else 0.0
 
 
 def children_of(pid: int) -> dict[str, int]:
     """Process ids of the processes that a forked one started, by command."""
-    return dict(_told(CHILDREN, pid))
-
-
-def _told(what: str, asker: int) -> Any:
     with _connected() as connection:
-        connection.send(dumps({"run": what, "asker": asker}).encode())
-        return loads(connection.recv(1 << 16))
+        return dict(_ask(connection, CHILDREN, pid))
+
+
+def _ask(connection: socket.socket, what: str, asker: int) -> Any:
+    connection.send(dumps({"run": what, "asker": asker}).encode())
+    return loads(connection.recv(1 << 16))
 
 
 def _fork(
@@ -199,6 +201,6 @@ def _start_server() -> None:
         os.posix_spawn(  # nobody waits for it: it ends with the last connection, of whichever process
             sys.executable,
             [sys.executable, "-m", "tests.service.fork_server", str(listener.fileno())],
-            {**os.environ, _RUN_ID: _RUN, "PYTHONPATH": path},
+            {**os.environ, _RUN_ID: _RUN, "PYTHONPATH": path, "JE_ARROW_MALLOC_CONF": "background_thread:false"},
             file_actions=[(os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0)],
         )

@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -20,7 +19,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
 from kilter_service.run.supervisor import MOST_ENDS
 from tests.service.conftest import wait_for
-from tests.service.forked import ForkedPopen, children_of
+from tests.service.forked import KILTERD, ForkedPopen, children_of
 from tests.service.made_versions import store_version
 from tests.service.test_compensation import add
 from tests.service.test_serve import REPOSITORY, Server, children
@@ -74,17 +73,15 @@ def missing_of(url: str) -> set[str]:
 
 
 def test_a_worker_that_ends_again_and_again_at_the_start_ends_nothing_else(settings: Settings) -> None:
-    command = [sys.executable, "-m", "kilter_service", "serve"]
-    process = subprocess.Popen(
-        command, env={**os.environ, **settings.environment()}, cwd=REPOSITORY, stdout=subprocess.PIPE
-    )
+    environment = {**os.environ, **settings.environment()}
+    process = ForkedPopen([*KILTERD, "serve"], env=environment, cwd=REPOSITORY, stdout=subprocess.PIPE)
     watch = threading.Timer(90, process.kill)
     watch.start()
     try:
         killed: list[int] = []
         while len(killed) <= MOST_ENDS and process.poll() is None:
             with suppress(OSError):  # it ended while it was looked at
-                worker = children(process.pid).get("worker")
+                worker = children_of(process.pid).get("worker")
                 if worker is not None and worker not in killed:
                     os.kill(worker, signal.SIGKILL)
                     killed.append(worker)

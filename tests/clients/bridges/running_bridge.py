@@ -7,7 +7,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,6 +22,7 @@ from kilter_client.errors import NotFoundError
 from tests.clients.bridges.udp_peer import GUARD_S
 from tests.clients.three_joint_arm import LENGTHS_MM, Floats, tip_mm
 from tests.clients.three_joint_arm import arm as three_joint_arm
+from tests.service.forked import KILTER, ForkedPopen
 
 REAL_MM = (400.0, 300.6, 199.5)
 PRIORITY = os.environ.get("PRIORITY")  # real-time, of a bridge and of what plays its robot
@@ -114,9 +114,9 @@ class Bridge:
 @contextmanager
 def bridging(*arguments: str, **environment: str) -> Iterator[Bridge]:
     """Run ``kilter bridge`` with these arguments."""
-    code = "from kilter_client.cli import main; main()"
-    process = subprocess.Popen(
-        [*REAL_TIME, sys.executable, "-c", code, "bridge", *arguments],
+    start = subprocess.Popen if REAL_TIME else ForkedPopen
+    process = start(
+        [*REAL_TIME, *KILTER, "bridge", *arguments],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, **environment},
     )  # fmt: skip
     bridge = Bridge(process)

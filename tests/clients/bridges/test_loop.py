@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 import re
@@ -16,7 +17,7 @@ import pytest
 
 from kilter_client.bridges.correction import Correction
 from kilter_client.bridges.guard import Guard
-from kilter_client.bridges.loop import Loop, Request
+from kilter_client.bridges.loop import Loop, Request, without_collections
 from kilter_client.bridges.news import Kind, Line, pair
 from kilter_client.bridges.rsi import From, RsiWire
 from kilter_core.correct.file import from_bytes, to_bytes
@@ -492,3 +493,12 @@ def test_off_is_said_once_nothing_is_offset(correction: Correction, guard: Guard
         assert guard.out == (states[-1] == "off")
     assert states[0] == "fading out"
     assert states[-1] == "off"
+
+
+def test_a_loop_without_collections_leaves_what_its_process_has_frozen() -> None:
+    frozen = gc.get_freeze_count()
+    assert frozen > 0, "tests/conftest.py has frozen what was imported"
+    with without_collections():
+        assert not gc.isenabled()
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == frozen

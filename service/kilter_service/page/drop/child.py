@@ -11,11 +11,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pyarrow import parquet
-
 from kilter_files import prepare
 from kilter_files.formats import Columns, Head, all_readers, detect_table_shape, refuse_stranger
 from kilter_files.ground import FileError, KilterError, MissingPackageError
+from kilter_files.ground.later import parquet
 from kilter_files.look import draft, inspect
 from kilter_service.ground.processes.sandbox import confine
 

@@ -66,13 +66,11 @@ ROOM = 1 << 20  # bytes for packets that wait; the system may give less
 def without_collections() -> Iterator[None]:
     """Let no collection of garbage interrupt a cycle: what a cycle leaves is freed by its count of references."""
     gc.collect()
-    gc.freeze()
     gc.disable()
     try:
         yield
     finally:
         gc.enable()
-        gc.unfreeze()
 
 
 class Request(NamedTuple):
