@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from kilter_files.formats.programs.found import MOST_LINES
+from kilter_files.formats.programs.rapid_moves import _control
 from kilter_files.formats.programs.reading import MOST_IN_LINE, read_programs
 from kilter_files.ground.errors import FileError
 
@@ -29,6 +30,7 @@ PROGRAMS = {
             "\\WObj:=",
             "IF ",
             "IF a ",
+            "ConfL\\Off; IF a ",
             "PROC a(",
             "CONST num a:=1 ",
         ],
@@ -103,6 +105,12 @@ def test_what_a_program_costs_grows_with_its_length(tmp_path: Path, ending: str,
     limit = lambda: resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))  # noqa: E731
     done = subprocess.run([sys.executable, "-c", READ, *map(str, paths)], preexec_fn=limit, capture_output=True)
     assert done.returncode == 0, done.stderr.decode()[-2000:]
+
+
+def test_what_short_ifs_without_an_end_call_is_noted_only_of_routines_of_the_program() -> None:
+    control, calls = _control("if a\n f(b)\nend\n" * 2000, {"G"})
+    assert len(control) == 4000
+    assert len(calls) == 4000  # the statements f and end; each IF reads on for a hundred words
 
 
 @pytest.mark.parametrize("ending", PROGRAMS)

@@ -126,7 +126,7 @@ def _frame(program: Program, which: str, number: str | None) -> Frame | str:
     return f"{said} is not in this program: state it, --{which} {number or ''}{'=' if number else ''}X,Y,Z,W,P,R"
 
 
-POSITION = re.compile(r"\bP\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]\s?\{([^}]{0,2000})(\};?|\Z)")
+POSITION = re.compile(r"\bP\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]\s?\{([^}]{0,2000}+)(\};?|\Z)")
 AXIS = re.compile(r"\bJ(\d)\s?=\s{0,9}([^\s,]+)\s{0,9}(deg|mm)?")
 FURTHER = re.compile(rf"\b(?:E\d\s?=\s{{0,9}}({NUMBER})|J\d\s?=\s{{0,9}}({NUMBER})\s{{0,9}}mm)")
 OTHER_GROUP = re.compile(r"\bGP[2-9]\s?:")
