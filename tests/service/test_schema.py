@@ -52,7 +52,6 @@ ALTERED = {
             "ALTER TABLE ended_jobs SET UNLOGGED",
             "The table ended_jobs is not defined as Kilter does it: not in the log",
         ),
-        ("CREATE POLICY own ON tokens USING (role = 'admin')", "The policy own was put into"),
         (
             "ALTER TABLE tokens FORCE ROW LEVEL SECURITY",
             "The table tokens is not defined as Kilter does it: rows hidden",

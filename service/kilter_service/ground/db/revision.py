@@ -48,10 +48,8 @@ def current(database: Database) -> str | None:
 
 
 def _altered(what: str) -> ServiceError:
-    return ServiceError(
-        f"{what}: it was altered past Kilter. Nothing was changed. Bring back a backup with `kilterd restore`.",
-        code="database_damaged",
-    )
+    said = f"{what}: it was altered past Kilter. Nothing was changed. Bring back a backup with `kilterd restore`."
+    return ServiceError(said, code="database_damaged")
 
 
 def check(database: Database) -> None:
@@ -149,6 +147,6 @@ def migrate(database: Database) -> bool:
     except DBAPIError as error:
         if in_words(error) is not None:
             raise
-        named = f"revision {found}" if found else "no revision"
-        raise _altered(f"The database names {named}, and its tables are of another one ({error.orig})") from error
+        what = f"The database names revision {found or 'none'}, and its tables are of another one ({error.orig})"
+        raise _altered(what) from error
     return True

@@ -15,8 +15,7 @@ from kilter_service.ground.db.row import Row
 
 FILE = Path(__file__).with_name("schema.json")
 Definitions = dict[str, list[str]]  # by kind and name: the parts of the definition, sorted
-# Indexes of keys have no definition. The schema may be written past SQLite's rules, so a name like its own proves nothing;
-# what ANALYZE counts does not belong to it.
+# Whoever writes the schema itself may take names like SQLite's own. What ANALYZE counts does not belong to it.
 _SQLITE = text(
     "SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL "
     "AND NOT (type = 'table' AND name IN ('sqlite_stat1', 'sqlite_stat4'))"
@@ -25,8 +24,7 @@ _SQLITE = text(
 _POSTGRESQL = text(
     """
     WITH ours AS (SELECT oid, relname, relpersistence, relrowsecurity OR relforcerowsecurity AS hides
-                  FROM pg_class WHERE relname IN :tables
-                  AND relnamespace = current_schema()::regnamespace AND relkind IN ('r', 'p'))
+      FROM pg_class WHERE relname IN :tables AND relnamespace = current_schema()::regnamespace AND relkind IN ('r', 'p'))
     SELECT 'table ' || relname, concat_ws(' ', attname, format_type(atttypid, atttypmod),
            CASE WHEN attnotnull THEN 'NOT NULL' END, attgenerated, pg_get_expr(adbin, adrelid),
            CASE WHEN attcollation <> typcollation THEN attcollation::regcollation::text END)
@@ -38,17 +36,13 @@ _POSTGRESQL = text(
     UNION ALL SELECT 'table ' || relname, 'rows hidden by policies' FROM ours WHERE hides
     UNION ALL SELECT DISTINCT 'table ' || relname, 'keys not enforced' FROM ours JOIN pg_trigger ON tgrelid = ours.oid
          AND tgisinternal AND tgenabled <> 'O'
-    UNION ALL SELECT 'policy ' || polname, concat_ws(' ', polcmd, polpermissive, pg_get_expr(polqual, polrelid))
-    FROM ours JOIN pg_policy ON polrelid = ours.oid
-    UNION ALL SELECT 'index ' || indexrelid::regclass::text, 'not valid' FROM ours JOIN pg_index ON indrelid = ours.oid
-         AND NOT (indisvalid AND indisready AND indislive)
-    UNION ALL SELECT 'index ' || indexrelid::regclass::text, pg_get_indexdef(indexrelid, 0, true)
+    UNION ALL SELECT 'index ' || indexrelid::regclass::text, concat_ws(' ', pg_get_indexdef(indexrelid, 0, true),
+           CASE WHEN NOT (indisvalid AND indisready AND indislive) THEN 'not valid' END)
     FROM ours JOIN pg_index ON indrelid = ours.oid
     UNION ALL SELECT 'trigger ' || tgname, concat_ws(' ', tgenabled, pg_get_triggerdef(pg_trigger.oid, true), prosrc,
            CASE WHEN prosecdef THEN 'SECURITY DEFINER' END, array_to_string(proconfig, ' '))
     FROM ours JOIN pg_trigger ON tgrelid = ours.oid AND NOT tgisinternal JOIN pg_proc ON pg_proc.oid = tgfoid
-    UNION ALL SELECT 'rule ' || rulename, pg_get_ruledef(pg_rewrite.oid, true)
-    FROM ours JOIN pg_rewrite ON ev_class = ours.oid
+    UNION ALL SELECT 'rule ' || rulename, pg_get_ruledef(pg_rewrite.oid, true) FROM ours JOIN pg_rewrite ON ev_class = ours.oid
     """
 ).bindparams(bindparam("tables", (*Row.metadata.tables, "alembic_version"), expanding=True))
 
