@@ -5,6 +5,7 @@ from __future__ import annotations
 import resource
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -80,6 +81,7 @@ OF_ALL = [
 ]
 READ = """
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from kilter_files.formats.programs.reading import read_programs
 from kilter_files.ground.errors import FileError
@@ -102,9 +104,21 @@ def test_what_a_program_costs_grows_with_its_length(tmp_path: Path, ending: str,
         line = unit * ((80 if lines else MOST_IN_LINE - 1) // len(unit))
         paths.append(tmp_path / f"p{k}{ending}")
         paths[-1].write_bytes(f"{begin}{(line + chr(10)) * (BYTES // len(line))}{end}".encode("latin-1"))
+    read_within_limit(paths)
+
+
+def read_within_limit(paths: Sequence[Path]) -> None:
     limit = lambda: resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))  # noqa: E731
     done = subprocess.run([sys.executable, "-c", READ, *map(str, paths)], preexec_fn=limit, capture_output=True)
     assert done.returncode == 0, done.stderr.decode()[-2000:]
+
+
+def test_a_position_costs_the_same_in_a_long_program(tmp_path: Path) -> None:
+    """The whole text was searched for each of them."""
+    begin, end, _ = PROGRAMS[".ls"]
+    path = tmp_path / "a.ls"
+    path.write_text(begin + "},P[1]{\n" * 80_000 + end)
+    read_within_limit([path])
 
 
 def test_what_short_ifs_without_an_end_call_is_noted_only_of_routines_of_the_program() -> None:
