@@ -23,7 +23,7 @@ from kilter_service.run import app as application
 from kilter_service.run.app import create_app
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
-from kilter_service.web.auth.policy import RULES
+from kilter_service.web.auth.policy import PAGE_RULES, RULES
 from kilter_service.web.auth.token import admin_token
 from kilter_service.web.routing import GuardedRoute
 from kilter_service.web.tokens.service import get_valid_token, hash_secret
@@ -63,6 +63,11 @@ NEEDED = {
         PUT /v1/robots/{robot}/meshes/{link} DELETE /v1/robots/{robot}/meshes/{link}
         POST /v1/instruments""",
 }
+# Of the page every view is a viewer's and every change an operator's, but for these.
+PAGE_OPEN = "GET /assets/{name} GET /login POST /login POST /login/link POST /logout"
+PAGE_ADMIN = """POST /new-robot POST /robots/{robot}/remarks POST /robots/{robot}/compensation
+    POST /robots/{robot}/meshes/{link} POST /robots/{robot}/meshes/{link}/remove
+    GET /audit GET /access POST /access POST /access/{token}/revoke"""
 ROLES = ("viewer", "operator", "admin")
 WHOLE_SERVER = (
     "GET /v1/tokens",
@@ -75,7 +80,11 @@ WHOLE_SERVER = (
 
 
 def routes(role: str) -> list[str]:
-    words = NEEDED[role].split()
+    return as_routes(NEEDED[role])
+
+
+def as_routes(text: str) -> list[str]:
+    words = text.split()
     return [f"{method} {path}" for method, path in zip(words[::2], words[1::2], strict=True)]
 
 
@@ -98,6 +107,7 @@ class House(NamedTuple):
             link="base",
             bridge="0" * 16,
             repair="rep_0",
+            draft="0" * 24,
         )
         return self.client.request(method, path, headers={**headers, **more.pop("headers", {})}, **more)
 
@@ -184,6 +194,32 @@ def test_a_role_that_is_too_low_is_refused_on_every_route(house: House) -> None:
     for role, route, robot in cases:
         found = house.ask(route, role, robot, content=b"{", headers={"Content-Type": "application/json"})
         assert refusal(found) == (403, "role_too_low"), (role, route, robot, found.text)
+
+
+def pages() -> Iterator[tuple[str, str]]:
+    """Routes of the page with the role that each needs."""
+    admins = as_routes(PAGE_ADMIN)
+    for route in PAGE_RULES.keys() - as_routes(PAGE_OPEN):
+        yield route, "admin" if route in admins else "viewer" if route.startswith("GET ") else "operator"
+
+
+def test_a_role_that_is_too_low_is_refused_on_every_route_of_the_page(house: House) -> None:
+    assert dict(pages()) == {route: rule.role for route, rule in PAGE_RULES.items() if rule.role is not None}
+    for route, needed in pages():
+        for role in ROLES[: ROLES.index(needed)]:
+            for robot in (OWN, OTHER):
+                found = house.ask(route, role, robot, content=b"{")
+                assert (found.status_code, "role_too_low" in found.text) == (403, True), (role, route, found.text[:500])
+
+
+def test_a_limited_token_sees_nothing_of_others_on_the_page(house: House) -> None:
+    for route, needed in pages():
+        found = None
+        if any(f"{{{name}}}" in route for name in ("robot", "campaign", "version", "a", "job")):
+            found, refused = house.ask(route, f"{needed} of {OWN}", OTHER, content=b"{"), 404
+        elif PAGE_RULES[route].server:
+            found, refused = house.ask(route, f"{needed} of {OWN}", content=b"{"), 403
+        assert found is None or found.status_code == refused, (route, found.text[:500])
 
 
 def limited() -> Iterator[tuple[str, str]]:

@@ -44,6 +44,12 @@ def test_the_api_process_shares_the_memory_of_its_threads() -> None:
     assert done.stdout.strip() == "system"
 
 
+def test_the_api_starts_without_scipy() -> None:
+    program = "import sys, kilter_service.run.app; print([name for name in sys.modules if name.startswith('scipy.')])"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
 EXPORT = """
 import sys
 from kilter_core.arm.documents import robot_from_document

@@ -143,7 +143,7 @@ def test_a_version_of_the_first_releases_keeps_their_task_until_it_is_activated_
     assert float(found[1]) == pytest.approx(0.495, abs=0.01)
     assert float(found[2]) < 0.001
     kilterd(["upgrade", "--data", str(settings.data)])
-    assert f"{version}: keeps the task of its release." in capsys.readouterr().out
+    assert f"{version}: no earlier answers are stored; it keeps the task of its release." in capsys.readouterr().out
     restored = settings.model_copy(update={"data": tmp_path / "restored"})
     kilterd(["restore", "--data", str(restored.data), str(tmp_path / "old.backup")])
     q = np.array([[0.1, 0.6, 0.4, 0.3, 0.2], [0.5, 0.8, -0.4, 0.6, 1.0]])

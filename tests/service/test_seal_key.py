@@ -20,7 +20,11 @@ from kilter_service.ground.db.seals import MODULUS, Sealer
 from kilter_service.ground.db.tables import RobotRow, TokenRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
+from kilter_service.run.app import create_app
 from kilter_service.run.backup import service
+from kilter_service.web.auth.token import admin_token
+from tests.service.conftest import Katana, ready, served
+from tests.service.made_versions import store_version
 from tests.service.test_backup import kilterd, plain
 
 _WHERE = " WHERE thing = 'tokens'"
@@ -112,6 +116,30 @@ def test_a_revoked_token_that_is_put_back_is_named_without_a_key(
     put_back(plain_settings, {"tokens": []}, "tokens")
     forge(plain_settings)
     assert damage(plain_settings) == ["Table tokens, row tok_1 is missing, and the audit says it was stored."]
+
+
+@pytest.mark.parametrize("table", ["tokens", "activations", "repairs"])
+def test_a_row_that_is_dated_before_the_audit_is_named_without_a_key(
+    tmp_path: Path, migrated: Path, table: str
+) -> None:
+    settings = plain(tmp_path, "data")
+    ready(settings, migrated)
+    database = Database(settings.database)
+    with served(create_app(settings)) as client:
+        client.headers["Authorization"] = f"Bearer {admin_token(settings)}"
+        client.post("/v1/robots", json=Katana.document).raise_for_status()
+        version = store_version(database, "katana", 1)
+        client.post(f"/v1/versions/{version}/activate", json={"force": True, "reason": "test"}).raise_for_status()
+    database.close()
+    put_in = {
+        "tokens": "VALUES ('2', 'eve', '2', 'admin', NULL, '2020-01-01 00:00:00.000000', 'admin', NULL, NULL, '')",
+        "activations": "SELECT 2, 1, version_id, action, actor, '2020-01-01 00:00:00.000000', 0, '', '[]' FROM activations",
+        "repairs": "VALUES ('2', 1, '2026-01-01 00:00:00.000000', 'new', 'eve', '2020-01-01 00:00:00.000000')",
+    }
+    with closing(sqlite3.connect(settings.data / "kilter.sqlite", isolation_level=None)) as file:
+        file.execute(f"INSERT INTO {table} {put_in[table]}")
+    forge(settings)
+    assert damage(settings) == [f"Table {table}, row 2: it was put in past Kilter, the audit has no entry of it."]
 
 
 def forge(settings: Settings) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from kilter_core.errors import ObservationError
 from kilter_core.observations.motions import is_trajectory
@@ -73,6 +72,8 @@ def shared_rows(rows: Observations, others: Observations) -> Ints:
 
 def _is_near(known: Floats, asked: Floats, tolerance: Floats) -> Bools:
     """Which rows (M, c) lie within a tolerance (c,) of one of the known ones (N, c), in every column."""
+    from scipy.spatial import cKDTree  # the API imports this module at its start, and seldom compares rows
+
     distance, _ = cKDTree(known / tolerance, balanced_tree=False).query(
         asked / tolerance, p=np.inf, distance_upper_bound=1.0
     )

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtr, chdtrc, chdtri, gammaincinv
 
 from kilter_core.types import Floats
 
@@ -67,7 +67,7 @@ class Robust:
 @lru_cache
 def tukey_limit(dimension: int, efficiency: float = EFFICIENCY) -> float:
     """Limit of Tukey's loss, in standard deviations of a coordinate, for this efficiency on normal residuals."""
-    sizes = np.sqrt(chi2.ppf((np.arange(4000) + 0.5) / 4000.0, dimension))
+    sizes = np.sqrt(2.0 * gammaincinv(dimension / 2.0, (np.arange(4000) + 0.5) / 4000.0))
     low, high = 1.0, 30.0
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -78,15 +78,15 @@ def tukey_limit(dimension: int, efficiency: float = EFFICIENCY) -> float:
 
 def median_scale(size: Floats, dimension: int) -> float:
     """Standard deviation of one coordinate, from the median of the sizes: half of them may be wrong."""
-    return float(np.median(size) / np.sqrt(chi2.median(dimension))) if len(size) else 0.0
+    return float(np.median(size) / np.sqrt(2.0 * gammaincinv(dimension / 2.0, 0.5))) if len(size) else 0.0
 
 
 def bulk_scale(size: Floats, dimension: int, first: float) -> float:
     """The same from all sizes that belong to the bulk, whose tail is cut where ``first`` and its successors say."""
     scale = first
     # Sizes of many coordinates are all far from zero: the cut is at the same chance as BULK of one coordinate is.
-    cut = float(np.sqrt(chi2.isf(chi2.sf(BULK**2, 1), dimension)))
-    kept_share = chi2.cdf(cut**2, dimension + 2) / chi2.cdf(cut**2, dimension)
+    cut = float(np.sqrt(chdtri(dimension, chdtrc(1, BULK**2))))
+    kept_share = chdtr(dimension + 2, cut**2) / chdtr(dimension, cut**2)
     for _ in range(PASSES):
         inside = size <= cut * max(scale, SMALLEST)
         if not inside.any():

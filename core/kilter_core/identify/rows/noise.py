@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, f
+from scipy.special import chdtri, fdtrc
 
 from kilter_core.identify.fit.robust import median_scale
 from kilter_core.measurement import Residual
@@ -105,7 +105,7 @@ def _clearly_less(sided: Repeats, found: Repeats) -> bool:
         return False
     within = sided.freedom * sided.between**2
     more, extra = found.freedom * found.between**2 - within, found.freedom - sided.freedom
-    return within > 0.0 and bool(f.sf(more / extra / sided.between**2, extra, sided.freedom) < ALPHA)
+    return within > 0.0 and bool(fdtrc(extra, sided.freedom, more / extra / sided.between**2) < ALPHA)
 
 
 def repeat_sigma(observations: Observations) -> float | None:
@@ -143,7 +143,7 @@ def _pooled_sigma(values: Floats, group: Ints) -> tuple[float | None, int, Bools
     """Standard deviation of a coordinate within groups, its freedom, and which values (N,) are too far off to count."""
     kept = np.ones(len(values), dtype=bool)
     width = values.shape[1] if len(values) else 1
-    limit = float(np.sqrt(chi2.isf(CHANCE / max(len(values), 1), width)))
+    limit = float(np.sqrt(chdtri(width, CHANCE / max(len(values), 1))))
     for _ in range(PASSES):
         off, free = unbiased_deviations(values, group, kept)
         count = np.bincount(group[kept], minlength=int(group.max(initial=-1)) + 1)

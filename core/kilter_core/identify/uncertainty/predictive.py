@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import f
+from scipy.special import fdtri
 
 from kilter_core.identify.fit.least_squares import Fit, freedom_by_group
 from kilter_core.identify.options import FRAME_NAMES
@@ -190,7 +190,7 @@ def predictive(
         inadequacy = _reaching(share * left**2, left, structure)
         return Predictive(fit.names, fit.covariance, inadequacy, left * (1.0 - share) ** 0.5, of_noise, kind)
     known = EXACT if stated is not None or repeats.between is None else freedom
-    by_chance = noise**2 * float(f.isf(CHANCE, max(fit.freedom or 1.0, 1.0), known))
+    by_chance = noise**2 * float(fdtri(max(fit.freedom or 1.0, 1.0), known, 1.0 - CHANCE))
     beyond = left**2 - noise**2 if left**2 > by_chance else 0.0
     smooth = 0.0 if structure is None else structure.share * left**2
     inadequacy = _reaching(max(beyond, smooth), left, structure)

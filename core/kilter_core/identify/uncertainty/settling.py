@@ -7,7 +7,6 @@ taken as the same scatter at every pose it would leave compliances far too sure.
 from __future__ import annotations
 
 import numpy as np
-import scipy.optimize
 
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.types import Bools, Floats
@@ -72,4 +71,6 @@ def _estimate_scatter_shares(inverse: Floats, mean: Floats, scaled: Floats, flat
         ]
     )
     root = np.linalg.cholesky(M + 1e-9 * np.trace(M) * np.eye(n + 1))
-    return np.asarray(scipy.optimize.nnls(root.T, np.linalg.solve(root, v))[0])
+    from scipy.optimize import nnls  # who only asks what a fit left does not compute it
+
+    return np.asarray(nnls(root.T, np.linalg.solve(root, v))[0])

@@ -11,12 +11,11 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from kilter_core.measurement.camera.camera_model import project_held, undistort_pixels
 from kilter_core.measurement.camera.views import cross
 from kilter_core.observations.rig import Board, Camera
-from kilter_core.transforms import nearest_rotation
+from kilter_core.transforms import nearest_rotation, rotation_exp
 from kilter_core.types import Bools, Floats
 
 STEPS = 12
@@ -148,7 +147,7 @@ def _rotation_to(v: Floats) -> Floats:
     across = np.stack([-v[:, 1], v[:, 0], np.zeros(len(v))], axis=1)
     size = np.linalg.norm(across, axis=1, keepdims=True)
     angle = np.arctan2(size[:, 0], v[:, 2])[:, None]
-    return np.asarray(Rotation.from_rotvec(across / np.maximum(size, 1e-12) * angle).as_matrix())
+    return rotation_exp(across / np.maximum(size, 1e-12) * angle)
 
 
 def _smallest(A: Floats) -> Floats:
@@ -164,7 +163,7 @@ def _other_side(p: Floats, R: Floats) -> Floats:
     across = np.cross(normal, view)
     size = np.linalg.norm(across, axis=1, keepdims=True)
     angle = 2.0 * np.arctan2(size[:, 0], np.sum(normal * view, axis=1))
-    return np.asarray(Rotation.from_rotvec(across / np.maximum(size, 1e-12) * angle[:, None]).as_matrix() @ R)
+    return np.asarray(rotation_exp(across / np.maximum(size, 1e-12) * angle[:, None]) @ R)
 
 
 def _better(one: tuple[Floats, Floats, Floats], other: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats, Floats]:
@@ -185,7 +184,7 @@ def _refine_poses(lens: Lens, local: Floats, p: Floats, R: Floats, pixels: Float
         best[better], kept_p[better], kept_R[better] = rms[gained], p[better], R[better]
         step[on] = np.where(gained[:, None], whole, 0.5 * step[on])
         p[on] = kept_p[on] + step[on, :3]
-        R[on] = Rotation.from_rotvec(step[on, 3:]).as_matrix() @ kept_R[on]
+        R[on] = rotation_exp(step[on, 3:]) @ kept_R[on]
         rests = np.abs(step[on]).max(axis=1) < RESTING
         last = on[rests & gained]
         kept_p[last], kept_R[last] = p[last], R[last]

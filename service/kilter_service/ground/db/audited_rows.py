@@ -1,7 +1,7 @@
 """Whether tokens, activations and repairs are what the audit says of them: rights, and what arms are sent, rest on these.
 
 The audit has who stored, changed or removed each of them, in a chain of its own. So a row that was put back to an earlier
-state is found, whoever computed its seals anew. What is older than the audit is not in it.
+state is found, whoever computed its seals anew. Of the three only activations may be older than the audit.
 """
 
 from __future__ import annotations
@@ -36,13 +36,14 @@ class Difference(NamedTuple):
 
 def audit_differences(session: Session) -> Iterator[Difference]:
     """Yield the rows that are not what the audit says of them."""
-    audited, since = read_audited(session, COMPARED), audit_begin(session)
+    audited = read_audited(session, COMPARED)
+    old = _activations_before_audit(session, audited)
     for one in COMPARED:
         table = Row.metadata.tables[one.__tablename__]
         (key,) = table.primary_key.columns
         there = {f"{table.name}/{row[key.name]}": dict(row) for row in session.execute(select(table)).mappings()}
         for thing, row in there.items():
-            said = _describe_difference(table, row, audited.get(thing), since)
+            said = "" if thing in old else _describe_difference(table, row, audited.get(thing))
             if said:
                 yield Difference(thing, audited.get(thing), row, f"Table {table.name}, row {row[key.name]}: {said}")
         for thing in sorted(thing for thing in audited if thing.startswith(f"{table.name}/") and thing not in there):
@@ -56,7 +57,6 @@ class AuditedTokens:
     def __init__(self) -> None:
         self._end: list[Any] = [0, ""]
         self._rows: Audited = {}
-        self._since: datetime | None = None
         self._reading = Lock()
 
     def describe_difference(self, session: Session, token_id: str) -> str:
@@ -65,7 +65,7 @@ class AuditedTokens:
         row = session.execute(select(table).where(table.c.id == token_id)).mappings().one()
         with self._reading:
             self._read_on(session)
-            return _describe_difference(table, dict(row), self._rows.get(f"{table.name}/{token_id}"), self._since)
+            return _describe_difference(table, dict(row), self._rows.get(f"{table.name}/{token_id}"))
 
     def _read_on(self, session: Session) -> None:
         """Read the entries that are new; all, where the last one is not there any more: another database is in place."""
@@ -74,15 +74,20 @@ class AuditedTokens:
             return
         number, sha256 = self._end
         if session.execute(select(AuditRow.sha256).where(AuditRow.number == number)).scalar() != sha256:
-            number, self._rows, self._since = 0, {}, audit_begin(session)
+            number, self._rows = 0, {}
         read_audited(session, (TokenRow,), number, self._rows)
         self._end = end
 
 
-def audit_begin(session: Session) -> datetime | None:
-    """Return when the audit begins."""
+def _activations_before_audit(session: Session, audited: Audited) -> set[str]:
+    """Return the activations from before the audit: dated before it began, numbered before all that it has."""
+    table = ActivationRow.__tablename__
+    named = [int(key) for name, _, key in (thing.partition("/") for thing in audited) if name == table]
+    query = select(ActivationRow.id).where(ActivationRow.id < min(named)) if named else select(ActivationRow.id)
     text = session.execute(select(AuditRow.content).order_by(AuditRow.number).limit(1)).scalar()
-    return None if text is None else datetime.fromisoformat(json.loads(text)["at"])
+    if text is not None:
+        query = query.where(ActivationRow.at < datetime.fromisoformat(json.loads(text)["at"]))
+    return {f"{table}/{key}" for key in session.execute(query).scalars()}
 
 
 def read_audited(
@@ -114,14 +119,10 @@ def _forget_repairs(found: Audited, robot: str) -> None:
         del found[thing]
 
 
-def _describe_difference(
-    table: Table, row: dict[str, Any], audited: dict[str, Any] | None, since: datetime | None
-) -> str:
+def _describe_difference(table: Table, row: dict[str, Any], audited: dict[str, Any] | None) -> str:
     """Say how a row differs from what the audit says; empty: it does not."""
     if audited is None:
-        stored = row["created_at"] if "created_at" in row else row["at"]
-        old = since is None or stored < since
-        return "" if old else "it was put in past Kilter, the audit has no entry of it."
+        return "it was put in past Kilter, the audit has no entry of it."
     other = [name for name, value in audited.items() if name in row and not _is_same(table, name, row[name], value)]
     return f"{', '.join(other)} {'is' if len(other) == 1 else 'are'} not what the audit says." if other else ""
 

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sqlalchemy import inspect, text
+from sqlalchemy.exc import DBAPIError
 
 from kilter_service.ground.db.database import Database
 from kilter_service.ground.db.database_seal import check_key
+from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.db.outages import DatabaseAwayError
 from kilter_service.ground.db.seal_tables import SealRow
 from kilter_service.ground.errors import ServiceError
@@ -39,8 +41,15 @@ def current(database: Database) -> str | None:
         connection = session.connection()
         if not inspect(connection).has_table("alembic_version"):
             return None
-        found: str | None = connection.execute(text("SELECT version_num FROM alembic_version")).scalar_one_or_none()
-        return found
+        found: list[str] = list(connection.execute(text("SELECT version_num FROM alembic_version")).scalars())
+    if len(found) > 1:
+        raise _altered(f"The database names {len(found)} revisions ({', '.join(map(str, found))[:100]})")
+    return found[0] if found else None
+
+
+def _altered(what: str) -> ServiceError:
+    said = f"{what}: it was altered past Kilter. Nothing was changed. Bring back a backup with `kilterd restore`."
+    return ServiceError(said, code="database_damaged")
 
 
 def check(database: Database) -> None:
@@ -124,7 +133,7 @@ def migrate(database: Database) -> bool:
     """Bring the database to this code's revision; returns whether there was anything to do.
 
     Raises:
-        ServiceError: the database is of a newer Kilter.
+        ServiceError: the database is of a newer Kilter, or its tables are not of the revision that it names.
 
     """
     found = current(database)
@@ -133,5 +142,11 @@ def migrate(database: Database) -> bool:
     _refuse_newer(found)
     from alembic import command
 
-    command.upgrade(configuration(database.url), "head")
+    try:
+        command.upgrade(configuration(database.url), "head")
+    except DBAPIError as error:
+        if in_words(error) is not None:
+            raise
+        what = f"The database names revision {found or 'none'}, and its tables are of another one ({error.orig})"
+        raise _altered(what) from error
     return True

@@ -10,10 +10,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from kilter_core.errors import RobotError
 from kilter_core.types import Floats
+from kilter_files.ground.later import transform
 from kilter_service.ground.core import transforms
 from kilter_service.ground.limits import MAX_LINK_NAME, MAX_LINKS, MAX_NAME
 from kilter_service.ground.texts import LINE
@@ -341,8 +341,11 @@ def parse_rpy(origin: Element | None, place: str) -> Floats:
         raise RobotError(
             f"{place}: quat_xyzw has a length other than 1: give a unit quaternion.", field="urdf", place=place
         )
-    rotation = Rotation.from_quat(quaternion)
-    if origin.get("rpy") is not None and (rotation.inv() * Rotation.from_euler("xyz", rpy)).magnitude() > ROUNDED:
+    rotation = transform.Rotation.from_quat(quaternion)
+    if (
+        origin.get("rpy") is not None
+        and (rotation.inv() * transform.Rotation.from_euler("xyz", rpy)).magnitude() > ROUNDED
+    ):
         raise RobotError(f"{place}: rpy and quat_xyzw are two rotations: leave one out.", field="urdf", place=place)
     T = np.eye(4)
     T[:3, :3] = rotation.as_matrix()

@@ -92,8 +92,8 @@ def seal(settings: Settings, arguments: argparse.Namespace) -> None:
         print(sentence)
     if found:
         print(
-            f"kilterd: {len(found)} findings, and nothing was sealed: bring back a backup that is whole, or take the rows as "
-            "they are with --accept.",
+            f"kilterd: {plural(len(found), 'finding')}, and nothing was sealed: bring back a backup that is whole, or take the "
+            "rows as they are with --accept.",
             file=sys.stderr,
         )
         sys.exit(1)

@@ -165,9 +165,10 @@ def describe_change(change: Change, plan: Plan, *, done: bool) -> str:
     far = f"joints change by at most {joints}, the tool point by {change.tool_mm:.2g} mm"
     who = f"{change.robot} {change.version_id}"
     if not change.kept:
+        none = f"{who}: no earlier answers are stored"
         if _is_before_rules(plan.found):
-            return f"{who}: {'keeps' if done else 'would keep'} the task of its release. Activated anew, {far}."
-        return f"{who}: no earlier answers are stored; today's {'are' if done else 'would be'} kept."
+            return f"{none}; it {'keeps' if done else 'would keep'} the task of its release. Activated anew, {far}."
+        return f"{none}; today's {'are' if done else 'would be'} kept."
     other = f"; {change.otherwise} are refused that were not, or the other way round" if change.otherwise else ""
     return f"{who}: {far}, at {change.setpoints} setpoints{other}."
 

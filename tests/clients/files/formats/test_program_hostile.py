@@ -5,11 +5,13 @@ from __future__ import annotations
 import resource
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
 from kilter_files.formats.programs.found import MOST_LINES
+from kilter_files.formats.programs.rapid_moves import _control
 from kilter_files.formats.programs.reading import MOST_IN_LINE, read_programs
 from kilter_files.ground.errors import FileError
 
@@ -29,6 +31,7 @@ PROGRAMS = {
             "\\WObj:=",
             "IF ",
             "IF a ",
+            "ConfL\\Off; IF a ",
             "PROC a(",
             "CONST num a:=1 ",
         ],
@@ -78,6 +81,7 @@ OF_ALL = [
 ]
 READ = """
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from kilter_files.formats.programs.reading import read_programs
 from kilter_files.ground.errors import FileError
@@ -100,9 +104,27 @@ def test_what_a_program_costs_grows_with_its_length(tmp_path: Path, ending: str,
         line = unit * ((80 if lines else MOST_IN_LINE - 1) // len(unit))
         paths.append(tmp_path / f"p{k}{ending}")
         paths[-1].write_bytes(f"{begin}{(line + chr(10)) * (BYTES // len(line))}{end}".encode("latin-1"))
+    read_within_limit(paths)
+
+
+def read_within_limit(paths: Sequence[Path]) -> None:
     limit = lambda: resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))  # noqa: E731
     done = subprocess.run([sys.executable, "-c", READ, *map(str, paths)], preexec_fn=limit, capture_output=True)
     assert done.returncode == 0, done.stderr.decode()[-2000:]
+
+
+def test_a_position_costs_the_same_in_a_long_program(tmp_path: Path) -> None:
+    """The whole text was searched for each of them."""
+    begin, end, _ = PROGRAMS[".ls"]
+    path = tmp_path / "a.ls"
+    path.write_text(begin + "},P[1]{\n" * 80_000 + end)
+    read_within_limit([path])
+
+
+def test_what_short_ifs_without_an_end_call_is_noted_only_of_routines_of_the_program() -> None:
+    control, calls = _control("if a\n f(b)\nend\n" * 2000, {"G"})
+    assert len(control) == 4000
+    assert len(calls) == 4000  # the statements f and end; each IF reads on for a hundred words
 
 
 @pytest.mark.parametrize("ending", PROGRAMS)

@@ -87,7 +87,7 @@ def parse_pose_target(program: Program, number: str, at: int, span: Span) -> Pos
     axes = {name: float(match[2]) for name, match in parts.items() if name[0] == "E"}
     root, why = frame_on_track(program.stated, FANUC, axes)
     problem = problem or why
-    if TRACKS.search(text):
+    if _tracks_line(text):
         problem = problem or "it moves with what the program tracks (LINE_TRACK)"
     whole = [parts[name] for name in FANUC.names if name in parts]
     numbers = tuple(float(match[2]) for match in whole)
@@ -105,12 +105,26 @@ def parse_pose_target(program: Program, number: str, at: int, span: Span) -> Pos
     return pose
 
 
+@lru_cache(maxsize=4)
+def _tracks_line(text: str) -> bool:
+    return TRACKS.search(text) is not None
+
+
+@lru_cache(maxsize=4)
+def _settings_by_name_and_number(text: str) -> dict[tuple[str, str], list[Setting]]:
+    found: dict[tuple[str, str], list[Setting]] = {}
+    for one in parse_frame_settings(text):
+        found.setdefault((one.name, one.number), []).append(one)
+    return found
+
+
 def _frame(program: Program, which: str, number: str | None) -> Frame | str:
     """The frame of a number: the one that the program sets, else the stated one."""
     stated = program.stated.bases if which == "base" else program.stated.tools
     found = stated.get(number or "") or stated.get("")
     name = "UFRAME" if which == "base" else "UTOOL"
-    settings = [one for one in parse_frame_settings(program.text) if one.name == name and one.number in (number, "")]
+    by_number = _settings_by_name_and_number(program.text)
+    settings = [one for said in {number or "", ""} for one in by_number.get((name, said), [])]
     if settings:
         one = settings[0]
         if len(settings) > 1 or not one.first or not one.number:
@@ -126,7 +140,7 @@ def _frame(program: Program, which: str, number: str | None) -> Frame | str:
     return f"{said} is not in this program: state it, --{which} {number or ''}{'=' if number else ''}X,Y,Z,W,P,R"
 
 
-POSITION = re.compile(r"\bP\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]\s?\{([^}]{0,2000})(\};?|\Z)")
+POSITION = re.compile(r"\bP\[\s?(\d+)\s?(?::[^\]\n]{0,80})?\]\s?\{([^}]{0,2000}+)(\};?|\Z)")
 AXIS = re.compile(r"\bJ(\d)\s?=\s{0,9}([^\s,]+)\s{0,9}(deg|mm)?")
 FURTHER = re.compile(rf"\b(?:E\d\s?=\s{{0,9}}({NUMBER})|J\d\s?=\s{{0,9}}({NUMBER})\s{{0,9}}mm)")
 OTHER_GROUP = re.compile(r"\bGP[2-9]\s?:")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 from kilter_files.formats.programs.found import EXTERNAL_AXES, NUMBER, Program, line_number
 from kilter_files.formats.programs.keyed import Keyed
@@ -53,7 +53,8 @@ class RapidFlow:
         """Find branches, routines, calls and settings."""
         self._ever_off = {match[1].upper() for match in SWITCHED.finditer(text) if match[2].upper() == "OFF"}
         starts = [match.start() for match in STARTS.finditer(text)]
-        control, calls = _control(text)
+        routines = {match[1].upper() for match in ROUTINE.finditer(text)} if self._ever_off else set[str]()
+        control, calls = _control(text, routines)
         self._way = InForce(sorted([*control, *((at, 0) for at, _ in calls)], key=lambda one: one[0]), starts)
         self._switched: dict[str, InForce] = {}
         for kind in self._ever_off:
@@ -100,8 +101,8 @@ def _set_by_calls(text: str, own: InForce, calls: Sequence[tuple[int, str]]) -> 
     return found
 
 
-def _control(text: str) -> tuple[list[Place], list[tuple[int, str]]]:
-    """The places at which a program branches, and the calls of routines that may move the arm, with their names."""
+def _control(text: str, routines: Collection[str]) -> tuple[list[Place], list[tuple[int, str]]]:
+    """The places at which a program branches, and the calls that may move the arm; of a short IF, those of these routines."""
     control: list[Place] = [(match.start(), None) for match in LABEL.finditer(text)]
     calls: list[tuple[int, str]] = []
     for match in STATEMENT.finditer(text):
@@ -111,7 +112,8 @@ def _control(text: str) -> tuple[list[Place], list[tuple[int, str]]]:
             end = at + len(statement)
             short = word == "IF" and THEN.search(statement) is None  # IF on one line, without ENDIF
             control += [(at, 0), (end, 0)] if short else [(at, WAYS[word])]
-            calls += [(at, one.upper()) for one in re.findall(r"[A-Za-z]\w*", statement)] if short else []
+            words = map(str.upper, re.findall(r"[A-Za-z]\w*", statement)) if short and routines else ()
+            calls += [(at, one) for one in words if one in routines]
         elif STAYS.fullmatch(word) is None and ASSIGNED.match(text, match.end()) is None:
             calls.append((at, word))
     return sorted(control, key=lambda one: one[0]), calls
