@@ -59,9 +59,9 @@ class Ended:
 def run(module: str, folder: Path, arguments: Sequence[str], limits: Limits, environment: Sequence[str] = ()) -> Ended:
     """Run a module of ours in a folder; it calls `confine` before it does anything.
 
-    ``environment`` names variables that it is given beside the plain ones.
+    ``environment`` names variables that it is given beside the plain ones, and beside the one by which sums are rounded.
     """
-    given = {name: os.environ[name] for name in environment if name in os.environ}
+    given = {name: os.environ[name] for name in ("OPENBLAS_CORETYPE", *environment) if name in os.environ}
     told = ",".join(str(value) for value in asdict(limits).values())
     with (folder / "words").open("wb") as words:
         process = subprocess.Popen(
