@@ -71,7 +71,7 @@ def test_every_command_of_the_contract_is_there() -> None:
         "sheet", "filter", "board", "see", "live", "kit", "episodes", "login", "bridge rsi", "bridge egm",
         "bridge fci",
         "sheet-read", "sheet-join", "ballbar-join", "tilt-join",
-        "identify", "gap", "evaluate", "plan poses", "plan check", "hand-eye", "check", "drift", "rezero",
+        "identify", "gap", "evaluate", "plan poses", "plan check", "plan motion", "hand-eye", "check", "drift", "rezero",
         "joint-parameters", "payload", "repair",
         *(f"mesh {verb}" for verb in ("list", "set", "from-urdf", "remove")),
         *(f"fleet {verb}" for verb in ("identify", "list", "show", "watch", "cancel")),

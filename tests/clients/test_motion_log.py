@@ -121,3 +121,20 @@ def test_what_is_carried_is_weighed(server: Path, logged: Path, hidden: tuple[Lo
     capsys.readouterr()
     assert run(["gap", "mover", "-c", "without", "-c", "stated"]) == 0
     assert "carried mass" not in capsys.readouterr().out
+
+
+def test_motions_are_planned_for_a_recording(server: Path, logged: Path, tmp_path: Path, capsys: Capture) -> None:
+    motions = tmp_path / "motions.csv"
+    assert (
+        run(["plan", "motion", "mover", "--seconds", "15", "--count", "2", "--speed-deg-s", "40", "-o", str(motions)])
+        == 0
+    )
+    printed = capsys.readouterr()
+    assert printed.out.startswith("2 motions in 33 s show 36 numbers of the bodies and the friction of 6 joints")
+    assert "Collisions are not checked" in printed.out + printed.err
+    table = np.genfromtxt(motions, delimiter=",", names=True)
+    assert table.dtype.names == tuple(HEAD[:7])
+    q = np.column_stack([table[name] for name in HEAD[1:7]])
+    assert np.abs(np.gradient(q, table["t_s"], axis=0)).max() < 41.0
+    assert run(["plan", "motion", "mover", "--seconds", "3"]) != 0
+    assert "12" in capsys.readouterr().err

@@ -1,4 +1,6 @@
 from .document import to_document as to_document
+from .excite import MotionPlan as MotionPlan
+from .excite import plan_motions as plan_motions
 from .find import MotionReport as MotionReport
 from .find import find_missing_torque as find_missing_torque
 from .options import MotionOptions as MotionOptions

@@ -18,12 +18,13 @@ from kilter_service.contract.jobs.identify import IDENTIFY
 from kilter_service.contract.jobs.job import JobOf, NewJobOf
 from kilter_service.contract.jobs.joint_parameters import JOINT_PARAMETERS
 from kilter_service.contract.jobs.kind import JobContract
+from kilter_service.contract.jobs.motion_plan import MOTION_PLAN
 from kilter_service.contract.jobs.payload import PAYLOAD
 from kilter_service.contract.jobs.plan import PLAN
 from kilter_service.contract.jobs.rezero import REZERO
 
 KINDS: Mapping[str, JobContract[Any, Any]] = MappingProxyType(
-    {kind.name: kind for kind in (IDENTIFY, GAP, EVALUATE, PLAN, JOINT_PARAMETERS, PAYLOAD, DRIFT, REZERO)}
+    {kind.name: kind for kind in (IDENTIFY, GAP, EVALUATE, PLAN, JOINT_PARAMETERS, PAYLOAD, MOTION_PLAN, DRIFT, REZERO)}
 )
 
 if TYPE_CHECKING:

@@ -48,7 +48,7 @@ WRITTEN: Mapping[str, Entry] = {
     "sheet-join": Entry("files.sheet", "Join a drawn sheet and the height with the joint log."),
     "ballbar-join": Entry("files.joins", "Join a ball bar's log with the joint log."),
     "tilt-join": Entry("files.joins", "Join an inclinometer's log with the joint log."),
-    "plan": Entry("plans", "Plan poses to measure, or those of a check."),
+    "plan": Entry("plans", "Plan poses to measure, those of a check, or motions."),
     "instrument": Entry("stored.instruments", "Add and list instruments and their certificates."),
     "suspicious": Entry("suspicious", "Name the rows of a campaign that look wrong."),
     "columns": Entry("lists", "List the columns of measurements and their units."),
@@ -94,7 +94,10 @@ WRITTEN: Mapping[str, Entry] = {
 }
 
 # Kinds of job for which no command is written, by the command that is made of their declaration.
-KINDS_BY_COMMAND: Mapping[str, str] = {name: kind for kind in KINDS if (name := kind.replace("_", "-")) not in WRITTEN}
+WRITTEN_ELSEWHERE = frozenset({"motion-plan"})  # kilter plan motion
+KINDS_BY_COMMAND: Mapping[str, str] = {
+    name: kind for kind in KINDS if (name := kind.replace("_", "-")) not in WRITTEN_ELSEWHERE.union(WRITTEN)
+}
 MADE = {name: Entry("of_kinds", KINDS[kind].summary) for name, kind in KINDS_BY_COMMAND.items()}
 ENTRIES: Mapping[str, Entry] = {**WRITTEN, **MADE}
 

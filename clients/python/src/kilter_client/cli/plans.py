@@ -11,9 +11,11 @@ import typer
 
 from kilter_client.cli.analyse import AT_JOINTS, needs_result, run_job, write_poses
 from kilter_client.cli.groups import WithDefault
+from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
 from kilter_client.cli.terminal.flags import with_flags
+from kilter_client.cli.terminal.output import note
 from kilter_client.errors import UsageError
 from kilter_client.typed.option_texts import PLAN
 
@@ -58,6 +60,7 @@ def register(app: typer.Typer) -> None:
         epilog="Example: kilter plan poses ur10 --purpose separate --effects backlash,eccentricity -o poses.csv"
     )(poses)
     group.command(epilog="Example: kilter plan check ur10 --poses 5 -o check.csv")(check)
+    group.command(epilog="Example: kilter plan motion ur10 --seconds 40 -o motions.csv")(motion)
     app.add_typer(group, name="plan")
 
 
@@ -145,6 +148,34 @@ def check(
     )
     files = partial(_write, output, as_json)
     run_job("plan", robot, None, None, chosen, no_wait, as_json, needs_campaign=False, files=files, name=name)
+
+
+@with_flags("motion_plan", seldom=("rate_hz", "speed_mm_s"))
+def motion(
+    robot: Robot,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Write the motions as CSV: t_s and joints.", dir_okay=False
+        ),
+    ] = None,
+    option: MoreOptions = None,
+    name: JobName = "",
+    no_wait: NoWait = False,
+    as_json: Json = False,
+) -> None:
+    """Plan motions that show bodies and friction, to be recorded with their torques."""
+    needs_result(no_wait, output=output)
+    files = partial(_write_motions, output, as_json)
+    chosen = arguments.options(option)
+    run_job("motion_plan", robot, None, None, chosen, no_wait, as_json, needs_campaign=False, files=files, name=name)
+
+
+def _write_motions(output: Path | None, as_json: bool, job: Mapping[str, Any]) -> None:
+    text = (job.get("result") or {}).get("csv")
+    if output is not None and text:
+        write(output, text.encode())
+        note(f"{output}: {text.count(chr(10)) - 1} rows", as_json)
 
 
 def _write(output: Path | None, as_json: bool, job: Mapping[str, Any]) -> None:
