@@ -15,6 +15,7 @@ from tests.measured_seconds import Row, Took, rows_of
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LIGHT = "tests/core/arm/test_compiled.py::"  # which compile, whatever the machine
+QUIET = {name: value for name, value in os.environ.items() if name != "PYTEST_ADDOPTS"}  # the lines are read
 BUSY = "import time\nend = time.process_time() + {}\nwhile time.process_time() < end: pass\n"
 MODULE = """
 import subprocess, sys, pytest
@@ -96,5 +97,7 @@ def test_a_long_test_waits_for_its_target_unless_it_is_asked_for_by_name() -> No
         (name, "not long", True),
     ]:
         command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", "-m", marks, asked]
-        done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=240, check=False)
+        done = subprocess.run(
+            command, cwd=REPOSITORY, env=QUIET, capture_output=True, text=True, timeout=240, check=False
+        )
         assert (name in done.stdout.splitlines()) is found, done.stdout + done.stderr

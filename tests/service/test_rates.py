@@ -16,6 +16,7 @@ from kilter_client import Kilter
 from kilter_client.requests.steps import post
 from kilter_service.contract.frames import Frame, NewFrame
 from kilter_service.contract.tokens import NewToken
+from kilter_service.ground.caller import CALLER, Caller
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
@@ -79,7 +80,9 @@ def test_what_computes_is_counted_by_token_and_reads_are_not(
 ) -> None:
     tight = settings.model_copy(update={"rate": 0.01})  # one at once, the next in 100 s
     client = serve(create_app(tight))
+    before = CALLER.set(Caller("admin", "admin"))  # whose change is audited: a token that is not does not work
     made = [tokens.add(database, NewToken(name=name, role="operator"), "admin") for name in ("a", "b")]
+    CALLER.reset(before)
     first, second = ({"Authorization": f"Bearer {token.token}"} for token in made)
     assert client.post("/v1/frames", json={}, headers=first).json()["code"] == "observations_invalid"
     last = client.post("/v1/frames", json={}, headers=first)

@@ -23,7 +23,7 @@ class MotionPlanOptions(Asked):
     count: Annotated[int, Field(ge=1, le=MOST_MOTIONS)] = Field(
         3, description="Motions, 1 to 20: a third of them is held out in a search."
     )
-    rate_hz: Annotated[float, Field(ge=5.0, le=1000.0)] = Field(50.0, description="Rows a second, 5 to 1000.")
+    rate_hz: Annotated[float, Field(ge=5.0, le=1000.0)] = Field(50.0, description="Rows a second, Hz, 5 to 1000.")
     speed_deg_s: Annotated[float, Field(gt=0.0, le=360.0)] = Field(
         45.0,
         description="Highest speed of revolute joints, deg/s, above 0, at most 360; it is reached in half a second.",
