@@ -29,13 +29,14 @@ import httpx
 from kilter_core.model import Calibration
 from kilter_service.ground.settings import Settings
 from tests.corrector.conftest import calibration_of
-from tests.corrector.live import ROBOT, Q
+from tests.corrector.live import ROBOT, Q, until
 from tests.corrector.stored import descendants, store_active
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LEAST_PAUSE_S = 0.001  # as both sides count it
 RATE_DEG_S = 5.0  # what a version states at most
 PATIENCE_S = 120.0
+STEADY = 50  # looks, 10 ms apart
 RECORD = struct.Struct("<qqb5d")  # monotonic ns before and after, how it was corrected, correction of each joint
 ORDER = ("corrector", "stream", "supervisor", "nursery", "spare", "query", "api", "worker", "tracker", "helper")
 SOURCES = ("corrected", "slowed", "held", "bypass")
@@ -60,11 +61,13 @@ def path():
         t, began = time.monotonic() - begin, time.monotonic_ns()
         yield [q + 0.05 * math.sin(0.5 * t + k) for k, q in enumerate(map(float, sys.argv[5:]))]
 period_s, deadline_s = map(float, sys.argv[3:5])
+state = os.open(Path(sys.argv[2]) / "controller", os.O_RDWR | os.O_CREAT)
 options = {"data": Path(sys.argv[2]), "deadline_s": deadline_s, "settled": True, "connect_timeout_s": 60.0}
 for q in corrected(path(), sys.argv[1], period_s=period_s, **options):
     if not rows:
         print("corrected", flush=True)
     rows.append(record.pack(began, time.monotonic_ns(), sources.index(q.source), *q.delta))
+    os.pwrite(state, q.source[:1].encode(), 0)
 sys.stdout.buffer.write(b"".join(rows))
 """
 
@@ -217,12 +220,23 @@ def campaign(folder: Path, kills: int, told: Callable[[str], Any], pace: Pace | 
                 victim = min((name for name in ORDER if name in named), key=lambda name: times[name])
                 killed.append((victim, server.kill(victim, named[victim])))
                 named = server.until_ready(unlike=named[victim])
+                until(lambda: _is_corrected(server.settings), PATIENCE_S)  # what comes later is not this kill's
                 told(f"{len(killed)}: {victim}, all is back after {(time.monotonic_ns() - killed[-1][1]) * 1e-9:.1f} s")
             time.sleep(1.0)
             rows = end()
     finally:
         server.stop()
     return Done(_costs(killed, rows), _largest_step(rows), rows[-1].source)
+
+
+def _is_corrected(settings: Settings) -> bool:
+    """Whether the controller's setpoints are corrected for some time on."""
+    file = settings.data / "controller"
+    for _ in range(STEADY):
+        if file.read_bytes() != b"c":
+            return False
+        time.sleep(0.01)
+    return True
 
 
 def _costs(killed: list[tuple[str, int]], rows: list[Row]) -> list[Kill]:

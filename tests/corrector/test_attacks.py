@@ -281,6 +281,7 @@ def test_attacked_setpoints_of_a_signed_stream_cost_no_cycle(
         until(lambda: stream.correct(Q).source == "corrected" and len(heard) > 50)
         way = way_out(intruder, f"{ROOT}/stream/{name}/in")
         recorded = heard[-50:]
+        until(lambda: sequence(heard[-1]) == stream._acceptance._seq)  # the last one has arrived here, too
         before, known = stream.statistics.sent, sequence(heard[-1])
 
         def attack(stop: threading.Event) -> None:

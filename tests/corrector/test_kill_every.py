@@ -102,3 +102,31 @@ def test_a_controller_reads_the_address_again(source: object, tmp_path: Path) ->
                 until(lambda: stream.correct(Q).source == "corrected", 30)
             finally:
                 second.stop()
+
+
+def test_a_stream_that_went_on_alone_is_corrected_on_while_a_database_migrates(source: object, tmp_path: Path) -> None:
+    """Whoever starts a server migrates first: for so long nobody knows what is active, and nothing may be dropped."""
+    settings = Settings(data=tmp_path, zenoh_listen="tcp/127.0.0.1:0", site="test")
+    first = Corrector(settings, source)  # type: ignore[arg-type]
+    first.start()
+    with open_stream(first, "migrating", connect_timeout_s=60.0) as stream:
+        assert stream.correct(Q).source == "corrected"
+        deserted(first)
+
+        class Migrating:
+            def stamp(self) -> None:
+                return None
+
+            def load(self) -> dict[str, object]:
+                return {}
+
+            def close(self) -> None:
+                """It holds nothing."""
+
+        second = Corrector(settings, Migrating())  # type: ignore[arg-type]
+        try:
+            second.start()
+            second.poll()
+            assert [stream.correct(Q).source for _ in range(20)] == ["corrected"] * 20
+        finally:
+            second.stop()

@@ -207,7 +207,8 @@ class Corrector:
         """Take over what was activated."""
         try:
             stamp = self._source.stamp()
-            if stamp != self._stamp:
+            # None: a server that starts migrates, and nothing is known yet. A stream that went on alone keeps what it has.
+            if stamp is not None and stamp != self._stamp:
                 self._take_over(self._source.load())
                 self._stamp = stamp
             self._looking.report_success()
