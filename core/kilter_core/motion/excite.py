@@ -38,7 +38,7 @@ class MotionPlan:
 
     t: Floats
     q: Floats
-    motion: Floats
+    motion: Ints
     fastest: Floats
     base: int
     condition: float
@@ -161,9 +161,9 @@ def _join_motions(t: Floats, chosen: list[Floats], base: int, condition: float) 
     joints, motion = [], []
     for k, q in enumerate(chosen):
         joints += [np.repeat(q[:1], rest, axis=0), q]
-        motion += [np.full(rest, -1.0), np.full(len(q), float(k))]
+        motion += [np.full(rest, -1), np.full(len(q), k)]
     joints.append(np.repeat(chosen[-1][-1:], rest, axis=0))
-    motion.append(np.full(rest, -1.0))
+    motion.append(np.full(rest, -1))
     q = np.concatenate(joints)
     clock = np.arange(len(q)) * np.float64(step)
     speeds = np.abs(np.gradient(q, step, axis=0)).max(axis=0)

@@ -98,7 +98,7 @@ class Layout:
     def with_candidates(self, orders: Sequence[float | None], sessions: Sequence[int] = ()) -> Layout:
         """Return the layout with every effect of the library, ripples of these orders, and masses carried in ``sessions``."""
         most = max(1, MOST_CARRIED // (PER_LINK * max(1, len(sessions))))
-        shown = [shown_columns(self.robot, k) for k in range(len(link_elements(self.robot)))[-most:]]
+        shown = shown_columns(self.robot)[-most:] if sessions else []
         carried = [(session, columns) for session in sessions for columns in shown if len(columns)]
         return replace(self, orders=tuple(orders), carried=tuple(carried))._with_effects(MOTION_EFFECTS)
 

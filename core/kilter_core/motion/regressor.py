@@ -110,10 +110,12 @@ def tool_in_link(robot: Robot) -> Floats:
     return np.asarray(T @ robot.T_tool)
 
 
-def shown_columns(robot: Robot, link: int) -> Ints:
-    """Return the columns of a body that show in the torques by themselves."""
-    own, Y = np.arange(PER_LINK * link, PER_LINK * (link + 1)), _random_regressor(robot)
-    return np.asarray(own[_independent_columns(Y[:, own], float(np.linalg.norm(Y, axis=0).max()))])
+def shown_columns(robot: Robot) -> list[Ints]:
+    """Return, for each body, its columns that show in the torques by themselves."""
+    Y = _random_regressor(robot)
+    largest = float(np.linalg.norm(Y, axis=0).max())
+    every = np.arange(Y.shape[1]).reshape(-1, PER_LINK)
+    return [own[_independent_columns(Y[:, own], largest)] for own in every]
 
 
 def base_columns(robot: Robot, seed: int = 0) -> tuple[Ints, Floats]:

@@ -43,11 +43,11 @@ def current(database: Database) -> str | None:
             return None
         found: list[str] = list(connection.execute(text("SELECT version_num FROM alembic_version")).scalars())
     if len(found) > 1:
-        raise _altered(f"The database names {len(found)} revisions ({', '.join(map(str, found))[:100]})")
+        raise _altered_error(f"The database names {len(found)} revisions ({', '.join(map(str, found))[:100]})")
     return found[0] if found else None
 
 
-def _altered(what: str) -> ServiceError:
+def _altered_error(what: str) -> ServiceError:
     said = f"{what}: it was altered past Kilter. Nothing was changed. Bring back a backup with `kilterd restore`."
     return ServiceError(said, code="database_damaged")
 
@@ -148,5 +148,5 @@ def migrate(database: Database) -> bool:
         if in_words(error) is not None:
             raise
         what = f"The database names revision {found or 'none'}, and its tables are of another one ({error.orig})"
-        raise _altered(what) from error
+        raise _altered_error(what) from error
     return True

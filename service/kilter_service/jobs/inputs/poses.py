@@ -70,7 +70,8 @@ def _row(robot: Robot, pose: Pose) -> dict[str, Any]:
     low, high = robot.limits.T
     q = np.clip(pose.q, low, high)
     row: dict[str, Any] = {
-        name: round(float(v * k), DIGITS) for name, k, v in zip(_names(robot), joint_scale(robot), q, strict=True)
+        name: round(float(v * k), DIGITS)
+        for name, k, v in zip(joint_columns(robot), joint_scale(robot), q, strict=True)
     }
     row |= {
         "kind": pose.kind,
@@ -85,12 +86,13 @@ def _row(robot: Robot, pose: Pose) -> dict[str, Any]:
     return row | {name: number for name, number in numbers.items() if number is not None}
 
 
-def _names(robot: Robot) -> list[str]:
+def joint_columns(robot: Robot) -> list[str]:
+    """Return the names of a measurement's joint columns."""
     return [f"q{j}_{unit}" for j, unit in enumerate(joint_units(robot), 1)]
 
 
 def _csv(robot: Robot, rows: Sequence[dict[str, Any]]) -> str:
-    names = _names(robot)
+    names = joint_columns(robot)
     columns: dict[str, list[Any]] = {name: [row[name] for row in rows] for name in names}
     if all(row["payload_kg"] is not None for row in rows):
         columns["payload_kg"] = [row["payload_kg"] for row in rows]

@@ -8,6 +8,7 @@ from kilter_service.contract.jobs.motion_plan import MOTION_PLAN, MotionPlanOpti
 from kilter_service.ground.core import core_motion
 from kilter_service.ground.wire import joint_scale, joint_units, to_metres, to_rad
 from kilter_service.jobs.inputs.plain import to_json_types
+from kilter_service.jobs.inputs.poses import joint_columns
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from kilter_service.jobs.kinds.plan import UNCHECKED
 
@@ -23,7 +24,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     )
     scale, units = np.array(joint_scale(job.robot)), joint_units(job.robot)
     q = made.q * scale
-    lines = [",".join(["t_s", *(f"q{j + 1}_{unit}" for j, unit in enumerate(units))])]
+    lines = [",".join(["t_s", *joint_columns(job.robot)])]
     lines += [",".join(DIGITS % value for value in row) for row in np.column_stack([made.t, q]).tolist()]
     joints = [
         {"joint": j + 1, "unit": unit, "lowest": q[:, j].min(), "highest": q[:, j].max(), "fastest": fastest}
