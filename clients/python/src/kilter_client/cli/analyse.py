@@ -12,6 +12,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.reports.next_step import suggest_after_job
 from kilter_client.cli.reports.results import show_job
+from kilter_client.cli.simulator import ModelSearch, search_models
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import (
@@ -246,7 +247,14 @@ def identify(
     ),
 )
 def gap(
-    robot: Robot,
+    robot: Annotated[
+        list[str],
+        typer.Argument(
+            help="Name of the robot; with --model logs of commands and readings.",
+            metavar="ROBOT | LOG...",
+            show_default=False,
+        ),
+    ],
     campaign: CampaignIds = None,
     validation: HuntValidation = None,
     confirmation: ConfirmationIds = None,
@@ -270,6 +278,38 @@ def gap(
     poses: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the poses to measure next as CSV.", dir_okay=False)
     ] = None,
+    model: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="A model of MuJoCo: what it lacks, by logs of commands and readings, no server needed; several are compared.",
+            exists=True,
+            dir_okay=False,
+        ),
+    ] = None,
+    joints: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="A,B,C", help="With --model: its joints in the log's order; left out: all that have an actuator."
+        ),
+    ] = None,
+    site: Annotated[str | None, typer.Option(help="With --model: its site at the tool.")] = None,
+    payload_body: Annotated[
+        str, typer.Option(help="With --model: the body whose mass is payload_kg of a log.")
+    ] = "payload",
+    calibration: Annotated[
+        Path | None, typer.Option(help="With --model: the calibration of a LeRobot arm.", exists=True, dir_okay=False)
+    ] = None,
+    norm_mode: Annotated[str | None, typer.Option(help="With --model: the norm mode of a LeRobot data set.")] = None,
+    column_map: Annotated[
+        Path | None,
+        typer.Option(
+            "--map", help="With --model: column map of a log of other columns (TOML).", exists=True, dir_okay=False
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="With --model: write a copy that has what was found.", dir_okay=False),
+    ] = None,
     option: MoreOptions = None,
     name: JobName = "",
     no_wait: NoWait = False,
@@ -277,7 +317,16 @@ def gap(
     details: Details = False,
     as_json: Json = False,
 ) -> None:
-    """Find where the model is wrong, name what is missing, and show how the gap shrinks on rows never used."""
+    """Find where the model is wrong, name what is missing, and show how the gap shrinks on rows never used.
+
+    With --model: what a simulator's model lacks, by logs of commands and readings.
+    """
+    if model is not None:
+        held = arguments.split_names(validation)
+        asked = ModelSearch(model, held, joints, site, payload_body, output, calibration, norm_mode, column_map, seed)
+        return search_models(robot, asked, details, as_json)
+    if len(robot) > 1 or output is not None:
+        raise UsageError("Logs and --output go with --model MODEL.xml; a search on a server names one robot.")
     needs_result(no_wait, figures=figures, poses=poses)
     chosen = arguments.options(
         option,
@@ -297,7 +346,7 @@ def gap(
     )
     files = partial(_write_search, poses, figures, as_json)
     again = arguments.split_names(confirmation)
-    run_job("gap", robot, campaign, validation, chosen, no_wait, as_json, True, files, again, name, check, details)
+    run_job("gap", robot[0], campaign, validation, chosen, no_wait, as_json, True, files, again, name, check, details)
 
 
 def _write_search(poses: Path | None, figures: Path | None, as_json: bool, job: dict[str, Any]) -> None:

@@ -12,6 +12,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import UsageError
+from kilter_client.twin.motion_step import TABLE as MOTION
+from kilter_client.twin.motion_step import apply_motion, model_text
 from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
@@ -23,7 +25,7 @@ NEVER_MOVED = 1e-9  # rad (m) of a control
 
 
 def apply(model: Any, data: Any) -> None:
-    """Move what the table moves: offsets of the drives, and the bodies behind the joints.
+    """Move what the tables move: offsets of the drives, the bodies behind the joints, friction and late torques.
 
     Args:
         model: an ``mjModel`` that holds an exported arm; one without a table needs nothing.
@@ -33,6 +35,9 @@ def apply(model: Any, data: Any) -> None:
         UsageError: the table is of a later release.
 
     """
+    motion = model_text(model, MOTION)
+    if motion is not None:
+        apply_motion(model, data, motion)
     table = _read_embedded_table(model)
     if table is None:
         return
@@ -67,14 +72,8 @@ def apply(model: Any, data: Any) -> None:
 
 
 def _read_embedded_table(model: Any) -> dict[str, Any] | None:
-    named = bytes(model.names)
-    at = next(
-        (k for k, start in enumerate(model.name_textadr) if named.startswith(TABLE.encode() + b"\0", start)), None
-    )
-    if at is None:
-        return None
-    start = int(model.text_adr[at])
-    return _read(bytes(model.text_data[start : start + int(model.text_size[at])]).rstrip(b"\0"))
+    text = model_text(model, TABLE)
+    return None if text is None else _read(text)
 
 
 @lru_cache(maxsize=16)

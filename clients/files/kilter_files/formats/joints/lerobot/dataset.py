@@ -103,7 +103,7 @@ def _seconds(stream: BinaryIO, start: int, end: int) -> float:
 
 
 INFO, EPISODES_JSONL, EPISODES = "meta/info.json", "meta/episodes.jsonl", "meta/episodes"
-STATE = "observation.state"
+STATE, ACTION = "observation.state", "action"
 OLD, NEW = "v2.1", "v3.0"
 FINISH = "It is half written: finish the recording (lerobot-record ends it by itself), or copy it again."
 FOLDER = "Give the folder of a LeRobot data set, the one with meta/info.json."
@@ -128,7 +128,10 @@ class Episode:
 
 @dataclass(frozen=True)
 class Dataset:
-    """A data set: its folder, version, frames per second, robot, names of the recorded joints, and episodes."""
+    """A data set: its folder, version, frames per second, robot, names of the recorded joints, and episodes.
+
+    ``has_actions`` says whether it has what the same joints were told.
+    """
 
     folder: Path
     version: str
@@ -137,6 +140,7 @@ class Dataset:
     names: tuple[str, ...]
     episodes: tuple[Episode, ...]
     frames: int
+    has_actions: bool = False
 
     @property
     def summary_text(self) -> str:
@@ -168,9 +172,13 @@ def open_dataset(path: Path) -> Dataset:
         raise fault(folder / INFO, f"has no {STATE} ({has})", "A joint log is what the follower's servos read.")
     episodes = tuple(_episodes_v21(folder, info) if version == OLD else _episodes_v30(folder, info))
     _refuse_missing(folder, info, episodes)
-    names = tuple(name.removesuffix(".pos") for name in _names(folder, state))
+    names = _names(state)
+    if not names:
+        raise fault(folder / INFO, f"does not name the numbers of {STATE}", "Write their names into the file.")
     frames = sum(episode.length for episode in episodes)
-    return Dataset(folder, version, float(info["fps"]), str(info.get("robot_type") or ""), names, episodes, frames)
+    told = _names(info["features"].get(ACTION)) == names
+    robot = str(info.get("robot_type") or "")
+    return Dataset(folder, version, float(info["fps"]), robot, names, episodes, frames, told)
 
 
 def parquet_file(path: Path) -> parquet.ParquetFile:
@@ -261,13 +269,14 @@ def _info(folder: Path) -> dict[str, Any]:
     return dict(info)
 
 
-def _names(folder: Path, state: Mapping[str, Any]) -> list[str]:
-    names = state.get("names")
+def _names(column: Any) -> tuple[str, ...]:
+    """Joints of the numbers of a column; none where the file does not name them."""
+    names = column.get("names") if isinstance(column, dict) else None
     if isinstance(names, dict):
         names = next((names[key] for key in NAMES_OF_LISTS if key in names), None)
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise fault(folder / INFO, f"does not name the numbers of {STATE}", "Write their names into the file.")
-    return names
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        return ()
+    return tuple(name.removesuffix(".pos") for name in names)
 
 
 def _episodes_v21(folder: Path, info: Mapping[str, Any]) -> Iterator[Episode]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from kilter_files.formats.joints.lerobot.calibration import (
     DEGREES,
@@ -15,6 +16,7 @@ from kilter_files.formats.joints.lerobot.calibration import (
     servo_name_for_joint,
 )
 from kilter_files.formats.joints.lerobot.dataset import (
+    ACTION,
     FINISH,
     STATE,
     Dataset,
@@ -53,11 +55,15 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Block:
-    """Rows of a file: ``angles (n, joints)`` degrees, ``episode (n,)`` and ``time_s (n,)`` within the episode."""
+    """Rows of a file: ``angles (n, joints)`` degrees, ``episode (n,)`` and ``time_s (n,)`` within the episode.
+
+    ``commands (n, joints)`` degrees are what the joints were told, None where the data set does not say.
+    """
 
     angles: Floats
     episode: Floats
     time_s: Floats
+    commands: Floats | None = None
 
 
 def open_recorded_joints(path: Path, hints: LogHints) -> Recorded:
@@ -138,13 +144,14 @@ def log_of_dataset(path: Path, hints: LogHints) -> JointLog:
     """
     recorded = open_recorded_joints(path, hints)
     refuse_short_videos(recorded.dataset)
-    angles, episodes, times = [], [], []
-    for block in blocks(recorded):
-        angles.append(block.angles)
-        episodes.append(block.episode)
-        times.append(block.time_s)
-    q, episode, time = np.concatenate(angles), np.concatenate(episodes), np.concatenate(times)
+    found = list(blocks(recorded))
+    q, episode, time = (
+        np.concatenate([getattr(one, name) for one in found]) for name in ("angles", "episode", "time_s")
+    )
     columns = {f"q{k + 1}_deg": q[:, k] for k in range(len(recorded.joints))}
+    commands = [one.commands for one in found if one.commands is not None]
+    if len(commands) == len(found):
+        columns |= {f"cmd{k + 1}_deg": values for k, values in enumerate(np.concatenate(commands).T)}
     log = checked_log(path, columns | {"t_s": time + _starts(recorded.dataset)[episode.astype(int)]}, [], "row")
     log = replace(log, notes=tuple(log_notes(recorded)))
     if recorded.calibration is None:
@@ -190,21 +197,27 @@ def _of_file(path: Path, recorded: Recorded) -> Iterator[Block]:
     missing = [name for name in (STATE, "episode_index", "timestamp") if name not in file.schema_arrow.names]
     if missing:
         raise fault(path, f"has no column {missing[0]!r}", "Export the data set again.")
-    for batch in file.iter_batches(BLOCK, columns=[STATE, "episode_index", "timestamp"]):
-        state = batch.column(STATE)
-        flat = np.asarray(state.flatten(), dtype=np.float64)
-        if len(flat) != len(batch) * len(recorded.dataset.names):
-            what = f"its rows do not have the {len(recorded.dataset.names)} numbers that info.json names"
-            raise fault(path, what, FINISH, column=STATE)
-        values = flat.reshape(len(batch), -1)[:, recorded.places]
-        if recorded.calibration is not None:
-            for k, servo in enumerate(recorded.servos):
-                values[:, k] = recorded.calibration.degrees(servo, values[:, k], recorded.mode)
+    told = ACTION in file.schema_arrow.names and recorded.dataset.has_actions
+    for batch in file.iter_batches(BLOCK, columns=[STATE, "episode_index", "timestamp", *([ACTION] if told else [])]):
         yield Block(
-            values,
+            _angles(path, recorded, batch, STATE),
             np.asarray(batch.column("episode_index"), dtype=np.float64),
             np.asarray(batch.column("timestamp"), dtype=np.float64),
+            _angles(path, recorded, batch, ACTION) if told else None,
         )
+
+
+def _angles(path: Path, recorded: Recorded, batch: Any, column: str) -> Floats:
+    """Angles (n, joints) degrees of a column, as they are calibrated."""
+    flat = np.asarray(batch.column(column).flatten(), dtype=np.float64)
+    if len(flat) != len(batch) * len(recorded.dataset.names):
+        what = f"its rows do not have the {len(recorded.dataset.names)} numbers that info.json names"
+        raise fault(path, what, FINISH, column=column)
+    values = flat.reshape(len(batch), -1)[:, recorded.places]
+    if recorded.calibration is not None:
+        for k, servo in enumerate(recorded.servos):
+            values[:, k] = recorded.calibration.degrees(servo, values[:, k], recorded.mode)
+    return values
 
 
 def refuse_whole_rotations(path: Path, joints: Sequence[str], block: Block, last: Block | None, rows: int) -> None:

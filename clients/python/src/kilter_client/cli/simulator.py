@@ -1,0 +1,172 @@
+"""``kilter gap --model``: what a simulator's model lacks, by logs of commands and readings; no server takes part."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kilter_client.cli.stored.versions import write
+from kilter_client.cli.terminal.arguments import split_names
+from kilter_client.cli.terminal.output import emit, print_line
+from kilter_client.cli.terminal.progress import job_bar
+from kilter_client.cli.terminal.tables import show_rows
+from kilter_client.errors import MissingPackageError, UsageError
+from kilter_files.formats import LogHints
+
+if TYPE_CHECKING:
+    from kilter_client.twin.patched import Patched
+
+
+@dataclass(frozen=True)
+class ModelSearch:
+    """What ``kilter gap --model`` is asked besides its logs."""
+
+    models: Sequence[Path]
+    held: Sequence[str]
+    joints: Sequence[str] | None
+    site: str | None
+    payload_body: str
+    output: Path | None
+    calibration: Path | None
+    norm_mode: str | None
+    column_map: Path | None
+    seed: int | None
+
+
+def search_models(logs: Sequence[str], asked: ModelSearch, details: bool, as_json: bool) -> None:
+    """Search the logs for what each model lacks, print it, and write the copy.
+
+    Raises:
+        UsageError: an output with several models, or over the model itself.
+        MissingPackageError: the core or MuJoCo is not installed.
+
+    """
+    if getattr(find_spec("kilter_core"), "origin", None) is None:
+        raise MissingPackageError(
+            "kilter gap --model needs the core: pip install kilter-core mujoco.", package="kilter-core"
+        )
+    if asked.output is not None and len(asked.models) > 1:
+        raise UsageError(
+            "--output takes the copy of one model: leave it out to compare several, then name one --model."
+        )
+    if asked.output is not None and asked.output.resolve() == asked.models[0].resolve():
+        raise UsageError(f"{asked.output} is the model itself, which stays as it is: name another file.")
+    found = [_search(model, logs, asked, as_json) for model in asked.models]
+    documents = [document for document, _ in found]
+    if asked.output is not None:
+        write(asked.output, found[0][1].text.encode())
+        documents[0]["output"] = str(asked.output)
+    document = documents[0] if len(documents) == 1 else {"models": documents, "headline": _compare(documents)}
+    emit(document, as_json, partial(_show, details=details))
+
+
+def _search(model: Path, logs: Sequence[str], asked: ModelSearch, as_json: bool) -> tuple[dict[str, Any], Patched]:
+    from kilter_client.twin.servo_gap import (
+        LogOptions,
+        find_servo_gap,
+    )  # it has the core, which a client alone does without
+
+    hints = LogHints(calibration=asked.calibration, norm_mode=asked.norm_mode)
+    options = LogOptions(split_names(asked.joints), asked.site, asked.payload_body, hints, asked.column_map)
+    with job_bar(f"gap of {model.name}", as_json) as progress:
+        return find_servo_gap(model, list(logs), list(asked.held), options, asked.seed or 0, progress)
+
+
+def _compare(documents: Sequence[Mapping[str, Any]]) -> str:
+    best = min(documents, key=lambda one: _error(one, "stated"))
+    refuted = [one["model"] for one in documents if one["refuted"]]
+    said = f"Nearest to the log as it stands: {best['model']} ({_error(best, 'stated'):.2g} deg on unseen motion)."
+    if refuted:
+        said += f" Refuted by the log: {', '.join(refuted)}."
+    return said
+
+
+def _error(document: Mapping[str, Any], which: str) -> float:
+    one = document["whole_arm"][which]
+    return float("inf") if one is None else float(one["rms_deg"])
+
+
+def _show(document: Mapping[str, Any], details: bool) -> None:
+    print_line(document["headline"])
+    if "models" in document:
+        rows = [
+            (one["model"], *(_cell(one, which) for which in ("stated", "servo_fitted", "found")))
+            for one in document["models"]
+        ]
+        show_rows(("model", "as it is, deg", "servo fitted", "with what was found"), rows, numbers=True)
+        for one in document["models"]:
+            for line in _list_differences(one)[: None if details else 3]:
+                print_line(f"{one['model']}: {line}")
+        return
+    for warning in document["warnings"]:
+        print_line(f"Warning: {warning['message']}")
+    if document["effects"]:
+        rows = [_row(one) for one in document["effects"]]
+        show_rows(("effect", "size", "interval (95 %)", "sure"), rows)
+    whole = document["whole_arm"]
+    where = "unseen episodes" if whole["unseen"] else "the log"
+    rows = [(name, _cell(document, key), _mm(whole[key])) for key, name in ERRORS.items()]
+    show_rows((f"whole arm on {where}", "deg rms", f"mm at {whole['site'] or 'no site'}"), rows, numbers=True)
+    if details:
+        _show_details(document)
+    for text in document["notes"]:
+        print_line(text)
+    if "output" in document:
+        print_line(f"Written: {document['output']}")
+    elif document["effects"] or document["refuted"]:
+        print_line("Next: the same with --output FILE.xml writes a copy of the model with all of this.")
+
+
+ERRORS = {"stated": "your model", "servo_fitted": "its servos fitted", "found": "with what was found"}
+
+
+def _row(one: Mapping[str, Any]) -> tuple[str, ...]:
+    value = one["parameters"][0]
+    interval = f"{value['interval_low']:.4g} to {value['interval_high']:.4g}"
+    rivals = f" (or {', '.join(one['alias_set'])})" if one["alias_set"] else ""
+    return one["label"], f"{value['value']:.3g} {value['unit']}", interval, f"{one['sure']}{rivals}"
+
+
+def _cell(document: Mapping[str, Any], which: str) -> str:
+    error = _error(document, which)
+    return "diverges" if error == float("inf") else f"{error:.3g}"
+
+
+def _mm(one: Mapping[str, Any] | None) -> str:
+    return "" if one is None or one["tool_rms_mm"] is None else f"{one['tool_rms_mm']:.3g}"
+
+
+def _list_differences(document: Mapping[str, Any]) -> list[str]:
+    """Numbers of the servos that the log refutes, those that are furthest off first."""
+    found = []
+    for joint in document["joints"]:
+        for one in joint["servo"]:
+            if not one["interval_low"] <= one["stated"] <= one["interval_high"] and one["found"] > 0.0:
+                ratio = max(one["stated"], 1e-12) / one["found"]
+                said = f"{one['stated']:.3g}, the log says {one['found']:.3g} {one['unit']}"
+                text = f"{one['name']} of {joint['joint']} is {said}"
+                found.append((abs(ratio - 1.0) if ratio >= 1.0 else 1.0 / ratio - 1.0, text))
+    return [text for _, text in sorted(found, reverse=True)]
+
+
+def _show_details(document: Mapping[str, Any]) -> None:
+    rows = [
+        (
+            joint["joint"],
+            one["name"],
+            f"{one['stated']:.4g}",
+            f"{one['without_effects']:.4g}",
+            f"{one['found']:.4g}",
+            f"{one['interval_low']:.4g} to {one['interval_high']:.4g}",
+            one["unit"],
+        )
+        for joint in document["joints"]
+        for one in joint["servo"]
+    ]
+    show_rows(("joint", "number", "model", "fitted alone", "with effects", "interval (95 %)", "unit"), rows)
+    limits = [(one["joint"], one["id"], f"{one['at_most']:.3g} {one['unit']}") for one in document["excluded"]]
+    show_rows(("joint", "not found", "at most (95 %)"), limits)

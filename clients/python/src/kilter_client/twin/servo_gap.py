@@ -1,0 +1,149 @@
+"""What a simulator lacks, from its model and logs of commands and readings: found, judged, and written into a copy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kilter_client.errors import FileError
+from kilter_client.twin.command_log import CommandEpisode, CommandLog, read_command_log
+from kilter_client.twin.patched import Patched, patch_model
+from kilter_client.twin.replay import Replayed, replay
+from kilter_client.twin.servo_model import ServoModel
+from kilter_core.errors import CoreError
+from kilter_core.rollout import RolloutReport, find_missing_motion, to_document
+from kilter_files.ground.later import mujoco, np
+
+if TYPE_CHECKING:
+    from kilter_files.formats import LogHints
+
+Progress = Callable[[float, str], None]
+REFUTED = 1.5  # times the error of the numbers found, from which unseen episodes refute those that a model states
+MISFIT = 2.0  # times the error of the search, from which the whole arm does not move as its joints do
+
+
+@dataclass(frozen=True)
+class LogOptions:
+    """Names in the model: the log's ``joints``, the ``site`` at the tool, the ``payload`` body; how the log is read."""
+
+    joints: Sequence[str] = ()
+    site: str | None = None
+    payload: str = "payload"
+    hints: LogHints | None = None
+    column_map: Path | None = None
+
+
+def find_servo_gap(
+    model: Path | str,
+    logs: Sequence[Path | str],
+    held: Sequence[Path | str] = (),
+    options: LogOptions | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> tuple[dict[str, Any], Patched]:
+    """Find what the joints of a model of MuJoCo lack, and write a copy that has it.
+
+    Args:
+        model: an MJCF file with a position actuator for each joint of the logs.
+        logs: files with ``t_s, q1_deg ..., cmd1_deg ...``, or data sets of LeRobot; ``held`` of them only judge.
+        held: further logs, that no choice sees; without them a third of the episodes is held out.
+        options: names in the model, and how the logs are read.
+        seed: chooses the episodes that are held out.
+        progress: is called with a fraction and a stage.
+
+    Returns:
+        The document, and the copy.
+
+    Raises:
+        FileError: a model or log that cannot be what it should be, with place and remedy.
+        MissingPackageError: MuJoCo is not installed.
+
+    """
+    options = options or LogOptions()
+    arm = ServoModel.from_file(Path(model), options.joints, options.payload)
+    site = _choose_site(arm, options.site)
+    read = [read_command_log(Path(path), len(arm.joints), options.hints, options.column_map) for path in (*logs, *held)]
+    of_episode = [k for k, log in enumerate(read) for _ in log.episodes]
+    try:
+        report = find_missing_motion(arm.records(read), of_episode, range(len(logs), len(read)), seed, progress)
+        document = to_document(report)
+    except CoreError as error:
+        raise FileError(f"{logs[0]}: {error.message}", code=error.code, **error.context) from error
+    copy = patch_model(arm, report.joints)
+    document["model"] = str(model)
+    document["whole_arm"] = _judge_whole_arm(arm, report, copy, read, site)
+    document["notes"] = list(copy.notes)
+    document["warnings"] += [*_list_dropped(read), *_compare_whole_arm(document)]
+    document["refuted"] = _is_refuted(document)
+    return document, copy
+
+
+def _choose_site(arm: ServoModel, site: str | None) -> str | None:
+    """The site that is named; else one called tool, gripper or the like; else the last of the model."""
+    names = [mujoco.mj_id2name(arm.model, mujoco.mjtObj.mjOBJ_SITE, k) for k in range(arm.model.nsite)]
+    names = [name for name in names if name]
+    if site is not None and site not in names:
+        listed = ", ".join(names) or "none with a name"
+        raise FileError(
+            f"{arm.path}: has no site {site!r}. It has: {listed}. Say which with --site.", file=str(arm.path)
+        )
+    return site or next((name for name in names if "tool" in name), names[-1] if names else None)
+
+
+def _judge_whole_arm(
+    arm: ServoModel, report: RolloutReport, copy: Patched, logs: Sequence[CommandLog], site: str | None
+) -> dict[str, Any]:
+    """Errors of the whole arm in MuJoCo on unseen episodes: the model as it is, with its servos fitted, and the copy."""
+    every = [one for log in logs for one in log.episodes]
+    held = [every[k] for k in report.held_episodes] or every
+    models = {"stated": arm.model, "servo_fitted": patch_model(arm, report.joints, False).model, "found": copy.model}
+    found: dict[str, Any] = {"unseen": report.unseen, "site": site}
+    for name, model in models.items():
+        found[name] = _describe_replay(arm, _replay(arm, model, held, site))
+    return found
+
+
+def _replay(arm: ServoModel, model: Any, episodes: Sequence[CommandEpisode], site: str | None) -> Replayed | None:
+    try:
+        return replay(arm, model, episodes, site)
+    except FileError as error:
+        if error.code == "model_unstable":
+            return None
+        raise
+
+
+def _describe_replay(arm: ServoModel, one: Replayed | None) -> dict[str, Any] | None:
+    if one is None:
+        return None
+    turning = [k for k, j in enumerate(arm.ids) if int(arm.model.jnt_type[j]) == 3]  # mjJNT_HINGE
+    return {
+        "rms_deg": float(np.degrees(np.sqrt(np.mean(one.apart[:, turning] ** 2)))),
+        "tool_rms_mm": None if one.tool is None else float(1e3 * np.sqrt(np.mean(one.tool**2))),
+        "tool_max_mm": None if one.tool is None else float(1e3 * np.max(one.tool)),
+    }
+
+
+def _is_refuted(document: dict[str, Any]) -> bool:
+    stated, found = document["whole_arm"]["stated"], document["whole_arm"]["found"]
+    return stated is None or (found is not None and stated["rms_deg"] > REFUTED * found["rms_deg"])
+
+
+def _compare_whole_arm(document: dict[str, Any]) -> list[dict[str, Any]]:
+    """Say where the whole arm in MuJoCo does not do what its joints did one by one."""
+    found = document["whole_arm"]["found"]
+    alone = float(np.sqrt(np.mean([one["found"] ** 2 for one in document["joints"] if one["unit"] == "deg"] or [0.0])))
+    if found is not None and found["rms_deg"] <= MISFIT * max(alone, 1e-6):
+        return []
+    what = "diverges" if found is None else f"is {found['rms_deg']:.2g} deg off, its joints one by one {alone:.2g} deg"
+    remedy = "Take a smaller time step, or check the masses of the model."
+    return [{"code": "whole_arm_differs", "message": f"The copy as a whole {what}. {remedy}"}]
+
+
+def _list_dropped(logs: Sequence[CommandLog]) -> list[dict[str, Any]]:
+    named = [f"{log.dropped} of {log.path}" for log in logs if log.dropped]
+    if not named:
+        return []
+    message = f"Rows are missing: {', '.join(named)}. The last command is held over each gap."
+    return [{"code": "rows_missing", "message": message}]

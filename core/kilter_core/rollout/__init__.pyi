@@ -1,0 +1,10 @@
+from .document import to_document as to_document
+from .effects import ROLLOUT_EFFECTS as ROLLOUT_EFFECTS
+from .find import RolloutReport as RolloutReport
+from .find import find_missing_motion as find_missing_motion
+from .fit import Fit as Fit
+from .kernels.joint import GEAR_DAMPING as GEAR_DAMPING
+from .record import JointEpisode as JointEpisode
+from .record import JointRecord as JointRecord
+from .search import JointFindings as JointFindings
+from .servo import Servo as Servo

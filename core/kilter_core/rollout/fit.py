@@ -1,0 +1,211 @@
+"""Output error of a joint: its numbers by least squares on what a simulation of whole episodes leaves (Janot et al. 2014)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from kilter_core.rollout.effects import Number, RolloutEffect
+from kilter_core.rollout.kernels import joint as place
+from kilter_core.rollout.record import JointRecord
+from kilter_core.types import Bools, Floats
+
+PRIOR_LOG = 2.3  # a number of the user's model may be wrong by a factor of ten
+WORST = 1e3  # sigmas, that a simulation which diverges counts
+RESCALED, FAR_LESS = 3, 0.6
+DIFFERENCE = 1e-3
+EVALUATIONS = 20
+LEAST_FRICTION, LEAST_DAMPING = 0.02, 0.02  # of the usual torque (and per usual speed): a fit does not begin at zero
+SLIP_SHARE = 0.05  # of the usual speed, at which breaking loose has faded
+BASE = (
+    Number("armature", place.ARMATURE, "kg m2", "log", (0.3, 1.0, 3.0)),
+    Number("friction", place.FRICTION, "N m", "log", (1.0,)),
+    Number("damping", place.DAMPING, "N m s/rad", "log", (1.0,)),
+    Number("gain", place.GAIN, "N m/rad", "log", (0.3, 1.0, 3.0)),
+)
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect in one of its variants."""
+
+    effect: RolloutEffect
+    variant: int = 0
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Numbers ``p (COUNT,)`` of the joint and what they ``left (R,)`` of the readings, rad.
+
+    ``cost`` is the mean square (rad2) on the rows that were fitted; ``jacobian`` is by the ``fitted`` numbers over their
+    ``scales``, in units of ``sigma`` over the root of the number of rows.
+    """
+
+    terms: tuple[Term, ...]
+    p: Floats
+    left: Floats
+    cost: float
+    jacobian: Floats
+    fitted: tuple[Number, ...]
+    scales: Floats
+    sigma: float
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The numbers of the servo by name, and the sides of the gear that it and the log read."""
+        names = {one.name: one.place for one in BASE}
+        names |= {"servo_share": place.SERVO_SHARE, "servo_behind": place.BEHIND, "reads_behind": place.READS_BEHIND}
+        names["moving_load"] = place.MOVING_LOAD
+        return {name: float(self.p[at]) for name, at in names.items()}
+
+    @property
+    def slip_speed(self) -> float:
+        """Speed (rad/s) at which breaking loose has faded."""
+        return float(self.p[place.SLIP_SPEED])
+
+    @property
+    def creeps(self) -> bool:
+        """Whether friction lets the joint creep, as MuJoCo's does."""
+        return bool(self.p[place.RATE] > 0.0)
+
+
+def start_values(record: JointRecord) -> Floats:
+    """Numbers of the joint as its model states them, friction and damping off zero, where no step would lead away."""
+    p = record.stated.copy()
+    inertia = float(np.mean(np.concatenate([one.inertia for one in record.episodes])))
+    p[place.ARMATURE] = max(p[place.ARMATURE], 0.02 * inertia, 1e-7)
+    p[place.FRICTION] = max(p[place.FRICTION], LEAST_FRICTION * record.usual_torque)
+    p[place.DAMPING] = max(p[place.DAMPING], LEAST_DAMPING * record.usual_torque / record.usual_speed)
+    p[place.SLIP_SPEED] = SLIP_SHARE * record.usual_speed
+    return p
+
+
+def simulate(record: JointRecord, p: Floats, episodes: Iterable[int] | None = None) -> Floats:
+    """Readings (R,) that a joint with these numbers would give; nan outside ``episodes``."""
+    wanted = range(len(record.episodes)) if episodes is None else set(episodes)
+    parts = []
+    for k, (one, bodies) in enumerate(zip(record.episodes, record.bodies, strict=True)):
+        out = np.full(len(one.t), np.nan)
+        if k in wanted:
+            out[0] = one.reading[0]
+            speed = float((one.reading[2] - one.reading[0]) / (one.t[2] - one.t[0]))
+            place.simulate_joint(p, one.t, one.command, one.sums, record.step_s, bodies, speed, out)
+        parts.append(out)
+    return np.concatenate(parts)
+
+
+def fit_joint(
+    record: JointRecord, terms: Sequence[Term], rows: Bools, sigma: float, begin: Floats, evaluations: int = EVALUATIONS
+) -> Fit:
+    """Fit the servo, and ``terms`` beside it, to some ``rows (R,)``, from the values ``begin (COUNT,)``.
+
+    ``sigma`` (rad) is what a reading is expected to be off; where far less is left, the fit goes on with that.
+    """
+    fit = _fit_at_noise(record, terms, rows, sigma, begin, evaluations)
+    for _ in range(RESCALED):
+        left = float(np.sqrt(np.mean(fit.left[rows & record.used] ** 2)))
+        if not 0.0 < left < FAR_LESS * fit.sigma:
+            break
+        fit = _fit_at_noise(record, terms, rows, left, fit.p, evaluations)
+    return fit
+
+
+def _fit_at_noise(
+    record: JointRecord, terms: Sequence[Term], rows: Bools, sigma: float, begin: Floats, evaluations: int
+) -> Fit:
+    numbers = [*BASE, *(term.effect.number for term in terms)]
+    scales = np.array([_scale(record, number) for number in numbers])
+    logs = np.array([number.scale == "log" for number in numbers])
+    places = np.array([number.place for number in numbers])
+    prior = np.log(start_values(record)[places[logs]])
+    fixed = begin.copy()
+    for term in terms:
+        for at, value in term.effect.variants[term.variant].items():
+            fixed[at] = value
+    rows = rows & record.used
+    episodes = np.unique(record.episode[rows]).tolist()
+    count = max(int(rows.sum()), 1)
+
+    def numbers_at(x: Floats) -> Floats:
+        p = fixed.copy()
+        p[places] = np.where(logs, np.exp(np.clip(x, -30.0, 30.0)), np.clip(x, low, high) * scales)
+        return p
+
+    def left_at(x: Floats) -> Floats:
+        left = (record.reading - simulate(record, numbers_at(x), episodes))[rows] / sigma
+        left = np.clip(np.where(np.isfinite(left), left, WORST), -WORST, WORST)
+        return np.asarray(np.concatenate([left, (x[logs] - prior) / PRIOR_LOG]) / np.sqrt(count))
+
+    low = np.where(logs, -np.inf, [number.low for number in numbers] / scales)
+    high = np.where(logs, np.inf, [number.high for number in numbers] / scales)
+    x0 = np.where(logs, np.log(np.maximum(begin[places], 1e-12)), begin[places] / scales)
+    found = least_squares(
+        left_at,
+        np.clip(x0, low, high),
+        method="lm",
+        diff_step=DIFFERENCE,  # type: ignore[arg-type]  # for MINPACK it is a number
+        x_scale=np.where(logs, 1.0, [0.2 * abs(number.starts[0]) for number in numbers]),
+        max_nfev=evaluations * (len(numbers) + 1),
+        ftol=1e-5,
+        xtol=1e-5,
+        gtol=1e-9,
+    )
+    p = numbers_at(found.x)
+    units = np.where(logs, p[places], scales)
+    left = record.reading - simulate(record, p)
+    return Fit(
+        tuple(terms), p, left, 2.0 * float(found.cost) * sigma**2, np.asarray(found.jac), tuple(numbers), units, sigma
+    )
+
+
+def _scale(record: JointRecord, number: Number) -> float:
+    return {
+        "log": 1.0,
+        "s": 1.0,
+        "rad": 1.0,
+        "share": 1.0,
+        "torque": record.usual_torque,
+        "rad/torque": 1.0 / record.usual_torque,
+    }[number.scale]
+
+
+def fit_base(record: JointRecord, rows: Bools) -> Fit:
+    """Fit what every servo has, from several starts: gain and inertia may be wrong by a large factor."""
+    start = start_values(record)
+    tries = []
+    for armature in BASE[0].starts:
+        for gain in BASE[3].starts:
+            p = start.copy()
+            p[place.ARMATURE] *= armature
+            p[place.GAIN] *= gain
+            left = (record.reading - simulate(record, p))[rows & record.used]
+            tries.append((float(np.nan_to_num(np.mean(left**2), nan=1e9)), p))
+    tries.sort(key=lambda one: one[0])
+    sigma = max(np.sqrt(tries[0][0]), 1e-6)
+    fits = [fit_joint(record, (), rows, sigma, p) for _, p in tries[:3]]
+    best = min(fits, key=lambda one: one.cost).p.copy()
+    best[place.RATE] = 0.0  # a joint that friction holds stands still: no simulator's creep
+    fits.append(fit_joint(record, (), rows, sigma, best))
+    return min(fits, key=lambda one: one.cost)
+
+
+def fit_with(record: JointRecord, fit: Fit, term: Term, rows: Bools, sigma: float) -> Fit:
+    """Fit one more term beside those of ``fit``, from the best of its starting values."""
+    number = term.effect.number
+    scale = _scale(record, number)
+    episodes = np.unique(record.episode[rows & record.used]).tolist()
+    tries = []
+    for servo, start in product((fit.p, start_values(record)), number.starts):
+        p = fit.p.copy()
+        p[[one.place for one in BASE]] = servo[[one.place for one in BASE]]
+        for at, value in term.effect.variants[term.variant].items():
+            p[at] = value
+        p[number.place] = start * scale
+        left = (record.reading - simulate(record, p, episodes))[rows & record.used]
+        tries.append((float(np.nan_to_num(np.mean(left**2), nan=1e9)), p))
+    _, begin = min(tries, key=lambda one: one[0])
+    return fit_joint(record, (*fit.terms, term), rows, sigma, begin)
