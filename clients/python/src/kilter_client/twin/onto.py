@@ -128,7 +128,7 @@ class _Copy:
         _place(added, here @ self.base @ self.twin.calibrated[-1])
         if site is not None:
             self._move_site(site, moves[-1])
-        self.spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+        self.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         self.spec.option.tolerance = 1e-14
         self._table()
 

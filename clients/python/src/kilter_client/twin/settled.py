@@ -246,7 +246,7 @@ class _Arm:
             return
         raise FileError(
             f"{self.path}: the arm does not come to rest at steps of {self.model.opt.timestep * 1e3:g} ms: take smaller ones "
-            "with --step-ms, or integrator='discrete'.",
+            "with --step-ms, or integrator='implicitfast'.",
             file=str(self.path),
         )
 

@@ -18,7 +18,10 @@ STUCK_S = 0.1
 FRICTION = {"solreffriction": "0.01 1", "solimpfriction": "0.9999 0.9999 1e-6 0.5 2"}
 # The documented limits are soft by millimetres, these by micrometres. At a time constant of one or two steps they never
 # come to rest: 10 ms hold up to steps of 5 ms.
-LIMITS = {"solreflimit": "0.01 1", "solimplimit": "0.99 0.9999 1e-6 0.5 2"}
+LIMITS = {"solreflimit": "0.015 1", "solimplimit": "0.99 0.9999 1e-6 0.5 2"}
+# implicitfast takes the gain of a drive at the old angle: a joint has the inertia that keeps two steps in a radian of its
+# swing, so that gains that are rigid come to rest. It changes nothing at rest.
+LARGEST_STEP_S, STEADY = 5e-3, 4.0
 BACKLASH_ARMATURE_S2 = 0.02  # kg m² for each N m of load: a limit is passed by half a microradian
 LEAST_ARMATURE, BACKLASH_RATE = 1e-2, 10.0  # kg m² (kg); 1/s, at which backlash that nothing loads comes to rest
 
@@ -51,6 +54,6 @@ def largest_loads(robot: Robot) -> Floats:
 def _drive(joint: JointForm, load: float) -> Drive:
     gain = 1.0 / joint.compliance if joint.compliance > 0.0 else load / RIGID
     windup = -0.5 * joint.reversal
-    armature = gain * STUCK_S**2 if windup > 0.0 else 0.0
+    armature = gain * max(STUCK_S**2 if windup > 0.0 else 0.0, STEADY * LARGEST_STEP_S**2)
     own = max(LEAST_ARMATURE, BACKLASH_ARMATURE_S2 * load) if joint.backlash > 0.0 else 0.0
     return Drive(gain, gain * windup, armature, joint.backlash, own)
