@@ -6,7 +6,7 @@ Nothing here imports the core. What MuJoCo has no element for is done at each of
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -45,8 +45,8 @@ class Servos:
 
     def of_joint(self, j: int) -> Servos:
         """The last joint of an arm alone, with the servo of joint ``j``."""
-        own = {name: (getattr(self, name)[j],) for name in ("armature", "friction", "damping", "gain")}
-        return replace(self, **own)
+        own = ((each[j],) for each in (self.armature, self.friction, self.damping, self.gain))
+        return Servos(*own, payload_kg=self.payload_kg)
 
 
 NOMINAL = Servos((0.01,) * 3, (0.0,) * 3, (0.3,) * 3, (30.0,) * 3)

@@ -89,7 +89,8 @@ def test_nothing_is_named_where_nothing_is_hidden_and_the_servo_is_found(tmp_pat
 def test_a_hidden_delay_is_told_with_what_had_absorbed_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     logs = write_logs(tmp_path, Hidden("command_delay", 0, 0.05), ONE, 4)
     copy = tmp_path / "copy.xml"
-    assert run(["gap", *map(str, logs), "--model", str(write_model(tmp_path)), "-o", str(copy)]) == 0
+    written = ["--ranges", str(tmp_path / "ranges.json")]
+    assert run(["gap", *map(str, logs), "--model", str(write_model(tmp_path)), "-o", str(copy), *written]) == 0
     told = capsys.readouterr().out
 
     assert "delay of the command of j1 (50 ms)" in " ".join(told.split())
@@ -97,6 +98,14 @@ def test_a_hidden_delay_is_told_with_what_had_absorbed_it(tmp_path: Path, capsys
     assert len(told.splitlines()) <= 25
     model = mujoco.MjModel.from_xml_path(str(copy))
     assert model.actuator_delay[0] == pytest.approx(0.05, abs=0.002)
+    ranges = json.loads((tmp_path / "ranges.json").read_text())
+    delay = next(one for one in ranges["parameters"] if one["name"] == "j1.command_delay")
+    assert delay["low"] < 0.05 < delay["high"]
+    drawn = np.array([one["j1.command_delay"] for one in ranges["draws"]])
+    assert np.mean((drawn > delay["low"]) & (drawn < delay["high"])) == pytest.approx(0.95, abs=0.07)
+    assert (
+        np.corrcoef(drawn, [one["j1.damping"] for one in ranges["draws"]])[0, 1] < 0.0
+    )  # what one takes the other gives
 
 
 def test_logs_with_other_loads_judge_what_was_found_without(tmp_path: Path) -> None:
@@ -125,7 +134,9 @@ def test_of_several_models_the_log_says_which_is_nearest(tmp_path: Path, capsys:
 def test_the_copy_of_a_played_joint_takes_the_step(tmp_path: Path) -> None:
     hidden = Hidden("backlash", 0, 1.0 * DEG, "body")
     logs = write_logs(tmp_path, hidden, ONE, 4)
-    _, copy = find_servo_gap(write_model(tmp_path), logs)
+    degrees = tmp_path / "arm.xml"
+    degrees.write_text(arm_xml(STATED).replace('angle="radian"', 'angle="degree"'))
+    _, copy = find_servo_gap(degrees, logs)
     model = mujoco.MjModel.from_xml_string(copy.text)
     data = mujoco.MjData(model)
     for _ in range(500):

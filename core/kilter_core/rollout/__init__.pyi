@@ -4,6 +4,7 @@ from .find import RolloutReport as RolloutReport
 from .find import find_missing_motion as find_missing_motion
 from .fit import Fit as Fit
 from .kernels.joint import GEAR_DAMPING as GEAR_DAMPING
+from .ranges import draw_ranges as draw_ranges
 from .record import JointEpisode as JointEpisode
 from .record import JointRecord as JointRecord
 from .search import JointFindings as JointFindings

@@ -63,6 +63,11 @@ class Fit:
         return {name: float(self.p[at]) for name, at in names.items()}
 
     @property
+    def names(self) -> list[str]:
+        """Names of what was ``fitted``: numbers of the servo, and effects."""
+        return [*(number.name for number in BASE), *(term.effect.id for term in self.terms)]
+
+    @property
     def slip_speed(self) -> float:
         """Speed (rad/s) at which breaking loose has faded."""
         return float(self.p[place.SLIP_SPEED])

@@ -310,6 +310,14 @@ def gap(
         Path | None,
         typer.Option("--output", "-o", help="With --model: write a copy that has what was found.", dir_okay=False),
     ] = None,
+    ranges: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="With --model: write 95 % ranges of what was found, and 100 draws of them together, as JSON (which is YAML).",
+            dir_okay=False,
+        ),
+    ] = None,
     option: MoreOptions = None,
     name: JobName = "",
     no_wait: NoWait = False,
@@ -323,7 +331,9 @@ def gap(
     """
     if model is not None:
         held = arguments.split_names(validation)
-        asked = ModelSearch(model, held, joints, site, payload_body, output, calibration, norm_mode, column_map, seed)
+        asked = ModelSearch(
+            model, held, joints, site, payload_body, output, calibration, norm_mode, column_map, ranges, seed
+        )
         return search_models(robot, asked, details, as_json)
     if len(robot) > 1 or output is not None:
         raise UsageError("Logs and --output go with --model MODEL.xml; a search on a server names one robot.")

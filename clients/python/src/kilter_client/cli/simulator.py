@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -34,6 +35,7 @@ class ModelSearch:
     calibration: Path | None
     norm_mode: str | None
     column_map: Path | None
+    ranges: Path | None
     seed: int | None
 
 
@@ -49,10 +51,8 @@ def search_models(logs: Sequence[str], asked: ModelSearch, details: bool, as_jso
         raise MissingPackageError(
             "kilter gap --model needs the core: pip install kilter-core mujoco.", package="kilter-core"
         )
-    if asked.output is not None and len(asked.models) > 1:
-        raise UsageError(
-            "--output takes the copy of one model: leave it out to compare several, then name one --model."
-        )
+    if (asked.output or asked.ranges) and len(asked.models) > 1:
+        raise UsageError("--output and --ranges are of one model: leave them out to compare several.")
     if asked.output is not None and asked.output.resolve() == asked.models[0].resolve():
         raise UsageError(f"{asked.output} is the model itself, which stays as it is: name another file.")
     found = [_search(model, logs, asked, as_json) for model in asked.models]
@@ -60,6 +60,9 @@ def search_models(logs: Sequence[str], asked: ModelSearch, details: bool, as_jso
     if asked.output is not None:
         write(asked.output, found[0][1].text.encode())
         documents[0]["output"] = str(asked.output)
+    if asked.ranges is not None:
+        write(asked.ranges, (json.dumps(documents[0]["ranges"], indent=2) + "\n").encode())  # JSON is YAML too
+        documents[0]["ranges_file"] = str(asked.ranges)
     document = documents[0] if len(documents) == 1 else {"models": documents, "headline": _compare(documents)}
     emit(document, as_json, partial(_show, details=details))
 
@@ -115,9 +118,12 @@ def _show(document: Mapping[str, Any], details: bool) -> None:
         _show_details(document)
     for text in document["notes"]:
         print_line(text)
+    for key in ("output", "ranges_file"):
+        if key in document:
+            print_line(f"Written: {document[key]}")
     if "output" in document:
-        print_line(f"Written: {document['output']}")
-    elif document["effects"] or document["refuted"]:
+        return
+    if document["effects"] or document["refuted"]:
         print_line("Next: the same with --output FILE.xml writes a copy of the model with all of this.")
 
 

@@ -21,6 +21,7 @@ BACKLASH_ARMATURE, BACKLASH_RATE = (
     0.02,
     10.0,
 )  # of the motor's armature; 1/s, at which backlash that nothing loads comes to rest
+DEGREES = 57.29577951308232
 LINEAR = 1  # between samples of the past: else a delay counts in whole steps
 STEP = "Call kilter.twin.apply(model, data) before every mj_step; kilter.twin.read_joints gives the readings."
 
@@ -107,6 +108,12 @@ class _JointPatch:
         return float(self.actuator.gear[0])
 
     @property
+    def written_per_rad(self) -> float:
+        """Units in which the source writes the angle of this joint, for each radian (m)."""
+        hinge = self.joint.type == mujoco.mjtJoint.mjJNT_HINGE
+        return DEGREES if self.patch.spec.compiler.degree and hinge else 1.0
+
+    @property
     def timestep_s(self) -> float:
         return float(self.patch.arm.model.opt.timestep)
 
@@ -150,7 +157,8 @@ class _JointPatch:
     def add_backlash(self, size: float) -> None:
         second = self._add_second_joint()
         second.armature = BACKLASH_ARMATURE * self.joint.armature
-        second.limited, second.range = True, [-0.5 * size, 0.5 * size]
+        half = 0.5 * size * self.written_per_rad
+        second.limited, second.range = True, [-half, half]
         second.solref_limit, second.solimp_limit = BACKLASH_LIMITS
         second.damping = _as_before(second.damping, BACKLASH_RATE * second.armature)
 
@@ -170,7 +178,7 @@ class _JointPatch:
         return first.parent.add_joint(name=name, type=first.type, axis=list(first.axis), pos=list(first.pos))
 
     def add_zero_offset(self, size: float) -> None:
-        self.joint.ref += size
+        self.joint.ref += size * self.written_per_rad
 
     def add_load_friction(self, size: float) -> None:
         self.row |= {"load_friction": size, "moving_load": bool(self.fit.values["moving_load"])}

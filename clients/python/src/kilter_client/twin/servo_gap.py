@@ -13,7 +13,7 @@ from kilter_client.twin.patched import Patched, patch_model
 from kilter_client.twin.replay import Replayed, replay
 from kilter_client.twin.servo_model import ServoModel
 from kilter_core.errors import CoreError
-from kilter_core.rollout import RolloutReport, find_missing_motion, to_document
+from kilter_core.rollout import RolloutReport, draw_ranges, find_missing_motion, to_document
 from kilter_files.ground.later import mujoco, np
 
 if TYPE_CHECKING:
@@ -77,6 +77,7 @@ def find_servo_gap(
     document["notes"] = list(copy.notes)
     document["warnings"] += [*_list_dropped(read), *_compare_whole_arm(document)]
     document["refuted"] = _is_refuted(document)
+    document["ranges"] = draw_ranges(report.joints, seed=seed)
     return document, copy
 
 
