@@ -16,6 +16,7 @@ from kilter_client.cli import run
 from kilter_client.errors import FileError
 from kilter_client.twin.servo_gap import find_servo_gap
 from kilter_client.twin.servo_model import ServoModel
+from tests.clients.files.formats.test_lerobot import FPS, calibration, dataset
 from tests.clients.servo_arm import NOMINAL, TICK_RAD, Hidden, Log, Servos, arm_xml, record
 
 NOISE_DEG = np.degrees(TICK_RAD) / np.sqrt(12.0)
@@ -144,6 +145,27 @@ def test_the_copy_of_a_played_joint_takes_the_step(tmp_path: Path) -> None:
         mujoco.mj_step(model, data)
     motor = float(data.qpos[model.joint("j1").qposadr[0]])
     assert abs(kilter.twin.read_joints(model, data)["j1"] - motor) == pytest.approx(0.5 * DEG, rel=0.1)
+
+
+def test_a_lerobot_data_set_is_searched_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Thirty frames a second, degrees from the middle of the range; the gripper takes no part."""
+    hidden, episodes, actions = Hidden("command_delay", 0, 0.04), [], []
+    for seed in range(4):
+        log = record(50 + seed, hidden, ONE, 12.0, 1.0 / FPS, 1.0 / 600.0)
+        gripper = np.full((len(log.t), 1), 50.0)
+        episodes.append(np.hstack([np.degrees(log.reading), gripper]))
+        actions.append(np.hstack([np.degrees(log.command), gripper]))
+    path = dataset(tmp_path / "set", "v3.0", episodes, ("shoulder_lift", "gripper"), actions=actions)
+    model = write_model(tmp_path, replace(STATED, payload_kg=0.3))
+    servos = calibration(tmp_path, shoulder_lift={"range_min": 0, "range_max": 4095})
+    calibrated = ["--calibration", str(servos), "--norm-mode", "DEGREES"]
+    # the body that carries is not the log's to say here
+    assert run(["gap", str(path), "--model", str(model), *calibrated, "--payload-body", "none", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+
+    assert [one["physical_class"]["id"] for one in found["effects"]] == ["delay"]
+    assert found["effects"][0]["parameters"][0]["value"] == pytest.approx(40.0, abs=2.0)
+    assert found["episodes"] == 4
 
 
 def refusal(model: Path, logs: list[Path], **more: Any) -> FileError:

@@ -80,12 +80,14 @@ def film(path: Path, pictures: int, fps: float = FPS) -> None:
     writer.release()
 
 
-def table(values: Floats, episode: int, first: int) -> pa.Table:
+def table(values: Floats, episode: int, first: int, actions: Floats) -> pa.Table:
     n = len(values)
-    flat = pa.array(values.ravel().astype(np.float32))
-    state = pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+    state, action = (
+        pa.FixedSizeListArray.from_arrays(pa.array(one.ravel().astype(np.float32)), one.shape[1])
+        for one in (values, actions)
+    )
     return pa.table({
-        "action": state, "observation.state": state, "timestamp": pa.array((np.arange(n) / FPS).astype(np.float32)),
+        "action": action, "observation.state": state, "timestamp": pa.array((np.arange(n) / FPS).astype(np.float32)),
         "frame_index": np.arange(n), "episode_index": np.full(n, episode), "index": np.arange(first, first + n),
         "task_index": np.zeros(n, dtype=np.int64),
     })  # fmt: skip
@@ -93,7 +95,7 @@ def table(values: Floats, episode: int, first: int) -> pa.Table:
 
 def dataset(
     folder: Path, version: str, episodes: Sequence[Floats], names: Sequence[str] = SERVOS, *, video: bool = False,
-    robot: str = "so101_follower", suffix: str = ".pos",
+    robot: str = "so101_follower", suffix: str = ".pos", actions: Sequence[Floats] | None = None,
 ) -> Path:  # fmt: skip
     """A data set in the layout of its version; v3.0 keeps two episodes in each file."""
     lengths = [len(values) for values in episodes]
@@ -115,7 +117,8 @@ def dataset(
     (folder / "data/chunk-000").mkdir(parents=True)
     (folder / "meta/info.json").write_text(json.dumps(info))
     firsts = np.cumsum([0, *lengths])
-    tables = [table(values, k, int(firsts[k])) for k, values in enumerate(episodes)]
+    told = episodes if actions is None else actions
+    tables = [table(values, k, int(firsts[k]), told[k]) for k, values in enumerate(episodes)]
     if v2:
         lines = [json.dumps({"episode_index": k, "tasks": ["a"], "length": n}) for k, n in enumerate(lengths)]
         (folder / "meta/episodes.jsonl").write_text("\n".join(lines) + "\n")
@@ -180,6 +183,18 @@ def test_a_data_set_is_a_joint_log_in_degrees_from_the_middle_of_each_range(
     assert "zero: new, the middle of each range" in log.notes
     assert f"q1 to q5 are {', '.join(JOINTS)}" in log.notes
     assert read_joints(folder / "meta/info.json", hints=hints(json_file, mode)).q().tolist() == log.q().tolist()
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_actions_are_the_commands_of_the_joints(tmp_path: Path, version: str) -> None:
+    ticks = ticks_of([40, 50])
+    told = [np.roll(one, -3, axis=0) for one in ticks]
+    values, actions = ([recorded(one, "RANGE_M100_100") for one in each] for each in (ticks, told))
+    path = dataset(tmp_path / "set", version, values, actions=actions)
+    log = read_joints(path, hints=hints(calibration(tmp_path), "RANGE_M100_100"))
+    for k, (low, high) in enumerate(RANGES[:5]):
+        wanted = (np.concatenate(told)[:, k] - (low + high) / 2) * 360.0 / 4095.0
+        assert log.columns[f"cmd{k + 1}_deg"] == pytest.approx(wanted, abs=1e-3)
 
 
 def test_a_reversed_servo_counts_the_other_way_by_range_only(tmp_path: Path) -> None:
