@@ -7,5 +7,6 @@ from .kernels.joint import GEAR_DAMPING as GEAR_DAMPING
 from .ranges import draw_ranges as draw_ranges
 from .record import JointEpisode as JointEpisode
 from .record import JointRecord as JointRecord
+from .record import smooth_motion as smooth_motion
 from .search import JointFindings as JointFindings
 from .servo import Servo as Servo

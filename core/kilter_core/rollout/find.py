@@ -3,21 +3,32 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.rollout.fit import BASE
+from kilter_core.rollout.fit import BASE, Fit, simulate
 from kilter_core.rollout.record import JointRecord
-from kilter_core.rollout.search import FEWEST_BLOCKS, JointFindings, search_joint, split_episodes
-from kilter_core.types import Progress, unheard
+from kilter_core.rollout.search import (
+    FEWEST_BLOCKS,
+    GAIN,
+    JointFindings,
+    Split,
+    drop_contradicted,
+    gain_on,
+    judge_unseen,
+    search_joint,
+    split_episodes,
+)
+from kilter_core.types import Floats, Progress, unheard
 
 FOLLOWS = 0.6  # correlation of a reading with its command, below which it follows another or none
 SCALE = 3.0  # of a reading over its command, beyond which one of them has another unit
 LEAST_MOTION_RAD = 0.01
+Replay = Callable[[Mapping[str, Fit]], Mapping[str, Floats]]
 LATEST_S = 0.4  # that a reading may come after its command
 
 
@@ -55,13 +66,16 @@ def find_missing_motion(
     records: Sequence[JointRecord],
     logs: Sequence[int],
     held_logs: Sequence[int] = (),
+    replay: Replay | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> RolloutReport:
     """Fit the servo of each joint by simulation, find what it lacks, and judge that on episodes that were never used.
 
     ``logs (E,)`` says from which file each episode comes: what each of several shows is replicated. Those of ``held_logs``
-    are held out; where none is named, ``seed`` chooses a third of the episodes.
+    are held out; where none is named, ``seed`` chooses a third of the episodes. ``replay`` simulates the whole arm with
+    these fits of its joints and returns the readings (R,) of each: a joint by itself says what an effect changes, the whole
+    arm what it reads.
 
     Raises:
         ObservationError: commands of another joint or unit, too short a record, or nothing moves.
@@ -82,22 +96,124 @@ def find_missing_motion(
             code="log_too_short",
         )
     split = split_episodes(moving[0], seed, np.isin(logs, held_logs))
-    done: list[JointFindings] = []
-
-    def search(record: JointRecord) -> JointFindings:
-        found = search_joint(record, split, logs)
-        done.append(found)
-        progress(len(done) / len(moving), f"joint {record.name}")
-        return found
-
     progress(0.0, "servo of each joint")
     with ThreadPoolExecutor(max(1, min(len(moving), os.cpu_count() or 1))) as pool:
-        joints = tuple(pool.map(search, moving))
+        joints = _search_arm(moving, split, logs, replay, pool, progress)
+    if replay is not None:
+        joints = _judge_by_whole_arm(joints, replay)
     held = np.unique(moving[0].episode[split.held]).tolist() if split.whole else []
     names = {record.name for record in moving}
     return RolloutReport(
-        joints, tuple(r.name for r in records if r.name not in names), len(moving[0].episodes), tuple(held), seconds
+        tuple(joints),
+        tuple(r.name for r in records if r.name not in names),
+        len(moving[0].episodes),
+        tuple(held),
+        seconds,
     )
+
+
+def _search_arm(
+    records: Sequence[JointRecord],
+    split: Split,
+    logs: Sequence[int],
+    replay: Replay | None,
+    pool: ThreadPoolExecutor,
+    progress: Progress,
+) -> list[JointFindings]:
+    """Search all joints; then those with findings anew, one after the other with the whole arm as it is by then.
+
+    What one joint lacks moves its neighbours: the joint that gains most is believed first, and the others have to show
+    theirs in an arm that has it.
+    """
+    joints = _search_each(records, split, logs, pool, lambda x: progress(0.4 * x, "each joint"))
+    if replay is None:
+        return joints
+    believed: set[str] = set()
+    again = {one.record.name for one in joints}
+    while again:
+        best = _find_most_certain(joints, believed, replay)
+        if best is not None:
+            believed.add(best)
+        progress(0.4 + 0.4 * len(believed) / len(joints), "the arm as a whole")
+        arm = _correct([one.record for one in joints], _fits_of(joints, believed), replay)
+        joints = _renew(joints, arm, again - believed, split, logs, pool)
+        again = {one.record.name for one in joints if one.judged} - believed if best is not None else set()
+    if believed and len(joints) > 1:  # a joint alone is its whole arm
+        arm = _correct([one.record for one in joints], [one.believed for one in joints], replay)
+        joints = _renew(joints, arm, believed, split, logs, pool)
+    return joints
+
+
+def _find_most_certain(joints: Sequence[JointFindings], believed: set[str], replay: Replay) -> str | None:
+    """Name the joint that gains most by what it lacks, if the whole arm gains by it too on the rows that choose."""
+    open_ones = [one for one in joints if one.judged and one.record.name not in believed]
+    open_ones.sort(key=lambda one: one.rms(one.fit) / max(one.rms(one.base), 1e-12))
+    fits = {one.record.name: fit for one, fit in zip(joints, _fits_of(joints, believed), strict=True)}
+    for one in open_ones:
+        name, record = one.record.name, one.record
+        without, with_it = (record.reading - replay(fits | {name: fit})[name] for fit in (one.base, one.fit))
+        if gain_on(record, one.split.train, without, with_it) > GAIN:
+            return name
+    return None
+
+
+def _fits_of(joints: Sequence[JointFindings], believed: set[str]) -> list[Fit]:
+    return [one.believed if one.record.name in believed else one.base for one in joints]
+
+
+def _search_each(
+    records: Sequence[JointRecord],
+    split: Split,
+    logs: Sequence[int],
+    pool: ThreadPoolExecutor,
+    share_done: Callable[[float], None],
+) -> list[JointFindings]:
+    done: list[JointFindings] = []
+    for found in pool.map(lambda record: search_joint(record, split, logs), records):
+        done.append(found)
+        share_done(len(done) / len(records))
+    return done
+
+
+def _renew(
+    joints: Sequence[JointFindings],
+    arm: Sequence[JointRecord],
+    again: set[str],
+    split: Split,
+    logs: Sequence[int],
+    pool: ThreadPoolExecutor,
+) -> list[JointFindings]:
+    """Search the joints ``again`` in the arm as it is corrected now; the others keep what they have."""
+    records = [record for record in arm if record.name in again]
+    found = {one.record.name: one for one in _search_each(records, split, logs, pool, lambda _: None)}
+    return [found.get(one.record.name, one) for one in joints]
+
+
+def _correct(records: Sequence[JointRecord], fits: Sequence[Fit], replay: Replay | None) -> list[JointRecord]:
+    """Give each joint what the whole arm reads beyond it."""
+    if replay is None:
+        return list(records)
+    whole = replay({record.name: fit for record, fit in zip(records, fits, strict=True)})
+    found = []
+    for record, fit in zip(records, fits, strict=True):
+        alone = simulate(replace(record, correction=None), fit.p)
+        beyond = whole[record.name] - alone
+        found.append(replace(record, correction=beyond if np.isfinite(beyond).all() else None))
+    return found
+
+
+def _judge_by_whole_arm(joints: Sequence[JointFindings], replay: Replay) -> list[JointFindings]:
+    """Judge each effect by what the whole arm leaves on unseen rows with it and without it; what these contradict goes."""
+    fits = {found.record.name: found.believed for found in joints}
+    whole = replay(fits)
+    judged = []
+    for found in joints:
+        kept = []
+        for one in found.judged:
+            without = replay(fits | {found.record.name: one.without})[found.record.name]
+            kept.append(judge_unseen(found, one, without, whole[found.record.name]))
+        judged.append(drop_contradicted(found, kept))
+    return judged
 
 
 def list_absorbed(found: JointFindings) -> list[Absorbed]:

@@ -81,8 +81,7 @@ class Fit:
 def start_values(record: JointRecord) -> Floats:
     """Numbers of the joint as its model states them, friction and damping off zero, where no step would lead away."""
     p = record.stated.copy()
-    inertia = float(np.mean(np.concatenate([one.inertia for one in record.episodes])))
-    p[place.ARMATURE] = max(p[place.ARMATURE], 0.02 * inertia, 1e-7)
+    p[place.ARMATURE] = max(p[place.ARMATURE], 0.02 * record.inertia, 1e-7)
     p[place.FRICTION] = max(p[place.FRICTION], LEAST_FRICTION * record.usual_torque)
     p[place.DAMPING] = max(p[place.DAMPING], LEAST_DAMPING * record.usual_torque / record.usual_speed)
     p[place.SLIP_SPEED] = SLIP_SHARE * record.usual_speed
@@ -93,14 +92,15 @@ def simulate(record: JointRecord, p: Floats, episodes: Iterable[int] | None = No
     """Readings (R,) that a joint with these numbers would give; nan outside ``episodes``."""
     wanted = range(len(record.episodes)) if episodes is None else set(episodes)
     parts = []
-    for k, (one, bodies) in enumerate(zip(record.episodes, record.bodies, strict=True)):
+    for k, one in enumerate(record.episodes):
         out = np.full(len(one.t), np.nan)
         if k in wanted:
             out[0] = one.reading[0]
             speed = float((one.reading[2] - one.reading[0]) / (one.t[2] - one.t[0]))
-            place.simulate_joint(p, one.t, one.command, one.sums, record.step_s, bodies, speed, out)
+            place.simulate_joint(p, one.t, one.command, one.sums, record.step_s, one.bodies, speed, out)
         parts.append(out)
-    return np.concatenate(parts)
+    found = np.concatenate(parts)
+    return found if record.correction is None else np.asarray(found + record.correction)
 
 
 def fit_joint(

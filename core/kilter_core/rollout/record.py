@@ -6,53 +6,60 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from kilter_core.types import Bools, Floats, Ints
 
 BLOCK_S = 1.0  # a second is one observation
+SMOOTH_S = 0.16  # over which a motion is taken from readings
 SETTLE_S = 0.3  # from the start of an episode, in which a guessed speed dies out
+
+
+def grid_times(t: Floats, step_s: float) -> Floats:
+    """Times (K,) of the steps of a simulation of rows at ``t (N,)``."""
+    return np.arange(t[0], t[-1], step_s, dtype=np.float64)
+
+
+def smooth_motion(t: Floats, values: Floats, step_s: float) -> Floats:
+    """Values, speeds and accelerations (3, K) at the steps of a simulation, by cubics (Savitzky and Golay 1964)."""
+    dt = float(np.median(np.diff(t)))
+    width = min(max(5, round(SMOOTH_S / dt) | 1), (len(t) - 1) | 1)
+    times = grid_times(t, step_s)
+    return np.array([np.interp(times, t, savgol_filter(values, width, 3, deriv=k, delta=dt)) for k in range(3)])
 
 
 @dataclass(frozen=True)
 class JointEpisode:
-    """An episode of one joint: ``t``, ``command`` and ``reading`` (N,) in s and rad (m); along the motion that was read, the
-    ``load`` of its bodies N m, its ``slope`` N m/rad and their ``inertia`` kg m2, all (N,).
+    """An episode of one joint: ``t``, ``command`` and ``reading`` (N,) in s and rad (m).
+
+    ``bodies (4, K)`` stand at the steps of the simulation: the load of its bodies N m, its slope N m/rad, their inertia
+    kg m2, and the angle at which the load is taken.
     """
 
     t: Floats
     command: Floats
     reading: Floats
-    load: Floats
-    slope: Floats
-    inertia: Floats
+    bodies: Floats
 
     @cached_property
     def sums(self) -> Floats:
         """Integral (N,) of the command, held from each row to the next."""
         return np.concatenate([[0.0], np.cumsum(self.command[:-1] * np.diff(self.t))])
 
-    def bodies(self, step_s: float) -> Floats:
-        """Load, slope, inertia and reading (4, K) at steps of ``step_s``."""
-        times = np.arange(self.t[0], self.t[-1], step_s)
-        return np.array(
-            [np.interp(times, self.t, each) for each in (self.load, self.slope, self.inertia, self.reading)]
-        )
-
 
 @dataclass(frozen=True)
 class JointRecord:
-    """All episodes of one joint, with what the user's model states of it (``stated (COUNT,)``, see the kernel)."""
+    """All episodes of one joint, with what the user's model states of it (``stated (COUNT,)``, see the kernel).
+
+    ``correction (R,)`` is what the whole arm in its simulator reads beyond the joint simulated by itself.
+    """
 
     name: str
     episodes: tuple[JointEpisode, ...]
     stated: Floats
     step_s: float
     slides: bool = False
-
-    @cached_property
-    def bodies(self) -> list[Floats]:
-        """Load, slope, inertia and reading (4, K) of each episode at the steps of the simulation."""
-        return [one.bodies(self.step_s) for one in self.episodes]
+    correction: Floats | None = None
 
     @cached_property
     def reading(self) -> Floats:
@@ -85,9 +92,14 @@ class JointRecord:
         return np.concatenate(out)
 
     @cached_property
+    def inertia(self) -> float:
+        """Mean inertia (kg m2) of its bodies."""
+        return float(np.mean(np.concatenate([one.bodies[2] for one in self.episodes])))
+
+    @cached_property
     def usual_torque(self) -> float:
         """Torque (N m) that the joint usually needs for its bodies and their motion."""
-        return max(float(np.sqrt(np.mean(np.concatenate([one.load for one in self.episodes]) ** 2))), 1e-3)
+        return max(float(np.sqrt(np.mean(np.concatenate([one.bodies[0] for one in self.episodes]) ** 2))), 1e-3)
 
     @cached_property
     def usual_speed(self) -> float:

@@ -7,7 +7,7 @@ second is one observation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -44,7 +44,7 @@ class Split:
 @dataclass(frozen=True)
 class JudgedEffect:
     """An effect that was found: its ``value`` in the unit of its number and its ``sigma``; the gain on rows that no choice saw
-    in standard errors, its rivals, whether each log shows it, and the verdict.
+    in standard errors, its rivals, whether each log shows it, and the verdict. ``without`` is the fit that lacks it.
     """
 
     term: Term
@@ -54,6 +54,7 @@ class JudgedEffect:
     rivals: tuple[RolloutEffect, ...]
     each_log: bool
     verdict: str
+    without: Fit
 
 
 @dataclass(frozen=True)
@@ -116,10 +117,6 @@ def search_joint(record: JointRecord, split: Split, logs: Sequence[int]) -> Join
         split = Split(split.train & ~pushed[record.block], split.held & ~pushed[record.block], split.whole)
         base, fit, rivals, tried = _choose(record, split)
     judged = [_judge(record, split, fit, term, rivals.get(term.effect.id, ()), logs) for term in fit.terms]
-    while any(one.verdict == "contradicted" for one in judged):
-        kept = [one.term for one in judged if one.verdict != "contradicted"]
-        fit = _refit(record, fit, kept, split.train, EVALUATIONS)
-        judged = [_judge(record, split, fit, term, rivals.get(term.effect.id, ()), logs) for term in kept]
     found = {one.term.effect.id for one in judged}
     excluded = tuple(
         (one.terms[-1].effect, _upper_limit(record, one, split.train))
@@ -129,7 +126,34 @@ def search_joint(record: JointRecord, split: Split, logs: Sequence[int]) -> Join
     rows = np.searchsorted(record.block, np.flatnonzero(pushed))
     times = np.concatenate([one.t for one in record.episodes])
     aside = tuple((int(record.episode[row]), float(times[row])) for row in rows)
-    return JointFindings(record, split, base, fit, tuple(judged), excluded, aside)
+    everything = JointFindings(record, split, base, fit, tuple(judged), excluded, aside)
+    return drop_contradicted(everything, judged)
+
+
+def judge_unseen(found: JointFindings, one: JudgedEffect, without: Floats, with_it: Floats) -> JudgedEffect:
+    """Judge an effect by readings (R,) that were simulated without it and with it, on rows that no choice saw."""
+    record, split = found.record, found.split
+    unseen = gain_on(record, split.held, record.reading - without, record.reading - with_it)
+    return replace(one, unseen=unseen, verdict=_verdict(split, unseen, one.term, one.rivals, one.each_log))
+
+
+def drop_contradicted(found: JointFindings, judged: Sequence[JudgedEffect]) -> JointFindings:
+    """Take out effects that unseen rows contradict, and fit the joint without them."""
+    kept = [one for one in judged if one.verdict != "contradicted"]
+    if len(kept) == len(found.fit.terms):
+        return replace(found, judged=tuple(kept))
+    fit = _refit(found.record, found.fit, [one.term for one in kept], found.split.train, EVALUATIONS)
+    return replace(found, fit=fit, judged=tuple(kept))
+
+
+def gain_on(record: JointRecord, held: Bools, before: Floats, after: Floats) -> float:
+    """What seconds gain, in standard errors, from residuals (R,) before and after."""
+    rows = held & record.used
+    blocks, count = np.unique(record.block[rows]), int(record.block.max()) + 1
+    squares = [
+        np.bincount(record.block[rows], one[rows] ** 2, count)[blocks].astype(np.float64) for one in (before, after)
+    ]
+    return _standard_errors(*squares)
 
 
 def _choose(record: JointRecord, split: Split) -> tuple[Fit, Fit, dict[str, tuple[RolloutEffect, ...]], list[Fit]]:
@@ -273,15 +297,11 @@ def _judge(
     every = split.train | split.held
     whole = _refit(record, fit, fit.terms, every)
     fewer = _refit(record, fit, [one for one in fit.terms if one is not term], split.train, 40)
-    rows = split.held & record.used
-    count = int(record.block.max()) + 1
-    blocks = np.unique(record.block[rows])
-    squares = [np.bincount(record.block[rows], one.left[rows] ** 2, count)[blocks] for one in (fewer, fit)]
-    unseen = _standard_errors(squares[0].astype(np.float64), squares[1].astype(np.float64))
+    unseen = gain_on(record, split.held, fewer.left, fit.left)
     value = float(whole.p[term.effect.number.place])
     sigma = _sigma_of(record, whole, term, every)
     each = _shows_in_each_log(record, whole, term, every, logs)
-    return JudgedEffect(term, value, sigma, unseen, rivals, each, _verdict(split, unseen, term, rivals, each))
+    return JudgedEffect(term, value, sigma, unseen, rivals, each, _verdict(split, unseen, term, rivals, each), fewer)
 
 
 def _verdict(split: Split, unseen: float, term: Term, rivals: tuple[RolloutEffect, ...], each: bool) -> str:

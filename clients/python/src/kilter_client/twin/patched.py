@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -12,8 +12,8 @@ from typing import Any
 from kilter_client.errors import MissingPackageError
 from kilter_client.twin.motion_step import FORMAT, TABLE
 from kilter_client.twin.servo_model import ServoModel
-from kilter_core.rollout import GEAR_DAMPING, Fit, JointFindings, JointRecord
-from kilter_files.ground.later import mujoco, np
+from kilter_core.rollout import GEAR_DAMPING, Fit, JointRecord
+from kilter_files.ground.later import mujoco
 
 HARD_FRICTION = ((0.01, 1.0), (0.9999, 0.9999, 1e-6, 0.5, 2.0))  # holds to the micrometre, see the exported twin
 BACKLASH_LIMITS = ((0.004, 1.0), (0.99, 0.9999, 1e-6, 0.5, 2.0))
@@ -35,8 +35,8 @@ class Patched:
     notes: tuple[str, ...]
 
 
-def patch_model(arm: ServoModel, found: Sequence[JointFindings], with_effects: bool = True) -> Patched:
-    """Write a copy of a model with the servos that were fitted, and ``with_effects`` what they lack.
+def patch_model(arm: ServoModel, records: Sequence[JointRecord], fits: Mapping[str, Fit]) -> Patched:
+    """Write a copy of a model with the servos of some joints as they were ``fits``, by name, and what these lack.
 
     Raises:
         MissingPackageError: a delay needs a release of MuJoCo that knows it.
@@ -44,8 +44,9 @@ def patch_model(arm: ServoModel, found: Sequence[JointFindings], with_effects: b
     """
     spec = mujoco.MjSpec.from_file(str(arm.path))
     patch = _Patch(spec, arm, int(spec.nuserdata))
-    for one in found:
-        patch.set_joint(one.record, one.believed if with_effects else one.base)
+    for record in records:
+        if record.name in fits:
+            patch.set_joint(record, fits[record.name])
     if patch.table:
         spec.nuserdata = patch.numbers
         spec.add_text(name=TABLE, data=json.dumps({"format": FORMAT, "joints": patch.table}))
@@ -164,8 +165,8 @@ class _JointPatch:
 
     def add_flexible_gear(self, size: float) -> None:
         second = self._add_second_joint()
-        bodies = float(np.mean(np.concatenate([one.inertia for one in self.record.episodes])))
-        both = self.joint.armature * bodies / (self.joint.armature + bodies)
+        bodies, motor = self.record.inertia, self.joint.armature
+        both = motor * bodies / (motor + bodies)
         second.stiffness = _as_before(second.stiffness, 1.0 / size)
         second.damping = _as_before(second.damping, 2.0 * GEAR_DAMPING * math.sqrt(both / size))
 

@@ -35,6 +35,13 @@ def replay(arm: ServoModel, model: Any, episodes: Sequence[CommandEpisode], site
 
     """
     found = [_run(arm, model, one) for one in episodes]
+    if not all(np.isfinite(read).all() for read, _ in found):
+        raise FileError(
+            f"{arm.path}: the simulation diverges at steps of {model.opt.timestep * 1e3:g} ms: take smaller ones, or "
+            'integrator="implicitfast".',
+            file=str(arm.path),
+            code="model_unstable",
+        )
     apart = np.concatenate([one.reading[rows] - read[rows] for one, (read, rows) in zip(episodes, found, strict=True)])
     if site is None:
         return Replayed(apart, None)
@@ -43,6 +50,11 @@ def replay(arm: ServoModel, model: Any, episodes: Sequence[CommandEpisode], site
         for one, (read, rows) in zip(episodes, found, strict=True)
     ]
     return Replayed(apart, np.concatenate(both))
+
+
+def replay_readings(arm: ServoModel, model: Any, episodes: Sequence[CommandEpisode]) -> Floats:
+    """Readings (R, n) of all rows of some episodes; not finite where the simulation diverges."""
+    return np.concatenate([_run(arm, model, one)[0] for one in episodes])
 
 
 def _run(arm: ServoModel, model: Any, one: CommandEpisode) -> tuple[Floats, Floats]:
@@ -71,13 +83,6 @@ def _run(arm: ServoModel, model: Any, one: CommandEpisode) -> tuple[Floats, Floa
         for _ in range(count if table else 0):
             apply(model, data)
             mujoco.mj_step(model, data)
-    if not np.isfinite(read).all():
-        raise FileError(
-            f"{arm.path}: the simulation diverges at steps of {model.opt.timestep * 1e3:g} ms: take smaller ones, or "
-            'integrator="implicitfast".',
-            file=str(arm.path),
-            code="model_unstable",
-        )
     return read, one.t > one.t[0] + SETTLE_S
 
 

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import FileError
 from kilter_client.twin.command_log import CommandEpisode, CommandLog, read_command_log
 from kilter_client.twin.patched import Patched, patch_model
-from kilter_client.twin.replay import Replayed, replay
+from kilter_client.twin.replay import Replayed, replay, replay_readings
 from kilter_client.twin.servo_model import ServoModel
 from kilter_core.errors import CoreError
-from kilter_core.rollout import RolloutReport, draw_ranges, find_missing_motion, to_document
+from kilter_core.rollout import Fit, JointRecord, RolloutReport, draw_ranges, find_missing_motion, to_document
 from kilter_files.ground.later import mujoco, np
 
 if TYPE_CHECKING:
     from kilter_files.formats import LogHints
+    from kilter_files.ground import Floats
 
 Progress = Callable[[float, str], None]
 REFUTED = 1.5  # times the error of the numbers found, from which unseen episodes refute those that a model states
@@ -65,13 +67,15 @@ def find_servo_gap(
     arm = ServoModel.from_file(Path(model), options.joints, options.payload)
     site = _choose_site(arm, options.site)
     read = [read_command_log(Path(path), len(arm.joints), options.hints, options.column_map) for path in (*logs, *held)]
+    records = arm.records(read)
     of_episode = [k for k, log in enumerate(read) for _ in log.episodes]
     try:
-        report = find_missing_motion(arm.records(read), of_episode, range(len(logs), len(read)), seed, progress)
+        whole = partial(_replay_fits, arm, records, [one for log in read for one in log.episodes])
+        report = find_missing_motion(records, of_episode, range(len(logs), len(read)), whole, seed, progress)
         document = to_document(report)
     except CoreError as error:
         raise FileError(f"{logs[0]}: {error.message}", code=error.code, **error.context) from error
-    copy = patch_model(arm, report.joints)
+    copy = patch_model(arm, records, {one.record.name: one.believed for one in report.joints})
     document["model"] = str(model)
     document["whole_arm"] = _judge_whole_arm(arm, report, copy, read, site)
     document["notes"] = list(copy.notes)
@@ -99,11 +103,21 @@ def _judge_whole_arm(
     """Errors of the whole arm in MuJoCo on unseen episodes: the model as it is, with its servos fitted, and the copy."""
     every = [one for log in logs for one in log.episodes]
     held = [every[k] for k in report.held_episodes] or every
-    models = {"stated": arm.model, "servo_fitted": patch_model(arm, report.joints, False).model, "found": copy.model}
+    records = [one.record for one in report.joints]
+    servos = patch_model(arm, records, {one.record.name: one.base for one in report.joints})
+    models = {"stated": arm.model, "servo_fitted": servos.model, "found": copy.model}
     found: dict[str, Any] = {"unseen": report.unseen, "site": site}
     for name, model in models.items():
         found[name] = _describe_replay(arm, _replay(arm, model, held, site))
     return found
+
+
+def _replay_fits(
+    arm: ServoModel, records: Sequence[JointRecord], episodes: Sequence[CommandEpisode], fits: Mapping[str, Fit]
+) -> dict[str, Floats]:
+    """Readings (R,) of each joint in MuJoCo, with these fits of some of them."""
+    readings = replay_readings(arm, patch_model(arm, records, fits).model, episodes)
+    return dict(zip(arm.joints, readings.T, strict=True))
 
 
 def _replay(arm: ServoModel, model: Any, episodes: Sequence[CommandEpisode], site: str | None) -> Replayed | None:

@@ -12,14 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import FileError
 from kilter_client.twin.settled import HINGE, JOINT, SLIDE, find_element_id, load_model
-from kilter_core.rollout import JointEpisode, JointRecord, Servo
+from kilter_core.rollout import JointEpisode, JointRecord, Servo, smooth_motion
 from kilter_files.ground.later import mujoco, np
 
 if TYPE_CHECKING:
     from kilter_client.twin.command_log import CommandLog
     from kilter_files.ground import Floats
 
-SMOOTH_S = 0.16  # over which speeds and accelerations are taken from readings
+STRIDE = 5  # steps of the simulation between which loads are interpolated
+LEAST_INERTIA = 1e-9
 SLOPE_RAD = 1e-4
 LARGEST_STEP_S = 0.005
 
@@ -70,21 +71,20 @@ class ServoModel:
 
     def records(self, logs: Sequence[CommandLog]) -> list[JointRecord]:
         """Return what each joint was told and read in all episodes, with the loads of its bodies along the readings."""
+        step_s = float(self.model.opt.timestep)
         episodes: list[list[JointEpisode]] = [[] for _ in self.joints]
-        for log in logs:
-            for one in log.episodes:
-                self.hang(self.model, one.payload_kg)
-                load, slope, inertia = self._loads(one.t, one.reading)
-                for j in range(len(self.joints)):
-                    command = self._clamped(j, one.command[:, j])
-                    own = (load[:, j].copy(), slope[:, j].copy(), inertia[:, j].copy())
-                    episodes[j].append(JointEpisode(one.t, command, one.reading[:, j].copy(), *own))
+        for one in (episode for log in logs for episode in log.episodes):
+            self.hang(self.model, one.payload_kg)
+            bodies = self._bodies_along(np.array([smooth_motion(one.t, reading, step_s) for reading in one.reading.T]))
+            for j in range(len(self.joints)):
+                command = self._clamped(j, one.command[:, j])
+                episodes[j].append(JointEpisode(one.t, command, one.reading[:, j].copy(), bodies[j]))
         return [
             JointRecord(
                 name,
                 tuple(episodes[j]),
                 self.servo(j).numbers(),
-                float(self.model.opt.timestep),
+                step_s,
                 int(self.model.jnt_type[self.ids[j]]) == SLIDE,
             )
             for j, name in enumerate(self.joints)
@@ -131,37 +131,41 @@ class ServoModel:
             return command.copy()
         return np.asarray(np.clip(command, *self.model.actuator_ctrlrange[a]))
 
-    def _loads(self, t: Floats, reading: Floats) -> tuple[Floats, Floats, Floats]:
-        """Load, its slope and inertia (N, n) of the bodies at each joint along readings (N, n), without those of the drives."""
+    def _bodies_along(self, motion: Floats) -> Floats:
+        """Load, its slope, inertia and angle (n, 4, K) of the bodies at each joint along a motion (n, 3, K), without drives."""
         m, data = self.model, mujoco.MjData(self.model)
-        q, qd, qdd = _smooth(t, reading)
         places, dofs = [m.jnt_qposadr[j] for j in self.ids], [int(m.jnt_dofadr[j]) for j in self.ids]
         start, torque, unit, product = m.qpos0.copy(), np.zeros(m.nv), np.zeros(m.nv), np.zeros(m.nv)
 
-        def weigh(k: int, at: Floats) -> Floats:
+        def weigh(at: Floats, k: int) -> Floats:
             data.qpos[:] = start
-            data.qpos[places], data.qvel[dofs], data.qacc[dofs] = at, qd[k], qdd[k]
+            data.qpos[places], data.qvel[dofs], data.qacc[dofs] = at, motion[:, 1, k], motion[:, 2, k]
             for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel):
                 stage(m, data)
             mujoco.mj_rne(m, data, 1, torque)
             return torque[dofs].copy()
 
-        load, slope, inertia = (np.zeros_like(reading) for _ in range(3))
-        for k in range(len(t)):
+        steps = motion.shape[2]
+        rows = np.unique(np.append(np.arange(0, steps, STRIDE), steps - 1))
+        found = np.empty((len(dofs), 3, len(rows)))
+        for i, k in enumerate(rows):
+            q = motion[:, 0, k]
             for j in range(len(dofs)):
-                moved = q[k].copy()
+                moved = q.copy()
                 moved[j] += SLOPE_RAD
-                slope[k, j] = weigh(k, moved)[j]
-            whole = weigh(k, q[k])
+                found[j, 1, i] = weigh(moved, k)[j]
+            whole = weigh(q, k)
             mujoco.mj_crb(m, data)
             for j, dof in enumerate(dofs):
                 unit[:] = 0.0
                 unit[dof] = 1.0
                 mujoco.mj_mulM(m, data, product, unit)
-                inertia[k, j] = product[dof] - m.dof_armature[dof]
-            slope[k] = (slope[k] - whole) / SLOPE_RAD
-            load[k] = whole - inertia[k] * qdd[k]
-        return load, slope, np.maximum(inertia, 1e-9)
+                found[j, 2, i] = max(product[dof] - m.dof_armature[dof], LEAST_INERTIA)
+            found[:, 1, i] = (found[:, 1, i] - whole) / SLOPE_RAD
+            found[:, 0, i] = whole - found[:, 2, i] * motion[:, 2, k]
+        every = np.arange(steps)
+        dense = [[np.interp(every, rows, one) for one in joint] for joint in found]
+        return np.array([[*joint, motion[j, 0]] for j, joint in enumerate(dense)])
 
 
 def _actuators_by_joint(model: Any) -> dict[int, int]:
@@ -194,13 +198,3 @@ def _refuse_joint(model: Any, path: Path, name: str, joint: int, actuator: int |
             file=str(path),
             code="model_actuator",
         )
-
-
-def _smooth(t: Floats, reading: Floats) -> tuple[Floats, Floats, Floats]:
-    """Readings, speeds and accelerations (N, n), by cubics over a short while (Savitzky and Golay 1964)."""
-    from scipy.signal import savgol_filter
-
-    dt = float(np.median(np.diff(t)))
-    width = min(max(5, round(SMOOTH_S / dt) | 1), (len(t) - 1) | 1)
-    filtered = [savgol_filter(reading, width, 3, deriv=k, delta=dt, axis=0) for k in range(3)]
-    return filtered[0], filtered[1], filtered[2]
