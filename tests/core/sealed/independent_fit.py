@@ -75,7 +75,7 @@ def held_out_rms_mm(train: Campaign, unseen: Campaign) -> float:
 
 
 def _predict(arm: Arm, q: Floats, p: Floats, count: int) -> tuple[Floats, Floats]:
-    """Points (N, m, 3) and rotations (N, 3, 3) of the tool: base (6), errors (6 n), points (3 m), rotation (3) on the flange."""
+    """Points (N, m, 3) and rotations (N, 3, 3) of the tool: base (6), errors (6 n), points (3 m), rotation (3)."""
     n = len(arm.axes)
     T = motion(p[:6]) @ arm.flange(q, p[6 : 6 + 6 * n].reshape(n, 6))
     tool = p[6 + 6 * n : 6 + 6 * n + 3 * count].reshape(count, 3)
@@ -90,7 +90,9 @@ def _fit(train: Campaign) -> Floats:
     wide = np.concatenate(
         [np.full(6, 1e3), np.tile([LENGTH_SIGMA_M] * 3 + [ANGLE_SIGMA_RAD] * 3, n), np.full(3 * count + 3, 1e3)]
     )
-    scale = np.where(wide > 1.0, np.concatenate([[0.1] * 3 + [0.3] * 3, np.ones(6 * n), np.full(3 * count + 3, 0.1)]), wide)
+    scale = np.where(
+        wide > 1.0, np.concatenate([[0.1] * 3 + [0.3] * 3, np.ones(6 * n), np.full(3 * count + 3, 0.1)]), wide
+    )
     p = np.zeros(len(wide))
     p[:6] = _register(arm.flange(train.q, np.zeros((n, 6)))[:, :3, 3], train.points.mean(axis=1))
     if train.turns is not None:

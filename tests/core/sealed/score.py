@@ -23,7 +23,7 @@ FOLDER = Path(__file__).resolve().parents[4] / "shared" / "data"
 SETS = ("ipa-a", "ipa-b", "talos", "fanuc")
 MOST = 800  # rows of a set
 SAME = 1e-6  # rad: both readers read the same joints
-AT = 1.01  # share by which an error counts as no larger: fits of the same rows differ by as much in what rows leave open
+AT = 1.01  # share by which an error counts as no larger: fits of the same rows differ as much in what rows leave open
 
 Rows = NDArray[np.int64]
 
