@@ -105,6 +105,17 @@ def test_a_delay_is_seen_again_where_something_else_is_left(again, outcome):
     assert effect.storable is (outcome != "contradicted")
 
 
+def test_a_curve_that_another_motion_contradicts_shadows_no_effect():
+    """It is in one motion only, and compliance may be no part of it: that was provisional for being like it by a third."""
+    (robot, rows), (_, other) = motion(37, 1e-4), motion(38, 1e-4)
+    q = rows.q[:, 1]
+    rows.link_q[:, 1] += 6e-4 * np.sin(3.3 * q + 1.0) * np.exp(-((q / 0.5) ** 2))
+    report = find_gap(robot, rows, QUICK, confirmation=other)
+    levels = {j.evidence.candidate.id: j.verdict for j in report.effects}
+    assert levels["unknown_joint_curve"] == "contradicted"
+    assert levels["axial_compliance"] == "replicated"
+
+
 def chance(shares):
     """Chance of the sum of shares (B, d) of B blocks, as the negative control counts it."""
     return float(tail(*by_blocks(shares, np.ones(len(shares)), np.arange(len(shares)))))
