@@ -20,7 +20,11 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import CoreError
 from kilter_core.gap import GapOptions, GapReport, find_gap
+from kilter_core.identify import identify
+from kilter_core.identify.comparison.compare import errors_by_pose
+from kilter_core.identify.comparison.model_comparison import Difference
 from kilter_core.observations import Observations
+from kilter_core.types import Floats
 from tests.core.real import real_campaign
 from tests.core.sealed.score import FOLDER, splits
 
@@ -30,12 +34,22 @@ MOTIONS = ("a", "b", "c")  # of kr300, each a campaign
 
 
 class Hunt(NamedTuple):
-    """One search: the arm, which half was searched, the report, and seconds."""
+    """One search: the arm, which half was searched, the report, and seconds.
+
+    ``errors`` are those (P,) m of poses of the other half by the version and by an identification of the geometry, base and
+    tool fitted to it; None where no tool was measured.
+    """
 
     arm: str
     half: str
     report: GapReport
     seconds: float
+    errors: tuple[Floats, Floats] | None
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the version errs more than the geometry there, beyond chance."""
+        return self.errors is not None and Difference.from_paired_errors(*self.errors).worse
 
 
 def campaigns(folder: Path, name: str) -> Iterator[tuple[str, Robot, Observations, Observations]]:
@@ -64,13 +78,24 @@ def hunts(folder: Path, name: str, options: GapOptions, begin: str = "") -> Iter
         except CoreError as error:
             print(f"{name}, {half}: {error.code}: {error.message[:100]}", flush=True)
             continue
-        yield Hunt(name.split("-")[0], half, report, time.monotonic() - began)
+        seconds, errors = time.monotonic() - began, None
+        if sealed.link_q is None:
+            both = (report.calibration, identify(robot, shown).calibration)
+            one, other = (errors_by_pose(own.for_another_campaign(sealed), sealed) for own in both)
+            errors = one, other
+        yield Hunt(name.split("-")[0], half, report, seconds, errors)
 
 
 def describe(hunt: Hunt) -> Iterator[str]:
     """The table of one search: a line for each effect, and the gates that stopped those the other half bears out."""
     codes = sorted({str(w["code"]) for w in hunt.report.warnings} & {"confirmation_worse", "worse_than_geometry"})
-    yield f"{hunt.arm}, {hunt.half}: {hunt.report.verdict} {' '.join(codes)} ({hunt.seconds:.0f} s)"
+    told = (
+        ""
+        if hunt.errors is None
+        else f"version {1e3 * hunt.errors[0].mean():.4f}, geometry {1e3 * hunt.errors[1].mean():.4f} mm "
+    )
+    worse = "WORSE " if hunt.is_worse else ""
+    yield f"{hunt.arm}, {hunt.half}: {hunt.report.verdict}, {told}{worse}{' '.join(codes)} ({hunt.seconds:.0f} s)"
     for judged in hunt.report.effects:
         again = judged.evidence.replication
         told = None if again is None else again.guarded
@@ -95,12 +120,12 @@ def main() -> None:
     for name in given.sets.split(","):
         for hunt in hunts(given.data, name, options, given.splits):
             print("\n".join(describe(hunt)), flush=True)
-            run, worse = run + 1, worse + ("confirmation_worse" in {w["code"] for w in hunt.report.warnings})
+            run, worse = run + (hunt.errors is not None), worse + hunt.is_worse
             for judged in hunt.report.effects:
                 counted[hunt.arm][judged.verdict].add(judged.claim.words)
     for arm, by_verdict in counted.items():
         print(f"{arm}: " + ", ".join(f"{len(words)} {verdict}" for verdict, words in by_verdict.items()))
-    print(f"{worse} of {run} versions are worse than something simpler on the other half")
+    print(f"{worse} of {run} versions are worse than geometry on the other half, beyond chance")
 
 
 if __name__ == "__main__":
