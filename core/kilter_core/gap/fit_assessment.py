@@ -6,16 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from kilter_core.gap.effect_search import SearchOutcome
+from kilter_core.gap.evidence.guarded import Guard
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy, adequacy
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator
 from kilter_core.gap.evidence.held_out.practical_size import Misfit, floor_mm, misfit
 from kilter_core.gap.evidence.held_out.unseen_fit import UnseenFit, unseen_fit
 from kilter_core.gap.evidence.verdict import Judged, run_verdict
-from kilter_core.gap.report.stored import Stored, build_stored_version, settled_search
+from kilter_core.gap.report.stored import Stored, build_stored_version, refit_chosen, settled_search
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.complete_form import MissingDirection, missing_directions
 from kilter_core.gap.search.prepare import Prepared
 from kilter_core.gap.study import Study
+from kilter_core.identify.comparison.model_comparison import Difference
 
 
 @dataclass(frozen=True)
@@ -70,9 +72,25 @@ def assess_fit(study: Study, search: SearchOutcome) -> FitAssessment:
 
 
 def settle_version(study: Study, fit: FitAssessment, effects: Sequence[Judged]) -> Version:
-    """Return the version without steps and drifts that are not settled, and what it corrects without what is not the arm's."""
+    """Return the version without steps and drifts that are not settled, and what it corrects without what is not the arm's.
+
+    Where rows that no choice saw err more with all of it than with the geometry alone, beyond chance, it is that geometry.
+    """
     version, settled = fit.version, settled_search(fit.search.found, effects)
     if settled is not version.found:
         version = Version.from_search(study, fit.search.prepared, settled)
+    if version.found.chosen and _is_worse_than_geometry(study, version):
+        version = Version.from_search(study, fit.search.prepared, refit_chosen(version.found, ()))
     elsewhere = [j.evidence.candidate.id for j in effects if not j.of_arm]
     return replace(version, stored=version.stored.without_correction(elsewhere))
+
+
+def _is_worse_than_geometry(study: Study, version: Version) -> bool:
+    """Whether held-out rows, or a confirmation, are predicted worse by the version than by the geometry alone."""
+    if version.held.poses and Difference.from_paired_errors(*reversed(version.held.by_pose())).worse:
+        return True
+    if study.confirmation is None:
+        return False
+    calibration = version.stored.calibration
+    told = Guard.from_confirmation(version.found, study.start, calibration, study.confirmation).geometry()
+    return told is not None and told.worse

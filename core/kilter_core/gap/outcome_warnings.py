@@ -22,7 +22,6 @@ from kilter_core.gap.search.linear.in_space import fit_rms
 from kilter_core.gap.study import Study
 from kilter_core.identify.comparison.model_comparison import (
     WORSE_THAN_GEOMETRY,
-    Difference,
     PoseErrors,
     grown,
     worse_warning,
@@ -73,12 +72,11 @@ def _warn_of_large_residual(outcome: Outcome) -> Iterator[Remark]:
 
 
 def _compare_with_geometry(outcome: Outcome) -> Iterator[Remark]:
-    """Warn when held-out poses are predicted worse than by the geometry alone."""
+    """Warn when held-out poses are predicted worse than by the geometry alone, within chance: beyond it is not stored."""
     found, before_after = outcome.version.found, outcome.version.held.by_pose()
     if found.chosen and (told := grown(*before_after)) is not None:
-        certain = Difference.from_paired_errors(*reversed(before_after)).worse
         unit = "deg" if found.problem.settings.source.unit == "rad" else "mm"
-        yield worse_warning(WORSE_THAN_GEOMETRY, "the geometry alone", told, certain, unit)
+        yield worse_warning(WORSE_THAN_GEOMETRY, "the geometry alone", told, False, unit)
 
 
 def _compare_on_confirmation(outcome: Outcome) -> Iterator[Remark]:
@@ -114,8 +112,9 @@ def _report_amplitudes_at_ends(outcome: Outcome) -> Iterator[Remark]:
 
 
 def _report_unsettled_effects(outcome: Outcome) -> Iterator[Remark]:
-    """Say which steps and drifts the version does without, and what would settle them."""
-    out = [j for j in outcome.effects if not j.storable and j.verdict != CONTRADICTED]
+    """Say which effects the version does without although nothing contradicts each by itself, and what would settle them."""
+    stored = outcome.version.found.chosen
+    out = [j for j in outcome.effects if j.evidence.place not in stored and j.verdict != CONTRADICTED]
     if out:
         names = list(dict.fromkeys(j.display_name for j in out))
         yield Finding("not_settled", {"effects": [j.evidence.candidate.label for j in out]}, {"names": names})

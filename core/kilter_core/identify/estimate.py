@@ -33,7 +33,7 @@ SMALLEST_SIGMA_RAD = 1e-7
 WEIGHT_PASSES = 8
 HOLDING_PASSES = 2  # passes after which directions are only released: one at the limit would come and go for ever
 ROUGH = 0.01  # share of the loss below which a step no longer changes weights that hold to 5 %
-UNSEEN = 0.05
+UNSEEN = 0.02
 PLAIN = 1e8  # square of a singular value up to which rounding of normal equations moves no direction near UNSEEN
 
 

@@ -18,10 +18,10 @@ from kilter_core.identify.plausibility.views.unrelated_views import shuffled_con
 from kilter_core.identify.plausibility.views.view_residuals import NUMBERS, Part, ViewResiduals, astray, astray_views
 from kilter_core.identify.rows.measurement_of_rows import measurement_for
 from kilter_core.identify.scale_gauge import contradicted_scale
-from kilter_core.identify.uncertainty.by_views import by_views, predictive_of_views, rig_sigmas, view_scatter
+from kilter_core.identify.uncertainty.by_views import predictive_of_views, rig_sigmas, view_scatter
 from kilter_core.identify.uncertainty.clustered import with_clustered_covariance
-from kilter_core.identify.uncertainty.held_arm import by_held_arm, holds_arm
 from kilter_core.identify.uncertainty.left_open import left_open
+from kilter_core.identify.uncertainty.tool_error import beside_tool_error, by_tool_error
 from kilter_core.identify.views.cameras import rig_from_calibration, rig_from_values, with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.view_scatter import ToolErrors, ViewScatter
@@ -287,8 +287,8 @@ class Apart:
         rows = replace(train, rig=rig, **moved)
         try:
             measurement = measurement_for(rows, options, begin.marker_points)
-            fit = fit_by_method(with_cameras(begin, rows, measurement), measurement, options)
-            return Apart(by_views(fit, view_scatter(fit)), step, place, len(parts), later)
+            fit = beside_tool_error(fit_by_method(with_cameras(begin, rows, measurement), measurement, options))
+            return Apart(by_tool_error(fit, view_scatter(fit)), step, place, len(parts), later)
         except CoreError:
             return None
 
@@ -328,7 +328,7 @@ def with_own_scatter(fit: Fit) -> tuple[Fit, ViewScatter | None]:
     if not fit.problem.measurement.tool.places_itself:
         return with_clustered_covariance(fit), None
     found = view_scatter(fit)
-    return by_held_arm(fit, found) if holds_arm(fit) else by_views(fit, found), found
+    return by_tool_error(fit, found), found
 
 
 def views_document(

@@ -103,7 +103,9 @@ class Amount(Stored):
 class Replication(Stored):
     """What a confirmation says of an effect."""
 
-    outcome: str | None = Field(None, description="`replicated`, `not_seen`, `contradicted` or `not_testable`.")
+    outcome: str | None = Field(
+        None, description="`replicated`, `other_size`, `not_seen`, `contradicted` or `not_testable`."
+    )
     parameters: list[Amount] | None = Field(None, description="Its amplitudes in the confirmation.")
     p_value: float | None = Field(None, description="Chance of such amplitudes without the effect.")
     apart_sigma: float | None = Field(None, description="Standard deviations between the two amplitudes.")

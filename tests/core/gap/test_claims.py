@@ -14,13 +14,14 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
 from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.evidence.guarded import Guarded
 from kilter_core.gap.evidence.held_out import practical_size
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
 from kilter_core.gap.evidence.held_out.practical_size import Misfit
 from kilter_core.gap.evidence.held_out.unseen_fit import UnseenFit
-from kilter_core.gap.evidence.replication import Confirmation, replication
+from kilter_core.gap.evidence.replication import Confirmation, Replication, replication
 from kilter_core.gap.evidence.similarity.testability import testability as judged
-from kilter_core.gap.evidence.verdict import run_verdict, sentence
+from kilter_core.gap.evidence.verdict import Evidence, run_verdict, sentence
 from kilter_core.gap.report.report import Remains
 from kilter_core.gap.report.stored import build_stored_version
 from kilter_core.gap.search.candidates import with_testable
@@ -390,3 +391,13 @@ def test_numbers_without_measure_are_refused(name):
         GapOptions.from_document({name: 10**9})
     with pytest.raises(OptionError, match=f"{name} is 1.5: give a whole number"):
         GapOptions.from_document({name: 1.5})
+
+
+def test_held_out_poses_that_lose_by_chance_do_not_outweigh_a_confirmation_that_gains():
+    """The reversal error of a real arm was contradicted by a loss of a third of its deviation, and seen again at 1e-5."""
+    seen = Replication(("b",), np.ones(1), np.full(1, 0.1), 1e-5, 0.1, guarded=Guarded(9.4e-5, 10.1e-5, False, True))
+    evidence = Evidence(0, SimpleNamespace(), (), None, (-0.13, 0.41, 2.4), None, (), 1e-6, 0.1, unseen_poses=12)  # type: ignore[arg-type]
+    assert evidence.is_contradicted
+    assert not replace(evidence, replication=seen).is_contradicted
+    worse = replace(seen, guarded=Guarded(10.1e-5, 9.4e-5, True, False))
+    assert replace(evidence, replication=worse, held_out=(1.0, 0.1, 9.0)).is_contradicted

@@ -112,3 +112,18 @@ def some_arm(rng: np.random.Generator) -> DriftingArm:
 
 def some_poses(count: int, rng: np.random.Generator) -> Floats:
     return rng.uniform(-2.5, 2.5, (count, 6))
+
+
+def warmed(arm: DriftingArm, kelvin: float, rng: np.random.Generator) -> DriftingArm:
+    """Links of steel or aluminium, each a little otherwise, and zeros that follow."""
+    links = 1.0 + kelvin * (rng.uniform(11e-6, 24e-6) + rng.normal(0.0, 4e-6, (6, 1)))
+    rows = arm.rows * np.hstack([links, links, np.ones((6, 1))])
+    return replace(arm, rows=rows, zeros=arm.zeros + kelvin * rng.normal(0.0, 5e-6, 6))
+
+
+def set_up_again(arm: DriftingArm, sigma: float, rng: np.random.Generator) -> DriftingArm:
+    """The instrument shifted by ``sigma`` m of a coordinate and rotated about a place among the poses."""
+    shift, middle = np.eye(4), np.array([0.3, 0.0, 0.5])
+    shift[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, sigma / 0.8, 3)).as_matrix()
+    shift[:3, 3] = rng.normal(0.0, sigma, 3) + middle - shift[:3, :3] @ middle
+    return replace(arm, base=shift @ arm.base)

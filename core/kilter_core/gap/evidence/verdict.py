@@ -93,9 +93,12 @@ class Evidence:
 
     @property
     def is_contradicted(self) -> bool:
-        """Whether rows that no choice saw speak against it: a confirmation, or held-out poses that err more with it."""
+        """Whether rows that no choice saw speak against it: a confirmation, or held-out poses that err more with it.
+
+        A confirmation that bears it out outweighs the few poses that were held out: one lost by a third of its deviation there.
+        """
         again = self.replication is not None and self.replication.is_contradicted
-        return again or (self.unseen_poses > 0 and self.held_out[0] < 0.0)
+        return again or (self.unseen_poses > 0 and self.held_out[0] < 0.0 and not self.is_surely_replicated)
 
     @property
     def law(self) -> Law:
@@ -175,23 +178,26 @@ def judge(
     lacks do as well as all that was named; ``beside`` is the evidence for everything that was.
     """
     rivals = tuple(a for a in evidence.aliases if a.member or not a.candidate.empirical)
-    numbers = _numbers(search, evidence, fit, library, bool(rivals))
+    beside = tuple(beside)
+    curves = _curves(search, evidence, beside)
+    again = evidence.is_surely_replicated
+    numbers = _numbers(search, evidence, fit, library, bool(rivals) or again, curves)
     replication = evidence.replication
     gates: dict[str, bool | None] = {
         "physical": not evidence.candidate.empirical,
         "lasts": settled or evidence.lasts or (None if evidence.untimed else False),
-        "held_out": evidence.is_surely_replicated or (evidence.held_out[0] > 0.0 and evidence.held_out[2] > SURE_GAIN),
+        "held_out": again or (evidence.held_out[0] > 0.0 and evidence.held_out[2] > SURE_GAIN),
         "unseen_poses": evidence.unseen_poses > 0 or (replication is not None and replication.is_replicated),
         "no_empirical_alias": len(rivals) == len(evidence.aliases)
         and not evidence.local_bump
-        and not _is_shadowed_by_curve(search, evidence),
+        and not _is_shadowed_by_curve(search, evidence, curves),
         "plausible": _plausible(evidence, library),
         "seen": evidence.seen,
         "inclusion": None if numbers["inclusion"] is None else numbers["inclusion"] >= INCLUDED,
         "negative_control": evidence.control is None or evidence.control.has_passed,
     }
     if replication is not None:
-        gates["confirmation"] = not replication.is_contradicted
+        gates["confirmation"] = replication.outcome not in (CONTRADICTED, "other_size")
     if lacking:
         gates["complete_geometry"] = False
     robot = search.problem.settings.source.model.robot
@@ -227,7 +233,12 @@ def _level(gates: dict[str, bool | None], claim: Claim, replication: Replication
 
 
 def _numbers(
-    search: SearchResult, evidence: Evidence, fit: Adequacy, library: Library, class_: bool
+    search: SearchResult,
+    evidence: Evidence,
+    fit: Adequacy,
+    library: Library,
+    class_: bool,
+    curves: Sequence[Candidate],
 ) -> dict[str, float | None]:
     """What each gate was decided by, to be decided again with other thresholds."""
     gain, _, deviations = evidence.held_out
@@ -240,7 +251,7 @@ def _numbers(
         "unseen_poses": float(evidence.unseen_poses),
         "no_empirical_alias": nearest_shape(search, evidence.place),
         "bumped": float(evidence.local_bump),
-        "shadowed": _shadow(search, evidence),
+        "shadowed": _shadow(search, evidence, curves),
         "plausible": max((_beyond(a, library, evidence.candidate) for a in evidence.amplitudes), default=0.0),
         "seen": float(evidence.seen),
         "inclusion": None if evidence.inclusion is None else evidence.inclusion[1 if class_ else 0],
@@ -391,29 +402,27 @@ def _plausible(evidence: Evidence, library: Library) -> bool:
     return True
 
 
-def _shadow(search: SearchResult, evidence: Evidence) -> float:
+def _shadow(search: SearchResult, evidence: Evidence, curves: Sequence[Candidate]) -> float:
     """Largest correlation with an unknown curve that was needed too."""
     return max(
-        (correlation(search.problem.A, evidence.candidate.columns, c.columns) for c in _curves(search, evidence)),
+        (correlation(search.problem.A, evidence.candidate.columns, c.columns) for c in curves),
         default=0.0,
     )
 
 
-def _is_shadowed_by_curve(search: SearchResult, evidence: Evidence) -> bool:
+def _is_shadowed_by_curve(search: SearchResult, evidence: Evidence, curves: Sequence[Candidate]) -> bool:
     """Whether an unknown curve of another class was needed too, and could take this effect's place in part."""
     robot, candidate = search.problem.settings.source.model.robot, evidence.candidate
     own = candidate.effects[0].physical_class(robot).id
-    others = (
-        c
-        for c in _curves(search, evidence)
-        if c.effects[0].physical_class(robot).id != own or c.joints != candidate.joints
-    )
+    others = (c for c in curves if c.effects[0].physical_class(robot).id != own or c.joints != candidate.joints)
     return any(_is_related_to_curve(search, candidate, c) for c in others)
 
 
-def _curves(search: SearchResult, evidence: Evidence) -> list[Candidate]:
-    candidates = search.selector.scorer.candidates
-    return [candidates[k] for k in search.chosen if candidates[k].empirical and k != evidence.place]
+def _curves(search: SearchResult, evidence: Evidence, beside: Sequence[Evidence]) -> list[Candidate]:
+    """Shapes without a cause that were named too; one that unseen rows contradict may be a part of no other effect."""
+    candidates, refuted = search.selector.scorer.candidates, {one.place for one in beside if one.is_contradicted}
+    places = [k for k in search.chosen if k != evidence.place and k not in refuted]
+    return [candidates[k] for k in places if candidates[k].empirical]
 
 
 def _is_related_to_curve(search: SearchResult, candidate: Candidate, curve: Candidate) -> bool:

@@ -81,8 +81,8 @@ def _at_end_of_range(said: Mapping[str, Any]) -> str:
 
 def _not_settled(said: Mapping[str, Any]) -> str:
     return (
-        f"The version leaves out what is not settled: {', '.join(said['names'])}. To settle it, revisit poses at other "
-        "times, or measure all in random order."
+        f"The version leaves out what is not settled: {', '.join(said['names'])}. To settle it, measure more poses, revisit "
+        "some at other times, or measure all in random order."
     )
 
 

@@ -219,11 +219,14 @@ def settled_search(found: SearchResult, effects: Sequence[Judged]) -> SearchResu
     out = {j.evidence.place for j in effects if not j.storable}
     if not out:
         return found
-    chosen = tuple(k for k in found.chosen if k not in out)
+    return refit_chosen(found, tuple(k for k in found.chosen if k not in out))
+
+
+def refit_chosen(found: SearchResult, chosen: tuple[int, ...]) -> SearchResult:
+    """The search fitted again with some of the named effects."""
+    problem = found.problem
     return replace(
-        found,
-        chosen=chosen,
-        problem=refit(found.problem.settings, found.problem.values, found.selector.columns(chosen)),
+        found, chosen=chosen, problem=refit(problem.settings, problem.values, found.selector.columns(chosen))
     )
 
 

@@ -12,7 +12,7 @@ from kilter_core.identify.rows.measurement_of_rows import measurement_for
 from kilter_core.identify.scale_gauge import with_likeliest_scale
 from kilter_core.identify.setup_frames import without_frames
 from kilter_core.identify.steps.start import Study
-from kilter_core.identify.uncertainty.held_arm import beside_held_arm
+from kilter_core.identify.uncertainty.tool_error import beside_tool_error
 from kilter_core.identify.views.cameras import with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
@@ -45,7 +45,7 @@ def fit_study(study: Study, progress: Progress) -> Fitted:
     wanted = wanted_frames(begin, registered, tool, options, is_continued(options, prior))
     begin, learned = select_learned_effects(begin, study.train, options, prior)
     found = fit_by_method(begin, measurement, options, progress, prior)
-    fit = beside_held_arm(with_likeliest_scale(found))
+    fit = with_likeliest_scale(beside_tool_error(found))
     stages = name_stages(study, measurement, registered, fit.calibration(*wanted))
     return Fitted(begin, measurement, fit, learned, stages, without_frames(stages["identified"]))
 

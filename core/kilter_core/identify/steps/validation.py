@@ -21,7 +21,7 @@ from kilter_core.identify.rows.measurement_of_rows import between_rows, measurem
 from kilter_core.identify.setup_frames import OwnFrame, frame_shift, split_by_setup, with_own_frames
 from kilter_core.identify.steps.fit import Fitted, name_stages
 from kilter_core.identify.steps.start import Study
-from kilter_core.identify.uncertainty.held_arm import beside_held_arm
+from kilter_core.identify.uncertainty.tool_error import beside_tool_error
 from kilter_core.identify.view_report import held_views
 from kilter_core.identify.views.cameras import with_cameras
 from kilter_core.measurement import Measurement
@@ -102,7 +102,7 @@ def evaluate_fold(fold: Study, progress: Progress) -> HeldOut:
     shown = measurement_for(train, options, fold.points)
     unseen = measurement_for(rows, options, fold.points, shown)
     model = select_learned_effects(with_cameras(fold.begin, train, shown), train, options, fold.prior)[0]
-    fit = beside_held_arm(fit_by_method(model, shown, options, progress, fold.prior))
+    fit = beside_tool_error(fit_by_method(model, shown, options, progress, fold.prior))
     registered = place_nominal(fold.begin, shown.of_tool(), options, fold.prior)
     identified = Calibration(fit.problem.model, fit.values, fold.points)
     stages = _with_geometry(name_stages(fold, shown, registered, identified), model, shown, options)

@@ -1,9 +1,9 @@
 """What an identification from pixels alone knows: of its parameters, of the tool where a camera sees it, and of its cameras.
 
-Corners of one view share what the model gets wrong there, blur and a bent board. So the covariance is scaled by how much
-views scatter beyond what the corners within them do, never below it. And views of one pose share what the model gets wrong of
-the arm there, which is of millimetres and not of pixels: what each pose says counts as far as it differs from that by more
-than chance, as in :mod:`~kilter_core.identify.uncertainty.clustered`.
+Corners of one view share what the model gets wrong there, blur and a bent board
+(:mod:`~kilter_core.identify.uncertainty.tool_error`). And views of one pose share what the model gets wrong of the arm there:
+what each pose says counts as far as it differs from that by more than chance, as in
+:mod:`~kilter_core.identify.uncertainty.clustered`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from kilter_core.identify.fit.least_squares import Fit, taken_by_group
 from kilter_core.identify.options import FRAME_NAMES
@@ -22,7 +21,7 @@ from kilter_core.identify.uncertainty.clustered import (
     scores_by_pose,
     shrink_score_covariance,
 )
-from kilter_core.identify.uncertainty.predictive import CHANCE, Predictive
+from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.views.cameras import rig_from_values, unknown_rig
 from kilter_core.measurement.camera.view_scatter import ViewScatter
 from kilter_core.model.placed_rig import PlacedRig, Unknown
@@ -55,22 +54,13 @@ def tool_sigma_from_views(fit: Fit) -> float | None:
     return errors.scatter(max(taken_by_group(fit)[views.group] - inner, 0.0), inner).place
 
 
-def by_views(fit: Fit, found: ViewScatter) -> Fit:
-    """The fit with the covariance that its views support, scaled so that 1.96 sigma are half of Student's 95 % interval."""
-    problem, views = fit.problem, fit.problem.measurement.pixels
-    assert views is not None
-    taken = float(np.mean(problem.weights.points)) / views.metres_per_px
-    factor = max(found.beyond, 1.0) * (found.sigma_px / taken) ** 2
-    return by_poses(fit, *problem.by_row(problem.linearise(fit.values, fit.residual)), found, factor)
-
-
-def by_poses(fit: Fit, A: Floats, r: Floats, found: ViewScatter, factor: float = 1.0) -> Fit:
-    """The fit with the covariance that poses support, of views ``A (N, R, F)`` and ``r (N, R)`` of variance ``factor``."""
+def by_poses(fit: Fit, A: Floats, r: Floats, found: ViewScatter) -> Fit:
+    """The fit with the covariance that poses support, of whitened views ``A (N, R, F)`` and ``r (N, R)``."""
     problem = fit.problem
     total, known = products(A, A), problem.prior_information()
     bread = np.asarray(np.linalg.inv(total + known), dtype=np.float64)
     poses = scores_by_pose(A, r, problem.measurement.observations.pose_groups(), bread)
-    around = sandwich(total + known, shrink_score_covariance(factor * total, *poses), known, known)
+    around = sandwich(total + known, shrink_score_covariance(total, *poses), known, known)
     scale = as_normal(problem.prior_sigma, found.freedom)
     return replace(fit, covariance=around * np.outer(scale, scale), freedom=found.freedom)
 
@@ -89,7 +79,7 @@ def predictive_of_views(fit: Fit, found: ViewScatter) -> Predictive:
     M = np.concatenate([np.eye(len(fit.names))[arm], *(block for _, block in frames)])
     names = [*np.array(fit.names)[arm].tolist(), *(f"{frame}_{k}" for frame, _ in frames for k in FRAME_NAMES)]
     noise = found.sigma_px * views.metres_per_px
-    turn = found.turn if found.beyond > chdtri(found.freedom, CHANCE) / found.freedom else 0.0
+    turn = found.turn if found.exceeds_noise else 0.0
     return Predictive(tuple(names), M @ fit.covariance @ M.T, found.place, noise, found.freedom, views.name, turn)
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.special import chdtri
 
 from kilter_core.errors import ObservationError
 from kilter_core.types import Bools, Floats, Ints
@@ -23,6 +24,7 @@ MOST = 400  # views that widths are found from
 SMALLEST_M, SMALLEST_RAD = 1e-8, 1e-8
 GRID = 60
 LEVEL = 0.95
+CHANCE = 0.05  # that views scatter by more than their corners although the tool is where the model has it
 FEWEST_CORNERS = 4  # of a view that tells a pose
 ON_A_LINE = 1e-11  # smallest eigenvalue of what derivatives correlate by; rounding leaves 1e-16 of corners on a line
 
@@ -42,6 +44,11 @@ class ViewScatter:
     sigma_px: float
     beyond: float
     freedom: float
+
+    @property
+    def exceeds_noise(self) -> bool:
+        """Whether views scatter by more than chance: the likeliest width of something that is not there is above 0."""
+        return self.beyond > float(chdtri(self.freedom, CHANCE)) / self.freedom
 
     @property
     def rms_m(self) -> float:

@@ -21,6 +21,7 @@ OUTCOMES: Mapping[str, str] = {
     "replicated": "It was seen again with the same amplitude.",
     "contradicted": "It is contradicted there.",
     "not_seen": "It does not stand out there.",
+    "other_size": "It has another size there, and predicts better all the same.",
     "not_testable": "It cannot be tested there.",
 }
 RAISED = {

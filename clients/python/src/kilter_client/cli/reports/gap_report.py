@@ -177,6 +177,7 @@ def _remarks(effect: Mapping[str, Any], unit: str) -> None:
             "replicated": "was seen again with the same amplitude",
             "contradicted": "is contradicted",
             "not_seen": "does not stand out",
+            "other_size": "has another size, and predicts better all the same",
             "not_testable": "cannot be tested",
         }
         apart = f" ({number(told['apart_sigma'], 2)} sigma apart)" if told.get("apart_sigma") is not None else ""
