@@ -11,6 +11,7 @@ from kilter_files.formats.programs.notations import Frame, Notation
 
 Span = tuple[int, int]
 UNUSED = "no move of the program goes to it, so its frames are not known"
+MOST_WAYS = 20
 SEVERAL = "moves go to it with different frames or tools"
 
 
@@ -100,6 +101,26 @@ class Use:
     near: JointTarget | PoseTarget | None = None
     straight: bool = False
     follows: str = ""
+
+
+Ways = dict[tuple[Use, str], None]
+
+
+def note_use(poses: Sequence[PoseTarget], use: Use, problem: str = "", ways: Ways | None = None) -> None:
+    """Note a move to a pose, or to one of several of which the program computes which.
+
+    ``ways`` are how other moves went to any of the several: a way that is known says nothing new of them.
+    """
+    if ways is not None:
+        if len(ways) > MOST_WAYS or (use, problem) in ways:
+            return
+        ways[use, problem] = None
+        problem = (
+            f"the program computes which of them it goes to, in {len(ways)} ways" if len(ways) > MOST_WAYS else problem
+        )
+    for pose in poses:
+        pose.uses.append(use)
+        pose.problem = pose.problem or problem
 
 
 @dataclass(frozen=True)

@@ -77,27 +77,18 @@ def _value(text: str) -> float:
     return float(int(text.strip("'")[1:], 2)) if text.startswith("'") else float(text)
 
 
-def note_computed(said: str, poses: Mapping[str, PoseTarget]) -> set[str]:
-    """Note poses of arrays to one of which a move goes that computes which; return the names of such arrays."""
-    bases = {match[1].upper() for match in COMPUTED_INDEX.finditer(said)}
-    for name, pose in poses.items() if bases else ():
-        if name.partition("[")[0] in bases:
-            pose.problem = pose.problem or "a move to it has a computed index"
-    return bases
-
-
 def note_changes(text: str, poses: Mapping[str, PoseTarget]) -> None:
     """Note poses that the program changes by other statements than a list of numbers."""
     bases: dict[str, list[PoseTarget]] = {}
     for name, pose in poses.items():
         bases.setdefault(name.partition("[")[0], []).append(pose)
-    for match in GIVEN.finditer(text):
-        for pose in bases.get(match[1].upper(), ()):
-            if not EXTERNAL_PART.match(match[2]):
-                pose.problem = pose.problem or "the program changes it"
+    changed = {match[1].upper() for match in GIVEN.finditer(text) if not EXTERNAL_PART.match(match[2])}
+    reasons = dict.fromkeys(changed, "the program changes it")
     for by, name in parts_handed(text):
+        reasons.setdefault(name, f"{by} may change it")
+    for name, reason in reasons.items():
         for pose in bases.get(name, ()):
-            pose.problem = pose.problem or f"{by} may change it"
+            pose.problem = pose.problem or reason
 
 
 def note_external(program: Program) -> None:

@@ -121,14 +121,3 @@ def _frames_passed_to_calls(text: str, names: Collection[str], changed_names: se
 
 def _frame(match: re.Match[str], first: int) -> Frame:
     return Frame(RAPID, tuple(float(match[k]) for k in range(first, first + 7)))
-
-
-def arguments(said: str) -> Iterator[tuple[int, str]]:
-    """Yield the arguments of an instruction with their places: they part at the commas outside brackets."""
-    depth = start = 0
-    for at, sign in enumerate(said + ","):
-        depth += (sign in "[({") - (sign in "])}")
-        if sign == "," and depth == 0:
-            one = said[start:at]
-            yield start + len(one) - len(one.lstrip()), one.strip()
-            start = at + 1
