@@ -76,10 +76,11 @@ class Program:
     ) -> JointTarget:
         """Take a target by its numbers and their places."""
         turns = tuple(radians) or (False,) * len(numbers)
-        degrees = tuple(
-            math.degrees(float(n)) if turn else float(n) for (n, _), turn in zip(numbers, turns, strict=True)
-        )
-        spans = tuple(span for _, span in numbers)
+        texts, spans = zip(*numbers, strict=True)
+        values = tuple(map(float, texts))
+        degrees = tuple(map(math.degrees, values)) if all(turns) else values
+        if any(turns) and not all(turns):
+            degrees = tuple(math.degrees(value) if turn else value for value, turn in zip(values, turns, strict=True))
         place = line_number(self.text, spans[0][0]) if line is None else line
         self.targets.append(JointTarget(name, place, degrees, spans, turns))
         return self.targets[-1]

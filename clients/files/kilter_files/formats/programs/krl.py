@@ -37,6 +37,8 @@ AXES = Tailed(
     r"\{\s{0,9}(?:(?:E6)?AXIS\s{0,9}:)?\s{0,9}(A\d\s[^{}]{0,500})(\}|\Z|\{)",
 )
 AXIS = re.compile(rf"\s{{0,9}}([AE])(\d)\s{{1,9}}({NUMBER})\s{{0,9}}", re.I)
+SIX_AXES = re.compile(",".join(rf"\s{{0,9}}A{k}\s{{1,9}}({NUMBER})\s{{0,9}}" for k in range(1, 7)), re.I)  # as most are
+CELL = re.compile(r"[^,]+")
 ARM_AXIS = re.compile(r"\bA\d\s", re.I)
 MOVE = re.compile(rf"^[ \t]*+({MOTIONS})(?:[ \t]+|(?=\{{))([^\r\n]+)", re.I | re.M)
 GOAL = re.compile(rf"[ \t]*+(\{{[^{{}}]{{0,500}}\}}|{NAME}(?![\w.\[]))[ \t]*+(?=,|\r|\n|$|[A-Za-z])")
@@ -211,14 +213,13 @@ def _record_motion(
 ) -> None:
     target: JointTarget | PoseTarget | None = None
     if goal is not None:
-        name = key(goal[1])
         at = match.start(2) + goal.start(1)
-        known.moved.add(name.partition("[")[0])
-        target = (
-            known.written.get(at)
-            if name[0] == "{"
-            else _joints_assigned_before_place(known, name, at) or known.poses.get(name)
-        )
+        if goal[1][0] == "{":
+            target = known.written.get(at)
+        else:
+            name = key(goal[1])
+            known.moved.add(name.partition("[")[0])
+            target = _joints_assigned_before_place(known, name, at) or known.poses.get(name)
     said = f"{match[1]} {match[2].strip()[:40]}"
     if target is None:
         where = " or of its .dat" if program.beside is not None else f": {program.path.stem}.dat is not beside it"
@@ -232,7 +233,8 @@ def _record_motion(
         joined = known.last is not None and frames.way.has_unbranched_path(known.last[0], match.start())
         near = known.last[1] if known.last is not None and joined else None
         _use(program, match, (target,), near, frames)
-    sure = not isinstance(target, JointTarget) or goal is None or _is_sure(known, key(goal[1]), match.start())
+    named = isinstance(target, JointTarget) and goal is not None and goal[1][0] != "{"
+    sure = not named or goal is None or _is_sure(known, key(goal[1]), match.start())
     known.last = None if target is None or not sure else (match.start(), target)
     program.visits += [] if target is None else [target]
 
@@ -298,9 +300,14 @@ def _is_sure(known: _Known, name: str, at: int) -> bool:
 
 def _add_axis_target(program: Program, match: re.Match[str], count: int) -> JointTarget | None:
     """Take a list of axes, in any order; one that lacks some, or computes them, is named and left: the others stay."""
-    parts = [AXIS.fullmatch(match[2], at.start(), at.end()) for at in re.finditer(r"[^,]+", match[2])]
+    name = "".join((match[1] or "").split()) or "axis target"
+    six = SIX_AXES.fullmatch(match.string, *match.span(2))
+    if six is not None and count == 6 and match[3] == "}":
+        numbers = [*zip(six.groups(), six.regs[1:], strict=True)]
+        return program.add(name, numbers, line=line_number(program.text, match.start()))
+    parts = [AXIS.fullmatch(match[2], at.start(), at.end()) for at in CELL.finditer(match[2])]
     arm = sorted((part for part in parts if part is not None and part[1].upper() == "A"), key=lambda part: part[2])
-    name, axes = "".join((match[1] or "").split()) or "axis target", [int(part[2]) for part in arm]
+    axes = [int(part[2]) for part in arm]
     declared = program.path.suffix.lower() == ".dat"
     if match[3] != "}" or (None in parts and declared):
         what = f"{name} is not A1, A2, ... with numbers"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from kilter_files.formats.programs.notations import Frame, Notation
 
@@ -22,6 +22,9 @@ class Spans:
         """Take them."""
         self._starts, self._ends = [start for start, _ in spans], [end for _, end in spans]
 
+    def __len__(self) -> int:
+        return len(self._starts)
+
     def __contains__(self, place: int) -> bool:
         k = bisect_right(self._starts, place) - 1
         return k >= 0 and place < self._ends[k]
@@ -36,8 +39,7 @@ def replace_spans(text: str, new: Mapping[Span, str]) -> str:
     return "".join([*parts, text[at:]])
 
 
-@dataclass(frozen=True)
-class JointTarget:
+class JointTarget(NamedTuple):
     """A target: its joints in deg, and the places of their numbers; ``radians`` says of each how it is written.
 
     One without places is read and never rewritten.
@@ -88,8 +90,7 @@ class Configuration(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Use:
+class Use(NamedTuple):
     """A move to a target. A frame that is not known is the reason why.
 
     ``near`` is the target before it, where that is known; ``straight`` says that the move keeps the branch. ``follows`` says
@@ -143,7 +144,7 @@ class WrittenOut:
         return {self.place: "".join(replace_spans(self.literal, moved).split()) + self.ends}
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class PoseTarget:
     """A target given as a pose, its numbers at their places, and the moves to it.
 
@@ -183,10 +184,13 @@ class PoseTarget:
         problem = self.problem or ("" if self.computed is None else self.computed.of.problem)
         if problem or not self.uses:
             return problem or self.unused
-        said = [frame for use in self.uses for frame in (use.base, use.tool) if isinstance(frame, str)]
-        if said:
-            return said[0]
-        return SEVERAL if len({(use.base, use.tool) for use in self.uses}) > 1 else ""
+        for use in self.uses:
+            if isinstance(use.base, str):
+                return use.base
+            if isinstance(use.tool, str):
+                return use.tool
+        first = self.uses[0]
+        return SEVERAL if any(use.base != first.base or use.tool != first.tool for use in self.uses[1:]) else ""
 
     def frames(self) -> tuple[tuple[Frame, ...], Frame]:
         """Return the frames from the robot's root to those the pose is given in, and the tool; of one without a reason."""

@@ -74,6 +74,7 @@ REMEDIES: tuple[tuple[str | re.Pattern[str], str], ...] = (
     ("corrected twice", "Do not filter what such a controller corrects."),
     ("does not state E", "State the axis in each pose, or --track with none."),
 )
+SAYS_IT = re.compile(": (?:state it|state a rail|write |set it|filter )")
 MOST = 3
 
 
@@ -85,7 +86,7 @@ def remedies(reasons: Iterable[str]) -> list[str]:
 
 def remedy_for_reason(reason: str) -> str:
     """Return what helps; empty where the reason says it itself, or nothing is known."""
-    if any(said in reason for said in (": state it", ": state a rail", ": write ", ": set it", ": filter ")):
+    if SAYS_IT.search(reason):
         return ""
     return next(
         (remedy for said, remedy in REMEDIES if (said in reason if isinstance(said, str) else said.search(reason))), ""

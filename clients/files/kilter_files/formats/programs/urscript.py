@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection
-from dataclasses import replace
 
 from kilter_files.formats.programs.found import (
     NUMBER,
@@ -37,6 +36,7 @@ TO_JOINTS = frozenset(("movej", "movel", "movep"))  # along a line too the arm c
 POSE = re.compile(r"p\s?\[|get_inverse_kin\s?\(")
 WHERE_IT_IS = re.compile(r"get_(?:actual|target)_joint_positions\s?\(")
 CELL = re.compile(rf"(d2r\(\s?)?({NUMBER})(?(1)\s?\))")
+SIX = re.compile(r"\[\s*+" + r"\s*+,\s*+".join([f"({NUMBER})"] * 6) + r"\s*+\]")  # as most lists are
 PARAMETERS = re.compile(r"^[ \t]*+(?:def|thread)[ \t]+\w{1,64}[ \t]*+\(([^)\n]{1,500})\)", re.M)
 TARGET = re.compile(rf"p?\s?\[\s*+{NUMBER}(?:\s*+,\s*+{NUMBER}){{5}}\s*+\]")
 INNER = re.compile(r"\w{1,64}\s?\([^()]{0,500}\)")
@@ -83,13 +83,14 @@ def find(program: Program) -> None:
                 taken |= {at: _add_joint_target(program, goal, at, written) for at, written in new}
                 named.add(goal)
                 target = taken[poses.assignment_before(goal, match.start())[0]]
-            by_force = match.start() in poses.forced
+            by_force = bool(poses.forced) and match.start() in poses.forced
             if by_force:
                 program.left.append((line_number(text, match.start()), f"{match[1]}({goal[:40]}: {BY_FORCE}"))
-            (forced if by_force else plain).add(target)
+            if poses.forced:
+                (forced if by_force else plain).add(target)
             sure = written_out or poses.is_sure(goal, match.start())
             poses.last = (match.start(), target) if target is not None and sure else None
-            program.moves.append(target and replace(target, line=line_number(text, match.start())))
+            program.moves.append(target and target._replace(line=line_number(text, match.start())))
             if target is None and not written_out:
                 program.leave(match.start(), f"{match[1]}({goal[:40]}: its joints are computed")
             continue
@@ -181,6 +182,9 @@ def _add_joint_target(program: Program, name: str, at: int, written: str) -> Joi
 
 def _numbers(text: str, start: int, written: str) -> tuple[list[tuple[str, Span]], list[bool]]:
     """The numbers of a list with their places, and which of them are radians; none when something else is among them."""
+    plain = SIX.fullmatch(text, start, start + len(written))
+    if plain is not None:
+        return [*zip(plain.groups(), plain.regs[1:], strict=True)], [True] * 6
     found: list[tuple[str, Span]] = []
     radians: list[bool] = []
     if not written.endswith("]"):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
@@ -370,6 +370,58 @@ def _change(one: Done) -> float:
 
 
 def _diff(program: Program, new: str) -> str:
-    old = program.text.split("\n")
-    lines = difflib.unified_diff(old, new.split("\n"), str(program.path), "corrected", lineterm="", n=1)
-    return "\n".join(line.rstrip("\r") for line in lines)
+    """The changed lines of a program with one line around them, as ``diff -U1`` writes them.
+
+    Every line has its own in the new text, but for the marks: to search for it would take the square of their number.
+    """
+    pairs = [*_line_pairs(program.text.split("\n"), new.split("\n"))]
+    changed = [k for k, (old, other) in enumerate(pairs) if old != other]
+    out = [f"--- {program.path}", "+++ corrected"] if changed else []
+    before = [*itertools.accumulate(((a is not None, b is not None) for a, b in pairs), _count, initial=(0, 0))]
+    for first, end in _hunks(changed, len(pairs)):
+        places = [_range(before[first][k], before[end][k] - before[first][k]) for k in (0, 1)]
+        out.append(f"@@ -{places[0]} +{places[1]} @@")
+        for same, block in itertools.groupby(pairs[first:end], lambda pair: pair[0] == pair[1]):
+            lines = [*block]
+            out += [f" {old}" for old, _ in lines if same]
+            out += [f"-{old}" for old, _ in lines if not same and old is not None]
+            out += [f"+{other}" for _, other in lines if not same and other is not None]
+    return "\n".join(line.rstrip("\r") for line in out)
+
+
+def _line_pairs(old: Sequence[str], new: Sequence[str]) -> Iterator[tuple[str | None, str | None]]:
+    """Each line of a program and the same of the corrected one; a mark stands alone."""
+    others = iter(new)
+    for line in old:
+        if files_formats.is_correction_mark(line):
+            yield line, None
+            continue
+        other = next(others, None)
+        while other is not None and files_formats.is_correction_mark(other):
+            yield None, other
+            other = next(others, None)
+        yield line, other
+    yield from ((None, other) for other in others)
+
+
+def _count(so_far: tuple[int, int], both: tuple[bool, bool]) -> tuple[int, int]:
+    return so_far[0] + both[0], so_far[1] + both[1]
+
+
+def _hunks(changed: Sequence[int], count: int) -> Iterator[tuple[int, int]]:
+    """Where changes begin and end with the line around them; those that touch are one."""
+    spans = ((max(k - 1, 0), min(k + 2, count)) for k in changed)
+    first, end = next(spans, (0, 0))
+    for start, stop in spans:
+        if start > end:
+            yield first, end
+            first = start
+        end = stop
+    if end:
+        yield first, end
+
+
+def _range(start: int, length: int) -> str:
+    """Lines of one side of a hunk: their first, and how many where that is not one."""
+    first = start + (length > 0)
+    return str(first) if length == 1 else f"{first},{length}"

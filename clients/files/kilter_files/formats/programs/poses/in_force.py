@@ -67,27 +67,27 @@ class Flow:
 
 
 @dataclass
-class _Settings:
+class _Settings(Generic[T]):
     """The settings of one subprogram in the order of the text, and whether each holds for all that follows it."""
 
     places: list[int] = field(default_factory=list)
-    values: list[object] = field(default_factory=list)
+    values: list[T] = field(default_factory=list)
     certain: bool = False
 
 
-class InForce:
+class InForce(Generic[T]):
     """What a program sets along its text; settings are noted in the order of the text, before anything is asked."""
 
-    def __init__(self, flow: Flow, settings: Sequence[tuple[int, object]] = ()) -> None:
+    def __init__(self, flow: Flow, settings: Sequence[tuple[int, T]] = ()) -> None:
         """Take how the program runs, and settings by place."""
         self.flow, self.settings = flow, list(settings)
-        self._by_owner: dict[int, _Settings] | None = None
+        self._by_owner: dict[int, _Settings[T]] | None = None
 
-    def set(self, at: int, value: object) -> None:
+    def set(self, at: int, value: T) -> None:
         """Note a setting."""
         self.settings.append((at, value))
 
-    def value_in_effect(self, place: int) -> tuple[bool, object]:
+    def value_in_effect(self, place: int) -> tuple[bool, T | None]:
         """Return whether what is in force at a place is known, and what it is; None: nothing was set before it."""
         if self._by_owner is None:
             self._by_owner = self._group_by_owner()
@@ -97,8 +97,8 @@ class InForce:
             return found is None or not self.flow.part(self.flow.owner(place)).jumps, None
         return found.certain or self.flow.has_unbranched_path(found.places[k], place), found.values[k]
 
-    def _group_by_owner(self) -> dict[int, _Settings]:
-        groups: dict[int, _Settings] = {}
+    def _group_by_owner(self) -> dict[int, _Settings[T]]:
+        groups: dict[int, _Settings[T]] = {}
         for at, value in self.settings:
             group = groups.setdefault(self.flow.owner(at), _Settings())
             group.places.append(at)

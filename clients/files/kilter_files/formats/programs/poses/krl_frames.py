@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections.abc import Iterator
 
 from kilter_files.formats.programs.found import NUMBER, Program, blank_strings_and_comments
-from kilter_files.formats.programs.keyed import Keyed, Tailed
+from kilter_files.formats.programs.keyed import Keyed, Tailed, has_word
 from kilter_files.formats.programs.krl_lines import (
     reassigned_or_passed_variables,
     subprograms,
@@ -79,6 +79,7 @@ class KrlFrames:
         changed = {(match[1].upper(), match[2].strip()) for one in texts for match in CHANGED.finditer(one)}
         self._changed = {(which, number if number.isdigit() else "") for which, number in changed}
         self._text, self._blocks = text, list(BLOCK.finditer(text))
+        self._orients, self._sets_by_with = has_word(text, "$ori_type"), has_word(text, "with")
         self._stands = STANDING.search(text) is not None
         ways = (1, -1, 0, None)
         control = [(one.start(), next(w for k, w in enumerate(ways, 1) if one[k])) for one in CONTROL.finditer(text)]
@@ -86,10 +87,11 @@ class KrlFrames:
         starts = [match.start() for match in START.finditer(text)]
         self.way = Flow(sorted([*control, *((at, 0) for at in subprograms(text))], key=lambda one: one[0]), starts)
         flow = Flow(control, starts)
-        self.base, self.tool = InForce(flow), InForce(flow)
+        self.base: InForce[Frame | str] = InForce(flow)
+        self.tool: InForce[Frame | str] = InForce(flow)
         for match in SET.finditer(text):
             self._set(match)
-        self._orientation = InForce(flow)
+        self._orientation: InForce[bool] = InForce(flow)
         data = {match[1].upper(): match[2] for one in texts for match in MOVE_DATA.finditer(one)}
         for match in ORIENTATION.finditer(text):
             said = match[1] or data.get(match[2].upper(), match[2])
@@ -209,7 +211,7 @@ class KrlFrames:
     def keeps_orientation(self, place: int) -> bool:
         """Say whether a motion along a line or arc surely takes the orientation of its target."""
         known, not_taken = self._orientation.value_in_effect(place)
-        for said in self._block_and_motion_text(place):
+        for said in self._block_and_motion_text(place) if self._orients else ():
             own = OWN_ORIENTATION.search(said)
             known, not_taken = (True, NOT_TAKEN.search(own[1]) is not None) if own else (known, not_taken)
         return known and not not_taken
@@ -224,18 +226,18 @@ class KrlFrames:
     def _frames_from_with_clause(self, place: int) -> dict[str, Frame | str]:
         """Frames that a spline motion sets for itself by WITH, or the block that it stands in."""
         frames: dict[str, Frame | str] = {}
-        for said in self._block_and_motion_text(place):
+        for said in self._block_and_motion_text(place) if self._sets_by_with else ():
             _, _, with_ = f" {said.strip()}".upper().partition(" WITH ")
             frames |= {
                 match[1].upper(): self._value(match[1].upper(), match[2], place) for match in WITH.finditer(f" {with_}")
             }
         return frames
 
-    def _frame_in_effect(self, which: str, force: InForce, place: int) -> Frame | str:
+    def _frame_in_effect(self, which: str, force: InForce[Frame | str], place: int) -> Frame | str:
         known, value = force.value_in_effect(place)
         if not known:
             return f"its {which} depends on the way that the program took"
-        if isinstance(value, Frame | str):
+        if value is not None:
             return value
         stated = (self._stated.bases if which == "base" else self._stated.tools).get("")
         return Frame(KRL, stated) if stated else f"its {which} is not set before it: state it, --{which} X,Y,Z,A,B,C"

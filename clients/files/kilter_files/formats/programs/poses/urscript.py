@@ -66,7 +66,7 @@ class Poses:
         begun = set(starts)
         control = [(at, 0 if at in begun else way) for at, way in control]  # the end of a subprogram closes no block
         calls = [(at, 0) for at in calls_of_own(text, OWN)]
-        self._tool = InForce(Flow(sorted([*control, *calls]), starts, owners))
+        self._tool: InForce[Frame | str] = InForce(Flow(sorted([*control, *calls]), starts, owners))
         own = {match.start(1) for match in OWN.finditer(text)}
         others = [
             (one.start(), 0) for one in calls_of_others(text) if one.start() not in own and not MOVES.fullmatch(one[1])
@@ -144,7 +144,7 @@ class Poses:
             assert goal is not None
             pose, base = goal
             near, self.last = hint or self.preceding_target(match.start()), (match.start(), pose)
-            if match.start() in self.forced:
+            if self.forced and match.start() in self.forced:
                 self._program.leave(match.start(), f"{call[1]}({said[0][1][:40]}: {BY_FORCE}")
                 pose.unused = f"{BY_FORCE} in all moves to it"
                 continue
@@ -166,7 +166,7 @@ class Poses:
         known, value = self._tool.value_in_effect(at)
         if not known:
             return "its tool depends on the way that the program took"
-        if isinstance(value, Frame | str):
+        if value is not None:
             return value
         stated = self._program.stated.tools.get("")
         return Frame(URSCRIPT, stated) if stated else "no set_tcp is before it: state the tool, --tool x,y,z,rx,ry,rz"
@@ -223,10 +223,8 @@ class Poses:
         found = self._taken.get(one.start())
         if found is None:
             name = said if len(said) < 40 and said in self._declared else "a pose"
-            spans: tuple[Span, ...] = tuple(one.span(k) for k in range(1, 7))
-            found = PoseTarget(
-                name, line_number(self._text, one.start()), URSCRIPT, tuple(map(float, one.groups())), spans
-            )
+            line, numbers = line_number(self._text, one.start()), tuple(map(float, one.groups()))
+            found = PoseTarget(name, line, URSCRIPT, numbers, one.regs[1:])
             found.problem = "the program changes it" if said in self._changed else ""
             self._taken[one.start()] = self._program.add_pose(found, counted=False)
         return found
