@@ -22,9 +22,6 @@ class Spans:
         """Take them."""
         self._starts, self._ends = [start for start, _ in spans], [end for _, end in spans]
 
-    def __len__(self) -> int:
-        return len(self._starts)
-
     def __contains__(self, place: int) -> bool:
         k = bisect_right(self._starts, place) - 1
         return k >= 0 and place < self._ends[k]

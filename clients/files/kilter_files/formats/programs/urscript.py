@@ -55,12 +55,7 @@ def find(program: Program) -> None:
 
     """
     text = blank_strings_and_comments(program.text, "#")
-    declared: Places = {}
-    for match in DECLARED.finditer(text):
-        declared.setdefault(match[1], []).append((match.start(2), match[2].rstrip()))
-    for match in PARAMETERS.finditer(text):  # what a subprogram is given is not known in it
-        for name in re.findall(r"\w+", match[1]):
-            declared.pop(name, None)
+    declared = _assignments(text)
     lists = {name for name, places in declared.items() if all(written.startswith("[") for _, written in places)}
     given_poses = {name for name, places in declared.items() if any(written.startswith("p[") for _, written in places)}
     taken: dict[int, JointTarget | None] = {}
@@ -83,11 +78,10 @@ def find(program: Program) -> None:
                 taken |= {at: _add_joint_target(program, goal, at, written) for at, written in new}
                 named.add(goal)
                 target = taken[poses.assignment_before(goal, match.start())[0]]
-            by_force = bool(poses.forced) and match.start() in poses.forced
+            by_force = match.start() in poses.forced
             if by_force:
-                program.left.append((line_number(text, match.start()), f"{match[1]}({goal[:40]}: {BY_FORCE}"))
-            if poses.forced:
-                (forced if by_force else plain).add(target)
+                program.leave(match.start(), f"{match[1]}({goal[:40]}: {BY_FORCE}")
+            (forced if by_force else plain).add(target)
             sure = written_out or poses.is_sure(goal, match.start())
             poses.last = (match.start(), target) if target is not None and sure else None
             program.moves.append(target and target._replace(line=line_number(text, match.start())))
@@ -95,14 +89,13 @@ def find(program: Program) -> None:
                 program.leave(match.start(), f"{match[1]}({goal[:40]}: its joints are computed")
             continue
         hint, doubt = _hint(program, text, match, lists, poses)
-        taken_here = poses.add_move_poses(match, hint, doubt)
-        hint = hint if match[1] == "movej" else None
-        if not taken_here:
+        if not poses.add_move_poses(match, hint, doubt):
             program.leave(match.start(), f"{match[1]}({goal[:40]}: no target of this file")
             poses.last = None
-        near += hint is not None
-        program.moves += [] if hint is None else [hint]
-        if hint is None:
+        if hint is not None and match[1] == "movej":
+            near += 1
+            program.moves.append(hint)
+        else:
             _name_other(program, match, goal, goal in given_poses)
     for match in CHANGED.finditer(text):
         if match[1] in named:
@@ -116,6 +109,17 @@ def find(program: Program) -> None:
         program.list_warnings.append(
             f"{near} moves to a pose count with the joints of their qnear: where the waypoint was taught"
         )
+
+
+def _assignments(text: str) -> Places:
+    """What a program assigns to its variables; what a subprogram is given is not known in it."""
+    declared: Places = {}
+    for match in DECLARED.finditer(text):
+        declared.setdefault(match[1], []).append((match.start(2), match[2].rstrip()))
+    for match in PARAMETERS.finditer(text):
+        for name in re.findall(r"\w+", match[1]):
+            declared.pop(name, None)
+    return declared
 
 
 def _name_other(program: Program, match: re.Match[str], goal: str, given_pose: bool) -> None:

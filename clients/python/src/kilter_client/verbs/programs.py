@@ -266,8 +266,12 @@ def _drop_unreachable_poses(
     kept = AllDone(one for one in done if one.target not in lost)
     kept.notes = done.notes
     if lost and (strict or not kept):
-        named = [(one, line, what) for one in programs for line, what in one.left]
-        _refuse(named, programs, "is not rewritten" if strict else "has no target that can be", strict=strict)
+        _refuse(
+            _skipped_targets(programs),
+            programs,
+            "is not rewritten" if strict else "has no target that can be",
+            strict=strict,
+        )
     return kept
 
 
@@ -370,21 +374,21 @@ def _change(one: Done) -> float:
 
 
 def _diff(program: Program, new: str) -> str:
-    """The changed lines of a program with one line around them, as ``diff -U1`` writes them.
-
-    Every line has its own in the new text, but for the marks: to search for it would take the square of their number.
-    """
+    """Return the changed lines as ``diff -U1`` does; each line but marks has its own in the other text."""
     pairs = [*_line_pairs(program.text.split("\n"), new.split("\n"))]
     changed = [k for k, (old, other) in enumerate(pairs) if old != other]
     out = [f"--- {program.path}", "+++ corrected"] if changed else []
-    before = [*itertools.accumulate(((a is not None, b is not None) for a, b in pairs), _count, initial=(0, 0))]
-    for first, end in _hunks(changed, len(pairs)):
-        places = [_range(before[first][k], before[end][k] - before[first][k]) for k in (0, 1)]
-        out.append(f"@@ -{places[0]} +{places[1]} @@")
+    sides = [[0, *itertools.accumulate(pair[k] is not None for pair in pairs)] for k in (0, 1)]
+    shown = sorted({at for k in changed for at in (k - 1, k, k + 1) if 0 <= at < len(pairs)})
+    for _, hunk in itertools.groupby(enumerate(shown), lambda one: one[1] - one[0]):
+        places = [at for _, at in hunk]
+        first, end = places[0], places[-1] + 1
+        counts = [lines[end] - lines[first] for lines in sides]
+        said = [f"{at[first] + (n > 0)}{'' if n == 1 else f',{n}'}" for at, n in zip(sides, counts, strict=True)]
+        out.append(f"@@ -{said[0]} +{said[1]} @@")
         for same, block in itertools.groupby(pairs[first:end], lambda pair: pair[0] == pair[1]):
             lines = [*block]
-            out += [f" {old}" for old, _ in lines if same]
-            out += [f"-{old}" for old, _ in lines if not same and old is not None]
+            out += [f"{' ' if same else '-'}{old}" for old, _ in lines if old is not None]
             out += [f"+{other}" for _, other in lines if not same and other is not None]
     return "\n".join(line.rstrip("\r") for line in out)
 
@@ -402,26 +406,3 @@ def _line_pairs(old: Sequence[str], new: Sequence[str]) -> Iterator[tuple[str | 
             other = next(others, None)
         yield line, other
     yield from ((None, other) for other in others)
-
-
-def _count(so_far: tuple[int, int], both: tuple[bool, bool]) -> tuple[int, int]:
-    return so_far[0] + both[0], so_far[1] + both[1]
-
-
-def _hunks(changed: Sequence[int], count: int) -> Iterator[tuple[int, int]]:
-    """Where changes begin and end with the line around them; those that touch are one."""
-    spans = ((max(k - 1, 0), min(k + 2, count)) for k in changed)
-    first, end = next(spans, (0, 0))
-    for start, stop in spans:
-        if start > end:
-            yield first, end
-            first = start
-        end = stop
-    if end:
-        yield first, end
-
-
-def _range(start: int, length: int) -> str:
-    """Lines of one side of a hunk: their first, and how many where that is not one."""
-    first = start + (length > 0)
-    return str(first) if length == 1 else f"{first},{length}"

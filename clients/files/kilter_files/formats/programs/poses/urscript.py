@@ -144,7 +144,7 @@ class Poses:
             assert goal is not None
             pose, base = goal
             near, self.last = hint or self.preceding_target(match.start()), (match.start(), pose)
-            if self.forced and match.start() in self.forced:
+            if match.start() in self.forced:
                 self._program.leave(match.start(), f"{call[1]}({said[0][1][:40]}: {BY_FORCE}")
                 pose.unused = f"{BY_FORCE} in all moves to it"
                 continue
