@@ -418,7 +418,7 @@ def _version(row: JobRow, content: VersionContent, used: Sequence[UsedRecord]) -
         campaigns=[asdict(one) for one in used],
         parent_id=content.parent_id or named,
         code_version=code_version(),
-        name=row.request.get("name", ""),
+        name=row.request.get("name", row.name),
     )
 
 
