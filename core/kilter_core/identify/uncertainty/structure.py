@@ -71,10 +71,12 @@ class Structure:
         if freedom < EQUATIONS_PER_JOINT * L.shape[2] or not np.any(left):
             return None
         sliding = np.array([joint.kind == "prismatic" for joint in problem.model.robot.joints])
-        kernels = [*_over_joints(L, rows.q[poses.first], sliding), _over_time(L, poses.when, of_points)]
-        found = _read(
-            [_remove_fitted_part(basis, one.reshape(len(said), -1)[said]) for one in kernels], left, freedom, points
+        columns, weights = _over_joints(L, rows.q[poses.first], sliding)
+        smooth, drifting = (
+            _remove_fitted_part(basis, one.reshape(len(said), -1)[said])
+            for one in (columns, _over_time(L, poses.when, of_points))
         )
+        found = _read([*(smooth * weight for weight in weights), drifting], left, freedom, points)
         without = _without_pose(basis, left, np.nonzero(said)[0] // r.shape[1])[points]
         return replace(found, reach=_reach(without / np.sqrt(left @ left / freedom)))
 
@@ -190,10 +192,10 @@ def _remove_fitted_part(basis: Floats, columns: Floats) -> Floats:
     return np.asarray(columns - basis @ (basis.T @ columns))
 
 
-def _over_joints(levers: Floats, q: Floats, sliding: Bools) -> list[Floats]:
-    """What smooth joint errors move of the numbers (G, R) of each pose, (G, R, K), for each kernel."""
+def _over_joints(levers: Floats, q: Floats, sliding: Bools) -> tuple[Floats, list[Floats]]:
+    """What smooth joint errors move of the numbers (G, R) of each pose, (G, R, K), and the weights (K,) of each kernel."""
     shapes, kind = _shapes(q, sliding)
-    return [_products(levers, shapes * _weights(bend)[kind]) for bend in BENDS]
+    return _products(levers, shapes), [np.tile(_weights(bend)[kind], levers.shape[2]) for bend in BENDS]
 
 
 def _over_time(levers: Floats, when: Floats, points: Bools) -> Floats:
