@@ -344,6 +344,17 @@ def test_what_is_to_be_known_of_the_whole_program_is_told(
     assert any("external axes" in note for note in done.notes)
 
 
+def test_many_lines_that_are_left_fit_on_a_screen(arm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    left = "".join(f"PTP X{k}\n" for k in range(40))
+    (tmp_path / "w.src").write_text(f"DEF w()\nPTP {{A1 10,A2 20,A3 30}}\n{left}END\n")
+    capsys.readouterr()
+    assert run(["filter", str(tmp_path / "w.src"), "--robot", arm, "-o", str(tmp_path / "out.src")]) == 0
+    out, err = capsys.readouterr()
+    assert len((err + out).splitlines()) <= 25
+    assert "34 more lines are left as they are (all: --json)" in err
+    assert len(document(capsys, "filter", tmp_path / "w.src", "--robot", arm, "-o", tmp_path / "out.src")["left"]) == 40
+
+
 def test_an_unknown_dialect_is_named_before_an_output_is_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

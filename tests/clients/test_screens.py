@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from kilter_client.cli import run
+from kilter_client.cli.reports.activation_report import show_today
 from kilter_client.cli.reports.answer import fit_messages
 from kilter_client.cli.terminal import tables
 from kilter_client.cli.terminal.session_notes import is_note_due
@@ -160,3 +161,13 @@ def test_details_and_json_hold_all_that_an_answer_leaves_out(server: Path, capsy
     assert "theta_offset_2" in long
     assert all(line in " ".join(short.split()) for line in job["result"]["headline"].splitlines())
     assert job["result"]["parameters"]
+
+
+def test_today_of_a_busy_robot_fits_on_a_screen(capsys: Capture) -> None:
+    sentences = [f"Check {k} of arm: {CAUSE}{REMEDY}" for k in range(40)]
+    show_today({"robot": "arm", "version_id": None, "newest": None, "sentences": sentences})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= LINES
+    assert max(map(len, lines)) <= COLUMNS
+    assert lines[0].startswith("Check 0 of arm")
+    assert any(re.search(r"and \d+ more \(all: --json\)", line) for line in lines)

@@ -263,3 +263,20 @@ def test_joint_parameters_from_planned_readings(
         refused = client.post("/v1/jobs", json={"kind": "joint_parameters", "robot": "katana", "options": options})
         assert (refused.status_code, refused.json()["code"]) == (400, code)
         assert says in refused.json()["detail"]
+
+
+def test_a_job_without_a_name_is_called_by_its_kind_its_robot_and_a_number(client: httpx.Client, katana: Any) -> None:
+    campaign = katana.campaign(client, 20)
+    body = {"robot": "katana", "campaigns": [campaign], "options": {"level": 1}}
+
+    def asked(kind: str, name: str = "") -> dict[str, Any]:
+        return dict(client.post("/v1/jobs", json={"kind": kind, "name": name, **body}).raise_for_status().json())
+
+    first, own, second = asked("identify"), asked("identify", "of monday"), asked("identify")
+    assert [one["name"] for one in (first, own, second)] == [
+        "identification of katana 1",
+        "of monday",
+        "identification of katana 2",
+    ]
+    asked_for = {"kind": "job", "reference": "identification of katana 2"}
+    assert client.get("/v1/resolve", params=asked_for).raise_for_status().json()["id"] == second["id"]

@@ -50,6 +50,22 @@ def test_the_api_starts_without_scipy() -> None:
     assert done.stdout.strip() == "[]"
 
 
+LIGHT = """
+import sys
+import numpy as np
+import kilter_core.evaluate.prediction, kilter_core.identify, kilter_core.measurement
+from kilter_service.ground.correction_outcome import about
+from kilter_service.versions.predictions.paired import chance
+print(round(float(about(np.array([0.0]), np.array([2.0]))[0]), 9), round(chance(2, 6), 9))
+print([name for name in ("scipy.stats", "scipy.optimize", "scipy.interpolate") if name in sys.modules])
+"""
+
+
+def test_what_the_api_computes_needs_neither_statistics_nor_optimisers() -> None:
+    done = subprocess.run([sys.executable, "-c", LIGHT], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["2.0 0.2890625", "[]"]
+
+
 EXPORT = """
 import sys
 from kilter_core.arm.documents import robot_from_document

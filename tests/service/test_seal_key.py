@@ -142,6 +142,23 @@ def test_a_row_that_is_dated_before_the_audit_is_named_without_a_key(
     assert damage(settings) == [f"Table {table}, row 2: it was put in past Kilter, the audit has no entry of it."]
 
 
+def test_an_activation_dated_before_the_audit_is_named_where_the_audit_has_none(tmp_path: Path, migrated: Path) -> None:
+    settings = plain(tmp_path, "data")
+    ready(settings, migrated)
+    database = Database(settings.database)
+    with served(create_app(settings)) as client:
+        client.headers["Authorization"] = f"Bearer {admin_token(settings)}"
+        client.post("/v1/robots", json=Katana.document).raise_for_status()
+        with on_behalf({"actor": "admin", "role": "admin"}, "a job", {}):
+            version = store_version(database, "katana", 1)
+    database.close()
+    at = "2020-01-01 00:00:00.000000"
+    with closing(sqlite3.connect(settings.data / "kilter.sqlite", isolation_level=None)) as file:
+        file.execute(f"INSERT INTO activations VALUES (1, 1, '{version}', 'activate', 'eve', '{at}', 0, '', '[]')")
+    forge(settings)
+    assert damage(settings) == ["Table activations, row 1: it was put in past Kilter, the audit has no entry of it."]
+
+
 def forge(settings: Settings) -> None:
     """Seal everything anew without a key, as anybody who reads the source does."""
     database = Database(settings.database)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from kilter_core.identify.comparison.model_comparison import Difference, PoseErrors
 from kilter_core.identify.comparison.other_setups import elsewhere
@@ -40,7 +40,7 @@ def far_off(error: Floats, u95: Floats) -> tuple[Ints, Floats]:
     seen = np.isfinite(sigmas)
     if not seen.any():
         return np.zeros(0, dtype=np.int64), np.zeros(0)
-    chance = float(norm.isf(CHANCE / (2.0 * 3.0 * np.count_nonzero(seen))))
+    chance = -float(ndtri(CHANCE / (2.0 * 3.0 * np.count_nonzero(seen))))
     limit = max(chance, UNLIKE * float(np.median(sigmas[seen])))
     rows = np.flatnonzero(seen & (np.where(seen, sigmas, 0.0) > limit))
     rows = rows[np.argsort(-sigmas[rows], kind="stable")]

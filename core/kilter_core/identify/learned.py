@@ -7,7 +7,6 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
-import scipy.stats
 
 from kilter_core.identify.holdout import fold_splits
 from kilter_core.identify.methods.fit import fit_by_method
@@ -87,7 +86,9 @@ def select_learned_effects(
         return plain, Learned(ids, False, poses)
     without, beside = (_held_out(model, train, options, prior) for model in (plain, begin))
     better = without - beside
-    p = float(scipy.stats.wilcoxon(better, alternative="greater").pvalue) if np.any(better) else 1.0
+    from scipy.stats import wilcoxon  # 20 MB, which the API does without
+
+    p = float(wilcoxon(better, alternative="greater").pvalue) if np.any(better) else 1.0
     kept = p < ALPHA and float(beside.mean()) < (1.0 - LEAST_GAIN) * float(without.mean())
     return begin if kept else plain, Learned(ids, kept, poses, float(without.mean()), float(beside.mean()), p)
 

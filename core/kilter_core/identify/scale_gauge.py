@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.plausibility.views.unrelated_views import scale_sentence
@@ -55,7 +55,7 @@ def contradicted_scale(fit: Fit) -> Iterator[dict[str, Any]]:
     shorter, sigma = _shrunk(fit, scale)
     stated = min(board.scale_sigma for board in rig.rig.boards)
     sigma = float(np.hypot(sigma, stated))
-    if 2.0 * float(norm.sf(abs(shorter) / sigma)) > CHANCE:
+    if 2.0 * float(ndtr(-abs(shorter) / sigma)) > CHANCE:
         return
     names = " and ".join(board.name for board in rig.rig.boards)
     size, half = 1e2 * (1.0 / (1.0 + shorter) - 1.0), 1e2 * QUANTILE * sigma

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import f
+from scipy.special import fdtrc
 
 from kilter_core.errors import CoreError
 from kilter_core.identify.fit.least_squares import Fit
@@ -102,7 +102,7 @@ def _step(seen: ViewResiduals, part: Part) -> Step | None:
     k = int(np.argmax(gain))
     free = seen.freedom - NUMBERS
     variance = max(whole - float(gain[k]), 1e-9 * whole, 1e-30) / free
-    chance = float(f.sf(float(gain[k]) / NUMBERS / variance, NUMBERS, free)) * int(able.sum()) * len(seen.parts)
+    chance = float(fdtrc(NUMBERS, free, float(gain[k]) / NUMBERS / variance)) * int(able.sum()) * len(seen.parts)
     likely = np.exp(np.maximum(0.5 * (gain - gain[k]) / variance, -700.0)) * able
     sure = np.argsort(-likely, kind="stable")
     sure = sure[: int(np.searchsorted(np.cumsum(likely[sure]), SURE * likely.sum())) + 1]

@@ -41,4 +41,4 @@ def read_chunk(blob: bytes, sha256: str) -> pa.Table:
         raise ServiceError(
             f"Stored observations are damaged (chunk {sha256[:12]}): restore the database from a backup."
         )
-    return parquet.read_table(io.BytesIO(blob), use_threads=False)
+    return parquet.ParquetFile(io.BytesIO(blob)).read(use_threads=False)  # read_table imports datasets, 8 MB

@@ -57,7 +57,7 @@ def add(session: Session, robot_id: int, job: NewJob, asked: Asked = NOBODY) -> 
         id=f"job_{uuid.uuid4().hex[:16]}",
         kind=job.kind,
         robot_id=robot_id,
-        name=job.name,
+        name=job.name or _next_name(session, robot_id, job),
         request=job.model_dump(mode="json"),
         state="queued",
         request_id=asked.request_id,
@@ -67,6 +67,15 @@ def add(session: Session, robot_id: int, job: NewJob, asked: Asked = NOBODY) -> 
     session.add(row)
     session.flush()
     return row.id
+
+
+def _next_name(session: Session, robot_id: int, job: NewJob) -> str:
+    """Return the name of a job that nobody gave one: "gap search of tour 3"."""
+    noun = get_job_kind(job.kind).contract.noun.partition(" of ")[0]
+    start = f"{noun} of {job.robot} "
+    query = select(JobRow.name).where(JobRow.robot_id == robot_id, JobRow.name.startswith(start, autoescape=True))
+    numbers = [name.removeprefix(start) for name in session.execute(query).scalars()]
+    return f"{start}{max((int(number) for number in numbers if number.isdecimal()), default=0) + 1}"
 
 
 def _row(session: Session, job_id: str) -> JobRow:
@@ -409,7 +418,7 @@ def _version(row: JobRow, content: VersionContent, used: Sequence[UsedRecord]) -
         campaigns=[asdict(one) for one in used],
         parent_id=content.parent_id or named,
         code_version=code_version(),
-        name=row.name,
+        name=row.request.get("name", row.name),
     )
 
 

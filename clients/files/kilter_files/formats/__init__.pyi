@@ -22,6 +22,7 @@ from .programs.found import Stated as Stated
 from .programs.found import Track as Track
 from .programs.found import written as written
 from .programs.marks import add_correction_mark as add_correction_mark
+from .programs.marks import is_correction_mark as is_correction_mark
 from .programs.marks import refuse_corrected as refuse_corrected
 from .programs.one_target import Branch as Branch
 from .programs.one_target import JointTarget as JointTarget

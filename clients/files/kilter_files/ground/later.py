@@ -98,5 +98,5 @@ with later(__name__):
     from PIL import Image, ImageOps
     from pyarrow import csv, parquet
     from rosbags import rosbag1, rosbag2, typesys
-    from scipy import interpolate, special, stats
+    from scipy import interpolate, special
     from scipy.spatial import transform

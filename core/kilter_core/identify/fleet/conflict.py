@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f
+from scipy.special import fdtrc
 
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fit.prior_use import PriorUse
@@ -91,7 +91,7 @@ def assess_prior_conflict(fit: Fit, prior: TypePrior, noise_known: bool) -> Prio
     telling = expected > TELLING
     count = int(np.count_nonzero(telling))
     square = float(np.sum(u[telling] ** 2 / (noise**2 + expected[telling])))
-    p = float(f.sf(square / count, count, prior.freedom)) if count else 1.0
+    p = float(fdtrc(count, prior.freedom, square / count)) if count else 1.0
     width = float(np.sum(likely) / np.sum(likely / WIDTHS**2)) ** 0.5
     if p < CONFLICT or width > TOO_ODD or len(odd) >= MOST_ODD * len(names):
         return PriorUse("dropped", None, square, count, p)

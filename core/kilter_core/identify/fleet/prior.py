@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import f
+from scipy.special import fdtrc
 
 from kilter_core.errors import CoreError
 from kilter_core.identify.fleet.versions import FleetVersion, Gauge, of_the_type
@@ -217,7 +217,7 @@ def _compare_left_out_robot(
     square = float(away @ np.linalg.solve(found.of_another + within, away))
     before = float(np.sum((values - nominal) ** 2))
     explained = 1.0 - float(away @ away) / before if before > 0.0 else 0.0
-    return LeftOneOut(robot, square, len(values), float(f.sf(square / len(values), len(values), freedom)), explained)
+    return LeftOneOut(robot, square, len(values), float(fdtrc(len(values), freedom, square / len(values))), explained)
 
 
 def _shared_parameters(model: RobotModel, versions: Sequence[FleetVersion]) -> tuple[list[str], Floats, Ints]:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import f
+from scipy.special import fdtrc
 
 from kilter_core.errors import CoreError
 from kilter_core.identify.fit.problem import linearised_residual
@@ -86,7 +86,7 @@ def _find_set_up_change(calibration: Calibration, rows: Observations, part: Ints
     freedom = len(r) - Q.shape[1] - extra
     if freedom <= extra or before < CLEARLY**2 * after:
         return None
-    if f.sf((before - after) / extra / (after / freedom), extra, freedom) > CHANCE:
+    if fdtrc(extra, freedom, (before - after) / extra / (after / freedom)) > CHANCE:
         return None
     twists = found * np.tile(np.concatenate([sigma[name] for name in which]), len(codes))
     moved = _largest_shift(twists, which, [len(frames[name]) for name in which], len(codes))

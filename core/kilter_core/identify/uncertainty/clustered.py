@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-import scipy.stats
 from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.special import stdtrit
 
 from kilter_core.identify.fit.least_squares import HUBER_SIGMAS, Fit, freedom_by_group
 from kilter_core.identify.fit.problem import HOLD
@@ -85,7 +85,7 @@ def sandwich(H: Floats, meat: Floats, rest: Floats, known: Floats) -> Floats:
 
 def as_normal(sigma: Floats, freedom: float) -> Floats:
     """Standard deviations so scaled that 1.96 of them are half of Student's 95 % interval."""
-    return np.asarray(sigma * float(scipy.stats.t.ppf(0.975, freedom)) / QUANTILE)
+    return np.asarray(sigma * float(stdtrit(freedom, 0.975)) / QUANTILE)
 
 
 def _of_few(fit: Fit, left: float) -> Floats:
@@ -98,7 +98,7 @@ def _of_few(fit: Fit, left: float) -> Floats:
     for block in fit.residual.blocks if apart else ():
         J = fit.J[start : start + fit.problem.block_size(block)]
         start += len(J)
-        own, all_kinds = (float(scipy.stats.t.ppf(0.975, f)) for f in (min(apart[block.group], left), left))
+        own, all_kinds = (float(stdtrit(f, 0.975)) for f in (min(apart[block.group], left), left))
         moved = J @ fit.covariance
         more += ((own**2 - all_kinds**2) / QUANTILE**2) * moved.T @ moved
     return more

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from kilter_core.identify.options import FRAME_NAMES
 from kilter_core.identify.uncertainty.predictive import Predictive
@@ -51,4 +51,4 @@ def left_open(calibration: Calibration, known: Predictive, rows: Observations) -
         return LeftOpen(0.0, 0.0)
     directions = whole**2 / float(np.sum(square * square.T))
     rms = float(np.sqrt(whole / len(rows)))
-    return LeftOpen(rms, rms * float(np.sqrt(chi2.ppf(UPPER, directions) / directions)))
+    return LeftOpen(rms, rms * float(np.sqrt(2.0 * gammaincinv(directions / 2.0, UPPER) / directions)))

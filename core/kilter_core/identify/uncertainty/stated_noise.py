@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import f
+from scipy.special import fdtri
 
 from kilter_core.identify.carried_masses import of_masses
 from kilter_core.identify.fit.least_squares import Fit
@@ -66,7 +66,7 @@ class BeyondNoise:
         if noise is None or len(points) != len(fit.problem.measurement.observations):
             return None
         left = residual_sigma(fit)
-        by_chance = float(f.isf(CHANCE, max(fit.freedom or 1.0, 1.0), EXACT))
+        by_chance = float(fdtri(max(fit.freedom or 1.0, 1.0), EXACT, 1.0 - CHANCE))
         if left**2 <= noise**2 * max(by_chance, CLEARLY**2):
             return None
         size = np.nansum(points.reshape(len(points), -1) ** 2, axis=1)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f
+from scipy.special import fdtrc
 
 from kilter_core.measurement.camera.board_poses import PLANAR
 from kilter_core.measurement.camera.pixels import Pixels
@@ -102,7 +102,7 @@ def _estimate_shape(name: str, modes: Floats, left: _Left, pose: Ints) -> BoardS
         float(bent[2]),
         float(np.ptp(z)),
         float(np.sqrt(apart @ C @ apart)),
-        float(f.sf(statistic, BENDS, free)),
+        float(fdtrc(BENDS, free, statistic)),
         float(np.sqrt(np.mean(explained**2))),
         count,
     )

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtr
 
 from kilter_core.measurement.camera.pixels import Pixels
 from kilter_core.measurement.camera.views import sight_by_tool
@@ -117,5 +117,5 @@ def _delay(left: Floats, slope: Floats, pose: Ints) -> Delay:
     by_pose = np.bincount(groups, weights=score)
     free = max(len(by_pose) - 1, 1)
     sigma = float(np.sqrt(np.sum(by_pose**2) * len(by_pose) / free)) / H
-    chance = 2.0 * float(student.sf(abs(s) / sigma, free)) if sigma > 0.0 else 0.0
+    chance = 2.0 * float(stdtr(free, -abs(s) / sigma)) if sigma > 0.0 else 0.0
     return Delay(s, sigma, chance, abs(s) * float(np.sqrt(H / max(int(np.count_nonzero(slope)), 1))))

@@ -18,7 +18,10 @@ FINAL: frozenset[str] = frozenset({"succeeded", "failed", "cancelled"})
 OPTIONS = "Options of the kind; left out: their defaults."
 KIND = "Kind of the job."
 RESULT = "What came out; null: it has not succeeded."
-NAME = "What people call the job and the version it makes, at most 200 characters; empty: it has no name."
+NAME = (
+    "What people call the job and the version it makes, at most 200 characters. Empty: the job is called by what it is, its "
+    "robot and a number, as in 'gap search of tour 3'."
+)
 
 
 class Folds(Strict):

@@ -80,14 +80,26 @@ class AuditedTokens:
 
 
 def _activations_before_audit(session: Session, audited: Audited) -> set[str]:
-    """Return the activations from before the audit: dated before it began, numbered before all that it has."""
+    """Return the activations from before the audit: dated before it began, numbered before all that it has.
+
+    Versions that the audit saw being stored were activated by nobody before it.
+    """
     table = ActivationRow.__tablename__
     named = [int(key) for name, _, key in (thing.partition("/") for thing in audited) if name == table]
-    query = select(ActivationRow.id).where(ActivationRow.id < min(named)) if named else select(ActivationRow.id)
+    query = select(ActivationRow.id, ActivationRow.version_id)
+    query = query.where(ActivationRow.id < min(named)) if named else query
     text = session.execute(select(AuditRow.content).order_by(AuditRow.number).limit(1)).scalar()
     if text is not None:
         query = query.where(ActivationRow.at < datetime.fromisoformat(json.loads(text)["at"]))
-    return {f"{table}/{key}" for key in session.execute(query).scalars()}
+    candidates = session.execute(query).all()
+    return {f"{table}/{key}" for key, version in candidates if not _was_stored(session, f"versions/{version}")}
+
+
+def _was_stored(session: Session, thing: str) -> bool:
+    """Say whether the audit has an entry by which a row was stored."""
+    query = select(AuditRow.content).where(AuditRow.content.contains(f'"{thing}"'))
+    changes = (change for text in session.execute(query).scalars() for change in json.loads(text)["changes"])
+    return any(change["thing"] == thing and not change["before"] and change["after"] for change in changes)
 
 
 def read_audited(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.observations import numbered_poses
-from kilter_files.ground.later import stats
+from kilter_files.ground.later import special
 from kilter_service.campaigns import looking
 from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths
 from kilter_service.contract.comparisons import PairedErrors
@@ -123,7 +123,7 @@ def _aside(counts: Sequence[int], names: Sequence[str]) -> Iterator[str]:
 
 def chance(better: int, worse: int) -> float:
     """Probability of at least so uneven a count where both are equally likely: exact sign test, two-sided."""
-    return float(stats.binomtest(better, better + worse, 0.5).pvalue) if better + worse else 1.0
+    return min(1.0, 2.0 * float(special.bdtr(min(better, worse), better + worse, 0.5)))
 
 
 def residuals(database: Database, version: str, chosen: Sequence[str]) -> dict[str, Any]:
@@ -141,7 +141,7 @@ def _interval(means: Floats) -> tuple[float, float | None, float | None]:
     mean, count = float(means.mean()), len(means)
     if count < POSES_OF_INTERVAL:
         return mean, None, None
-    half = float(stats.t.ppf(0.975, count - 1) * means.std(ddof=1) / np.sqrt(count))
+    half = float(special.stdtrit(count - 1, 0.975) * means.std(ddof=1) / np.sqrt(count))
     return mean, mean - half, mean + half
 
 

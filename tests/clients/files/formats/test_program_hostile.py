@@ -107,6 +107,57 @@ def test_what_a_program_costs_grows_with_its_length(tmp_path: Path, ending: str,
     read_within_limit(paths)
 
 
+LIST = f"[[1,2,3],[1,0,0,0],[0,0,0,0],[{BEYOND}]]"
+AXES, POSE = "A1 1,A2 2,A3 3,A4 4,A5 5,A6 6", "X 1,Y 2,Z 3,A 4,B 5,C 6"
+# statements that a program repeats, the number of each in place of # (and # of %): the time of each grew with the square
+REPEATED = {
+    ".mod": [
+        "p:=q1;\nMoveJ Offs(q1,#,0,0),v1,z1,tool0;\n",
+        "PROC r#()\nConfL\\Off;\nMoveL q1,v1,z1,tool0;\nr#+1;\nENDPROC\n",
+        "CONST num n#:=1;\n",
+        "MoveJ a{i},v1,z1,tool0;\n",
+        "MoveX a{i},v1,z1,tool0;\n",
+        "a{i}:=q1;\n",
+        "change a{i};\n",
+        "PROC r#(robtarget a)\n",
+        "MoveJ " + "Offs(" * 90 + "q1" + ",1,2,3)" * 90 + ",v1,z1,tool0;\n",
+    ],
+    ".script": [
+        "q=[0,1,1,0,0,#]\nmovej(q)\n",
+        "p=p[0,1,1,0,0,#]\nmovel(p)\n",
+        "q=[0,1,1,0,0,#]\nmovej(get_inverse_kin(p[1,2,3,0,0,0],qnear=q))\n",
+        "f=p[0,1,1,0,0,#]\nmovel(pose_trans(f,p[0,0,1,0,0,0]))\n",
+        "force_mode(a)\nmovej([0,1,1,0,0,0])\nend_force_mode()\n",
+        "force_mode(a)\nend_force_mode()\na()\n",
+        "def m#():\nset_tcp(p[0,0,#,0,0,0])\nmovel(p[1,2,3,0,0,0])\nm#()\nend\n",
+        "movel(" + "pose_trans(f," * 90 + "p[0,0,1,0,0,0]" + ")" * 90 + ")\n",
+        "movej(" * 90 + "[0,1,1,0,0,0]" + ")" * 90 + "\n",
+    ],
+    ".src": [
+        f"P={{{AXES}}}\nPTP P\n",
+        f"P[#]={{{POSE}}}\nLIN P[i]\n",
+        f"P[#]={{{POSE}}}\nLIN P[i]:{{X 1}}\n",
+        f"P[#]={{{AXES}}}\nPTP P[i]\n",
+        f"P[#]={{{POSE}}}\nP[i].X=1\nf(P[1])\n",
+        f"DEF m#()\n$TOOL={{X 0,Y 0,Z #,A 0,B 0,C 0}}\nLIN {{{POSE}}}\nm#()\nEND\n",
+        f"BASE_DATA[#].X=1\n$BASE=BASE_DATA[#]\nLIN {{{POSE}}}\n",
+        "DEF m#()\nBAS(%INITMOV,0)\n$BASE={X 0,Y 0,Z 1,A 0,B 0,C 0}\nEND\n",
+    ],
+}
+
+
+@pytest.mark.parametrize("ending", REPEATED)
+def test_what_a_repeated_statement_costs_does_not_grow(tmp_path: Path, ending: str) -> None:
+    begin, end, _ = PROGRAMS[ending]
+    array = f"CONST robtarget a{{2000}}:=[{','.join([LIST] * 2000)}];\n" if ending == ".mod" else ""
+    paths = []
+    for k, unit in enumerate(REPEATED[ending]):
+        paths.append(tmp_path / f"p{k}{ending}")
+        said = "".join(unit.replace("#", str(number)).replace("%", "#") for number in range(1, 8 * BYTES // len(unit)))
+        paths[-1].write_text(begin.replace("PROC main", array + "PROC main") + said + end, encoding="latin-1")
+    read_within_limit(paths)
+
+
 def read_within_limit(paths: Sequence[Path]) -> None:
     limit = lambda: resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))  # noqa: E731
     done = subprocess.run([sys.executable, "-c", READ, *map(str, paths)], preexec_fn=limit, capture_output=True)
@@ -160,3 +211,27 @@ def test_a_program_may_have_long_lists_and_many_remarks(tmp_path: Path) -> None:
     path = tmp_path / "a.mod"
     path.write_text(f"MODULE m\n{'! remark' * 9}\n" + f"CONST jointtarget p{{800}}:=[{rows}];\nENDMODULE\n")
     assert len(read_programs(path)[0].targets) == 800
+
+
+def test_a_target_within_many_brackets_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.script"
+    path.write_text(f"def a():\n movej([1,1,1,1,1,1])\n go{'(' * 9}[1,1,1,1,1,1]{')' * 9}\nend\n")
+    assert read_programs(path)[0].left == [(3, f"go({'(' * 8}[1,1,1,1,1,1]{')' * 9}: go is given a target")]
+
+
+@pytest.mark.parametrize(("tools", "left"), [(1, 0), (21, 2)])
+def test_moves_that_compute_which_target_are_taken_while_few_ways_lead_there(
+    tmp_path: Path, tools: int, left: int
+) -> None:
+    declared = "".join(
+        f"PERS tooldata t{k}:=[TRUE,[[0,0,{k}],[1,0,0,0]],[1,[0,0,1],[1,0,0,0],0,0,0]];\n" for k in range(tools)
+    )
+    moves = "".join(f"MoveJ a{{i}},v1,z1,t{k};\n" for k in [*range(tools)] * 2)
+    path = tmp_path / "a.mod"
+    path.write_text(
+        f"MODULE m\n{declared}CONST robtarget a{{2}}:=[{LIST},{LIST}];\nCONST jointtarget p1:=[[{ROW}],[{BEYOND}]];\n"
+        f"PROC main()\nMoveAbsJ p1,v1,z1,tool0;\n{moves}ENDPROC\nENDMODULE\n"
+    )
+    program = read_programs(path)[0]
+    assert [len(pose.uses) for pose in program.cartesian] == [tools, tools]
+    assert len([what for _, what in program.left if "a pose: the program computes which" in what]) == left

@@ -224,7 +224,7 @@ def _follow(program: Program, known: dict[str, JointTarget], poses: dict[str, Po
         elif displaced:
             program.leave(match.start(1), f"{match[1]}: moves beside it")
         elif number in poses:
-            program.moves_to_poses.append((line_number(text, match.start(1)), match[1], poses[number]))
+            program.moves_to_poses.append((line_number(text, match.start(1)), match[1], (poses[number],)))
         if number in poses and OTHER_FRAME.search(said):
             poses[number].problem = poses[number].problem or "a move to it has another frame (RTCP, COORD)"
     for match in ELSEWHERE.finditer(text):

@@ -46,7 +46,7 @@ class Program:
     """The text of a program, its joint targets, and the lines of targets that are left as they are.
 
     ``cartesian`` are targets given as poses, ``visits`` those of both kinds in the order in which the program moves to them.
-    ``moves_to_poses`` are lines that stay as they are where the pose does.
+    ``moves_to_poses`` are lines that stay as they are where the pose does, or one of those of which they compute which.
     ``moves`` are the targets in the order in which the program moves to them, None where that is to a target which the
     text does not hold; ``poses`` are targets without joints, by name and line. ``unknown`` are moves that make the list of
     joints incomplete: line, what is wrong, and the remedy; ``list_warnings`` are of that list
@@ -69,17 +69,18 @@ class Program:
     stated: Stated = field(default_factory=Stated)
     cartesian: list[PoseTarget] = field(default_factory=list)
     visits: list[JointTarget | PoseTarget] = field(default_factory=list)
-    moves_to_poses: list[tuple[int, str, PoseTarget]] = field(default_factory=list)
+    moves_to_poses: list[tuple[int, str, Sequence[PoseTarget]]] = field(default_factory=list)
 
     def add(
         self, name: str, numbers: Sequence[tuple[str, Span]], radians: Sequence[bool] = (), line: int | None = None
     ) -> JointTarget:
         """Take a target by its numbers and their places."""
         turns = tuple(radians) or (False,) * len(numbers)
-        degrees = tuple(
-            math.degrees(float(n)) if turn else float(n) for (n, _), turn in zip(numbers, turns, strict=True)
-        )
-        spans = tuple(span for _, span in numbers)
+        texts, spans = zip(*numbers, strict=True)
+        values = tuple(map(float, texts))
+        degrees = tuple(map(math.degrees, values)) if all(turns) else values
+        if any(turns) and not all(turns):
+            degrees = tuple(math.degrees(value) if turn else value for value, turn in zip(values, turns, strict=True))
         place = line_number(self.text, spans[0][0]) if line is None else line
         self.targets.append(JointTarget(name, place, degrees, spans, turns))
         return self.targets[-1]
@@ -114,11 +115,12 @@ class Program:
             return
         own = set(self.cartesian)
         self.left += [(one.line, f"{one.name}, a pose: {why}") for one, why in reasons.items() if one in own]
-        self.left += [
-            (line, f"{what}: a pose that is left")
-            for line, what, one in self.moves_to_poses
-            if one in reasons and (one not in own or line != one.line)
-        ]
+        lines: dict[int, list[int]] = {}
+        for line, what, goals in self.moves_to_poses:
+            if id(goals) not in lines:  # moves share the list of an array
+                lines[id(goals)] = [one.line if one in own else 0 for one in goals if one in reasons]
+            if any(line != at for at in lines[id(goals)]):
+                self.left.append((line, f"{what}: a pose that is left"))
         self.left = sorted(set(self.left))
 
     def moves_found(self, found: Iterator[re.Match[str]]) -> list[re.Match[str]]:

@@ -1,4 +1,4 @@
-"""Patterns that begin with known words: the places of these are found first, a hundred times faster than by the pattern."""
+"""Patterns that a long text is searched for fast: ones that begin with known words, and ones of brackets in brackets."""
 
 from __future__ import annotations
 
@@ -71,3 +71,33 @@ def has_word(text: str, *words: str) -> bool:
 def _lower_text(text: str) -> str:
     """Small letters at the same places: programs are text of 8 bits, of which no letter becomes two."""
     return text.lower()
+
+
+def nested(brackets: str, levels: int) -> str:
+    """Return a pattern of text in which brackets close, at most so many in another."""
+    opening, closing = (rf"[{re.escape(brackets[k::2])}]" for k in (0, 1))
+    plain = rf"[^{re.escape(brackets)}]*+"
+    inner = plain
+    for _ in range(levels):
+        inner = rf"{plain}(?:{opening}{inner}{closing}{plain})*+"
+    return inner
+
+
+ARGUMENT = re.compile(
+    rf"\s*+([^\[\](){{}},]*+(?:[\[({{]{nested('()[]{}', 5)}[\])}}][^\[\](){{}},]*+)*+)(,|\Z)"
+)  # as all that a person writes
+
+
+def arguments(said: str) -> Iterator[tuple[int, str]]:
+    """Yield the arguments of an instruction with their places: they part at the commas outside brackets.
+
+    From where brackets do not close, or too many stand in another, the rest is one argument.
+    """
+    start = 0
+    while (found := ARGUMENT.match(said, start)) is not None:
+        yield found.start(1), found[1].rstrip()
+        start = found.end()
+        if not found[2]:
+            return
+    rest = said[start:]
+    yield start + len(rest) - len(rest.lstrip()), rest.strip()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from kilter_files.formats.programs.found import (
@@ -19,13 +19,14 @@ from kilter_files.formats.programs.found import (
 )
 from kilter_files.formats.programs.keyed import Tailed
 from kilter_files.formats.programs.krl_lines import MOTIONS, not_kept, reassigned_or_passed_variables, used_as_data
-from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use, Ways, note_use
+from kilter_files.formats.programs.poses.in_force import Variable
 from kilter_files.formats.programs.poses.krl import (
+    COMPUTED_INDEX,
     NAME,
     POSE,
     key,
     note_changes,
-    note_computed,
     note_external,
     parse_pose_target,
 )
@@ -36,6 +37,8 @@ AXES = Tailed(
     r"\{\s{0,9}(?:(?:E6)?AXIS\s{0,9}:)?\s{0,9}(A\d\s[^{}]{0,500})(\}|\Z|\{)",
 )
 AXIS = re.compile(rf"\s{{0,9}}([AE])(\d)\s{{1,9}}({NUMBER})\s{{0,9}}", re.I)
+SIX_AXES = re.compile(",".join(rf"\s{{0,9}}A{k}\s{{1,9}}({NUMBER})\s{{0,9}}" for k in range(1, 7)), re.I)  # as most are
+CELL = re.compile(r"[^,]+")
 ARM_AXIS = re.compile(r"\bA\d\s", re.I)
 MOVE = re.compile(rf"^[ \t]*+({MOTIONS})(?:[ \t]+|(?=\{{))([^\r\n]+)", re.I | re.M)
 GOAL = re.compile(rf"[ \t]*+(\{{[^{{}}]{{0,500}}\}}|{NAME}(?![\w.\[]))[ \t]*+(?=,|\r|\n|$|[A-Za-z])")
@@ -58,7 +61,7 @@ class _Known:
     """What a program moves to: by name, by place where it is written into a move (None: left), and what came last.
 
     ``joints`` are the values that a name is given along the text, with their places; ``given`` names may have others too.
-    ``moved`` are names to which a motion goes, without their index.
+    ``moved`` are names to which a motion goes, without their index, ``arrays`` all that an array holds, by its name.
     """
 
     joints: dict[str, list[tuple[int, JointTarget]]]
@@ -67,6 +70,27 @@ class _Known:
     moved: set[str] = field(default_factory=set)
     written: dict[int, JointTarget | PoseTarget | None] = field(default_factory=dict)
     last: tuple[int, JointTarget | PoseTarget] | None = None
+    variables: dict[str, Variable[JointTarget]] = field(default_factory=dict)
+    arrays: dict[str, _Array] = field(default_factory=dict)
+
+    def gather(self, frames: KrlFrames) -> None:
+        """Gather what is asked of names and arrays: all targets are read."""
+        self.variables = {name: Variable(frames.way, values) for name, values in self.joints.items()}
+        for name, values in self.joints.items():
+            self.arrays.setdefault(name.partition("[")[0], _Array()).joints.extend(target for _, target in values)
+        for name, pose in self.poses.items():
+            self.arrays.setdefault(name.partition("[")[0], _Array()).poses.append(pose)
+
+
+@dataclass
+class _Array:
+    """The targets of an array; ``ways`` are the moves to any of them, ``computed`` that a move is left that computes which."""
+
+    joints: list[JointTarget] = field(default_factory=list)
+    poses: list[PoseTarget] = field(default_factory=list)
+    ways: Ways = field(default_factory=dict)
+    visited: bool = False
+    computed: bool = False
 
 
 def find(program: Program) -> None:
@@ -104,6 +128,7 @@ def find(program: Program) -> None:
             known.joints.setdefault(key(match[1]), []).append((at, target))
     frames = KrlFrames(program, text)
     _take_poses(program, text, moves, relative, frames, known)
+    known.gather(frames)
     for match in moves:
         _follow(program, match, known, frames)
     _leave_data(program, text, known)
@@ -188,28 +213,28 @@ def _record_motion(
 ) -> None:
     target: JointTarget | PoseTarget | None = None
     if goal is not None:
-        name = key(goal[1])
         at = match.start(2) + goal.start(1)
-        known.moved.add(name.partition("[")[0])
-        target = (
-            known.written.get(at)
-            if name[0] == "{"
-            else _joints_assigned_before_place(known, name, at) or known.poses.get(name)
-        )
+        if goal[1][0] == "{":
+            target = known.written.get(at)
+        else:
+            name = key(goal[1])
+            known.moved.add(name.partition("[")[0])
+            target = _joints_assigned_before_place(known, name, at) or known.poses.get(name)
     said = f"{match[1]} {match[2].strip()[:40]}"
     if target is None:
         where = " or of its .dat" if program.beside is not None else f": {program.path.stem}.dat is not beside it"
         if goal is None or match.start(2) + goal.start(1) not in known.written:
             program.leave(match.start(), f"{said}: not a target of this file{where}")
-            known.moved |= note_computed(match[2], known.poses)
+            known.moved |= _note_computed_index(match[2], known)
         program.moves += [] if match[2].lstrip()[:1] == "{" else [None]
     elif isinstance(target, JointTarget):
         program.moves.append(target)
     else:
         joined = known.last is not None and frames.way.has_unbranched_path(known.last[0], match.start())
         near = known.last[1] if known.last is not None and joined else None
-        _use(program, match, target, near, frames)
-    sure = not isinstance(target, JointTarget) or goal is None or _is_sure(known, frames, key(goal[1]), match.start())
+        _use(program, match, (target,), near, frames)
+    named = isinstance(target, JointTarget) and goal is not None and goal[1][0] != "{"
+    sure = not named or goal is None or _is_sure(known, key(goal[1]), match.start())
     known.last = None if target is None or not sure else (match.start(), target)
     program.visits += [] if target is None else [target]
 
@@ -218,54 +243,71 @@ def _go_to_elements(program: Program, match: re.Match[str], known: _Known, frame
     """Take a motion to an element that the program computes as one to each element; whether there are any."""
     array = ANY_ELEMENT.match(match[2])
     name = array[1].upper() if array is not None else ""
-    poses = [pose for one, pose in known.poses.items() if one.partition("[")[0] == name]
-    joints = [one for key_of, values in known.joints.items() if key_of.partition("[")[0] == name for _, one in values]
-    if not poses and not joints:
+    found = known.arrays.get(name)
+    if found is None:
         return False
     known.moved.add(name)
-    program.moves += [None] if joints else []
-    for pose in poses:
-        _use(program, match, pose, None, frames)
+    program.moves += [None] if found.joints else []
+    if found.poses:
+        _use(program, match, found.poses, None, frames, found.ways)
     known.last = None
-    program.visits += [*joints, *poses]
+    program.visits += [] if found.visited else [*found.joints, *found.poses]
+    found.visited = True
     return True
+
+
+def _note_computed_index(said: str, known: _Known) -> set[str]:
+    """Note poses of arrays to one of which a move goes that computes which; return the names of such arrays."""
+    names = {match[1].upper() for match in COMPUTED_INDEX.finditer(said)}
+    for found in (known.arrays[name] for name in names if name in known.arrays):
+        for pose in () if found.computed else found.poses:
+            pose.problem = pose.problem or "a move to it has a computed index"
+        found.computed = True
+    return names
 
 
 def _use(
     program: Program,
     match: re.Match[str],
-    pose: PoseTarget,
+    poses: Sequence[PoseTarget],
     near: JointTarget | PoseTarget | None,
     frames: KrlFrames,
+    ways: Ways | None = None,
 ) -> None:
-    """Note a motion to a pose."""
+    """Note a motion to a pose, or to one of several: ``ways`` are how others went to these."""
     straight = "PTP" not in match[1].upper()
-    pose.uses.append(Use(*frames.base_and_tool(match.start()), near, straight))
-    if straight and not frames.keeps_orientation(match.start()):
-        pose.problem = pose.problem or "its orientation is not kept ($ORI_TYPE)"
+    problem = (
+        "" if not straight or frames.keeps_orientation(match.start()) else "its orientation is not kept ($ORI_TYPE)"
+    )
+    note_use(poses, Use(*frames.base_and_tool(match.start()), near, straight), problem, ways)
     what = f"{match[1]} {match[2].strip()[:40]}"
-    program.moves_to_poses.append((line_number(program.text, match.start()), what, pose))
+    program.moves_to_poses.append((line_number(program.text, match.start()), what, poses))
 
 
 def _joints_assigned_before_place(known: _Known, name: str, at: int) -> JointTarget | None:
     """The joints that a name was given last before a place, by the text."""
-    values = known.joints.get(name, [])
-    return next((target for place, target in reversed(values) if place < at), values[-1][1] if values else None)
+    values = known.variables.get(name)
+    return None if values is None else values.last_before(at)
 
 
-def _is_sure(known: _Known, frames: KrlFrames, name: str, at: int) -> bool:
+def _is_sure(known: _Known, name: str, at: int) -> bool:
     """Whether the arm surely stands at the joints of a name after a motion to it: no other value may be in force."""
-    values = known.joints.get(name, [])
+    values = known.variables.get(name)
     if name.partition("[")[0] in known.given:
         return False
-    return len(values) < 2 or frames.way.chosen(values, at) == _joints_assigned_before_place(known, name, at)
+    return values is None or values.chosen(at) == values.last_before(at)
 
 
 def _add_axis_target(program: Program, match: re.Match[str], count: int) -> JointTarget | None:
     """Take a list of axes, in any order; one that lacks some, or computes them, is named and left: the others stay."""
-    parts = [AXIS.fullmatch(match[2], at.start(), at.end()) for at in re.finditer(r"[^,]+", match[2])]
+    name = "".join((match[1] or "").split()) or "axis target"
+    six = SIX_AXES.fullmatch(match.string, *match.span(2))
+    if six is not None and count == 6 and match[3] == "}":
+        numbers = [*zip(six.groups(), six.regs[1:], strict=True)]
+        return program.add(name, numbers, line=line_number(program.text, match.start()))
+    parts = [AXIS.fullmatch(match[2], at.start(), at.end()) for at in CELL.finditer(match[2])]
     arm = sorted((part for part in parts if part is not None and part[1].upper() == "A"), key=lambda part: part[2])
-    name, axes = "".join((match[1] or "").split()) or "axis target", [int(part[2]) for part in arm]
+    axes = [int(part[2]) for part in arm]
     declared = program.path.suffix.lower() == ".dat"
     if match[3] != "}" or (None in parts and declared):
         what = f"{name} is not A1, A2, ... with numbers"

@@ -40,6 +40,11 @@ def refuse_corrected(programs: Sequence[Program]) -> None:
                 raise fault(program.path, what, REMEDY, line=number)
 
 
+def is_correction_mark(line: str) -> bool:
+    """Say whether a line is the mark of a corrected program."""
+    return SAID.search(line) is not None
+
+
 def add_correction_mark(program: Program, text: str, version: str) -> str:
     """Return the corrected text of a program with the mark of a version, in place of an older one."""
     mark, lines = DIALECTS[program.dialect].mark, split_lines(text)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from kilter_files.formats.programs.notations import Frame, Notation
 
 Span = tuple[int, int]
 UNUSED = "no move of the program goes to it, so its frames are not known"
+MOST_WAYS = 20
 SEVERAL = "moves go to it with different frames or tools"
 
 
@@ -35,8 +36,7 @@ def replace_spans(text: str, new: Mapping[Span, str]) -> str:
     return "".join([*parts, text[at:]])
 
 
-@dataclass(frozen=True)
-class JointTarget:
+class JointTarget(NamedTuple):
     """A target: its joints in deg, and the places of their numbers; ``radians`` says of each how it is written.
 
     One without places is read and never rewritten.
@@ -87,8 +87,7 @@ class Configuration(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Use:
+class Use(NamedTuple):
     """A move to a target. A frame that is not known is the reason why.
 
     ``near`` is the target before it, where that is known; ``straight`` says that the move keeps the branch. ``follows`` says
@@ -100,6 +99,26 @@ class Use:
     near: JointTarget | PoseTarget | None = None
     straight: bool = False
     follows: str = ""
+
+
+Ways = dict[tuple[Use, str], None]
+
+
+def note_use(poses: Sequence[PoseTarget], use: Use, problem: str = "", ways: Ways | None = None) -> None:
+    """Note a move to a pose, or to one of several of which the program computes which.
+
+    ``ways`` are how other moves went to any of the several: a way that is known says nothing new of them.
+    """
+    if ways is not None:
+        if len(ways) > MOST_WAYS or (use, problem) in ways:
+            return
+        ways[use, problem] = None
+        problem = (
+            f"the program computes which of them it goes to, in {len(ways)} ways" if len(ways) > MOST_WAYS else problem
+        )
+    for pose in poses:
+        pose.uses.append(use)
+        pose.problem = pose.problem or problem
 
 
 @dataclass(frozen=True)
@@ -122,7 +141,7 @@ class WrittenOut:
         return {self.place: "".join(replace_spans(self.literal, moved).split()) + self.ends}
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, slots=True)
 class PoseTarget:
     """A target given as a pose, its numbers at their places, and the moves to it.
 
@@ -162,10 +181,13 @@ class PoseTarget:
         problem = self.problem or ("" if self.computed is None else self.computed.of.problem)
         if problem or not self.uses:
             return problem or self.unused
-        said = [frame for use in self.uses for frame in (use.base, use.tool) if isinstance(frame, str)]
-        if said:
-            return said[0]
-        return SEVERAL if len({(use.base, use.tool) for use in self.uses}) > 1 else ""
+        for use in self.uses:
+            if isinstance(use.base, str):
+                return use.base
+            if isinstance(use.tool, str):
+                return use.tool
+        first = self.uses[0]
+        return SEVERAL if any(use.base != first.base or use.tool != first.tool for use in self.uses[1:]) else ""
 
     def frames(self) -> tuple[tuple[Frame, ...], Frame]:
         """Return the frames from the robot's root to those the pose is given in, and the tool; of one without a reason."""

@@ -100,8 +100,8 @@ def _note_problems(text: str, program: Program, poses: Poses) -> None:
     if DISPLACED.search(text):
         for pose in program.cartesian:
             pose.problem = pose.problem or "the program displaces it (PDisp, EOffs)"
-    for match in variable_changes(text):
-        for pose in poses.get(match[1].lower(), {}).values():
+    for name in {match[1].lower() for match in variable_changes(text)}:
+        for pose in poses.get(name, {}).values():
             pose.problem = pose.problem or "the program changes it"
     locked = AXIS_LOCKED.search(text) is not None
     for pose in program.cartesian:
@@ -118,15 +118,18 @@ def _note_other_uses(
         The names that are handed to what may do with them anything, but for routines of the file that take values.
 
     """
-    for match in declared_again(text, poses.keys() | known.keys()):
+    again = [*declared_again(text, poses.keys() | known.keys())]
+    for match in again:
         program.leave(match.start(), f"{match[1]}: declared several times")
-        for pose in poses.get(match[1].lower(), {}).values():
+    for name in {match[1].lower() for match in again}:
+        for pose in poses.get(name, {}).values():
             pose.problem = SEVERAL_TIMES
     for match in variable_changes(text):
         if match[1].lower() in known and not EXTERNAL.search(match[0]):
             program.leave(match.start(), f"{match[1]}: the program changes this jointtarget")
     constant = {match[1].lower() for match in CONSTANT.finditer(text)}
     data: set[str] = set()
+    noted = set[tuple[str, bool]]()
     for use in other_uses(text, poses.keys() | known.keys(), understood):
         name, by = use.name.lower(), use.handed_to
         data |= {name} if by else set()
@@ -134,12 +137,15 @@ def _note_other_uses(
             program.leave(
                 use.at, f"{use.name}: used{f' by {by}' if by else ''} otherwise than as the goal of a known move"
             )
-        for pose in poses.get(name, {}).values() if not TO_POSES.fullmatch(by) else ():
-            line, given = line_number(text, use.at), f"{by} is given it, and may move to it in other frames"
-            elsewhere = given if by else f"line {line} uses it otherwise than as the goal of a known move"
+        given, may_change = f"{by} is given it, and may move to it in other frames", bool(by) and name not in constant
+        elsewhere = (
+            given if by else f"line {line_number(text, use.at)} uses it otherwise than as the goal of a known move"
+        )
+        news = (name, may_change) not in noted and not TO_POSES.fullmatch(by)
+        for pose in poses.get(name, {}).values() if news else ():
             pose.unused = elsewhere if pose.unused == UNUSED else pose.unused
-            if by and name not in constant:
-                pose.problem = pose.problem or f"{by} may change it"
+            pose.problem = pose.problem or (f"{by} may change it" if may_change else "")
+        noted |= {(name, may_change)} if news else set()
     own = Spans([match.span() for match in HOLDS_TARGETS.finditer(text)])
     for written in (*TARGET.finditer(text), *PAIR.finditer(text)):
         at = written.start()

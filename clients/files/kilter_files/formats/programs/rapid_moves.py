@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 
 from kilter_files.formats.programs.found import EXTERNAL_AXES, NUMBER, Program, line_number
-from kilter_files.formats.programs.keyed import Keyed
+from kilter_files.formats.programs.keyed import Keyed, arguments
 from kilter_files.formats.programs.notations import RAPID
-from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Use, WrittenOut
-from kilter_files.formats.programs.poses.in_force import InForce
-from kilter_files.formats.programs.poses.rapid import TARGET, UNUSED_AXIS, RapidFrames, arguments, parse_pose_target
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Use, Ways, WrittenOut, note_use
+from kilter_files.formats.programs.poses.in_force import Flow, InForce, Place, find_callers
+from kilter_files.formats.programs.poses.rapid import TARGET, UNUSED_AXIS, RapidFrames, parse_pose_target
 from kilter_files.formats.programs.rigid import Rigid
 from kilter_files.ground.orientation import from_euler
 
 SWITCHED = Keyed("conf", r"\bConf([JL])\s*+\\\s*+(On|Off)\b")
 ROUTINE = Keyed("proc func trap", r"\b(?:PROC|FUNC\s+\w{1,64}|TRAP)\s+(\w{1,64})")
 STARTS = re.compile(r"^[ \t]*+(?:LOCAL\s+)?(?:PROC|FUNC|TRAP|ERROR|UNDO|BACKWARD|END(?:PROC|FUNC|TRAP))\b", re.I | re.M)
-STATEMENT = re.compile(r"(?:^[ \t]*+|(?:;|\b(?:THEN|ELSE|DO)\b|(?<=\w):(?!=))\s*+)([A-Za-z]\w{0,63})", re.I | re.M)
+STATEMENT = re.compile(r"(?:[;\n]|(?<=\w):(?!=))\s*+([A-Za-z]\w{0,63})")
+OPENED = Keyed("then else do", r"\b(?:THEN|ELSE|DO)\b\s*+([A-Za-z]\w{0,63})")
+FIRST = re.compile(r"\s*+([A-Za-z]\w{0,63})")
 WAYS = {
     **dict.fromkeys(("IF", "WHILE", "FOR", "TEST"), 1),
     **dict.fromkeys(("ENDIF", "ENDWHILE", "ENDFOR", "ENDTEST"), -1),
@@ -43,7 +46,6 @@ ASSIGNED = re.compile(r"\s*+(?:[.{][^;:]{0,200})?:=")
 THEN = re.compile(r"\bTHEN\b", re.I)
 LONGEST = 500  # characters of a short IF
 UNKNOWN = "UNKNOWN"
-Place = tuple[int, int | None]
 
 
 class RapidFlow:
@@ -55,15 +57,16 @@ class RapidFlow:
         starts = [match.start() for match in STARTS.finditer(text)]
         routines = {match[1].upper() for match in ROUTINE.finditer(text)} if self._ever_off else set[str]()
         control, calls = _control(text, routines)
-        self._way = InForce(sorted([*control, *((at, 0) for at, _ in calls)], key=lambda one: one[0]), starts)
-        self._switched: dict[str, InForce] = {}
+        self._way = Flow(sorted([*control, *((at, 0) for at, _ in calls)], key=lambda one: one[0]), starts)
+        self._switched: dict[str, InForce[str]] = {}
+        flow = Flow(control, starts)
         for kind in self._ever_off:
-            settings: list[tuple[int, object]] = [
+            settings: list[tuple[int, str]] = [
                 (match.start(), match[2].upper()) for match in SWITCHED.finditer(text) if match[1].upper() == kind
             ]
             settings += [(at, UNKNOWN) for at in starts]  # a routine begins with what its caller left
-            settings += _set_by_calls(text, _in_force(control, starts, settings), calls)
-            self._switched[kind] = _in_force(control, starts, settings)
+            settings += _set_by_calls(text, _in_force(flow, settings), calls)
+            self._switched[kind] = _in_force(flow, settings)
 
     def has_unbranched_path(self, first: int, second: int) -> bool:
         """Say whether the program always comes from one place to the other."""
@@ -77,27 +80,23 @@ class RapidFlow:
         return (value == "OFF",) if known and value in ("ON", "OFF") else (False, True)
 
 
-def _in_force(control: Sequence[Place], starts: Sequence[int], settings: Sequence[tuple[int, object]]) -> InForce:
-    force = InForce(control, starts)
-    for at, value in sorted(settings, key=lambda one: one[0]):
-        force.set(at, value)
-    return force
+def _in_force(flow: Flow, settings: Sequence[tuple[int, str]]) -> InForce[str]:
+    return InForce(flow, sorted(settings, key=lambda one: one[0]))
 
 
-def _set_by_calls(text: str, own: InForce, calls: Sequence[tuple[int, str]]) -> list[tuple[int, object]]:
+def _set_by_calls(text: str, own: InForce[str], calls: Sequence[tuple[int, str]]) -> list[tuple[int, str]]:
     """What calls set: the value with which a routine ends that calls no other one that sets it, else one not known."""
-    names = {own.owner(match.end()): match[1].upper() for match in ROUTINE.finditer(text)}
-    ends = {name: (own.starts[number] - 1 if number < len(own.starts) else len(text)) for number, name in names.items()}
-    setting = {names.get(own.owner(at), "") for at, value in own.settings if value != UNKNOWN}
-    plain = set(setting)
-    while more := {names.get(own.owner(at), "") for at, name in calls if name in setting} - setting:
-        setting |= more
-    plain -= {names.get(own.owner(at), "") for at, name in calls if name in setting}
-    found: list[tuple[int, object]] = []
+    owner, starts = own.flow.owner, own.flow.starts
+    names = {owner(match.end()): match[1].upper() for match in ROUTINE.finditer(text)}
+    ends = {name: (starts[number] - 1 if number < len(starts) else len(text)) for number, name in names.items()}
+    plain = {names.get(owner(at), "") for at, value in own.settings if value != UNKNOWN}
+    setting = plain | find_callers(((names.get(owner(at), ""), name) for at, name in calls), plain)
+    plain -= {names.get(owner(at), "") for at, name in calls if name in setting}
+    found: list[tuple[int, str]] = []
     for at, name in calls:
         if name in setting:
             known, value = own.value_in_effect(ends[name]) if name in plain and name in ends else (False, UNKNOWN)
-            found.append((at, value if known else UNKNOWN))
+            found.append((at, value if known and value else UNKNOWN))
     return found
 
 
@@ -105,8 +104,10 @@ def _control(text: str, routines: Collection[str]) -> tuple[list[Place], list[tu
     """The places at which a program branches, and the calls that may move the arm; of a short IF, those of these routines."""
     control: list[Place] = [(match.start(), None) for match in LABEL.finditer(text)]
     calls: list[tuple[int, str]] = []
-    for match in STATEMENT.finditer(text):
-        at, word = match.start(1), match[1].upper()
+    first = FIRST.match(text)
+    begun = [*([first] if first is not None else []), *STATEMENT.finditer(text)]
+    statements = dict(sorted((match.start(1), match[1].upper()) for match in (*begun, *OPENED.finditer(text))))
+    for at, word in statements.items():
         if word in WAYS:
             statement = text[at : at + LONGEST].partition(";")[0]
             end = at + len(statement)
@@ -114,7 +115,7 @@ def _control(text: str, routines: Collection[str]) -> tuple[list[Place], list[tu
             control += [(at, 0), (end, 0)] if short else [(at, WAYS[word])]
             words = map(str.upper, re.findall(r"[A-Za-z]\w*", statement)) if short and routines else ()
             calls += [(at, one) for one in words if one in routines]
-        elif STAYS.fullmatch(word) is None and ASSIGNED.match(text, match.end()) is None:
+        elif STAYS.fullmatch(word) is None and ASSIGNED.match(text, at + len(word)) is None:
             calls.append((at, word))
     return sorted(control, key=lambda one: one[0]), calls
 
@@ -131,15 +132,20 @@ LOOP = Keyed("for", r"\bFOR\s+(\w+)\s+FROM\b")  # which declares its variable
 
 
 class Computed:
-    """Targets that moves compute, and the places of the names of those from which they do."""
+    """Targets that moves compute."""
 
-    def __init__(self, program: Program, text: str, declared: Callable[[str], PoseTarget | None]) -> None:
-        """Take a program, its text with comments blanked, and what finds a declared target by what a move says."""
+    def __init__(
+        self, program: Program, text: str, declared: Callable[[str], PoseTarget | None], named: set[int]
+    ) -> None:
+        """Take a program, its text with comments blanked, and what finds a declared target by what a move says.
+
+        ``named`` are the places of the names of targets from which others are computed.
+        """
         self._program, self._text, self._declared = program, text, declared
-        several = [match[1].lower() for pattern in (NUM, LOOP) for match in pattern.finditer(text)]
+        times = Counter(match[1].lower() for pattern in (NUM, LOOP) for match in pattern.finditer(text))
         constants = {match[1].lower(): float(match[2]) for match in CONSTANT.finditer(text)}
-        self._constants = {name: value for name, value in constants.items() if several.count(name) == 1}
-        self.named: set[int] = set()
+        self._constants = {name: value for name, value in constants.items() if times[name] == 1}
+        self._named = named
 
     def add_computed_target(self, at: int, said: str) -> PoseTarget | None:
         """Take what a move says as its goal at a place: a target, if it is computed from a declared one by numbers alone."""
@@ -150,7 +156,7 @@ class Computed:
         if found is None:
             return None
         of, pose, name_at = found
-        self.named.add(name_at)
+        self._named.add(name_at)
         numbers = tuple(RAPID.nearest_numbers(pose, of.numbers))
         start, stop = of.whole
         ends = "".join(re.findall(r"\r\n|\r|\n", said))
@@ -204,6 +210,8 @@ MOVE = Keyed(
 )
 TO_POSES = re.compile(r"(?:Move|Trigg|Arc)([JLC])(?:DO|AO|GO|Sync|\d?(?:Start|End))?\d?", re.I)
 TO_TOOL = {"M": 2, "T": 3, "A": 4}  # arguments between goals and tool: speed and zone, a trigger, seam and weld
+NAME = re.compile(r"\w+")
+ID = re.compile(r"\\\s*+ID\s*+:=.*")
 SENSED = re.compile(r"\\\s*+(?:Corr\b|Track\s*+:=)", re.I)
 INDEX = r"\{\s*+\d+\s*+(?:,\s*+\d+\s*+){0,2}\}"
 WRITTEN = re.compile(rf"\w+(?:\s*+{INDEX})?|\[.*\]", re.S)
@@ -227,31 +235,34 @@ class RapidMoves:
     def __init__(self, program: Program, text: str, known: Known, poses: Poses, set_anew: set[str]) -> None:
         """Take the targets that the program declares."""
         self._program, self._text, self._known, self._poses, self._set_anew = program, text, known, poses, set_anew
+        self._arrays = {name: [*several.values()] for name, several in poses.items()}
+        self._ways: dict[int, Ways] = {}  # to any target of an array
+        self._said = set[int]()
         self._frames = RapidFrames(text, program.stated)
         self._flow = RapidFlow(text)
-        self._computed = Computed(program, text, self._declared_target)
         self._last: tuple[int, JointTarget | PoseTarget] | None = None
         self.understood: set[int] = set()
+        self._computed = Computed(program, text, self._declared_target, self.understood)
         self.moved: set[str] = set()
 
     def add_move(self, match: re.Match[str]) -> bool:
         """Take a move, or name its line; whether its targets are known."""
-        taken = self._to_poses(match) or self._to_joints(match)
+        said = [(match.start(2) + at, one) for at, one in arguments(match[2]) if not one.startswith("\\")]
+        taken = self._to_poses(match, said) or self._to_joints(match, said)
         if not taken:
             self._last = None
-        self.understood |= self._computed.named
         return taken
 
-    def _to_poses(self, match: re.Match[str]) -> bool:
+    def _to_poses(self, match: re.Match[str], said: Sequence[tuple[int, str]]) -> bool:
         """Take the robtargets of a move as moves to them."""
         way = TO_POSES.fullmatch(match[1])
-        said = [(match.start(2) + at, one) for at, one in arguments(match[2]) if not one.startswith("\\")]
         if way is None:
             self._say_unused(match, said, f"{match[1]} does not surely end at it")
             return False
         count = 2 if way[1].upper() == "C" else 1
         with_tool = count + TO_TOOL[match[1][0].upper()]
         goals = [self._goals(match[1], at, one) for at, one in said[:count]]
+        what = f"{match[1]} {said[0][1][:40]}" if said else match[1]
         if len(said) <= with_tool or not all(goals):
             lacks = "lacks arguments" if len(said) <= with_tool else "goes to a target too that is not known"
             self._say_unused(match, said, f"{match[1]} {lacks}")
@@ -259,18 +270,19 @@ class RapidMoves:
         held = WITH.fullmatch(said[with_tool][1])
         self.understood.update(at for at, _ in said[:count])
         if SENSED.search(match[2]):
-            self._program.leave(match.start(), f"{match[1]} {said[0][1][:40]}: a sensor moves it beside its target")
-            for goal in (one for several in goals for one in several):
-                goal.unused = "the moves to it add what a sensor says (\\Corr, \\Track)"
+            self._program.leave(match.start(), f"{what}: a sensor moves it beside its target")
+            for several in goals:
+                self._set_unused(several, "the moves to it add what a sensor says (\\Corr, \\Track)")
             self._last = None
             return True
+        line = line_number(self._text, match.start())
         for several in goals:
-            uses = self._uses(match.start(), held, way[1].upper())
-            for goal in several:
-                goal.uses += uses
-                what = f"{match[1]} {said[0][1][:40]}"
-                self._program.moves_to_poses.append((line_number(self._text, match.start()), what, goal))
-            self._last = (match.start(), several[0]) if len(several) == 1 else None
+            ways = self._ways.setdefault(id(several), {}) if len(several) > 1 else None
+            for use in self._uses(match.start(), held, way[1].upper()):
+                one = use if ways is None or use.follows else use._replace(near=None)  # else its configuration counts
+                note_use(several, one, "", ways)
+            self._program.moves_to_poses.append((line, what, several))
+            self._last = (match.start(), several[0]) if ways is None else None
         return True
 
     def _uses(self, at: int, held: re.Match[str] | None, way: str) -> list[Use]:
@@ -286,16 +298,24 @@ class RapidMoves:
         is_off = f"Conf{kind} \\Off {'may be' if len(possible) > 1 else 'is'} in force"
         return [Use(base, tool, near, way != "J", is_off if off else "") for off in possible]
 
-    def _say_unused(self, match: re.Match[str], said: list[tuple[int, str]], why: str) -> None:
+    def _say_unused(self, match: re.Match[str], said: Sequence[tuple[int, str]], why: str) -> None:
         """Note of the targets of a move that is left why it is: nothing else may tell what becomes of them."""
-        for _, one in said:
-            name = re.match(r"\w+", one)
-            for pose in self._poses.get(name[0].lower(), {}).values() if name else ():
-                pose.unused = f"{why} (line {line_number(self._text, match.start())})"
+        for _, one in said if self._arrays else ():
+            name = NAME.match(one)
+            several = self._arrays.get(name[0].lower()) if name else None
+            if several is not None:
+                self._set_unused(several, f"{why} (line {line_number(self._text, match.start())})")
+
+    def _set_unused(self, several: Sequence[PoseTarget], why: str) -> None:
+        """Say why poses are left to which no move surely goes; of an array the first move says it."""
+        if len(several) < 2 or id(several) not in self._said:
+            self._said.add(id(several))
+            for pose in several:
+                pose.unused = why
 
     def _goals(self, move: str, at: int, said: str) -> list[PoseTarget]:
         """The target that a move says, all elements of an array of which it computes the index, or none."""
-        said = re.sub(r"\\\s*+ID\s*+:=.*", "", said).strip()
+        said = ID.sub("", said).strip()
         if CALL.fullmatch(said):
             computed = self._computed.add_computed_target(at, said)
             return [] if computed is None else [computed]
@@ -308,7 +328,7 @@ class RapidMoves:
             )
         if not WRITTEN.fullmatch(said):
             element = ANY_ELEMENT.fullmatch(said)
-            return [*self._poses.get(element[1].lower(), {}).values()] if element is not None else []
+            return self._arrays.get(element[1].lower(), []) if element is not None else []
         found = self._declared_target(said)
         return [] if found is None else [found]
 
@@ -317,11 +337,10 @@ class RapidMoves:
         said = "".join(said.lower().split())
         return self._poses.get(said.partition("{")[0], {}).get(said)
 
-    def _to_joints(self, match: re.Match[str]) -> bool:
+    def _to_joints(self, match: re.Match[str], arguments_said: Sequence[tuple[int, str]]) -> bool:
         """Take the joints of a move, or name its line."""
         program, joints = self._program, match[1].lower() == "moveabsj"
-        at, said = next(((at, one) for at, one in arguments(match[2]) if not one.startswith("\\")), (0, ""))
-        at += match.start(2)
+        at, said = arguments_said[0] if arguments_said else (match.start(2), "")
         written = PAIR.match(self._text, at) if joints else None
         goal = GOAL.fullmatch(said)
         targets = self._known.get(goal[1].lower(), {}) if joints and goal is not None else {}
@@ -344,7 +363,7 @@ class RapidMoves:
 
 def take_joints(program: Program, name: str, pair: re.Match[str]) -> JointTarget:
     """Take six joints and six external axes."""
-    if any(abs(value) < UNUSED_AXIS and value != 0 for value in map(float, pair.groups()[6:])):
+    if any(value != 0 and abs(value) < UNUSED_AXIS for value in map(float, pair.groups()[6:])):
         program.warn(EXTERNAL_AXES)
-    numbers = [(pair[k], pair.span(k)) for k in range(1, 7)]
+    numbers = [*zip(pair.groups()[:6], pair.regs[1:7], strict=True)]
     return program.add(name, numbers, line=line_number(program.text, pair.start()))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from kilter_files.formats.programs.dialects import DIALECTS
@@ -108,9 +110,22 @@ def _parse_program(path: Path, dialect: Dialect, stated: Stated, beside: Program
         raise fault(path, what, "Part it into several programs, and leave empty lines out.", line=MOST_LINES + 1)
     program = Program(path, content.decode("latin-1"), dialect.name, beside=beside, stated=stated)
     dialect.refuse_cut(program)
-    dialect.find(program)
+    with uncollected():
+        dialect.find(program)
     program.left = sorted(set(program.left))
     return program
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Make many things that all stay, without Python looking through them again and again for ones that do not."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def _refuse_other_names(moves: Program, declares: Program) -> None:

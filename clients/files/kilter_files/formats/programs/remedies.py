@@ -11,8 +11,8 @@ OWN_TARGET = "Declare a target of its own for each."
 OWN_NAME = "Give each target a name of its own."
 PLAIN_NUMBERS = "Write the target with numbers."
 SET_BEFORE = "Set base and tool in the routine, before the move and outside its branches."
-# what a reason says, as a pattern, and what helps then; the first that fits
-REMEDIES = (
+# what a reason says, as a text or a pattern, and what helps then; the first that fits
+REMEDIES: tuple[tuple[str | re.Pattern[str], str], ...] = (
     ("is beyond its limit", "Teach these targets within reach."),
     ("is held at its limit", "Teach these targets further from the limit."),
     ("DAMPED", "Teach these targets further from the singularity."),
@@ -38,7 +38,7 @@ REMEDIES = (
     ("sets its", SET_BEFORE),
     ("behind it may set", SET_BEFORE),
     ("is set after it", SET_BEFORE),
-    (r"changes \$", SET_BEFORE),
+    ("changes $", SET_BEFORE),
     ("is set several times", SET_BEFORE),
     ("displaces it", AS_JOINTS),
     (
@@ -60,8 +60,11 @@ REMEDIES = (
     ("computes", PLAIN_NUMBERS),
     ("without numbers", PLAIN_NUMBERS),
     ("is not a number", PLAIN_NUMBERS),
-    (r"[( ][A-Za-z]\w*(?:\[\d+\])?: no[t]? ?a? ?target of this file", "Filter the file that declares the target."),
-    (r"(?:Offs|RelTool|pose_\w+)\(.*target of this file|:\{.*target of this file", PLAIN_NUMBERS),
+    (
+        re.compile(r"[( ][A-Za-z]\w*(?:\[\d+\])?: no[t]? ?a? ?target of this file"),
+        "Filter the file that declares the target.",
+    ),
+    (re.compile(r"(?:Offs|RelTool|pose_\w+)\(.*target of this file|:\{.*target of this file"), PLAIN_NUMBERS),
     ("no position of this file", "Write a position of the program into the move."),
     ("not a unit quaternion", "Correct its four numbers: their squares add up to 1."),
     ("confdata is not understood", "Give four whole numbers, the last from 0 to 7."),
@@ -71,17 +74,20 @@ REMEDIES = (
     ("corrected twice", "Do not filter what such a controller corrects."),
     ("does not state E", "State the axis in each pose, or --track with none."),
 )
+SAYS_IT = re.compile(": (?:state it|state a rail|write |set it|filter )")
 MOST = 3
 
 
 def remedies(reasons: Iterable[str]) -> list[str]:
     """Return the remedies of reasons, each once, in the order of the reasons; the most frequent kinds only."""
-    found = [remedy for remedy in map(remedy_for_reason, reasons) if remedy]
+    found = [remedy for remedy in map(remedy_for_reason, dict.fromkeys(reasons)) if remedy]
     return [*dict.fromkeys(found)][:MOST]
 
 
 def remedy_for_reason(reason: str) -> str:
     """Return what helps; empty where the reason says it itself, or nothing is known."""
-    if any(said in reason for said in (": state it", ": state a rail", ": write ", ": set it", ": filter ")):
+    if SAYS_IT.search(reason):
         return ""
-    return next((remedy for said, remedy in REMEDIES if re.search(said, reason)), "")
+    return next(
+        (remedy for said, remedy in REMEDIES if (said in reason if isinstance(said, str) else said.search(reason))), ""
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
+from collections.abc import Collection
 
 from kilter_files.formats.programs.found import (
     NUMBER,
@@ -36,6 +36,7 @@ TO_JOINTS = frozenset(("movej", "movel", "movep"))  # along a line too the arm c
 POSE = re.compile(r"p\s?\[|get_inverse_kin\s?\(")
 WHERE_IT_IS = re.compile(r"get_(?:actual|target)_joint_positions\s?\(")
 CELL = re.compile(rf"(d2r\(\s?)?({NUMBER})(?(1)\s?\))")
+SIX = re.compile(r"\[\s*+" + r"\s*+,\s*+".join([f"({NUMBER})"] * 6) + r"\s*+\]")  # as most lists are
 PARAMETERS = re.compile(r"^[ \t]*+(?:def|thread)[ \t]+\w{1,64}[ \t]*+\(([^)\n]{1,500})\)", re.M)
 TARGET = re.compile(rf"p?\s?\[\s*+{NUMBER}(?:\s*+,\s*+{NUMBER}){{5}}\s*+\]")
 INNER = re.compile(r"\w{1,64}\s?\([^()]{0,500}\)")
@@ -54,49 +55,51 @@ def find(program: Program) -> None:
 
     """
     text = blank_strings_and_comments(program.text, "#")
-    declared: Places = {}
-    for match in DECLARED.finditer(text):
-        declared.setdefault(match[1], []).append((match.start(2), match[2].rstrip()))
-    for match in PARAMETERS.finditer(text):  # what a subprogram is given is not known in it
-        for name in re.findall(r"\w+", match[1]):
-            declared.pop(name, None)
+    declared = _assignments(text)
+    lists = {name for name, places in declared.items() if all(written.startswith("[") for _, written in places)}
+    given_poses = {name for name, places in declared.items() if any(written.startswith("p[") for _, written in places)}
     taken: dict[int, JointTarget | None] = {}
+    named = set[str]()  # variables of which all values are taken
     forced, plain, near = set[JointTarget | None](), set[JointTarget | None](), 0
     poses = Poses(program, text, declared)
     for match in program.moves_found(MOVE.finditer(text)):
         goal = (match[2] or "").strip()
-        places = [(match.start(2), goal)] if goal.startswith("[") else declared.get(goal, [])
-        listed = bool(places) and all(written.startswith("[") for _, written in places)
-        if listed and goal.startswith("[") and not ENDED.match(text, match.end(2)):
+        written_out = goal.startswith("[")
+        if written_out and not ENDED.match(text, match.end(2)):
             program.leave(match.start(), f"{match[1]}({goal[:40]}: its joints are computed")
             poses.last = None
             program.moves.append(None)
             continue
-        if match[1] in TO_JOINTS and listed:
-            name = match[1] if goal.startswith("[") else goal
-            taken |= {at: _add_joint_target(program, name, at, written) for at, written in places if at not in taken}
-            target = taken[_assignment_in_effect(match.start(), places)]
+        if match[1] in TO_JOINTS and (written_out or goal in lists):
+            if written_out:
+                target = taken[match.start(2)] = _add_joint_target(program, match[1], match.start(2), goal)
+            else:
+                new = () if goal in named else declared[goal]
+                taken |= {at: _add_joint_target(program, goal, at, written) for at, written in new}
+                named.add(goal)
+                target = taken[poses.assignment_before(goal, match.start())[0]]
             by_force = match.start() in poses.forced
             if by_force:
-                program.left.append((line_number(text, match.start()), f"{match[1]}({goal[:40]}: {BY_FORCE}"))
+                program.leave(match.start(), f"{match[1]}({goal[:40]}: {BY_FORCE}")
             (forced if by_force else plain).add(target)
-            sure = goal.startswith("[") or poses.is_sure(goal, match.start(), places)
+            sure = written_out or poses.is_sure(goal, match.start())
             poses.last = (match.start(), target) if target is not None and sure else None
-            program.moves.append(target and replace(target, line=line_number(text, match.start())))
-            if target is None and not goal.startswith("["):
+            program.moves.append(target and target._replace(line=line_number(text, match.start())))
+            if target is None and not written_out:
                 program.leave(match.start(), f"{match[1]}({goal[:40]}: its joints are computed")
             continue
-        hint, doubt = _hint(program, text, match, declared, poses)
-        taken_here = poses.add_move_poses(match, hint, doubt)
-        hint = hint if match[1] == "movej" else None
-        if not taken_here:
+        hint, doubt = _hint(program, text, match, lists, poses)
+        if not poses.add_move_poses(match, hint, doubt):
             program.leave(match.start(), f"{match[1]}({goal[:40]}: no target of this file")
             poses.last = None
-        near += hint is not None
-        program.moves += [] if hint is None else [hint]
-        if hint is None:
-            _name_other(program, match, goal, places)
-    _name_changes(program, text, declared, taken)
+        if hint is not None and match[1] == "movej":
+            near += 1
+            program.moves.append(hint)
+        else:
+            _name_other(program, match, goal, goal in given_poses)
+    for match in CHANGED.finditer(text):
+        if match[1] in named:
+            program.leave(match.start(), f"{match[0].strip()[:40]}: changes joints to which a move goes")
     _name_calls(program, text, declared)
     poses.leave_beside_targets()
     program.leave_targets({one: f"{BY_FORCE} in all moves to it" for one in forced - plain if one is not None})
@@ -108,25 +111,23 @@ def find(program: Program) -> None:
         )
 
 
-def _name_changes(program: Program, text: str, declared: Places, taken: dict[int, JointTarget | None]) -> None:
-    """Name the lines that change single joints of a target."""
-    for match in CHANGED.finditer(text):
-        if any(at in taken for at, _ in declared.get(match[1], [])):
-            program.leave(match.start(), f"{match[0].strip()[:40]}: changes joints to which a move goes")
+def _assignments(text: str) -> Places:
+    """What a program assigns to its variables; what a subprogram is given is not known in it."""
+    declared: Places = {}
+    for match in DECLARED.finditer(text):
+        declared.setdefault(match[1], []).append((match.start(2), match[2].rstrip()))
+    for match in PARAMETERS.finditer(text):
+        for name in re.findall(r"\w+", match[1]):
+            declared.pop(name, None)
+    return declared
 
 
-def _assignment_in_effect(at: int, places: list[tuple[int, str]]) -> int:
-    """The assignment that holds at a place: the last one before it."""
-    starts = [start for start, _ in places]
-    return max((start for start in starts if start <= at), default=starts[-1]) if len(starts) > 1 else starts[0]
-
-
-def _name_other(program: Program, match: re.Match[str], goal: str, places: list[tuple[int, str]]) -> None:
+def _name_other(program: Program, match: re.Match[str], goal: str, given_pose: bool) -> None:
     """Name a move that has no joints: a pose, a move along a line or arc, or a variable that nobody sets."""
     line = line_number(program.text, match.start())
     if match[1] in ("movel", "movep", "movec"):
         program.poses.append(("a move along a line or arc", line))
-    elif match[1] == "movej" and (POSE.fullmatch(goal) or any(written.startswith("p[") for _, written in places)):
+    elif match[1] == "movej" and (POSE.fullmatch(goal) or given_pose):
         program.poses.append(("movej" if POSE.fullmatch(goal) else goal, line))
     elif match[1] == "movej":
         what = f"movej goes to {goal!r}, to which this program assigns no joints"
@@ -134,7 +135,7 @@ def _name_other(program: Program, match: re.Match[str], goal: str, places: list[
 
 
 def _hint(
-    program: Program, text: str, match: re.Match[str], declared: Places, poses: Poses
+    program: Program, text: str, match: re.Match[str], lists: Collection[str], poses: Poses
 ) -> tuple[JointTarget | None, str]:
     """The joints beside which a pose is looked for, which are never rewritten; and what is not known of how it is."""
     stated = inverse_arguments(text, match.start(2)) if match[2] else {}
@@ -144,15 +145,16 @@ def _hint(
     at, said = stated.get("qnear", (0, ""))
     if not said or WHERE_IT_IS.match(said):
         return None, ""
-    places = [(at, said)] if said.startswith("[") else declared.get(said, [])
-    if not places or not all(written.startswith("[") for _, written in places):
-        return None, f"its qnear is not known, {said[:40]}"
-    if not poses.is_sure(said, match.start(), places):
-        return None, f"its qnear {said[:40]} depends on the way that the program took"
-    at = _assignment_in_effect(match.start(), places)
-    numbers, radians = _numbers(program.text, at, dict(places)[at])
+    written = said
+    if not said.startswith("["):
+        if said not in lists:
+            return None, f"its qnear is not known, {said[:40]}"
+        if not poses.is_sure(said, match.start()):
+            return None, f"its qnear {said[:40]} depends on the way that the program took"
+        at, written = poses.assignment_before(said, match.start())
+    numbers, radians = _numbers(program.text, at, written)
     if not numbers:
-        what = f"qnear is {dict(places)[at][:40]!r}, no list of numbers"
+        what = f"qnear is {written[:40]!r}, no list of numbers"
         program.unknown.append((line_number(text, match.start()), what, "Write the joints in rad."))
         return None, f"its {what}"
     joints = [math.degrees(float(n)) if turn else float(n) for (n, _), turn in zip(numbers, radians, strict=True)]
@@ -184,6 +186,9 @@ def _add_joint_target(program: Program, name: str, at: int, written: str) -> Joi
 
 def _numbers(text: str, start: int, written: str) -> tuple[list[tuple[str, Span]], list[bool]]:
     """The numbers of a list with their places, and which of them are radians; none when something else is among them."""
+    plain = SIX.fullmatch(text, start, start + len(written))
+    if plain is not None:
+        return [*zip(plain.groups(), plain.regs[1:], strict=True)], [True] * 6
     found: list[tuple[str, Span]] = []
     radians: list[bool] = []
     if not written.endswith("]"):

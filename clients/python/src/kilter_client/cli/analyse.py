@@ -29,7 +29,7 @@ from kilter_client.cli.terminal.arguments import (
     ValidationText,
 )
 from kilter_client.cli.terminal.flags import with_flags
-from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
+from kilter_client.cli.terminal.interrupt import job_goes_on, job_name, on_interrupt
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.progress import job_bar
 from kilter_client.cli.terminal.references import resolved_all, resolved_options
@@ -443,8 +443,8 @@ def run_job(
             return finish_check(told, as_json)
         job = kilter.jobs.submit(kind, robot, ids, held_out, options, again, name)
         if not no_wait:
-            with on_interrupt(partial(job_goes_on, job["id"])), job_bar(kind, as_json) as progress:
-                note(f"job {job['id']}", as_json)
+            with on_interrupt(partial(job_goes_on, job)), job_bar(kind, as_json) as progress:
+                note(f"job: {job_name(job)}", as_json)
                 job = kilter.jobs.wait(job["id"], progress)
         suggested = [] if as_json else suggest_after_job(kilter, job)
     if files is not None and not no_wait:

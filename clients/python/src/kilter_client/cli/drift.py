@@ -17,7 +17,7 @@ from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Details, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
 from kilter_client.cli.terminal.flags import with_flags
-from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
+from kilter_client.cli.terminal.interrupt import job_goes_on, job_name, on_interrupt
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.progress import job_bar
 from kilter_client.cli.terminal.references import resolve_reference, resolved_options
@@ -94,8 +94,8 @@ def check(
             used = str(done["campaign_id"])
         job = kilter.jobs.submit("drift", robot, [used], None, chosen, [], name)
         if not no_wait:
-            with on_interrupt(partial(job_goes_on, job["id"])), job_bar("check", as_json) as progress:
-                note(f"job {job['id']}", as_json)
+            with on_interrupt(partial(job_goes_on, job)), job_bar("check", as_json) as progress:
+                note(f"job: {job_name(job)}", as_json)
                 job = dict(kilter.jobs.wait(job["id"], progress))
         suggested = [] if as_json else suggest_after_job(kilter, job)
     emit(job, as_json, partial(show_job, details=details, head=False, suggested=suggested))

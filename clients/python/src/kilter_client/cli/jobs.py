@@ -12,7 +12,7 @@ from kilter_client.cli.groups import Group
 from kilter_client.cli.reports.next_step import suggest_after_job
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.terminal.arguments import Details, Json
-from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
+from kilter_client.cli.terminal.interrupt import job_goes_on, job_name, on_interrupt
 from kilter_client.cli.terminal.output import emit, note
 from kilter_client.cli.terminal.progress import job_bar
 from kilter_client.cli.terminal.references import OfRobot, looked_up, resolve_reference
@@ -89,7 +89,7 @@ def cancel(job: JobId, robot: OfRobot = None, as_json: Json = False) -> None:
 def _show_list(document: dict[str, Any]) -> None:
     rows = [
         (
-            job["id"],
+            job_name(job),
             job["kind"],
             job["robot"],
             job["state"],

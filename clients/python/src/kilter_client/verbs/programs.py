@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
+import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
@@ -266,8 +266,12 @@ def _drop_unreachable_poses(
     kept = AllDone(one for one in done if one.target not in lost)
     kept.notes = done.notes
     if lost and (strict or not kept):
-        named = [(one, line, what) for one in programs for line, what in one.left]
-        _refuse(named, programs, "is not rewritten" if strict else "has no target that can be", strict=strict)
+        _refuse(
+            _skipped_targets(programs),
+            programs,
+            "is not rewritten" if strict else "has no target that can be",
+            strict=strict,
+        )
     return kept
 
 
@@ -370,6 +374,35 @@ def _change(one: Done) -> float:
 
 
 def _diff(program: Program, new: str) -> str:
-    old = program.text.split("\n")
-    lines = difflib.unified_diff(old, new.split("\n"), str(program.path), "corrected", lineterm="", n=1)
-    return "\n".join(line.rstrip("\r") for line in lines)
+    """Return the changed lines as ``diff -U1`` does; each line but marks has its own in the other text."""
+    pairs = [*_line_pairs(program.text.split("\n"), new.split("\n"))]
+    changed = [k for k, (old, other) in enumerate(pairs) if old != other]
+    out = [f"--- {program.path}", "+++ corrected"] if changed else []
+    sides = [[0, *itertools.accumulate(pair[k] is not None for pair in pairs)] for k in (0, 1)]
+    shown = sorted({at for k in changed for at in (k - 1, k, k + 1) if 0 <= at < len(pairs)})
+    for _, hunk in itertools.groupby(enumerate(shown), lambda one: one[1] - one[0]):
+        places = [at for _, at in hunk]
+        first, end = places[0], places[-1] + 1
+        counts = [lines[end] - lines[first] for lines in sides]
+        said = [f"{at[first] + (n > 0)}{'' if n == 1 else f',{n}'}" for at, n in zip(sides, counts, strict=True)]
+        out.append(f"@@ -{said[0]} +{said[1]} @@")
+        for same, block in itertools.groupby(pairs[first:end], lambda pair: pair[0] == pair[1]):
+            lines = [*block]
+            out += [f"{' ' if same else '-'}{old}" for old, _ in lines if old is not None]
+            out += [f"+{other}" for _, other in lines if not same and other is not None]
+    return "\n".join(line.rstrip("\r") for line in out)
+
+
+def _line_pairs(old: Sequence[str], new: Sequence[str]) -> Iterator[tuple[str | None, str | None]]:
+    """Each line of a program and the same of the corrected one; a mark stands alone."""
+    others = iter(new)
+    for line in old:
+        if files_formats.is_correction_mark(line):
+            yield line, None
+            continue
+        other = next(others, None)
+        while other is not None and files_formats.is_correction_mark(other):
+            yield None, other
+            other = next(others, None)
+        yield line, other
+    yield from ((None, other) for other in others)

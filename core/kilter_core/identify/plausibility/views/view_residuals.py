@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.views.cameras import rig_from_calibration
@@ -120,7 +120,7 @@ def astray(seen: ViewResiduals) -> Bools:
         weight = 1.0 / (1.0 + square / max(float(np.median(square)), 1e-300)) ** 2
     for _ in range(PASSES):
         square = np.sum(_refitted_residuals(seen, weight) ** 2, axis=1) / NUMBERS
-        usual = float(np.median(square[~far])) * NUMBERS / float(chi2.median(NUMBERS))
+        usual = float(np.median(square[~far])) * NUMBERS / float(2.0 * gammaincinv(NUMBERS / 2.0, 0.5))
         now = square > FAR * usual
         if now.mean() > MOST:
             return np.zeros(len(far), dtype=bool)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from kilter_files.formats.programs.one_target import Branch, Span
 
@@ -12,8 +12,7 @@ CONFIG_TURNS = (0, 3, 5)  # FANUC: joints (from 0) whose full turns the three nu
 EDGE_DEG = 1e-6  # a joint nearer to the edge of a quadrant or of a full turn is on both sides of it
 
 
-@dataclass(frozen=True)
-class StatusTurn:
+class StatusTurn(NamedTuple):
     """KRL: S says where wrist and elbow are, T of each joint whether it is negative; its third bit of S says no more."""
 
     status: int
@@ -44,8 +43,7 @@ class StatusTurn:
         return {self.turn_span: f"'B {turn:0{max(6, turn.bit_length())}b}'" if binary else str(turn)}
 
 
-@dataclass(frozen=True)
-class ConfData:
+class ConfData(NamedTuple):
     """RAPID: the quadrants of axes 1, 4 and 6, and which of eight branches; the last stays as it is."""
 
     quadrants: tuple[int, int, int]
@@ -76,8 +74,7 @@ class ConfData:
         }
 
 
-@dataclass(frozen=True)
-class Config:
+class Config(NamedTuple):
     """FANUC: flip of the wrist by the sign of J5, elbow up, front, and the full turns of J1, J4 and J6."""
 
     flip: bool

@@ -2,88 +2,143 @@
 
 from __future__ import annotations
 
-import math
 import re
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Generic, TypeVar
 
-
-@dataclass(frozen=True)
-class _Part:
-    """The settings of one subprogram: their places and values, and whether each holds for all that follows it."""
-
-    places: list[int]
-    values: list[object]
-    same: bool
-    plain: bool
-    jumps: bool
+T = TypeVar("T")
+Place = tuple[int, int | None]
 
 
 @dataclass
-class InForce:
-    """``control`` are lines at which a program branches, by place: 1 opens a block, -1 closes one, 0 divides it, None jumps.
+class _Part:
+    """One subprogram: where it branches, how deep its blocks are before and behind each place, and whether it jumps."""
 
+    places: list[int] = field(default_factory=list)
+    depths: list[int] = field(default_factory=lambda: [0])
+    jumps: bool = False
+
+    def add(self, at: int, way: int | None) -> None:
+        """Take the next place at which it branches."""
+        self.places.append(at)
+        self.depths.append(self.depths[-1] + (way or 0))
+        self.jumps = self.jumps or way is None
+
+    def is_plain(self, places: Sequence[int]) -> bool:
+        """Say whether the program surely comes by each of these places, outside all blocks."""
+        return not self.jumps and not any(self.depths[bisect_left(self.places, at)] for at in places)
+
+
+NO_PART = _Part()
+
+
+class Flow:
+    """How a program runs through its text.
+
+    ``control`` are lines at which it branches, by place: 1 opens a block, -1 closes one, 0 divides it, None jumps.
     ``starts`` are the places at which subprograms begin: nothing is in force from one to the next. Where one stands inside
     another, ``owners`` has the number of the subprogram that each start begins or goes on with.
     """
 
-    control: Sequence[tuple[int, int | None]]
-    starts: Sequence[int]
-    owners: Sequence[int] = ()
-    settings: list[tuple[int, object]] = field(default_factory=list)
-    _parts: dict[int, _Part] = field(default_factory=dict)
-
-    def set(self, at: int, value: object) -> None:
-        """Note a setting; they are noted in the order of the text, before anything is asked."""
-        self.settings.append((at, value))
-
-    def value_in_effect(self, place: int) -> tuple[bool, object]:
-        """Return whether what is in force at a place is known, and what it is; None: nothing was set before it."""
-        number = self.owner(place)
-        part = self._parts.get(number) or self._parts.setdefault(number, self._build_part(number))
-        k = bisect_left(part.places, place) - 1
-        if k < 0:
-            return not part.places or not part.jumps, None
-        return self.has_unbranched_path(part.places[k], place) or part.same or part.plain, part.values[k]
-
-    def has_unbranched_path(self, first: int, second: int) -> bool:
-        """Say whether the program always comes from one place to the other."""
-        between = bisect_right(self.control, first, key=_place) < bisect_left(self.control, second, key=_place)
-        return not between and self.owner(first) == self.owner(second)
-
-    def chosen(self, values: Sequence[tuple[int, object]], place: int) -> object | None:
-        """Return which of the values that a variable is given along the text it has at a place; None where that is not sure."""
-        if all(value == values[0][1] for _, value in values):
-            return values[0][1]
-        force = InForce(self.control, self.starts, self.owners)
-        for at, value in values:
-            force.set(at, value)
-        known, found = force.value_in_effect(place)
-        alone = len({self.owner(at) for at in (place, *(at for at, _ in values))}) == 1
-        return found if known and alone else None
+    def __init__(self, control: Sequence[Place], starts: Sequence[int], owners: Sequence[int] = ()) -> None:
+        """Take the places, each list in the order of the text."""
+        self.starts, self._owners = starts, owners
+        self._branches = [at for at, _ in control]
+        self._parts: dict[int, _Part] = {}
+        for at, way in control:
+            self._parts.setdefault(self.owner(at), _Part()).add(at, way)
 
     def owner(self, place: int) -> int:
         """Return the number of the subprogram in which a place is."""
         k = bisect_right(self.starts, place)
-        return self.owners[k - 1] if k and self.owners else k
+        return self._owners[k - 1] if k and self._owners else k
 
-    def _build_part(self, number: int) -> _Part:
-        control = [(at, way) for at, way in self.control if self.owner(at) == number]
-        inside = [(at, value) for at, value in self.settings if self.owner(at) == number]
-        jumps = any(way is None for _, way in control)
-        depth, steps = 0, iter([*control, (math.inf, 0)])
-        step = next(steps)
-        plain = not jumps
-        for at, _ in inside:
-            while step[0] < at:
-                depth += step[1] or 0
-                step = next(steps)
-            plain = plain and depth == 0
-        values = [value for _, value in inside]
-        same = all(value == values[0] for value in values)
-        return _Part([at for at, _ in inside], values, same, plain, jumps)
+    def part(self, number: int) -> _Part:
+        """Return where a subprogram branches."""
+        return self._parts.get(number, NO_PART)
+
+    def has_unbranched_path(self, first: int, second: int) -> bool:
+        """Say whether the program always comes from one place to the other."""
+        between = bisect_right(self._branches, first) < bisect_left(self._branches, second)
+        return not between and self.owner(first) == self.owner(second)
+
+
+@dataclass
+class _Settings(Generic[T]):
+    """The settings of one subprogram in the order of the text, and whether each holds for all that follows it."""
+
+    places: list[int] = field(default_factory=list)
+    values: list[T] = field(default_factory=list)
+    certain: bool = False
+
+
+class InForce(Generic[T]):
+    """What a program sets along its text; settings are noted in the order of the text, before anything is asked."""
+
+    def __init__(self, flow: Flow, settings: Sequence[tuple[int, T]] = ()) -> None:
+        """Take how the program runs, and settings by place."""
+        self.flow, self.settings = flow, list(settings)
+        self._by_owner: dict[int, _Settings[T]] | None = None
+
+    def set(self, at: int, value: T) -> None:
+        """Note a setting."""
+        self.settings.append((at, value))
+
+    def value_in_effect(self, place: int) -> tuple[bool, T | None]:
+        """Return whether what is in force at a place is known, and what it is; None: nothing was set before it."""
+        if self._by_owner is None:
+            self._by_owner = self._group_by_owner()
+        found = self._by_owner.get(self.flow.owner(place))
+        k = -1 if found is None else bisect_left(found.places, place) - 1
+        if found is None or k < 0:
+            return found is None or not self.flow.part(self.flow.owner(place)).jumps, None
+        return found.certain or self.flow.has_unbranched_path(found.places[k], place), found.values[k]
+
+    def _group_by_owner(self) -> dict[int, _Settings[T]]:
+        groups: dict[int, _Settings[T]] = {}
+        for at, value in self.settings:
+            group = groups.setdefault(self.flow.owner(at), _Settings())
+            group.places.append(at)
+            group.values.append(value)
+        for number, group in groups.items():
+            same = all(value == group.values[0] for value in group.values)
+            group.certain = same or self.flow.part(number).is_plain(group.places)
+        return groups
+
+
+class Variable(Generic[T]):
+    """The values that a variable is given along the text, by place; there is one at least."""
+
+    def __init__(self, flow: Flow, values: Sequence[tuple[int, T]]) -> None:
+        """Take how the program runs, and the values in the order of the text."""
+        self.values = values
+        self._places = [at for at, _ in values]
+        self._force = InForce(flow, values)
+        self._same = all(value == values[0][1] for _, value in values)
+        owners = {flow.owner(at) for at in self._places}
+        self._owner = owners.pop() if len(owners) == 1 else None
+
+    def setting_before(self, place: int) -> tuple[int, T]:
+        """Return the last value before a place in the text, whatever way the program takes, and its place.
+
+        The last of all, where none is before.
+        """
+        return self.values[bisect_left(self._places, place) - 1]
+
+    def last_before(self, place: int) -> T:
+        """Return the value of ``setting_before``."""
+        return self.setting_before(place)[1]
+
+    def chosen(self, place: int) -> T | None:
+        """Return which value the variable has at a place; None where that is not sure."""
+        if self._same:
+            return self.values[0][1]
+        at, value = self.setting_before(place)
+        alone = at < place and self._owner == self._force.flow.owner(place)
+        return value if alone and self._force.value_in_effect(place)[0] else None
 
 
 @lru_cache(maxsize=2)
@@ -104,12 +159,18 @@ def calls_that_set(
     calls = [(at, re.match(r"\w+", text[at : at + 64])) for at in calls_of_own(text, named)]
     called = [(at, found[0]) for at, found in calls if found is not None]
     setting = {names.get(owner(at), "") for at in settings} - {""}
-    while (
-        more := {names.get(owner(at), "") for at, name in called if name.upper() in setting} - {"", *setting}
-    ) != set():
-        setting |= more
+    setting |= find_callers(((names.get(owner(at), ""), name.upper()) for at, name in called), setting) - {""}
     return [(at, name) for at, name in called if name.upper() in setting]
 
 
-def _place(control: tuple[int, int | None]) -> int:
-    return control[0]
+def find_callers(calls: Iterable[tuple[str, str]], called: Collection[str]) -> set[str]:
+    """Return who calls one of these subprograms, by itself or by another; ``calls`` are who calls, and what."""
+    callers: dict[str, set[str]] = {}
+    for caller, name in calls:
+        callers.setdefault(name, set()).add(caller)
+    found, waiting = set[str](), [*called]
+    while waiting:
+        new = callers.get(waiting.pop(), set()) - found
+        found |= new
+        waiting += new
+    return found

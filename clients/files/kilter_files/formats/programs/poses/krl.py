@@ -9,7 +9,7 @@ from kilter_files.formats.programs.found import NUMBER, Program, blank_strings_a
 from kilter_files.formats.programs.keyed import Tailed
 from kilter_files.formats.programs.krl_lines import EXTERNAL_PART, GIVEN, parts_handed
 from kilter_files.formats.programs.notations import KRL
-from kilter_files.formats.programs.one_target import PoseTarget
+from kilter_files.formats.programs.one_target import PoseTarget, Span
 from kilter_files.formats.programs.poses.configurations import StatusTurn
 from kilter_files.formats.programs.poses.track import AT_ZERO, frame_on_track
 
@@ -19,7 +19,10 @@ POSE = Tailed(
     rf"(?:(?<![\w$.])((?:E6)?POS\s{{1,9}})?({NAME})\s{{0,9}}=\s{{0,9}})?",
     r"\{\s{0,9}((?:E6)?POS\s{0,9}:)?\s{0,9}([XYZ]\s[^{}\n]{0,500})\}(?![ \t]*+:)",
 )
-PART = re.compile(rf"\s{{0,9}}(\w{{1,2}})\s{{1,9}}({NUMBER}|'B\s?[01]{{1,16}}')\s{{0,9}}", re.I)
+PART = re.compile(rf"\s{{0,9}}(\w{{1,2}})\s{{1,9}}({NUMBER}|'B\s?[01]{{1,16}}')\s{{0,9}}(,|\Z)", re.I)
+USUAL_NAMES = "XYZABCST"
+SIX, BOTH = (",".join(rf"\s{{0,9}}{name}\s{{1,9}}({NUMBER})\s{{0,9}}" for name in names) for names in ("XYZABC", "ST"))
+USUAL = re.compile(rf"{SIX}(?:,{BOTH})?", re.I)
 COMPUTED_INDEX = re.compile(r"(?<![\w$.])(\w{1,64})[ \t]*+\[[ \t\d,]*+[^ \t\d,\]]")
 BRANCH_BITS, TAUGHT_ABSOLUTE = 0b111, 0b10000  # of S; KUKA keeps its bit 3 zero
 TWICE = "bit 4 of its S says that a controller with absolute accuracy taught it: it would be corrected twice"
@@ -38,25 +41,33 @@ def key(name: str) -> str:
 
 def parse_pose_target(program: Program, match: re.Match[str]) -> PoseTarget:
     """Read a pose as ``POSE`` finds it; what it lacks is its problem."""
-    parts: dict[str, tuple[str, tuple[int, int]]] = {}
-    problem, at = "", match.start(4)
-    for cell in match[4].split(","):
-        part = PART.fullmatch(cell)
+    parts: dict[str, tuple[str, Span]] = {}
+    said, problem, at, end = match.string, "", match.start(4), match.end(4)
+    usual = USUAL.fullmatch(said, at, end)
+    if usual is not None:
+        count = 8 if usual[7] else 6
+        found = zip(usual.groups()[:count], usual.regs[1 : 1 + count], strict=True)
+        parts, at = dict(zip(USUAL_NAMES[:count], found, strict=True)), end + 1
+    while at <= end:
+        part = PART.match(said, at, end)
         if part is None:
+            cell = said[at:end].partition(",")[0]
             problem = problem or f"{cell.strip()[:20]!r} is not a number"
+            at += len(cell) + 1
         else:
-            parts[part[1].upper()] = (part[2], (at + part.start(2), at + part.end(2)))
-        at += len(cell) + 1
-    missing = [name for name in KRL.names if name not in parts]
-    if missing and not problem:
-        problem = f"without {', '.join(missing)}"
-    axes = {name: _value(text) for name, (text, _) in parts.items() if name[0] == "E"}
+            parts[part[1].upper()] = (part[2], part.span(2))
+            at = part.end() if part[3] else end + 1
+    six = [parts[name] for name in KRL.names if name in parts]
+    if len(six) < len(KRL.names) and not problem:
+        problem = f"without {', '.join(name for name in KRL.names if name not in parts)}"
+    axes = {name: _value(text) for name, (text, _) in parts.items() if name[0] == "E"} if len(parts) > len(six) else {}
     root, why = frame_on_track(program.stated, KRL, axes)
     problem = problem or why
     if "S" in parts:
         problem = problem or _of_status(int(_value(parts["S"][0])))
-    numbers = tuple(_value(parts[name][0]) if name in parts else 0.0 for name in KRL.names)
-    spans = tuple(parts[name][1] for name in KRL.names if name in parts)
+    whole = len(six) == len(KRL.names)
+    numbers = tuple(_value(text) for text, _ in six) if whole else (0.0,) * len(KRL.names)
+    spans = tuple(span for _, span in six)
     stated = None
     if "S" in parts and "T" in parts:
         status, (turn, span) = parts["S"][0], parts["T"]
@@ -77,27 +88,18 @@ def _value(text: str) -> float:
     return float(int(text.strip("'")[1:], 2)) if text.startswith("'") else float(text)
 
 
-def note_computed(said: str, poses: Mapping[str, PoseTarget]) -> set[str]:
-    """Note poses of arrays to one of which a move goes that computes which; return the names of such arrays."""
-    bases = {match[1].upper() for match in COMPUTED_INDEX.finditer(said)}
-    for name, pose in poses.items() if bases else ():
-        if name.partition("[")[0] in bases:
-            pose.problem = pose.problem or "a move to it has a computed index"
-    return bases
-
-
 def note_changes(text: str, poses: Mapping[str, PoseTarget]) -> None:
     """Note poses that the program changes by other statements than a list of numbers."""
     bases: dict[str, list[PoseTarget]] = {}
     for name, pose in poses.items():
         bases.setdefault(name.partition("[")[0], []).append(pose)
-    for match in GIVEN.finditer(text):
-        for pose in bases.get(match[1].upper(), ()):
-            if not EXTERNAL_PART.match(match[2]):
-                pose.problem = pose.problem or "the program changes it"
+    changed = {match[1].upper() for match in GIVEN.finditer(text) if not EXTERNAL_PART.match(match[2])}
+    reasons = dict.fromkeys(changed, "the program changes it")
     for by, name in parts_handed(text):
+        reasons.setdefault(name, f"{by} may change it")
+    for name, reason in reasons.items():
         for pose in bases.get(name, ()):
-            pose.problem = pose.problem or f"{by} may change it"
+            pose.problem = pose.problem or reason
 
 
 def note_external(program: Program) -> None:

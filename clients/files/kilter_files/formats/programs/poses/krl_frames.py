@@ -7,14 +7,14 @@ from bisect import bisect_right
 from collections.abc import Iterator
 
 from kilter_files.formats.programs.found import NUMBER, Program, blank_strings_and_comments
-from kilter_files.formats.programs.keyed import Keyed, Tailed
+from kilter_files.formats.programs.keyed import Keyed, Tailed, has_word
 from kilter_files.formats.programs.krl_lines import (
     reassigned_or_passed_variables,
     subprograms,
     variables_passed_to_calls,
 )
 from kilter_files.formats.programs.notations import KRL, Frame
-from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own, calls_that_set
+from kilter_files.formats.programs.poses.in_force import Flow, InForce, calls_of_own, calls_that_set
 from kilter_files.formats.programs.poses.krl import NAME, key
 
 NULL = Frame(KRL, (0.0,) * 6)
@@ -76,25 +76,29 @@ class KrlFrames:
         for one, found in zip(texts, listed, strict=True):
             self._read(one, found)
         self._set_at = {key(match[1]): match.start() for match in reversed(listed[0]) if "_DATA" in match[1].upper()}
-        self._changed = {(match[1].upper(), match[2].strip()) for one in texts for match in CHANGED.finditer(one)}
+        changed = {(match[1].upper(), match[2].strip()) for one in texts for match in CHANGED.finditer(one)}
+        self._changed = {(which, number if number.isdigit() else "") for which, number in changed}
         self._text, self._blocks = text, list(BLOCK.finditer(text))
+        self._orients, self._sets_by_with = has_word(text, "$ori_type"), has_word(text, "with")
         self._stands = STANDING.search(text) is not None
         ways = (1, -1, 0, None)
         control = [(one.start(), next(w for k, w in enumerate(ways, 1) if one[k])) for one in CONTROL.finditer(text)]
         control = sorted([*control, *((at, 0) for at in calls_of_own(text, START))], key=lambda one: one[0])
         starts = [match.start() for match in START.finditer(text)]
-        self.way = InForce(sorted([*control, *((at, 0) for at in subprograms(text))], key=lambda one: one[0]), starts)
-        self.base, self.tool = InForce(control, starts), InForce(control, starts)
+        self.way = Flow(sorted([*control, *((at, 0) for at in subprograms(text))], key=lambda one: one[0]), starts)
+        flow = Flow(control, starts)
+        self.base: InForce[Frame | str] = InForce(flow)
+        self.tool: InForce[Frame | str] = InForce(flow)
         for match in SET.finditer(text):
             self._set(match)
-        self._orientation = InForce(control, starts)
+        self._orientation: InForce[bool] = InForce(flow)
         data = {match[1].upper(): match[2] for one in texts for match in MOVE_DATA.finditer(one)}
         for match in ORIENTATION.finditer(text):
             said = match[1] or data.get(match[2].upper(), match[2])
             self._orientation.set(match.start(), NOT_TAKEN.search(said) is not None)
         for which, force in (("base", self.base), ("tool", self.tool)):
             if len({value for _, value in force.settings}) > 1:
-                calls = calls_that_set(text, START, force.owner, [at for at, _ in force.settings])
+                calls = calls_that_set(text, START, flow.owner, [at for at, _ in force.settings])
                 force.settings += [(at, f"{name}() sets its {which}") for at, name in calls]
                 force.settings.sort(key=lambda one: one[0])
 
@@ -131,7 +135,8 @@ class KrlFrames:
             )
         elif match[4].upper() == "INITMOV":  # what was set before it may be so no more
             for which, force in (("base", self.base), ("tool", self.tool)):
-                if any(force.owner(earlier) == force.owner(at) for earlier, _ in force.settings):
+                owner = force.flow.owner
+                if force.settings and owner(force.settings[-1][0]) == owner(at):
                     force.set(at, f"BAS(#INITMOV) behind it may set its {which} anew")
         elif match[4].upper() in ("EX_BASE", "IPO_M"):
             self.base.set(at, "its base moves, or its tool stands still")
@@ -180,13 +185,11 @@ class KrlFrames:
         return {field.upper(): value for field, value in found}
 
     def _numbered_frame(self, which: str, number: str | None, at: int) -> Frame | str:
-        if f"{which}_DATA" in self._handed or any(
-            one == which and (said == number or not said.isdigit()) for one, said in self._changed
-        ):
+        if f"{which}_DATA" in self._handed or not self._changed.isdisjoint(((which, number), (which, ""))):
             return f"the program changes {which}_DATA[{number}]"
         found = self._frames.get(f"{which}_DATA[{number}]")
         first = self._set_at.get(f"{which}_DATA[{number}]", at)
-        if at < first and self.base.owner(at) == self.base.owner(first):
+        if at < first and self.way.owner(at) == self.way.owner(first):
             return f"{which}_DATA[{number}] is set after it"
         stated = (self._stated.bases if which == "BASE" else self._stated.tools).get(str(number))
         if found is None and stated is not None:
@@ -208,7 +211,7 @@ class KrlFrames:
     def keeps_orientation(self, place: int) -> bool:
         """Say whether a motion along a line or arc surely takes the orientation of its target."""
         known, not_taken = self._orientation.value_in_effect(place)
-        for said in self._block_and_motion_text(place):
+        for said in self._block_and_motion_text(place) if self._orients else ():
             own = OWN_ORIENTATION.search(said)
             known, not_taken = (True, NOT_TAKEN.search(own[1]) is not None) if own else (known, not_taken)
         return known and not not_taken
@@ -223,18 +226,18 @@ class KrlFrames:
     def _frames_from_with_clause(self, place: int) -> dict[str, Frame | str]:
         """Frames that a spline motion sets for itself by WITH, or the block that it stands in."""
         frames: dict[str, Frame | str] = {}
-        for said in self._block_and_motion_text(place):
+        for said in self._block_and_motion_text(place) if self._sets_by_with else ():
             _, _, with_ = f" {said.strip()}".upper().partition(" WITH ")
             frames |= {
                 match[1].upper(): self._value(match[1].upper(), match[2], place) for match in WITH.finditer(f" {with_}")
             }
         return frames
 
-    def _frame_in_effect(self, which: str, force: InForce, place: int) -> Frame | str:
+    def _frame_in_effect(self, which: str, force: InForce[Frame | str], place: int) -> Frame | str:
         known, value = force.value_in_effect(place)
         if not known:
             return f"its {which} depends on the way that the program took"
-        if isinstance(value, Frame | str):
+        if value is not None:
             return value
         stated = (self._stated.bases if which == "base" else self._stated.tools).get("")
         return Frame(KRL, stated) if stated else f"its {which} is not set before it: state it, --{which} X,Y,Z,A,B,C"

@@ -15,6 +15,7 @@ from kilter_files.formats.programs.rapid_uses import ROUTINE, declared_again, ot
 
 NULL = Frame(RAPID, (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
 UNUSED_AXIS = 8e9
+AXES = ("eax_a", "eax_b", "eax_c", "eax_d", "eax_e", "eax_f")
 MOVES = re.compile(
     r"Move|Arc|Trigg|Search|Paint|Disp|Spot|Cap|Contact|FCPress|EGM|GripLoad|SetSysData", re.I
 )  # beginnings of instructions that move with a tool
@@ -38,22 +39,24 @@ AXIS_LOCKED = Keyed("singarea", r"\bSingArea\s*+\\\s*+LockAxis4\b")
 
 def parse_pose_target(program: Program, name: str, match: re.Match[str]) -> PoseTarget:
     """Read a robtarget as ``TARGET`` finds it; what it lacks is its problem."""
-    values = [float(match[k]) for k in range(1, 18)]
+    values = [*map(float, match.groups())]
     problem = ""
     if abs(sum(part * part for part in values[3:7]) - 1.0) > NOT_UNIT:
         problem = "its orientation is not a unit quaternion"
     quadrants = [int(value) for value in values[7:11] if value == int(value)]
     if len(quadrants) < 4 or not 0 <= quadrants[3] <= 7:
         problem = problem or "its confdata is not understood"
-    axes = {f"eax_{name}": value for name, value in zip("abcdef", values[11:], strict=True) if abs(value) < UNUSED_AXIS}
+    axes = {name: value for name, value in zip(AXES, values[11:], strict=True) if abs(value) < UNUSED_AXIS}
     root, why = frame_on_track(program.stated, RAPID, axes)
     problem = problem or why
-    spans = tuple(match.span(k) for k in range(1, 8))
-    pose = PoseTarget(name, line_number(program.text, match.start()), RAPID, tuple(values[:7]), spans, problem=problem)
-    pose.whole, pose.root = match.span(), root
+    spans = match.regs
+    pose = PoseTarget(
+        name, line_number(program.text, spans[0][0]), RAPID, tuple(values[:7]), spans[1:8], problem=problem
+    )
+    pose.whole, pose.root = spans[0], root
     if len(quadrants) == 4:
         one, four, six, branch = quadrants
-        pose.configuration = ConfData((one, four, six), branch, (match.span(8), match.span(9), match.span(10)))
+        pose.configuration = ConfData((one, four, six), branch, spans[8:11])  # type: ignore[arg-type]
     return pose
 
 
@@ -121,14 +124,3 @@ def _frames_passed_to_calls(text: str, names: Collection[str], changed_names: se
 
 def _frame(match: re.Match[str], first: int) -> Frame:
     return Frame(RAPID, tuple(float(match[k]) for k in range(first, first + 7)))
-
-
-def arguments(said: str) -> Iterator[tuple[int, str]]:
-    """Yield the arguments of an instruction with their places: they part at the commas outside brackets."""
-    depth = start = 0
-    for at, sign in enumerate(said + ","):
-        depth += (sign in "[({") - (sign in "])}")
-        if sign == "," and depth == 0:
-            one = said[start:at]
-            yield start + len(one) - len(one.lstrip()), one.strip()
-            start = at + 1

@@ -32,6 +32,8 @@ def frame_on_track(stated: Stated, notation: Notation, axes: Mapping[str, float]
 
     Both are empty where no axis carries the arm. ``axes`` are the values of external axes by name.
     """
+    if not axes:
+        return None, ""
     place = [0.0, 0.0, 0.0]
     for name, value in axes.items():
         track = stated.tracks.get(name.lower())

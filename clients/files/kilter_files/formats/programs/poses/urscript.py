@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Mapping
 from functools import lru_cache
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_number
-from kilter_files.formats.programs.keyed import Keyed
+from kilter_files.formats.programs.keyed import Keyed, arguments, nested
 from kilter_files.formats.programs.notations import URSCRIPT, Frame
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
-from kilter_files.formats.programs.poses.in_force import InForce, calls_of_own, calls_that_set
-from kilter_files.formats.programs.poses.rapid import arguments
+from kilter_files.formats.programs.poses.in_force import Flow, InForce, Variable, calls_of_own, calls_that_set
 
 NULL = Frame(URSCRIPT, (0.0,) * 6)
 SIX = re.compile(r"p\s?\[\s*+" + r"\s*+,\s*+".join([f"({NUMBER})"] * 6) + r"\s*+\]")
@@ -19,11 +19,8 @@ INVERSE = re.compile(r"get_inverse_kin[ \t]{0,9}\(")
 IN_FRAME = re.compile(r"pose_trans[ \t]{0,9}\(")
 CALL = re.compile(r"\b(move[jlpc])[ \t]{0,9}\(")
 SET_TCP = Keyed("set_tcp", r"\bset_tcp[ \t]{0,9}\(", 0)
-BRACKET = re.compile(r"[()\[\]]")
-WITHIN = r"[^()\[\]]*+"
-TWO_DEEP = rf"{WITHIN}(?:[(\[]{WITHIN}(?:[(\[]{WITHIN}[)\]]{WITHIN})*+[)\]]{WITHIN})*+"
-CLOSED = re.compile(rf"{TWO_DEEP}[)\]]")  # as nearly all calls are
-MOST_INSIDE = 2000  # characters
+CLOSED = re.compile(rf"{nested('()[]', 6)}[)\]]")
+MOST_INSIDE, BEGINNING = 2000, 200  # characters
 # functions that only reckon, set or tell, and words before a bracket
 KNOWN = re.compile(
     r"(?:set|get|pose|is|force|socket|rtde|rpc|to|read|write|str|tool|path|wrench|point|integer|modbus)_\w{1,64}"
@@ -69,12 +66,14 @@ class Poses:
         begun = set(starts)
         control = [(at, 0 if at in begun else way) for at, way in control]  # the end of a subprogram closes no block
         calls = [(at, 0) for at in calls_of_own(text, OWN)]
-        self._tool = InForce(sorted([*control, *calls]), starts, owners)
+        self._tool: InForce[Frame | str] = InForce(Flow(sorted([*control, *calls]), starts, owners))
         own = {match.start(1) for match in OWN.finditer(text)}
         others = [
             (one.start(), 0) for one in calls_of_others(text) if one.start() not in own and not MOVES.fullmatch(one[1])
         ]
-        self._way = InForce(sorted([*control, *calls, *others]), starts, owners)
+        self._way = Flow(sorted([*control, *calls, *others]), starts, owners)
+        self._variables: dict[str, Variable[str]] = {}
+        self._frames_given: dict[str, Variable[Frame] | None] = {}
         self.forced = self._forced_spans(text)
         for at, tool in sorted(self._tools(text), key=lambda one: one[0]):
             self._tool.set(at, tool)
@@ -87,35 +86,47 @@ class Poses:
             _, said = next(arguments(inside(text, match.end())))
             found.append((match.start(), self._frame(said)))
         if len({tool for _, tool in found}) > 1:
-            calls = calls_that_set(text, OWN, self._tool.owner, [at for at, _ in found])
+            calls = calls_that_set(text, OWN, self._tool.flow.owner, [at for at, _ in found])
             found += [(at, f"{name}() sets the tool") for at, name in calls]
         return found
 
     def _forced_spans(self, text: str) -> Spans:
         """Parts between force_mode and its end: all of a program that ends it elsewhere, or calls a subprogram under it."""
         marks = [(match.start(), match[1] is None) for match in FORCED.finditer(text)]
-        calls = calls_of_own(text, OWN)
+        calls, owner = calls_of_own(text, OWN), self._tool.flow.owner
+        ends: dict[int, list[int]] = {}
+        for at, begins in marks:
+            if not begins:
+                ends.setdefault(owner(at), []).append(at)
         spans: list[Span] = []
         for at, begins in marks:
             if begins and not (spans and at < spans[-1][1]):
-                ends = (end for end, other in marks if end > at and not other)
-                end = next((end for end in ends if self._tool.owner(end) == self._tool.owner(at)), None)
-                if end is None or any(at < call < end for call in calls):
+                own = ends.get(owner(at), [])
+                k = bisect_right(own, at)
+                if k == len(own) or bisect_right(calls, at) < bisect_left(calls, own[k]):
                     return Spans([(0, len(text))])
-                spans.append((at, end))
+                spans.append((at, own[k]))
         return Spans(spans)
 
     def _frame(self, said: str) -> Frame | str:
         if said in self._changed:
             return f"the program changes {said[:40]}"
         places = self._declared.get(said, [])
-        whole = SIX.fullmatch(places[0][1] if len(places) == 1 else said)
-        return Frame(URSCRIPT, tuple(map(float, whole.groups()))) if whole else f"set_tcp({said[:40]}) is not known"
+        return _plain_frame(places[0][1] if len(places) == 1 else said) or f"set_tcp({said[:40]}) is not known"
 
-    def is_sure(self, name: str, at: int, places: Sequence[tuple[int, str]]) -> bool:
+    def is_sure(self, name: str, at: int) -> bool:
         """Say whether a variable surely has the last of its values before a place there."""
-        before = [(place, value) for place, value in places if place < at]
-        return name not in self._changed and self._way.chosen(places, at) == (before or places)[-1][1]
+        known = self._variable(name)
+        return name not in self._changed and known.chosen(at) == known.last_before(at)
+
+    def assignment_before(self, name: str, at: int) -> tuple[int, str]:
+        """Return the last assignment to a variable before a place, and what it says; the last of all where none is before."""
+        return self._variable(name).setting_before(at)
+
+    def _variable(self, name: str) -> Variable[str]:
+        if name not in self._variables:
+            self._variables[name] = Variable(self._way, self._declared[name])
+        return self._variables[name]
 
     def add_move_poses(self, match: re.Match[str], hint: JointTarget | None, doubt: str = "") -> bool:
         """Take the poses of a move; whether all that it goes to are such.
@@ -144,7 +155,7 @@ class Poses:
                 "the program displaces it (path offset, conveyor)" if self.displaced else ""
             )
             what = f"{call[1]}({said[0][1][:40]}"
-            self._program.moves_to_poses.append((line_number(self._text, match.start()), what, pose))
+            self._program.moves_to_poses.append((line_number(self._text, match.start()), what, (pose,)))
         return True
 
     def preceding_target(self, at: int) -> JointTarget | PoseTarget | None:
@@ -155,7 +166,7 @@ class Poses:
         known, value = self._tool.value_in_effect(at)
         if not known:
             return "its tool depends on the way that the program took"
-        if isinstance(value, Frame | str):
+        if value is not None:
             return value
         stated = self._program.stated.tools.get("")
         return Frame(URSCRIPT, stated) if stated else "no set_tcp is before it: state the tool, --tool x,y,z,rx,ry,rz"
@@ -164,13 +175,13 @@ class Poses:
         """The pose that a move says, and the frames in which it is given: those of pose_trans, from the base on."""
         inverse = INVERSE.match(said)
         if inverse is not None:
-            inner = next(arguments(inside(said, inverse.end())), (0, ""))
+            inner = next(arguments(inside(self._text, at + inverse.end())), (0, ""))
             at, said = at + inverse.end() + inner[0], inner[1]
         call = IN_FRAME.match(said)
         if call is None:
             pose = self._pose(at, said)
             return None if pose is None else (pose, (NULL,))
-        parts = [*arguments(inside(said, call.end()))]
+        parts = [*arguments(inside(self._text, at + call.end()))]
         frame = self._reference(at, parts[0][1]) if len(parts) == 2 else None
         goal = self._goal(at + call.end() + parts[1][0], parts[1][1]) if frame is not None else None
         if frame is None or goal is None:
@@ -183,36 +194,46 @@ class Poses:
 
     def leave_beside_targets(self) -> None:
         """Leave the poses whose frame is a target too: its numbers are rewritten, and what is beside it moves with it."""
+        used = {frame for _, frame in self._framed}
+        targets = {one for one in used if any(place in self._taken for place, _ in self._declared.get(one, []))}
         for pose, frame in self._framed:
-            if any(place in self._taken for place, _ in self._declared.get(frame, [])):
+            if frame in targets:
                 pose.problem = pose.problem or f"its frame {frame} is a target itself"
 
     def _reference(self, at: int, said: str) -> Frame | str | None:
         """The frame that pose_trans names at a place, or why it is not known; None where the program computes it."""
-        places = self._declared.get(said, []) or [(at, said)]
-        values = [(place, SIX.fullmatch(written)) for place, written in places]
-        if any(whole is None for _, whole in values) or said in self._changed:
+        if said in self._changed:
             return None
-        frames = [(place, Frame(URSCRIPT, tuple(map(float, whole.groups())))) for place, whole in values if whole]
-        found = self._tool.chosen(frames, at)
-        return found if isinstance(found, Frame) else f"its frame {said} depends on the way that the program took"
+        if said not in self._declared:
+            return _plain_frame(said)
+        if said not in self._frames_given:
+            frames = [(place, _plain_frame(written)) for place, written in self._declared[said]]
+            known = [(place, frame) for place, frame in frames if frame is not None]
+            self._frames_given[said] = Variable(self._tool.flow, known) if len(known) == len(frames) else None
+        values = self._frames_given[said]
+        if values is None:
+            return None
+        return values.chosen(at) or f"its frame {said} depends on the way that the program took"
 
     def _pose(self, at: int, said: str) -> PoseTarget | None:
         places = self._declared.get(said, []) or ([(at, said)] if said.startswith("p") else [])
-        whole = [SIX.match(self._text, place) for place, _ in places]
-        one = whole[0] if len(whole) == 1 else None
+        one = SIX.match(self._text, places[0][0]) if len(places) == 1 else None
         if one is None or places[0][1][one.end() - places[0][0] :].strip(" \t;"):  # as p[...] + p[...]
             return None
         found = self._taken.get(one.start())
         if found is None:
             name = said if len(said) < 40 and said in self._declared else "a pose"
-            spans: tuple[Span, ...] = tuple(one.span(k) for k in range(1, 7))
-            found = PoseTarget(
-                name, line_number(self._text, one.start()), URSCRIPT, tuple(map(float, one.groups())), spans
-            )
+            line, numbers = line_number(self._text, one.start()), tuple(map(float, one.groups()))
+            found = PoseTarget(name, line, URSCRIPT, numbers, one.regs[1:])
             found.problem = "the program changes it" if said in self._changed else ""
             self._taken[one.start()] = self._program.add_pose(found, counted=False)
         return found
+
+
+def _plain_frame(said: str) -> Frame | None:
+    """The frame that a list of six numbers says."""
+    whole = SIX.fullmatch(said)
+    return Frame(URSCRIPT, tuple(map(float, whole.groups()))) if whole else None
 
 
 def _subprogram_boundaries(text: str) -> tuple[list[int], list[int]]:
@@ -264,21 +285,8 @@ def inverse_arguments(text: str, at: int) -> dict[str, tuple[int, str]]:
 
 
 def inside(text: str, at: int) -> str:
-    """Return the text from behind an opening bracket to the one that closes it."""
+    """Return the text from behind an opening bracket to the one that closes it; only its beginning where none is near."""
     closed = CLOSED.match(text, at, at + MOST_INSIDE)
-    return text[at : _closings(text).get(at, at) if closed is None else closed.end() - 1]
-
-
-@lru_cache(maxsize=4)
-def _closings(text: str) -> dict[int, int]:
-    """The place of the closing bracket by that behind its opening one, of those that are not far apart."""
-    begun: list[int] = []
-    found: dict[int, int] = {}
-    for mark in BRACKET.finditer(text):
-        if mark[0] in "([":
-            begun.append(mark.end())
-        elif begun:
-            begins = begun.pop()
-            if mark.start() < begins + MOST_INSIDE:
-                found[begins] = mark.start()
-    return found
+    if closed is not None:
+        return text[at : closed.end() - 1]
+    return text[at : at + BEGINNING].partition("\n")[0]

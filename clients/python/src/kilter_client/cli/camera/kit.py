@@ -150,7 +150,7 @@ def _page(
     # Masses are those of a public model: cables and another gripper weigh too, and decide the sign of a small load.
     options = {"effects": effects, "masses": "uncertain", "limits": LIMITS}
     job = kilter.jobs.submit("identify", arm["name"], list(campaigns), dict(held_out), options)
-    with on_interrupt(partial(job_goes_on, job["id"])), job_bar("identify", as_json) as progress:
+    with on_interrupt(partial(job_goes_on, job)), job_bar("identify", as_json) as progress:
         result = kilter.jobs.wait(job["id"], progress)["result"]
     version = str(result["version_id"])
     table = kilter.versions.export(version, "mdh-csv")

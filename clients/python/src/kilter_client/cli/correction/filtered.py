@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kilter_client import Kilter
+from kilter_client.cli.reports.answer import IN_JSON
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.errors import UsageError
@@ -16,6 +17,8 @@ from kilter_client.files import files_formats
 
 if TYPE_CHECKING:
     from kilter_client.results.program import FilteredProgram
+
+MOST_LINES = 6  # lines of a program that are named
 
 
 class ThirdJoint(StrEnum):
@@ -121,9 +124,12 @@ def _refuse_output(program: Path, output: Path | None, diff: bool, overwrite: bo
 
 
 def _note(done: FilteredProgram, as_json: bool) -> None:
-    for line in done.left:
-        place = f"{line['file']}, line {line['line']}" if len(done.texts) > 1 else f"line {line['line']}"
+    several = len(done.texts) > 1
+    for line in done.left[:MOST_LINES]:
+        place = f"{line['file']}, line {line['line']}" if several else f"line {line['line']}"
         note(f"Warning: {place} is left as it is: {line['what']}.", as_json)
+    if len(done.left) > MOST_LINES:
+        note(f"{len(done.left) - MOST_LINES} more lines are left as they are {IN_JSON}", as_json)
     for remedy in files_formats.remedies(str(line["what"]) for line in done.left):
         note(f"What helps: {remedy}", as_json)
     for remark in done.notes:
@@ -143,6 +149,8 @@ def _show(document: dict[str, Any]) -> None:
     change = f"{document['largest_change_deg']:.3g} deg ({worst})"
     written = " and ".join(document["written"]) or "Nothing written"
     print_line(f"{written}: {document['targets']} targets, largest change {change}")
-    for held in document["not_ok"]:
+    for held in document["not_ok"][:MOST_LINES]:
         about = f": {held['at_limits']}" if held["at_limits"] else ""
         print_line(f"  {held['file']}, line {held['line']}: {held['name']} is {held['status']}{about}")
+    if len(document["not_ok"]) > MOST_LINES:
+        print_line(f"  and {len(document['not_ok']) - MOST_LINES} more {IN_JSON}")

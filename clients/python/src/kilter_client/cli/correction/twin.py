@@ -191,7 +191,7 @@ def _show_laid(document: Mapping[str, Any]) -> None:
 def _run_evaluation(kilter: Kilter, robot: str, campaign: str, version: str | None, as_json: bool) -> dict[str, Any]:
     options = resolved_options(kilter, {} if version is None else {"version": version}, robot, as_json)
     job = kilter.jobs.submit("evaluate", robot, [campaign], None, options | {"refit": ["base", "tool"]}, [], "")
-    with on_interrupt(partial(job_goes_on, job["id"])), job_bar("evaluate", as_json) as progress:
+    with on_interrupt(partial(job_goes_on, job)), job_bar("evaluate", as_json) as progress:
         done: dict[str, Any] = kilter.jobs.wait(job["id"], progress)
     return done
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from kilter_client.cli.reports.answer import IN_JSON, LINES, fit_messages
 from kilter_client.cli.reports.next_step import PLACEHOLDER, format_next, suggest_after_today
 from kilter_client.cli.terminal.output import print_line, print_lines
 from kilter_client.cli.terminal.session_notes import is_note_due
-from kilter_client.cli.terminal.tables import number, show_list, show_rows
+from kilter_client.cli.terminal.tables import number, screen_columns, show_list, show_rows
 
 ONCE = {"compensation_unknown"}  # warnings that hold until somebody does what they ask for
 
@@ -85,5 +86,6 @@ def show_activations(document: Mapping[str, Any]) -> None:
 
 def show_today(document: Mapping[str, Any]) -> None:
     """Print how good a robot is today, in the server's words."""
-    print_lines(document["sentences"])
-    print_lines(suggest_after_today(document))
+    suggested = suggest_after_today(document)
+    print_lines(fit_messages(document["sentences"], screen_columns(), LINES - len(suggested), IN_JSON))
+    print_lines(suggested)

@@ -13,7 +13,7 @@ from kilter_client.results.shown import MODELS, nominal_words
 
 LINES = 20  # of an answer, but for a table that is longer
 MOST_ROWS = 8  # of its table
-DETAILS = "(--details)"
+DETAILS, IN_JSON = "(--details)", "(all: --json)"
 CAUSE = 70  # characters that are kept of what is the matter
 IN_HEADLINE = {"poses_will_not_tell"}  # warnings that the headline says
 ROWS = {"train": "fitted", "validation": "unseen"}

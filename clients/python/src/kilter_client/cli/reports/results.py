@@ -39,7 +39,7 @@ def show_job(job: dict[str, Any], details: bool = True, head: bool = True, sugge
     if version and job["kind"] not in ("evaluate", "drift"):
         stored = describe_stored(version, result, suggested)
     if head or details or not result:
-        print_line(f"{job['kind']} {job['id']} of {job['robot']}: {job['state']}{_stage(job)}")
+        print_line(f"{job.get('name') or job['id']}: {job['state']}{_stage(job)}")
     long = job["kind"] in ("plan", "joint_parameters", "fleet") or result.get("iso9283")
     if result and not details and not long:
         show_answer({"headline": result.get("sentence"), **result}, stored)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import shlex
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from kilter_client.errors import KilterError
 
@@ -36,12 +37,18 @@ def on_interrupt(tell: Callable[[], str]) -> Iterator[None]:
         raise InterruptedCommandError(f"Interrupted: {tell()}") from None
 
 
-def job_goes_on(job_id: str) -> str:
-    """Say that a job goes on, and the commands for it."""
+def job_goes_on(job: Mapping[str, Any] | str) -> str:
+    """Say that a job goes on, and the commands for it; a text is its name or id."""
+    named = shlex.quote(job if isinstance(job, str) else job_name(job))
     return (
-        f"job {job_id} continues at the server. `kilter server jobs watch {job_id}` follows it, "
-        f"`kilter server jobs cancel {job_id}` stops it."
+        f"job {named} continues at the server. `kilter server jobs watch {named}` follows it, "
+        f"`kilter server jobs cancel {named}` stops it."
     )
+
+
+def job_name(job: Mapping[str, Any]) -> str:
+    """Return what a job is called; one of an earlier release that nobody named has its id alone."""
+    return str(job.get("name") or job["id"])
 
 
 def fleet_goes_on(fleet_id: str) -> str:
