@@ -209,7 +209,15 @@ def _errors(job: JobInput, rows: Observations, known: Predictive, found: Check) 
     )
     ((campaign, _),) = job.campaigns.items()
     budget = uncertainty_budget(calibration, known, rows, job.instruments.get(campaign), found.new_setup)
-    return {"n": len(errors.points), "left_out": 0, "identified": errors.to_document(), "budget": budget}
+    nominal = core_identify.refit_frames(calibration.nominal_in_wanted_frames(), measurement, found.new_setup)
+    without = core_measurement.Errors.from_calibration(nominal, measurement)
+    return {
+        "n": len(errors.points),
+        "left_out": 0,
+        "identified": errors.to_document(),
+        "uncorrected": without.to_document(),
+        "budget": budget,
+    }
 
 
 KIND = JobKind(DRIFT, run, preview_job=preview_job)

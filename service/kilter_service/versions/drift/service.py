@@ -90,18 +90,20 @@ def of_robot(database: Database, robot: str) -> DriftHistory:
 def of_robots(database: Database) -> DriftList:
     """Return how all robots stand, the worst first."""
     with database.reading() as session:
-        names = robots.names_by_key(session, None)
-        made, log = store.checks(session, names), store.activations(session, names)
-        repaired = repairs.of_robots(session, names)
-        found = []
-        for key, name in names.items():
-            known = made.get(key, []), log.get(key, []), repaired.get(key, [])
-            found.append(
-                _summary(
-                    name, _describe_start_of_checks(*known), log.get(key, []), *_checks_and_charts(session, *known)
-                )
-            )
-    return DriftList(robots=sorted(found, key=_order))
+        found = summaries(session, robots.names_by_key(session, None))
+    return DriftList(robots=sorted(found.values(), key=_order))
+
+
+def summaries(session: Session, names: Mapping[int, str]) -> dict[int, DriftSummary]:
+    """Return how robots stand by their checks, by key."""
+    made, log = store.checks(session, names), store.activations(session, names)
+    repaired = repairs.of_robots(session, names)
+    found = {}
+    for key, name in names.items():
+        known = made.get(key, []), log.get(key, []), repaired.get(key, [])
+        since = _describe_start_of_checks(*known)
+        found[key] = _summary(name, since, log.get(key, []), *_checks_and_charts(session, *known))
+    return found
 
 
 def last_checks(session: Session) -> dict[str, CheckOfRobot]:

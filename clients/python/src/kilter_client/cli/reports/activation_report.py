@@ -85,5 +85,7 @@ def show_activations(document: Mapping[str, Any]) -> None:
 
 def show_today(document: Mapping[str, Any]) -> None:
     """Print how good a robot is today, in the server's words."""
+    standing = document["standing"]
+    print_line(f"{standing['words']}. {standing['sentence']}")
     print_lines(document["sentences"])
     print_lines(suggest_after_today(document))
