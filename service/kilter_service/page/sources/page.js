@@ -130,7 +130,7 @@ const BEHAVIOURS = {
 const started = new WeakSet(); // a part that is swapped in stands beside elements that have their behaviour already
 
 function closeDialog(button) {
-  button.addEventListener("click", () => button.closest("dialog").close());
+  button.addEventListener("click", () => button.closest("dialog")?.close());
 }
 
 function start(within) {
@@ -144,6 +144,10 @@ function start(within) {
   }
 }
 
+document.addEventListener("click", (event) => {
+  const point = event.target.closest("[data-goto]"); // of a figure, which has a table beside it
+  if (point) window.location.href = point.dataset.goto;
+});
 start(document);
 rows.begin();
 savable(document);

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -92,6 +93,13 @@ def of_robots(database: Database) -> DriftList:
     with database.reading() as session:
         found = summaries(session, robots.names_by_key(session, None))
     return DriftList(robots=sorted(found.values(), key=_order))
+
+
+def activations_of_robots(database: Database) -> dict[str, list[datetime]]:
+    """Return when versions were activated, by robot."""
+    with database.reading() as session:
+        names = robots.names_by_key(session, None)
+        return {names[key]: [one.at for one in log] for key, log in store.activations(session, names).items()}
 
 
 def summaries(session: Session, names: Mapping[int, str]) -> dict[int, DriftSummary]:

@@ -161,6 +161,7 @@ def _today_by_robot(
         one.last.job_id for one in checked.values() if one.last is not None and one.state in ("moved", "cannot_tell")
     ]
     causes, planned = store.causes(session, alarms), store.planned(session, robots)
+    proposed = store.proposed(session, robots)
     out = {}
     for key, name in robots.items():
         version, campaigns, own, last = active.get(key), measured.get(key, {}), made.get(key, []), checked[key].last
@@ -174,9 +175,10 @@ def _today_by_robot(
             check_interval_days=days,
             rezeroed={one.rows: (one.id, one.name) for one in own if one.rows and version and one.parent == version.id},
             causes=causes.get(last.job_id, []) if last is not None else [],
-            newest=(own[-1].id, own[-1].name) if own else None,
+            newest=(own[-1].id, own[-1].name) if own and not own[-1].was_active else None,
             fresh=_fresh(found, campaigns, [] if own else list(campaigns.values())),
             planned=planned.get(key),
+            proposed=proposed.get(key),
         )
         history = sorted(_history(campaigns, [one for v in own for one in evaluated.get(v.id, [])]), key=lambda e: e.at)
         shown = history[-most:]

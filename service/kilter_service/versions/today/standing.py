@@ -26,8 +26,9 @@ class Known:
     """What is stored beside the errors of a robot: its goals, and what could be done next.
 
     ``rezeroed`` are versions made of the active one by the rows of a check (by campaign), ``causes`` what the last check
-    names, ``newest`` the newest version, ``fresh`` the newest campaign that is to be fitted, ``planned`` the job of poses that
-    nobody has measured yet, and how many these are.
+    names, ``newest`` the newest version if it never was active, ``fresh`` the newest campaign that is to be fitted,
+    ``planned`` the job of poses that nobody has measured yet, and how many these are, ``proposed`` the same of the newest
+    search.
     """
 
     tolerance_mm: float | None = None
@@ -37,6 +38,7 @@ class Known:
     newest: tuple[str, str] | None = None
     fresh: tuple[str, str] | None = None
     planned: tuple[str, int] | None = None
+    proposed: tuple[str, int] | None = None
 
 
 def assess(today: Today, drift: DriftSummary, known: Known) -> Standing:
@@ -69,7 +71,7 @@ def _states(today: Today, drift: DriftSummary, known: Known) -> Iterator[tuple[R
     if drift.state == "moved":
         yield "moved", "Has moved", _reason(drift), "bad"
     if drift.state == "cannot_tell":
-        yield "cannot_tell", "Has moved, cause not known", _reason(drift), "bad"
+        yield "cannot_tell", "Moved, cause unknown", _reason(drift), "bad"
     if today.changed:
         more = said_of_error(today.larger_by_mm or 0.0, largest(newest, today.own))
         yield "changed", "Has changed", f"Its error is {more} larger than at the fit, more than chance explains.", "bad"
@@ -159,9 +161,12 @@ def _steps(state: RobotState, today: Today, drift: DriftSummary, known: Known) -
             yield _search(robot, *known.fresh)
         yield _step("upload", "Add measurements", "upload", robot, FILE)
         return
+    if state in ("changed", "outside", "near") and known.newest is not None:
+        yield _activation(*known.newest)
     if alarm and drift.last is not None:
         if drift.last.campaign_id in known.rezeroed:
-            yield _activation(*known.rezeroed[drift.last.campaign_id])
+            version, name = known.rezeroed[drift.last.campaign_id]
+            yield _activation(version, f"re-zeroed {name}")
         elif drift.state == "moved" and len(known.causes) == 1:
             campaign = drift.last.campaign_id
             words = ("watch", "rezero", robot, "--campaign", campaign)
@@ -184,8 +189,8 @@ def _poses(state: RobotState, today: Today, known: Known) -> Iterator[NextStep]:
     if known.planned is not None:
         job, count = known.planned
         yield _step("measure", f"Measure {plural(count, 'planned pose')}", "server", "jobs", "show", job, job_id=job)
-    elif state in ("not_known", "outside", "near") and today.missing is not None and today.missing.next_poses:
-        job, count = today.missing.job_id, today.missing.next_poses
+    elif state in ("not_known", "outside", "near") and known.proposed is not None:
+        job, count = known.proposed
         yield _step("measure", f"Measure {plural(count, 'pose')}", "server", "jobs", "show", job, job_id=job)
     yield _step("plan_check", "Plan a check", "plan", "check", today.robot)
 

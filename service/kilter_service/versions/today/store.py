@@ -11,7 +11,7 @@ from sqlalchemy import func, select
 
 from kilter_service.campaigns import rest
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.tables import ActivationRow, CampaignRow, JobRow, RobotRow, UploadRow, VersionRow
+from kilter_service.ground.db.tables import ActivationRow, CampaignRow, JobRow, UploadRow, VersionRow
 from kilter_service.versions.store import REZEROED
 
 ALARMS = ("moved", "cannot_tell")  # verdicts of a check
@@ -65,6 +65,7 @@ class Made:
     name: str
     parent: str | None
     rows: str | None
+    was_active: bool
 
 
 @dataclass(frozen=True)
@@ -186,17 +187,17 @@ def evaluations(session: Session, of: Collection[str]) -> dict[str, list[Evaluat
 
 def versions(session: Session, of: Collection[int]) -> dict[int, list[Made]]:
     """Return the versions in use, by robot, oldest first."""
-    row, robot = VersionRow, RobotRow
+    row = VersionRow
     campaign = row.report[REZEROED]["campaign"].as_string()
+    used = select(ActivationRow.id).where(ActivationRow.version_id == row.id).exists()
     query = (
-        select(row.robot_id, row.id, row.name, row.number, robot.name, row.parent_id, campaign)
-        .join(robot, robot.id == row.robot_id)
+        select(row.robot_id, row.id, row.name, row.number, row.parent_id, campaign, used)
         .where(row.robot_id.in_(of), row.retired_at.is_(None))
         .order_by(row.created_at, row.id)
     )
     out: dict[int, list[Made]] = {}
-    for key, version, name, number, arm, parent, rows in session.execute(query):
-        out.setdefault(key, []).append(Made(version, name or f"{arm} v{number}", parent, rows))
+    for key, version, name, number, parent, rows, was_active in session.execute(query):
+        out.setdefault(key, []).append(Made(version, name or f"v{number}", parent, rows, was_active))
     return out
 
 
@@ -223,6 +224,20 @@ def planned(session: Session, of: Collection[int]) -> dict[int, tuple[str, int]]
         .order_by(row.created_at, row.id)
     )
     return {robot: (job, int(count)) for robot, job, count in session.execute(query) if count}
+
+
+def proposed(session: Session, of: Collection[int]) -> dict[int, tuple[str, int]]:
+    """Return the newest gap search of each robot that proposes poses, and how many."""
+    row = JobRow
+    newest = func.row_number().over(partition_by=row.robot_id, order_by=(row.created_at.desc(), row.id))
+    ranked = select(row.id, newest.label("place")).where(
+        row.robot_id.in_(of), row.kind == "gap", row.state == "succeeded"
+    )
+    last = ranked.subquery()
+    query = (
+        select(row.robot_id, row.id, row.result["next_poses"]).join(last, last.c.id == row.id).where(last.c.place == 1)
+    )
+    return {robot: (job, len(poses)) for robot, job, poses in session.execute(query) if poses}
 
 
 def newest_search(session: Session, robot_id: int) -> Searched | None:
