@@ -182,13 +182,14 @@ def test_versions_are_named_and_found(there: Made) -> None:
 
 def test_robots_are_found_and_sorted(there: Made) -> None:
     def found(**asked: str) -> list[str]:
-        return re.findall(r'<h2 id="robot-\d+"><a href="/robots/([^"]+)">', there.client.get("/", params=asked).text)
+        return re.findall(r'<tr data-robot="([^"]+)">', there.client.get("/", params=asked).text)
 
     there.client.post("/v1/robots", json={**Katana.document, "name": "a-second"}).raise_for_status()
-    assert found() == ["a-second", "katana"]  # not calibrated: worst
+    assert found() == ["katana", "a-second"]  # no corrector runs, and the other is not calibrated
     assert found(search="KATA") == ["katana"]
-    assert found(state="uncorrected") == ["a-second", "katana"]  # as both cards say: no corrector runs
-    assert found(state="corrected") == []
+    assert found(state="bad") == ["katana"]
+    assert found(state="faint") == ["a-second"]
+    assert found(state="good") == []
     assert found(sort="-name") == ["katana", "a-second"]
 
 

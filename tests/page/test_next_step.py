@@ -31,7 +31,7 @@ ROBOTS = {"hit": 3, "zeroed": 4, "well": 5}  # and the seeds of their arms
 
 @pytest.fixture(scope="module")
 def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[tuple[httpx.Client, Database]]:
-    """One robot that moved, one for which a re-zeroed version stands ready, and one that is as it was; no job runs by itself."""
+    """A robot that moved, one that has a re-zeroed version, too, and one that is as it was; no job runs by itself."""
     with new_database() as url, pytest.MonkeyPatch.context() as patch:
         settings = Settings(data=tmp_path_factory.mktemp("next"), database_url=url, host="127.0.0.1", token=None)
         ready(settings, migrated)

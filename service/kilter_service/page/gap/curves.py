@@ -180,7 +180,7 @@ def _side(drawn: Plot, side: list[Point], means: list[Bin], place: int, of: int,
     drawn.points(
         [b.angle for b in means],
         [b.mean for b in means],
-        f"mean, 95 % interval{tail}",
+        "" if place else "mean, 95 % interval",
         1 + place,
         colour,
         [f"{number(b.mean)} ± {number(b.half, 2)}, curve {number(b.curve)}, {b.count} visits" for b in means],

@@ -6,12 +6,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from kilter_service.contract.gap_details import NamedEffect
+from kilter_service.contract.headlines import format_joints, list_found
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.page.figures.plot import Plot
+from kilter_service.page.gap.claim import RAISED
 from kilter_service.page.gap.curves import curves
 from kilter_service.page.shared import own_curves
-from kilter_service.page.shared.called import format_claim, format_effect_name, parse_joint_number
-from kilter_service.page.words import format_interval, format_with_uncertainty
+from kilter_service.page.shared.called import format_effect_name, parse_joint_number
 
 LOOKS = {"provisional": "warn", "contradicted": "bad"}
 WIDE, HIGH = 620.0, 165.0
@@ -28,9 +29,10 @@ class Chip:
 
 @dataclass(frozen=True)
 class Card:
-    """An effect; ``size`` is that of its clearest joint, with the interval."""
+    """An effect in the words of the headline; the plot is that of its clearest joint."""
 
     name: str
+    joints: str
     level: str
     look: str
     size: str
@@ -47,21 +49,23 @@ def cards(result: GapResult, unit: str) -> list[Card]:
 
 def _card(effect: NamedEffect, result: GapResult, unit: str) -> Card:
     amounts = sorted(effect.parameters or [], key=lambda one: abs(one.value or 0.0) / (one.sigma or 1.0), reverse=True)
-    size = ""
-    if amounts:
-        most = amounts[0]
-        told = "" if most.unit in (None, "1") else most.unit
-        size = f"{format_with_uncertainty(most.value, most.sigma).partition(' ±')[0]} {told} "
-        size += f"({format_interval(most.interval_low, most.interval_high)})"
-        size += (
-            f" at joint {parse_joint_number(most.name)}" if len(amounts) > 1 and parse_joint_number(most.name) else ""
-        )
+    found = list_found([effect])[0]  # the words and sizes of the headline
     joint = parse_joint_number(amounts[0].name) if amounts else None
     level = (effect.verdict or "provisional").replace("_", " ")
     rivals = [format_effect_name(one) for one in effect.alias_set or []]
     look = LOOKS.get(effect.verdict or "provisional", "good")
     plot = _plot(effect, joint, result, unit)
-    return Card(format_claim(effect), level, look, size, effect.moves_mm, list(_chips(effect)), rivals, plot)
+    return Card(
+        found.effect,
+        format_joints(found.joints) if found.joints else "",
+        level,
+        look,
+        found.size,
+        effect.moves_mm,
+        list(_chips(effect)),
+        rivals,
+        plot,
+    )
 
 
 def _plot(effect: NamedEffect, joint: int | None, result: GapResult, unit: str) -> Plot | None:
@@ -88,7 +92,7 @@ def _chips(effect: NamedEffect) -> Iterator[Chip]:
     evidence = (effect.claim.evidence if effect.claim is not None else None) or []
     lacking = [one.words for one in evidence if not one.met and one.words]
     if evidence:
-        yield _chip("second sensor or load", None if lacking else True, "; ".join(lacking) or "Told from its class")
+        yield _chip("second load", None if lacking else True, "; ".join(lacking) or "Told from its class")
     yield _chip("another day", again, "Seen again in a campaign of another day or set-up")
 
 
@@ -99,6 +103,10 @@ def _chip(name: str, passed: bool | None, why: str) -> Chip:
 def describe_decision(result: GapResult) -> str:
     """Say what would decide what is open; empty where nothing would."""
     told = result.told_apart
+    if told is not None and told.instead and not told.enough:
+        instead = "; ".join(told.instead).replace("_", " ")
+        many = f"about {told.poses_needed}" if told.poses_needed else "more than 1000"
+        return f"{instead[:1].upper()}{instead[1:]}. Poses alone would not do: {many} are needed."
     if told is not None and told.sentence:
         return told.sentence
     wanted = list(dict.fromkeys(one for effect in result.effects or [] for one in effect.to_confirm or []))
@@ -106,4 +114,7 @@ def describe_decision(result: GapResult) -> str:
         return " ".join(wanted[:2])
     poses = result.next_poses or []
     changes = list(dict.fromkeys(pose.change or "new poses" for pose in poses))
-    return f"{len(poses)} poses: {'; '.join(changes[:3])}." if poses else ""
+    if poses:
+        return f"{len(poses)} poses: {'; '.join(changes[:3])}."
+    levels = {effect.verdict for effect in result.effects or []}
+    return next((RAISED[level] for level in ("class_confirmed", "confirmed") if level in levels), "")

@@ -115,8 +115,7 @@ def goals(
     check_interval_days: Annotated[str, Form(max_length=LONGEST_DATE)] = "",
 ) -> Response:
     """Say how good the robot must be, and how often it is checked; what is left empty is not stated."""
-    said = {"tolerance_mm": tolerance_mm.strip() or None, "check_interval_days": check_interval_days.strip() or None}
-    robots.change(database, robot, parse_goals(said))
+    robots.change(database, robot, parse_goals(tolerance_mm, check_interval_days))
     return Response(status_code=204, headers=ANEW)
 
 

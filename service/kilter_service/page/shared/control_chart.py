@@ -121,8 +121,9 @@ def _errors(found: DriftHistory, today: Today, axis: Days) -> Plot | None:
     ends = [end for one in errors for end in (one.low_mm, one.high_mm) if end]
     every = [*(one.mean_mm for one in errors), *ends, *([tolerance] if tolerance is not None else [])]
     across = lengths("mean error", every, log=True)
-    said = _describe_checks(found)
-    drawn = Plot("Error over time", axis, across, WIDE, LOW, description=said, table=_table(found, today))
+    said = {one.job_id: f"{one.sentence} " for one in found.history if one.verdict != "ok"}
+    about = _describe_checks(found)
+    drawn = Plot("Error over time", axis, across, WIDE, LOW, description=about, table=_table(found, today))
     _mark_events(drawn, found, axis)
     for one in errors:
         if one.low_mm and one.high_mm:
@@ -131,7 +132,10 @@ def _errors(found: DriftHistory, today: Today, axis: Days) -> Plot | None:
                                 ("check that alarmed", 4, ("check", True))):  # fmt: skip
         own = [one for one in errors if (one.source, one.alarm) == chosen]
         if own:
-            words = [f"{one.at:%Y-%m-%d}: {format_in_largest_unit(one.mean_mm, one.high_mm)}" for one in own]
+            words = [
+                f"{one.at:%Y-%m-%d}: {said.get(one.job_id, '')}{format_in_largest_unit(one.mean_mm, one.high_mm)}"
+                for one in own
+            ]
             links = [f"?version={one.version_id}&campaign={one.campaign_id}#arm" for one in own]
             days, means = [_day(one.at) for one in own], [one.mean_mm for one in own]
             drawn.points(days, means, label, look, names=words, links=links)

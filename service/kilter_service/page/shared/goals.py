@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from pydantic import ValidationError
 
 from kilter_service.contract.references import RobotChange
@@ -15,13 +13,14 @@ WORDS = {
 }
 
 
-def parse_goals(typed: Mapping[str, str | None]) -> RobotChange:
-    """Read both; None: not stated.
+def parse_goals(tolerance_mm: str, check_interval_days: str) -> RobotChange:
+    """Read both; empty: not stated.
 
     Raises:
         ServiceError: one is not a number that makes sense.
 
     """
+    typed = {"tolerance_mm": tolerance_mm.strip() or None, "check_interval_days": check_interval_days.strip() or None}
     try:
         return RobotChange.model_validate(typed, strict=False)
     except ValidationError as error:

@@ -158,6 +158,8 @@ PAGE_RULES: Mapping[str, Rule] = {
     "GET /robots/{robot}/settings": READ,
     "POST /robots/{robot}/remarks": ADMINISTER,
     "POST /robots/{robot}/repairs": OPERATE,
+    "POST /robots/{robot}/steps": OPERATE,
+    "POST /robots/{robot}/goals": ADMINISTER,
     "POST /robots/{robot}/repairs/{repair}/remove": OPERATE,
     "POST /robots/{robot}/compensation": ADMINISTER,
     "GET /robots/{robot}/state": READ,
