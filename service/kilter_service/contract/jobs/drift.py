@@ -176,6 +176,7 @@ DRIFT = JobContract(
     against_fit=True,
     most_campaigns=1,
     watching=True,
+    uses={"validation": "train"},
     usual=("version", "new_setup", "setup_mm", "noise_mm"),
 )
 DriftJob: TypeAlias = JobOf[DriftOptions, DriftResult]
