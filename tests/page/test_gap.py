@@ -391,7 +391,7 @@ def test_the_curve_can_be_read(hunted: Hunted, chromium: Browser, theme: str, wi
         page.set_viewport_size({"width": width, "height": 900})
         page.emulate_media(color_scheme=theme)  # type: ignore[arg-type]
         page.goto(f"/jobs/{hunted.closed['id']}")
-        effects = page.locator("section#effects")
+        effects = page.locator("#effects")
         effects.screenshot(path=folder / f"effect-{width}-{theme}.png")
         assert effects.evaluate("e => e.scrollWidth <= e.clientWidth")
         assert effects.locator("svg text").first.evaluate("e => e.getBoundingClientRect().height") >= 9

@@ -146,6 +146,9 @@ def arm_of(page: Page, robot: str, query: str = "") -> None:
     controls = page.locator("details.controls")
     if controls.get_attribute("open") is None:
         controls.locator("summary").first.click()
+    rows = page.locator("details[data-rows-fold]")
+    if rows.count() and rows.get_attribute("open") is None:
+        rows.locator("summary").first.click()
 
 
 def tool(page: Page) -> list[float]:
