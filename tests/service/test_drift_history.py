@@ -185,7 +185,7 @@ def test_the_number_of_today_is_that_of_the_newest_check(
     )
     card = html.unescape(client.get("/").raise_for_status().text)
     assert said in card
-    assert "On the rows of a check, which no fit used" in card
+    assert "on the rows of a check, which no fit used" in card
     assert "more than chance explains" in card
     assert "Today: Mean error" in client.get(f"/versions/{version}").raise_for_status().text
 

@@ -108,7 +108,7 @@ def shown_robot(
         other=beside,
         campaign=_campaign(database, measured, looked_at, campaign, now),
         watched=draw_check_history(drift.of_robot(database, name), now),
-        budget=error_budget(now, active, _search_of(database, active)),
+        budget=error_budget(now, active, _search_of(database, active, now)),
         suspicious=[] if active is None else suspicious.of_campaigns(database, (one.id for one in active.campaigns)),
         chosen=bool(version or campaign or other),
     )
@@ -151,10 +151,12 @@ def standing(database: Database, settings: Settings, name: str) -> Standing:
     return Standing(robot, assess_robot_state(now, correcting), accuracy, seen_on)
 
 
-def _search_of(database: Database, version: Version | None) -> GapResult | None:
-    """The gap search that made a version; None: another kind of job did."""
-    job = None if version is None else jobs.get(database, version.job_id)
-    return job.result if job is not None and GAP.is_kind_of(job) else None
+def _search_of(database: Database, version: Version | None, now: Today) -> GapResult | None:
+    """The gap search that made a version, if it is the newest; None: another job did."""
+    if version is None or now.missing is None or now.missing.job_id != version.job_id:
+        return None
+    job = jobs.get(database, version.job_id)
+    return job.result if GAP.is_kind_of(job) else None
 
 
 def take_step(database: Database, name: str, do: str, campaign: str) -> str:

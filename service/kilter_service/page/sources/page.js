@@ -148,6 +148,9 @@ document.addEventListener("click", (event) => {
   const point = event.target.closest("[data-goto]"); // of a figure, which has a table beside it
   if (point) window.location.href = point.dataset.goto;
 });
+// Figures are as wide as the window was at the view before: where it is much narrower now, nobody could read them.
+const tight = [...document.querySelectorAll("figure > svg")].some((one) => one.clientWidth && one.viewBox.baseVal.width > 1.6 * one.clientWidth);
+if (tight && performance.getEntriesByType("navigation")[0]?.type === "navigate") window.location.reload();
 start(document);
 rows.begin();
 savable(document);
