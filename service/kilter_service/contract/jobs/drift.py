@@ -75,7 +75,9 @@ class CheckedRow(Stored):
     row: int = Field(description="Its number in the campaign, from 1.")
     at_mm: PointMm = Field(description="Where the version has the tool, mm, in the frame of the measurements.")
     error_mm: PointMm = Field(description="Measured minus predicted, mm.")
-    after_mm: PointMm | None = Field(None, description="The same, mm, if the likeliest cause is it; null: there is none.")
+    after_mm: PointMm | None = Field(
+        None, description="The same, mm, if the likeliest cause is it; null: there is none."
+    )
 
 
 class SmallestChange(Stored):
