@@ -34,7 +34,7 @@ class Space:
     names: Sequence[str]
     arrows: Sequence[Arrows]
     width: float = 620.0
-    height: float = 260.0
+    height: float = 245.0
     table: tuple[Sequence[str], Sequence[Sequence[str]]] = ((), ())
 
     @property

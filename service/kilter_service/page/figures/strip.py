@@ -26,9 +26,11 @@ def place(axis: Axis, value: float, width: float = WIDE) -> float:
 
 def ruler(axis: Axis) -> Markup:
     """Draw the numbers of the shared axis, for the head of the column."""
+    ticks = axis.ticks()
+    anchors = ["start", *["middle"] * (len(ticks) - 2), "end"]  # what stands at an end is not cut
     parts = [
-        f'<text x="{place(axis, at)}" y="18" font-size="11" text-anchor="middle">{escape(text)}</text>'
-        for at, text in axis.ticks()
+        f'<text x="{place(axis, at)}" y="18" font-size="11" text-anchor="{anchor}">{escape(text)}</text>'
+        for (at, text), anchor in zip(ticks, anchors, strict=False)
     ]
     return _svg(WIDE, f"Axis: {axis.label}", parts)
 

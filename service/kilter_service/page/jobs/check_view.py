@@ -81,7 +81,7 @@ def _bars(result: DriftResult, named: DriftCause | None) -> Plot:
     table = (head, [[name, *one[: len(head) - 1]] for name, one in zip(names, written, strict=True)])
     said = "The error of each pose, and what is left of it if the named cause is it."
     drawn = Plot(
-        "Error of each pose", category_axis("", names), lengths("error", before, zero=True), 620.0, 215.0, said, table
+        "Error of each pose", category_axis("", names), lengths("error", before, zero=True), 620.0, 200.0, said, table
     )
     shift = 0.2 if both else 0.0
     drawn.bars([k + 0.5 - shift for k in range(len(rows))], before, 0.36, "as measured", colour=RED)

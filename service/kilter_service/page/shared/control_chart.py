@@ -21,7 +21,7 @@ from kilter_service.versions.today.sentences import ago
 
 DAY = 86400.0
 WIDTH, HEIGHT = 480.0, 280.0  # two beside each other, and one on a telephone whose letters can be read
-WIDE, LOW = 1340.0, 150.0  # of the errors over time
+WIDE, LOW = 1340.0, 138.0  # of the errors over time
 SHOWN_SUMS = 4  # of the charts, those with the largest sums
 FAR, FAR_DAYS = 5.0, 60.0  # a gap in the dates of so many times what follows, and so many days, is left out
 NEVER_SUMMED = (
