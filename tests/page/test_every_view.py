@@ -19,6 +19,7 @@ from .made import Made, made
 VIEWS: Mapping[str, str] = {
     "GET /": "/",
     "GET /login": "/login",
+    "GET /find": "/find?sought=katana",
     "GET /new-robot": "/new-robot",
     "GET /robots/{robot}": "/robots/{robot}",
     "GET /robots/{robot}/settings": "/robots/{robot}/settings",

@@ -9,6 +9,7 @@ import "./drop.js";
 import "./jobs.js";
 import "./correct.js";
 import "./login.js";
+import "./palette.js";
 import { missed } from "./lost.js";
 import { ended, offer } from "./ended.js";
 import "./shapes.js";

@@ -149,6 +149,7 @@ PAGE_RULES: Mapping[str, Rule] = {
     "POST /login/link": OPEN,
     "POST /logout": OPEN,
     "GET /": READ,
+    "GET /find": READ,
     "GET /robots/{robot}": READ,
     "GET /new-robot": READ,
     "POST /new-robot/check": OPERATE.with_time_limit(SMALLER),
