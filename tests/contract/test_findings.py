@@ -15,7 +15,7 @@ REWORDED = {
     "error_wording.py: COMMANDS.split(sentence)",
     "wording.py: ROUTE.sub(lambda found: ROUTES.get(found[0], 'another command'), detail)",
     "service.py: error.detail.replace(f'{path}', path.name)",
-    "state.py: sentence.partition(': ')",
+    "standing.py: drift.sentence.partition(': ')",
 }
 READS = {
     "startswith",

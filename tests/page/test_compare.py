@@ -61,7 +61,7 @@ def test_the_sign_test_is_exact(better: int, worse: int) -> None:
 
 
 def test_probabilities_and_lengths_are_written_as_people_read_them() -> None:
-    assert [written(one) for one in (0.42, 0.0123, 1.2e-9, 3e-18)] == ["0.42", "0.012", "1e-9", "3e-18"]
+    assert [written(one) for one in (0.42, 0.0123, 1.2e-9, 3e-18)] == ["0.42", "0.012", "below 1e-6", "below 1e-6"]
     assert [format_in_shared_unit(one, 0.05) for one in (0.05, 0.0012)] == ["50.0 µm", "1.2 µm"]
     assert [format_in_shared_unit(one, 1.25) for one in (1.25, 0.0201)] == ["1.25 mm", "0.02 mm"]
 

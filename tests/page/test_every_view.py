@@ -19,6 +19,7 @@ from .made import Made, made
 VIEWS: Mapping[str, str] = {
     "GET /": "/",
     "GET /login": "/login",
+    "GET /find": "/find?sought=katana",
     "GET /new-robot": "/new-robot",
     "GET /robots/{robot}": "/robots/{robot}",
     "GET /robots/{robot}/settings": "/robots/{robot}/settings",
@@ -123,7 +124,7 @@ def test_without_javascript_the_numbers_are_there(there: Made, chromium: Browser
     page = context.new_page()
     log_in(page, there.client.headers["authorization"].removeprefix("Bearer "))
     for address, said in (
-        (f"/robots/{there.robot}", ("How good is the arm today?", "The plot needs JavaScript")),
+        (f"/robots/{there.robot}", ("20.0 µm", "The picture needs JavaScript")),
         (f"/versions/{there.good}", ("Parameters it knows", "20.0 µm")),
         (f"/campaigns/{there.campaign}", ("60 rows", "What was measured", "The plot needs JavaScript")),
         ("/jobs", ("identification of",)),

@@ -43,9 +43,10 @@ def server(there: Made) -> httpx.Client:
     return there.client
 
 
-def cards(client: httpx.Client) -> list[str]:
-    text = client.get("/").text
-    return [re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", part)) for part in text.split("<article")[1:]]
+def rows(client: httpx.Client) -> dict[str, str]:
+    """What people read of each row and its fold, by robot."""
+    found = re.findall(r'<tr data-robot="([^"]+)">(.*?</tr>.*?)</tr>', client.get("/").text, re.DOTALL)
+    return {name: re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", part)) for name, part in found}
 
 
 def calibrated(there: Made, robot: str, mean_mm: float) -> None:
@@ -58,7 +59,8 @@ def calibrated(there: Made, robot: str, mean_mm: float) -> None:
     with there.database.transaction() as session:
         key = session.execute(select(RobotRow.id).where(RobotRow.name == robot)).scalar_one()
         job = f"job_{robot:0>16}"
-        session.add(JobRow(id=job, kind="identify", robot_id=key, request={"kind": "identify"}, state="succeeded"))
+        asked = {"kind": "identify", "robot": robot, "campaigns": [], "validation": None, "options": {}}
+        session.add(JobRow(id=job, kind="identify", robot_id=key, request=asked, state="succeeded"))
         session.flush()
         version = store.add(session, key, job, new)
     there.client.post(f"/v1/versions/{version}/activate", json={"force": True, "reason": "test"}).raise_for_status()
@@ -71,34 +73,34 @@ def beat(there: Made, version: str | None, streams: bool = True) -> None:
 
 
 def test_the_worst_robot_is_first_and_retired_ones_are_hidden(there: Made) -> None:
-    fresh, katana = cards(there.client)
-    assert "a-fresh-one" in fresh
-    assert "not calibrated" in fresh
-    assert "add measurements" in fresh
-    assert "20.0 µm mean error on held-out poses" in katana
-    assert "95 % of 40 points are within 40.0 µm" in katana
-    assert "Active version version 2" in katana
-    assert "Open jobs none" in katana
+    beat(there, there.good)
+    found = rows(there.client)
+    assert list(found) == ["a-fresh-one", there.robot]  # of those that are not known
+    assert "Not calibrated" in found["a-fresh-one"]
+    assert "Add measurements" in found["a-fresh-one"]
+    katana = found[there.robot]
+    assert " 20.0 " in katana
+    assert "Mean error 20.0 µm" in katana
+    assert "v2" in katana or "version 2" in katana
 
 
 def test_open_jobs_are_counted(there: Made) -> None:
     body = {"kind": "identify", "robot": there.robot, "campaigns": [there.campaign]}
     job = there.client.post("/v1/jobs", json=body).raise_for_status().json()["id"]
-    assert "Open jobs 1" in cards(there.client)[1]
+    assert "1 open job" in rows(there.client)[there.robot]
     there.client.post(f"/v1/jobs/{job}/cancel").raise_for_status()
-    assert "Open jobs none" in cards(there.client)[1]
+    assert "open job" not in rows(there.client)[there.robot]
 
 
 def test_the_state_of_the_corrector_is_that_of_this_robot(there: Made) -> None:
-    assert "corrector stopped" in cards(there.client)[1]
     beat(there, there.good)
-    fresh, katana = cards(there.client)
-    assert "bypassed The corrector passes setpoints on as they are." in fresh
-    assert "Stream line-1 is corrected with the active version" in katana
+    found = rows(there.client)
+    assert "The corrector passes setpoints on as they are." in found["a-fresh-one"]
+    assert "Stream line-1 is corrected with the active version" in found[there.robot]
     beat(there, there.poor)
-    assert f"Stream line-1 last corrected with {there.poor}, not the active one" in cards(there.client)[1]
+    assert f"Stream line-1 last corrected with {there.poor}, not the active one" in rows(there.client)[there.robot]
     beat(there, None, streams=False)
-    assert "No controller has sent it setpoints of this robot" in cards(there.client)[1]
+    assert "No controller has sent it setpoints of this robot" in rows(there.client)[there.robot]
 
 
 def test_robots_are_compared_in_one_unit_that_of_the_largest(there: Made) -> None:
@@ -107,16 +109,55 @@ def test_robots_are_compared_in_one_unit_that_of_the_largest(there: Made) -> Non
         there.client.post("/v1/robots", json={"name": name, **PRESET}).raise_for_status()
         calibrated(there, name, mean)
     try:
-        found = {name: card for card in cards(there.client) for name in (small, large) if name in card}
-        assert "3.00 mm mean error" in found[large]
-        assert "0.0200 mm mean error" in found[small]
-        assert all("µm" not in card for card in found.values())
+        found = rows(there.client)
+        assert " 3.00 " in found[large]
+        assert " 0.0200 " in found[small]
+        assert "Error, mm" in there.client.get("/").text
         # Alone, the small one has the unit of its own numbers, in its head and in the sentence of the answer.
         assert "20.0 µm" in there.client.get(f"/robots/{small}").text
         said = there.client.get(f"/v1/robots/{small}/today").json()["sentences"][0]
         assert said.startswith("Mean error 20.0 µm ")
     finally:
         for name in (small, large):
+            there.client.post(f"/v1/robots/{name}/retire").raise_for_status()
+
+
+def test_four_counts_filter_the_rows(there: Made) -> None:
+    there.client.patch(f"/v1/robots/{there.robot}", json={"tolerance_mm": 0.001}).raise_for_status()
+    try:
+        text = there.client.get("/").text
+        counts = {
+            look: int(many) for look, many in re.findall(r'class="(\w+)" href="/\?state=\w+"[^>]*><strong>(\d+)', text)
+        }
+        assert counts == {"bad": 1, "warn": 0, "faint": 1, "good": 0}
+        assert re.findall(r'<tr data-robot="([^"]+)">', there.client.get("/?state=bad").text) == [there.robot]
+        assert 'class="tolerance"' in text  # on the axis that all share
+    finally:
+        there.client.patch(f"/v1/robots/{there.robot}", json={"tolerance_mm": None}).raise_for_status()
+
+
+@pytest.mark.short_path
+@pytest.mark.parametrize("width", [1440, 390])
+def test_twelve_robots_are_one_screen(there: Made, chromium: Browser, width: int) -> None:
+    more = [f"cell-{width}-{k}-with-a-name-that-is-rather-long-for-a-table" for k in range(10)]
+    for name in more:
+        there.client.post("/v1/robots", json={"name": name, **PRESET}).raise_for_status()
+    try:
+        with opened(chromium, there.client) as page:
+            page.set_viewport_size({"width": width, "height": 900})
+            page.goto("/")
+            assert page.locator("tr[data-robot]").count() == 12
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            if width == 1440:
+                assert page.locator("main").evaluate("e => e.getBoundingClientRect().bottom") <= 900
+                heights = page.locator("tr[data-robot]").evaluate_all("all => all.map(e => e.offsetHeight)")
+                assert max(heights) <= 46
+                assert len(page.locator("main").inner_text().split()) <= 250
+            page.locator("tr[data-robot] summary").first.click()
+            page.locator("tr.fold").first.wait_for(state="visible")
+            assert Axe().run(page).violations_count == 0
+    finally:
+        for name in more:
             there.client.post(f"/v1/robots/{name}/retire").raise_for_status()
 
 

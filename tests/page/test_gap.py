@@ -111,11 +111,9 @@ def test_the_page_says_what_the_interface_says(hunted: Hunted) -> None:
         said, result = story(hunted, job), job["result"]
         assert result["sentence"] in said
         assert bare(result["headline"]) in bare(said)
-        for field in ("validation_before_mm", "validation_after_mm", "validation_noise_rms_mm"):
-            assert f"{number(result['gap'][field])} mm" in said, field
         for effect in result["effects"]:
             assert f"{effect['id']} of joint {effect['joints'][0]}" in said
-            assert f"{effect['gain_mm']:.3g} mm" in said
+            assert f"{effect['gain_mm']:.3g}" in said
             for amount in effect["parameters"]:
                 assert f"{amount['interval_low']:.3g} to {amount['interval_high']:.3g}" in said
         listed = result["load_model"]
@@ -132,13 +130,13 @@ def test_the_level_of_the_claim_and_what_would_raise_it(hunted: Hunted) -> None:
     effect = hunted.open["result"]["effects"][0]
     said = story(hunted, hunted.open)
     assert effect["verdict"] == "provisional"
-    assert "Not yet: provisional." in said
+    assert "What would decide it" in said
     assert effect["to_confirm"]
     assert all(bare(remedy) in bare(said) for remedy in effect["to_confirm"])
     failed = [name for name, passed in effect["gates"].items() if passed is False]
     assert failed == ["unseen_poses"]
     assert f"{GATES['unseen_poses'][0]} no 0 poses" in said
-    assert "Yes: confirmed." in story(hunted, hunted.closed)
+    assert "backlash of joint 1: confirmed" in story(hunted, hunted.closed)
 
 
 def test_every_test_of_an_effect_has_words() -> None:
@@ -155,7 +153,7 @@ def test_candidates_have_their_outcome_and_its_reason(hunted: Hunted) -> None:
         for row in result["smallest_detectable"]
         if (found := re.search(r"_(\d+)$", row["parameter"]))
     } - named
-    assert f"{len(refused)} candidates were refused" in said
+    assert said.count(" refused ") >= len(refused)
     scores = {(one["id"], joint): one for one in result["refused"] for joint in one["joints"] or []}
     for name, joint in refused:
         score = scores.get((name, joint))
@@ -217,7 +215,7 @@ def test_an_effect_is_drawn_over_what_it_follows(hunted: Hunted) -> None:
 def test_the_report_has_the_same_curve(hunted: Hunted) -> None:
     title = "<title>Backlash of joint 1 over angle of joint 1</title>"
     pages = [hunted.client.get(f"/jobs/{hunted.closed['id']}{end}").text for end in ("", "/report")]
-    drawn = [page.partition(title)[2].partition("</svg>")[0] for page in pages]
+    drawn = [page.rpartition(title)[2].partition("</svg>")[0] for page in pages]  # the card above has a size of its own
     assert drawn[0] == drawn[1] != ""
 
 
@@ -227,13 +225,11 @@ def test_an_earlier_result_has_its_residuals_only(hunted: Hunted) -> None:
     assert [one.joint for one in curves(earlier.figures, "mm")] == [1]
 
 
-def test_residuals_are_unfolded_where_an_effect_has_no_curve_of_its_own(hunted: Hunted) -> None:
+def test_an_effect_without_a_curve_of_its_own_is_known(hunted: Hunted) -> None:
     result = hunted.closed["result"]
     assert not has_effect_without_curve(GapResult.model_validate(result))
     bending = {**result["effects"][0], "id": "link_bending"}
     assert has_effect_without_curve(GapResult.model_validate({**result, "effects": [*result["effects"], bending]}))
-    body = hunted.client.get(f"/jobs/{hunted.closed['id']}").text
-    assert "<details><summary>The residuals as the instrument saw them" in body
 
 
 def test_the_gap_closes_in_steps(hunted: Hunted) -> None:
@@ -377,11 +373,10 @@ def test_nothing_stands_in_the_way_of_anybody(hunted: Hunted, chromium: Browser,
         found = Axe().run(page)
         assert found.violations_count == 0, found.generate_report()
         assert page.evaluate("document.documentElement.scrollWidth - innerWidth") <= 0
-        questions = page.locator("dl.gap-answers a")
-        assert questions.count() == 5
-        for link in questions.all():  # each answer leads to its evidence
-            target = link.get_attribute("href") or "#"
-            assert page.locator(f"section{target}").count() == 1
+        assert page.locator("main").evaluate("e => e.getBoundingClientRect().bottom") <= 1400
+        assert len(page.locator("main").inner_text().split()) <= 400
+        assert page.locator(".effect .chips li").count() >= 4
+        page.locator(".decide summary").click()
         page.get_by_label("as a confirmation").check()
         page.get_by_role("button", name="Search again with it").click()
         page.wait_for_url(re.compile(r"/jobs/job_[0-9a-f]{16}$"))
@@ -396,7 +391,7 @@ def test_the_curve_can_be_read(hunted: Hunted, chromium: Browser, theme: str, wi
         page.set_viewport_size({"width": width, "height": 900})
         page.emulate_media(color_scheme=theme)  # type: ignore[arg-type]
         page.goto(f"/jobs/{hunted.closed['id']}")
-        effects = page.locator("section#effects")
+        effects = page.locator("#effects")
         effects.screenshot(path=folder / f"effect-{width}-{theme}.png")
         assert effects.evaluate("e => e.scrollWidth <= e.clientWidth")
         assert effects.locator("svg text").first.evaluate("e => e.getBoundingClientRect().height") >= 9

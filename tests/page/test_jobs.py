@@ -15,6 +15,7 @@ from playwright.sync_api import Browser, expect
 
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
+from kilter_service.page.jobs.form import NEW_JOB, parse_new_job
 from kilter_service.page.words import format_with_uncertainty, mm
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.token import admin_token
@@ -309,3 +310,9 @@ def test_nothing_stands_in_the_way_of_anybody(
             page.goto(path)
             found = Axe().run(page)
             assert found.violations_count == 0, found.generate_report()
+
+
+def test_an_empty_list_of_held_out_campaigns_holds_nothing_out() -> None:
+    asked = parse_new_job("arm", {"kind": "identify", "use.cmp_1": "train"})
+    again = NEW_JOB.validate_python({**asked.model_dump(mode="json"), "validation": []})
+    assert again.validation is None

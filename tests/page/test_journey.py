@@ -183,8 +183,8 @@ def test_from_a_file_to_corrected_setpoints(
         expect(dialog.get_by_role("button", name="Activate now")).to_be_visible(timeout=LONG_MS)
         page.screenshot(path=PICTURES / f"14-activate-{size}.png", caret="initial")
         dialog.get_by_role("button", name="Activate now").click()
-        page.wait_for_url(f"**/robots/{robot}/versions", timeout=LONG_MS)
-        expect(page.get_by_text("active", exact=True).first).to_be_visible()
+        page.wait_for_url(f"**/robots/{robot}", timeout=LONG_MS)
+        expect(page.locator("table.six")).to_contain_text("by admin")
         keep(page, "15-versions", size)
 
         page.get_by_role("navigation", name=f"Robot {robot}").get_by_role("link", name="Stream").click()
@@ -255,8 +255,9 @@ def test_a_search_its_story_and_what_it_asks_for(
         keep(page, "24-report", size)
 
         page.goto(f"/jobs/{search}")
+        page.locator(".decide summary").click()
         with page.expect_download() as poses:
-            page.get_by_role("link", name="Download these poses").click()
+            page.get_by_role("link", name="Download them").click()
         assert poses.value.suggested_filename == f"poses-{search}.csv"
         page.get_by_role("link", name="Drop their measurements here").click()
         keep(page, "25-drop-for-search", size)

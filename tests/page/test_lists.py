@@ -16,6 +16,7 @@ from playwright.sync_api import Browser
 from sqlalchemy import delete, insert, select
 
 from kilter_service.contract.campaigns import Campaign
+from kilter_service.contract.jobs.registry import KINDS
 from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow
 from kilter_service.page.audit.service import DONE
 from kilter_service.page.jobs.form import by_role
@@ -182,13 +183,14 @@ def test_versions_are_named_and_found(there: Made) -> None:
 
 def test_robots_are_found_and_sorted(there: Made) -> None:
     def found(**asked: str) -> list[str]:
-        return re.findall(r'<h2 id="robot-\d+"><a href="/robots/([^"]+)">', there.client.get("/", params=asked).text)
+        return re.findall(r'<tr data-robot="([^"]+)">', there.client.get("/", params=asked).text)
 
     there.client.post("/v1/robots", json={**Katana.document, "name": "a-second"}).raise_for_status()
-    assert found() == ["a-second", "katana"]  # not calibrated: worst
+    assert found() == ["katana", "a-second"]  # no corrector runs, and the other is not calibrated
     assert found(search="KATA") == ["katana"]
-    assert found(state="uncorrected") == ["a-second", "katana"]  # as both cards say: no corrector runs
-    assert found(state="corrected") == []
+    assert found(state="bad") == ["katana"]
+    assert found(state="faint") == ["a-second"]
+    assert found(state="good") == []
     assert found(sort="-name") == ["katana", "a-second"]
 
 
@@ -241,6 +243,9 @@ def test_the_newest_set_up_is_preset() -> None:
     assert by_role("identify", [a_campaign("five", 0, rows=5)]) == {"five": "train"}  # there is nothing larger
     judges = [a_campaign("judge", 1, role="validation"), a_campaign("new", 90)]
     assert by_role("identify", judges) == {"judge": "validation", "new": "train"}  # each role by itself
+    checks = [a_campaign("judge", 1, role="validation"), a_campaign("check", 9, role="validation", rows=6)]
+    assert by_role("drift", checks) == by_role("rezero", checks) == {"check": "train"}
+    assert all(by_role(kind, [a_campaign("one", 1)]) == {"one": "train"} for kind in KINDS)  # none opens to be refused
     many = [a_campaign(f"c{k}", k) for k in range(100)]
     assert set(by_role("identify", many)) == {f"c{k}" for k in range(88, 100)}
 

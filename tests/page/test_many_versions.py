@@ -29,7 +29,7 @@ def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[
 def test_the_picture_is_of_the_active_version(there: Made) -> None:
     text = there.client.get(f"/robots/{there.robot}").raise_for_status().text
     assert f'data-version="{there.good}"' in text
-    assert "Errors of version 2 on" in words(text)
+    assert "The arm, with the errors on" in words(text)
     assert "version 2 (active)" in words(text)  # to be chosen again
 
 

@@ -13,6 +13,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
 from kilter_service.contract.bridges import Bridge
+from kilter_service.contract.drift import DriftSummary
 from kilter_service.contract.fits import Errors, Parameter, StageErrors
 from kilter_service.contract.jobs.job import JobSummary, Progress
 from kilter_service.contract.today import ErrorsToday, Today
@@ -20,10 +21,10 @@ from kilter_service.contract.versions import VersionSummary
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db.row import utc_now
 from kilter_service.page.figures.meanings import MEANINGS
-from kilter_service.page.shared.accuracy import accuracy_today
 from kilter_service.page.shared.correcting import Correcting, Corrector
 from kilter_service.page.shared.state import assess_robot_state
 from kilter_service.page.words import format_in_largest_unit, parameter_sigma
+from kilter_service.versions.today.standing import Known, assess
 
 from .conftest import opened
 from .made import Made, made
@@ -61,24 +62,31 @@ def test_style_sheet_picture_and_docs_have_the_colours_of_the_figures() -> None:
 def of_today(source: str = "held_out", changed: bool = False, version: str | None = "ver_1") -> Today:
     errors = StageErrors(n=40, identified=Errors(mean_mm=0.02, rms_mm=0.022))
     newest = ErrorsToday(source=source, job_id="job_1", at=utc_now(), campaigns=[], refit=[], rows="", errors=errors)  # type: ignore[arg-type]
-    return Today(
+    made = Today(
         robot="arm", version_id=version, newest=newest, own=newest, changed=changed, larger_by_mm=0.5 if changed else None,
         compared="", not_evaluated=[], missing=None, sentences=["No version is active."],
     )  # fmt: skip
+    checked = DriftSummary(
+        robot="arm", state="never", version_id=version, sentence="", checks=0, last=None, age_days=None
+    )
+    return made.model_copy(update={"standing": assess(made, checked, Known())})
 
 
 @pytest.mark.parametrize(
     ("today", "seen", "word"),
     [
-        (of_today(), READY, "Good"),
+        (of_today(), READY, f"As calibrated on {utc_now().day} {utc_now():%B}"),
         (of_today(changed=True), READY, "Has changed"),
-        (of_today(version=None), READY, "Not corrected"),
+        (of_today(version=None), READY, "Not calibrated"),
         (of_today(source="fitted"), READY, "Not known"),
         (of_today(), Correcting("corrector stopped", "bad", "It does not run.", "Not corrected"), "Not corrected"),
     ],
 )
 def test_the_state_says_what_is_worst(today: Today, seen: Correcting, word: str) -> None:
-    assert assess_robot_state(today, accuracy_today(today), None, seen).word == word
+    assert assess_robot_state(today, seen).word == word
+
+
+CALIBRATED = f"As calibrated on {utc_now().day} {utc_now():%B}"
 
 
 def bridge_that_is(state: str, active: str | None) -> Bridge:
@@ -94,9 +102,9 @@ def bridge_that_is(state: str, active: str | None) -> Bridge:
     [
         ("correcting", None, "By a bridge", "by a bridge"),
         ("ramping in", None, "By a bridge", "by a bridge"),
-        ("waiting", None, "Not corrected", "bridge waiting"),
-        ("correcting", "ver_1", "Good", "by a bridge"),
-        ("waiting", "ver_1", "Good", "bridge waiting"),
+        ("waiting", None, "Not calibrated", "bridge waiting"),
+        ("correcting", "ver_1", CALIBRATED, "by a bridge"),
+        ("waiting", "ver_1", CALIBRATED, "bridge waiting"),
         ("correcting", "ver_2", "Other version", "by a bridge"),
         ("ramping in", "ver_2", "Other version", "by a bridge"),
         ("refusing", "ver_1", "Not corrected", "bridge refusing"),
@@ -111,7 +119,7 @@ def test_state_and_tile_agree_on_a_bridge_that_was_told_its_version(
     seen = Corrector("alive", "1 alive", [], {"arm": [bridge_that_is(state, active)]}).describe_correction(
         "arm", active
     )
-    found = assess_robot_state(of_today(version=active), accuracy_today(of_today()), None, seen)
+    found = assess_robot_state(of_today(version=active), seen)
     assert (found.word, seen.word) == (word, tile)
     if word in ("By a bridge", "Other version") or (active and word == "Not corrected"):
         assert (found.sentence, found.look) == (seen.sentence, "warn")
@@ -131,7 +139,7 @@ def test_standard_deviation_and_interval_of_a_line_are_of_one_estimate() -> None
 
 def test_the_settings_hold_what_is_rarely_changed(server: httpx.Client, there: Made) -> None:
     text = server.get(f"/robots/{there.robot}/settings").raise_for_status().text
-    for part in ('id="controller"', 'id="remarks"', 'id="description"', 'id="shapes"'):
+    for part in ('id="goals"', 'id="controller"', 'id="remarks"', 'id="description"', 'id="shapes"'):
         assert part in text
     assert "Whether the controller of katana corrects by itself is not known" in text
 
@@ -185,11 +193,10 @@ def test_the_overview_is_one_screen(there: Made, chromium: Browser, theme: str) 
         page.emulate_media(color_scheme=theme)  # type: ignore[arg-type]
         page.goto(f"/robots/{there.robot}")
         page.locator("[data-arm][data-ready]").wait_for()
-        page.locator(".tile .large, .tile .figure-number").nth(1).wait_for()
-        assert page.evaluate("document.documentElement.scrollHeight") <= 900
-        heights = page.locator(".tile").evaluate_all("tiles => tiles.map(one => one.getBoundingClientRect().height)")
-        assert len(heights) == 6
-        assert max(heights) - min(heights) < 1.0
+        assert page.locator("main").evaluate("e => e.getBoundingClientRect().bottom") <= 900
+        assert page.locator(".verdict .huge").inner_text() == "20.0 µm"
+        assert page.locator("svg.budget rect").count() >= 2
+        assert page.locator("table.six tr").count() == 6
         found = Axe().run(page)
         assert found.violations_count == 0, found.generate_report()
 

@@ -14,12 +14,13 @@ import pytest
 from sqlalchemy import update
 
 from kilter_service.contract.drift import CheckOfRobot, DriftSummary
-from kilter_service.contract.today import Today
+from kilter_service.contract.fits import Errors, StageErrors
+from kilter_service.contract.today import ErrorsToday, Today
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import HeartbeatRow
-from kilter_service.page.shared.accuracy import Accuracy
 from kilter_service.page.shared.correcting import Corrector
 from kilter_service.page.shared.state import assess_robot_state
+from kilter_service.versions.today.standing import Known, assess
 from tests.service.conftest import Katana, WorkerProcess
 
 Until = Callable[..., None]
@@ -34,7 +35,7 @@ def test_each_view_of_a_robot_says_how_it_stands(
 ) -> None:
     name = katana.name
     client.post("/v1/robots", json=katana.document).raise_for_status()
-    assert "Not corrected" in words(client.get(f"/robots/{name}/state", headers={"hx-request": "true"}).text)
+    assert "Not calibrated" in words(client.get(f"/robots/{name}/state", headers={"hx-request": "true"}).text)
     worker.start()
     made = client.post(f"/v1/robots/{name}/campaigns", json={"name": "monday"}).raise_for_status().json()["id"]
     client.post(f"/v1/campaigns/{made}/observations", json=katana.columns(40, 1)).raise_for_status()
@@ -63,40 +64,47 @@ def test_each_view_of_a_robot_says_how_it_stands(
     assert client.get("/robots/nobody/state").status_code == 404
 
 
-GOOD = Accuracy(True, 40, 0.05, 0.04, 0.06, 0.09, 0.1, 2.0, 1.0, 0.09)
+ERRORS = StageErrors(n=40, identified=Errors(mean_mm=0.05, rms_mm=0.055))
+
+
+def stands(last: CheckOfRobot | None = None) -> Today:
+    """A robot with good errors on rows that were held out."""
+    at = datetime(2026, 4, 16, tzinfo=UTC)
+    held = ErrorsToday(source="held_out", job_id="job_0", at=at, campaigns=[], refit=[], rows="", errors=ERRORS)
+    today = Today(
+        robot="arm", version_id="ver_1", newest=held, own=held, changed=False, larger_by_mm=None, compared="",
+        not_evaluated=[], missing=None, sentences=[],
+    )  # fmt: skip
+    drift = DriftSummary(
+        robot="arm", state="ok" if last else "never", version_id="ver_1", sentence="", checks=9, last=last, age_days=200
+    )
+    return today.model_copy(update={"standing": assess(today, drift, Known())})
 
 
 @pytest.mark.parametrize(
     ("robot", "version", "ago_s", "word"),
     [
-        ("arm", "ver_1", 1.0, "Good"),
+        ("arm", "ver_1", 1.0, "As calibrated on 16 April"),
         ("arm", "ver_0", 1.0, "Other version"),
         ("arm", None, 1.0, "Other version"),
-        ("arm", "ver_0", 3600.0, "Good"),  # it ended long before the version was activated
-        ("other", "ver_0", 1.0, "Good"),
+        ("arm", "ver_0", 3600.0, "As calibrated on 16 April"),  # it ended long before the version was activated
+        ("other", "ver_0", 1.0, "As calibrated on 16 April"),
     ],
 )
 def test_a_good_number_does_not_hide_a_stream_that_is_not_corrected_with_it(
     robot: str, version: str | None, ago_s: float, word: str
 ) -> None:
-    today = Today.model_construct(version_id="ver_1", changed=False, sentences=[])
     told = {"robot": robot, "version_id": version, "stream": "a", "at_ns": time.time_ns() - int(ago_s * 1e9)}
     seen = Corrector("alive", "1 alive", [told]).describe_correction("arm", "ver_1")
-    assert assess_robot_state(today, GOOD, None, seen).word == word
+    assert assess_robot_state(stands(), seen).word == word
 
 
 def test_the_state_says_when_the_checks_were_that_agree() -> None:
     at = datetime(2026, 5, 1, 7, 0, tzinfo=UTC)
     last = CheckOfRobot(job_id="job_1", campaign_id="cmp_1", version_id="ver_1", at=at, verdict="ok", sentence="ok: as it was.",
                         p_value=0.5, temperature_c=None)  # fmt: skip
-    drift = DriftSummary(
-        robot="arm", state="ok", version_id="ver_1", sentence=last.sentence, checks=9, last=last, age_days=200
-    )
-    today = Today.model_construct(version_id="ver_1", changed=False, sentences=[])
-    found = assess_robot_state(
-        today, GOOD, drift, Corrector("alive", "1 alive", []).describe_correction("arm", "ver_1")
-    )
-    assert found.sentence == "Its checks agree with the active version, last on 2026-05-01, 200 days ago."
+    found = assess_robot_state(stands(last), Corrector("alive", "1 alive", []).describe_correction("arm", "ver_1"))
+    assert found.sentence == "Its checks agree with the version, last on 2026-05-01, 200 days ago."
 
 
 @pytest.mark.parametrize("compensation", ["factory", "kilter"])

@@ -25,6 +25,7 @@ GROUPS = {
         "robot",
         "robots",
         "set_controller_compensation",
+        "set_tolerance",
         "today",
         "bridges",
         "drift_history",

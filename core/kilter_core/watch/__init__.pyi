@@ -5,6 +5,7 @@ from .arm_check import Judged as Judged
 from .arm_check import check as check
 from .arm_check import far_off as far_off
 from .causes import Cause as Cause
+from .causes import apply_cause as apply_cause
 from .conditions import UNSTATED_K as UNSTATED_K
 from .conditions import Conditions as Conditions
 from .history import Chart as Chart

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 DIGITS = 3  # of the largest of several lengths
-SMALLEST = 1e-300  # of probabilities that are told: below it they are rounded to none at all
+SMALLEST = 1e-6  # of probabilities that anybody tells apart
 
 
 def unit_of_length(length_mm: float) -> tuple[str, float]:
@@ -23,5 +23,5 @@ def said_of_lengths(largest_mm: float, *lengths_mm: float) -> list[str]:
 def said_of_chance(value: float) -> str:
     """Write a probability: as a number where people read it so, as a power of ten where it is tiny."""
     if value < SMALLEST:
-        return f"below {SMALLEST:.0e}"
+        return f"below {SMALLEST:.0e}".replace("e-0", "e-")
     return f"{value:.0e}".replace("e-0", "e-") if value < 1e-3 else f"{value:.2g}"

@@ -75,6 +75,11 @@ class StageErrors(Stored):
         "`without_effects`.",
     )
     identified: Errors | None = Field(None, description="The model that was identified.")
+    uncorrected: Errors | None = Field(
+        None,
+        description="Of a check: the nominal robot in the frames of the version, which is the arm without its correction; "
+        "null: not computed.",
+    )
     budget: Budget | None = Field(
         None, description="What is not known of these rows, with the expanded uncertainty; null: not computed."
     )
@@ -83,6 +88,11 @@ class StageErrors(Stored):
     def best_rigid(self) -> Errors | None:
         """Of a version the geometry fitted without effects, as earlier releases stored it too."""
         return self.geometry_fitted or self.geometry_only
+
+    @property
+    def without(self) -> Errors | None:
+        """The arm without the version: nominal, with base and tool anew where most of its error is where these are."""
+        return self.uncorrected or (self.nominal if self.place_mm is None else self.registration_only)
 
     @property
     def place_mm(self) -> float | None:

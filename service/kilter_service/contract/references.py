@@ -7,7 +7,16 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from kilter_service.contract.units import COMPENSATION, ControllerCompensation, Listed, Strict
+from kilter_service.contract.units import (
+    COMPENSATION,
+    INTERVAL,
+    TOLERANCE,
+    ControllerCompensation,
+    IntervalDays,
+    Listed,
+    Strict,
+    ToleranceMm,
+)
 
 Kind = Literal["campaign", "version", "job"]
 By = Literal["id", "prefix", "name", "latest", "number"]
@@ -41,11 +50,13 @@ class RobotChange(Strict):
 
     remarks: Notes | None = Field(None, description="What people noted on the robot, at most 20000 characters.")
     controller_compensation: ControllerCompensation | None = Field(None, description=COMPENSATION)
+    tolerance_mm: ToleranceMm | None = Field(None, description=f"{TOLERANCE} Null: none.")
+    check_interval_days: IntervalDays | None = Field(None, description=f"{INTERVAL} Null: none.")
 
     @model_validator(mode="after")
     def _something(self) -> RobotChange:
         if not self.model_fields_set:
-            raise ValueError("give remarks or controller_compensation")
+            raise ValueError("give remarks, controller_compensation, tolerance_mm or check_interval_days")
         return self
 
 

@@ -10,6 +10,8 @@ from kilter_service.contract.references import RETIRED_AT
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.contract.units import (
     COMPENSATION,
+    INTERVAL,
+    TOLERANCE,
     ControllerCompensation,
     Deg,
     Direction,
@@ -60,6 +62,8 @@ class RobotSummary(Strict):
     remarks: str = Field("", description="What people noted on the robot.")
     controller_compensation: ControllerCompensation = Field("unknown", description=COMPENSATION)
     controller_sentence: str = Field("", description="The same, and what follows from it, in words.")
+    tolerance_mm: Mm | None = Field(None, description=f"{TOLERANCE} Null: none.")
+    check_interval_days: int | None = Field(None, description=f"{INTERVAL} Null: none.")
     retired_at: datetime | None = Field(None, description=RETIRED_AT)
 
 

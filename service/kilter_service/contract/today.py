@@ -8,6 +8,7 @@ from typing import Literal
 from pydantic import Field
 
 from kilter_service.contract.fits import StageErrors
+from kilter_service.contract.standing import ErrorAt, Standing
 from kilter_service.contract.units import COMPENSATION, ControllerCompensation, Mm, Strict
 
 Source = Literal["evaluation", "check", "held_out", "fitted"]
@@ -86,5 +87,7 @@ class Today(Strict):
         description="Campaigns since then that the version neither was fitted to nor evaluated on."
     )
     missing: SearchToday | None = Field(description="The newest gap search; null: nobody has looked.")
+    standing: Standing | None = Field(None, description="How the robot stands in a word, and what to do next.")
+    history: list[ErrorAt] = Field([], description="Errors over time, oldest first; at most 200.")
     controller_compensation: ControllerCompensation = Field("unknown", description=COMPENSATION)
     sentences: list[str] = Field(description="The same in words, the most important first.")

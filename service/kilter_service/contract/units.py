@@ -58,6 +58,10 @@ COMPENSATION = (
     "Whether the controller corrects the arm by itself: `none`; `factory`: by its maker's calibration; `kilter`: by a "
     "calibration that Kilter exported; `unknown`: nobody said."
 )
+ToleranceMm = Annotated[float, unit("mm", gt=0, le=1000)]
+IntervalDays = Annotated[int, Field(ge=1, le=3650)]
+TOLERANCE = "Largest mean error of the tool that is good enough, mm."
+INTERVAL = "Whole days within which the robot is to be checked."
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Id = Annotated[str, Field(max_length=64)]

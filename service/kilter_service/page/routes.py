@@ -10,6 +10,7 @@ from kilter_service.page.audit.routes import router as audit
 from kilter_service.page.campaign.routes import router as campaign
 from kilter_service.page.correct.routes import router as correct
 from kilter_service.page.drop.routes import router as drop
+from kilter_service.page.find.routes import router as find
 from kilter_service.page.fleet.routes import router as fleet
 from kilter_service.page.gap.routes import router as gap
 from kilter_service.page.job_list.routes import router as job_list
@@ -26,6 +27,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     assets,
     login,
     fleet,
+    find,
     robot,
     versions,
     drop,

@@ -25,6 +25,8 @@ class RobotRecord:
     active_version: str | None
     remarks: str
     controller_compensation: ControllerCompensation
+    tolerance_mm: float | None
+    check_interval_days: int | None
     retired_at: datetime | None
     notes: list[str]
     sha256: str

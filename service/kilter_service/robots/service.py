@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from kilter_core.arm import Robot
 
 
+GOALS = ("tolerance_mm", "check_interval_days")
+
+
 def add(database: Database, document: RobotDocument) -> tuple[RobotReport, bool]:
     """Check and store a robot; the same document twice changes nothing. Returns the report and whether it is new.
 
@@ -75,12 +78,10 @@ def list_robots(database: Database, page: Page, retired: bool = False) -> RobotL
 
 
 def change(database: Database, name: str, wanted: RobotChange) -> RobotReport:
-    """Note something on a robot, or whether its controller corrects by itself; what is left out stays."""
+    """Change what people say of a robot; what is left out stays, and null takes a goal away."""
+    said = wanted.model_dump(exclude_unset=True)
     with database.transaction() as session:
-        if wanted.remarks is not None:
-            store.remark(session, name, wanted.remarks)
-        if wanted.controller_compensation is not None:
-            store.compensate(session, name, wanted.controller_compensation)
+        store.change(session, name, {key: value for key, value in said.items() if value is not None or key in GOALS})
     return get(database, name)
 
 

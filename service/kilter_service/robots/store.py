@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from sqlalchemy import Select, delete, func, select
@@ -173,14 +173,18 @@ def refuse_retired_robot(session: Session, robot_id: int) -> None:
     retired.refuse("robot", row.name, row.retired_at)
 
 
-def remark(session: Session, name: str, remarks: str) -> None:
-    """Note something on a robot, replacing what was noted before."""
-    _row(session, name).remarks = remarks
+def change(session: Session, name: str, settings: Mapping[str, Any]) -> None:
+    """Set columns of a robot: what people note, what its controller corrects, how good it must be."""
+    row = _row(session, name)
+    for column, value in settings.items():
+        setattr(row, column, value)
 
 
-def compensate(session: Session, name: str, compensation: str) -> None:
-    """Note whether the controller of a robot corrects by itself."""
-    _row(session, name).controller_compensation = compensation
+def goals(session: Session, of: Collection[int]) -> dict[int, tuple[float | None, int | None]]:
+    """Return tolerance, mm, and days between checks of robots; None: not stated."""
+    row = RobotRow
+    query = select(row.id, row.tolerance_mm, row.check_interval_days).where(row.id.in_(of))
+    return {key: (tolerance, days) for key, tolerance, days in session.execute(query)}
 
 
 def get_compensation(session: Session, robot_id: int) -> str:
@@ -288,6 +292,8 @@ def _record(row: RobotRow, campaigns: int, versions: int, active_version: str | 
         active_version=active_version,
         remarks=row.remarks,
         controller_compensation=parse_compensation(row.controller_compensation),
+        tolerance_mm=row.tolerance_mm,
+        check_interval_days=row.check_interval_days,
         retired_at=row.retired_at,
         notes=[str(note) for note in row.left_out],
         sha256=row.sha256,

@@ -53,6 +53,8 @@ def _summary_fields(record: RobotRecord) -> dict[str, Any]:
         "remarks": record.remarks,
         "controller_compensation": record.controller_compensation,
         "controller_sentence": statement(record.name, record.controller_compensation),
+        "tolerance_mm": record.tolerance_mm,
+        "check_interval_days": record.check_interval_days,
         "retired_at": record.retired_at,
     }
 

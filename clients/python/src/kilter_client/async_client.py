@@ -58,6 +58,7 @@ class AsyncKilter:
     find_frame = make_async_method(described.find_frame)
     robot = make_async_method(described.robot)
     set_controller_compensation = make_async_method(described.set_controller_compensation)
+    set_tolerance = make_async_method(described.set_tolerance)
     accept = make_async_method(described.accept)
     today = make_async_method(described.today)
     bridges = make_async_method(described.bridges)

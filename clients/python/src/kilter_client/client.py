@@ -74,6 +74,7 @@ class Kilter:
     find_frame = waiting(robots.find_frame)
     robot = waiting(robots.robot)
     set_controller_compensation = waiting(robots.set_controller_compensation)
+    set_tolerance = waiting(robots.set_tolerance)
     accept = waiting(robots.accept)
     today = waiting(robots.today)
     bridges = waiting(robots.bridges)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 from pydantic import Field
 
 from kilter_service.contract.fits import StageErrors
 from kilter_service.contract.headlines import HEADLINE
+from kilter_service.contract.jobs.job import JobOf
 from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.jobs.shared import NewFrames, NoiseMm, SetupMm, Version
 from kilter_service.contract.remarks import Remark
-from kilter_service.contract.units import Asked, Celsius, JointNumber, Mm, Stored
+from kilter_service.contract.units import Asked, Celsius, JointNumber, Mm, PointMm, Stored
 
 CauseKind = Literal["zero", "sag", "base", "tool", "scale"]
 DriftVerdict = Literal["ok", "moved", "cannot_tell"]
@@ -63,6 +64,20 @@ class DriftCause(Stored):
     gain: float | None = Field(None, description="Chi-square that it explains.")
     bic: float | None = Field(None, description="What it leaves, with a price for its numbers; smaller is better.")
     refuted: bool | None = Field(None, description="Whether the best cause explains what this one leaves.")
+    left_mm: list[float] | None = Field(
+        None, description="Of the likeliest causes: the errors of `rows`, mm, if this is the cause; null: not computed."
+    )
+
+
+class CheckedRow(Stored):
+    """A row of a check: where its tool is, and by how much the version misses it."""
+
+    row: int = Field(description="Its number in the campaign, from 1.")
+    at_mm: PointMm = Field(description="Where the version has the tool, mm, in the frame of the measurements.")
+    error_mm: PointMm = Field(description="Measured minus predicted, mm.")
+    after_mm: PointMm | None = Field(
+        None, description="The same, mm, if the likeliest cause is it; null: there is none."
+    )
 
 
 class SmallestChange(Stored):
@@ -87,6 +102,9 @@ class DriftResult(Stored):
     remedy: str | None = Field(None, description="What to do, or what would settle it; null: nothing.")
     causes: list[DriftCause] | None = Field(None, description="What explains the rows, best first; empty: nothing did.")
     looked_at: list[DriftCause] | None = Field(None, description="All causes that these rows show, best first.")
+    rows: list[CheckedRow] | None = Field(
+        None, description="The rows, at most 60, the worst of more; null: no instrument saw places."
+    )
     p_value: float | None = Field(None, description="Chance of so much from an arm that has not moved.")
     false_alarm: float | None = Field(None, description="Chance of a false alarm at which it says `moved`.")
     chi_square: float | None = Field(None, description="Squared whitened innovation.")
@@ -160,5 +178,7 @@ DRIFT = JobContract(
     against_fit=True,
     most_campaigns=1,
     watching=True,
+    uses={"validation": "train"},
     usual=("version", "new_setup", "setup_mm", "noise_mm"),
 )
+DriftJob: TypeAlias = JobOf[DriftOptions, DriftResult]

@@ -51,7 +51,9 @@ class NewJobOf(Strict, Generic[OptionsT]):
     @model_validator(mode="before")
     @classmethod
     def _confirmation_among_options(cls, given: Any) -> Any:
-        """Take `options.confirmation` for the field of the same name."""
+        """Take `options.confirmation` for the field of the same name, and an empty hold-out for none."""
+        if isinstance(given, dict) and given.get("validation") == []:
+            given = {**given, "validation": None}  # no campaign is held out
         options = given.get("options") if isinstance(given, dict) else None
         if not isinstance(options, dict) or "confirmation" not in options:
             return given

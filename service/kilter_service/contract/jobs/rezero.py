@@ -61,5 +61,6 @@ REZERO = JobContract(
     against_fit=True,
     most_campaigns=1,
     watching=True,
+    uses={"validation": "train"},
     usual=("version", "causes", "new_setup", "noise_mm"),
 )

@@ -44,6 +44,8 @@ class RobotRow(Row):
     left_out: Mapped[list[Any]] = mapped_column(default=list, server_default="[]")
     remarks: Mapped[str] = mapped_column(default="", server_default="")
     controller_compensation: Mapped[str] = mapped_column(String(16), default="unknown", server_default="unknown")
+    tolerance_mm: Mapped[float | None]
+    check_interval_days: Mapped[int | None]
     retired_at: Mapped[datetime | None]
     retired_by: Mapped[str] = mapped_column(String(64), default="", server_default="")
     versions_made: Mapped[int] = mapped_column(default=0, server_default="0")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,6 +35,7 @@ REFUSED = frozenset(
     {"rows_of_another_arm", "too_few_poses", "tool_not_stated", "another_temperature", "contacts_mixed"}
 )
 MOST_ROWS = 10  # named
+MOST_DRAWN, MOST_CAUSES = 60, 4  # rows and causes that are drawn
 STAYS = (
     " Campaign {campaign} is still in use: retire it, on its page or by `kilter measure campaigns retire "
     "{campaign}`, so that nothing "
@@ -141,6 +143,9 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
     # How far balls in a socket are from each other is not an error of the tool: it lacks what moves all of them alike.
     measured = () if found.joint_log else job.campaigns
     documents = {one.cause.name: wire.cause_document(one) for one in found.judged}
+    drawn = None if found.joint_log else _rows(job, rows, found)
+    for cause, left in () if drawn is None else drawn.left_mm.items():
+        documents[cause]["left_mm"] = left
     causes = [documents[one.cause.name] for one in found.causes]
     since = last_otherwise(causes, to_mm(found.noise), found.poses, job.fit.agreeing)
     return {
@@ -151,6 +156,7 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
         "remedy": wire.remedy(found, applied_calibration(job).names),
         "causes": causes,
         "looked_at": list(documents.values()),
+        "rows": None if drawn is None else drawn.rows,
         "p_value": found.p_value,
         "false_alarm": core_watch.FALSE_ALARM,
         "chi_square": found.chi_square,
@@ -173,6 +179,46 @@ def _document(job: JobInput, rows: Observations, known: Predictive, found: Check
         "refit": list(found.new_setup),
         "metrics": {campaign: _errors(job, rows, known, found) for campaign in measured},
     }
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """Rows as documents, and by cause the error of each, mm, that is left if it is the cause."""
+
+    rows: list[dict[str, Any]]
+    left_mm: dict[str, list[float]]
+
+
+def _rows(job: JobInput, rows: Observations, found: Check) -> _Drawn | None:
+    """Errors of the worst rows with the version, and with each of the likeliest causes; None where no place was seen."""
+    calibration = applied_calibration(job)
+    measurement = core_measurement.Measurement.from_observations(rows, calibration.marker_points, held=True)
+    if measurement.tool.places_itself or not measurement.observes_places:
+        return None
+    here = core_identify.refit_frames(calibration, measurement, found.new_setup)
+    model, values = here.model.absorb_frame_increments(here.values)
+    here = replace(here, model=model, values=values)
+    predicted = here.predict(measurement.observations)
+    error = to_mm(core_identify.mean_marker_error(measurement.residual(predicted).points))
+    size = np.where(np.isnan(error).any(axis=1), -1.0, np.linalg.norm(error, axis=1))
+    shown = np.sort(np.argsort(-size, kind="stable")[: min(MOST_DRAWN, int((size >= 0.0).sum()))])
+    left = {}
+    for one in found.judged[:MOST_CAUSES]:
+        changed, moved, unit = core_watch.apply_cause(here, measurement.observations, one.cause, one.change)
+        shift = to_mm(unit * changed.predict(moved).position - predicted.position)
+        left[one.cause.name] = (error - shift)[shown]
+    after = left[found.causes[0].cause.name] if found.causes and found.causes[0].cause.name in left else None
+    at, numbers = to_mm(predicted.position), np.flatnonzero(~_unknown_sides(job))
+    documents = [
+        {
+            "row": int(numbers[k]) + 1,
+            "at_mm": at[k].tolist(),
+            "error_mm": error[k].tolist(),
+            "after_mm": None if after is None else after[place].tolist(),
+        }
+        for place, k in enumerate(shown)
+    ]
+    return _Drawn(documents, {name: np.linalg.norm(one, axis=1).tolist() for name, one in left.items()})
 
 
 def _warnings(job: JobInput, known: Predictive) -> Iterator[dict[str, Any]]:
@@ -209,7 +255,15 @@ def _errors(job: JobInput, rows: Observations, known: Predictive, found: Check) 
     )
     ((campaign, _),) = job.campaigns.items()
     budget = uncertainty_budget(calibration, known, rows, job.instruments.get(campaign), found.new_setup)
-    return {"n": len(errors.points), "left_out": 0, "identified": errors.to_document(), "budget": budget}
+    nominal = core_identify.refit_frames(calibration.nominal_in_wanted_frames(), measurement, found.new_setup)
+    without = core_measurement.Errors.from_calibration(nominal, measurement)
+    return {
+        "n": len(errors.points),
+        "left_out": 0,
+        "identified": errors.to_document(),
+        "uncorrected": without.to_document(),
+        "budget": budget,
+    }
 
 
 KIND = JobKind(DRIFT, run, preview_job=preview_job)

@@ -47,6 +47,8 @@ DONE: Mapping[str, str] = {
     "POST /robots/{robot}/remarks": "noted something on {robot}",
     "POST /robots/{robot}/compensation": "said whether the controller of {robot} corrects by itself",
     "POST /robots/{robot}/jobs": "asked for {job} of {robot}",
+    "POST /robots/{robot}/goals": "said how good {robot} must be",
+    "POST /robots/{robot}/steps": "took the next step with {robot}",
     "POST /robots/{robot}/repairs": "recorded a repair of {robot}",
     "POST /robots/{robot}/repairs/{repair}/remove": "removed a repair of {robot}",
     "POST /robots/{robot}/meshes/{link}": "gave link {link} of {robot} a shape",

@@ -76,14 +76,19 @@ class Plot:
         colour: str = "",
         names: Sequence[str] = (),
         rows: Sequence[str] = (),
+        links: Sequence[str] = (),
     ) -> Plot:
-        """Draw points; ``names`` are shown when one is pointed at, ``rows`` (``CAMPAIGN/ROW``) tell which row each is."""
+        """Draw points; ``names`` are shown when one is pointed at, ``rows`` (``CAMPAIGN/ROW``) tell which row each is.
+
+        A click on a point leads where its link does.
+        """
         fill = colour or COLOURS[number % len(COLOURS)]
         self._key(label, _mark(11, 6, fill, number))
         for place, (x, y) in enumerate(zip(xs, ys, strict=True)):
             if math.isfinite(x) and math.isfinite(y):
                 name = escape(names[place]) if names else ""
                 row = f' data-row="{escape(rows[place])}"' if rows else ""
+                row += f' data-goto="{escape(links[place])}"' if links else ""
                 self._drawn.append(_mark(self._px(x), self._py(y), fill, number, name, row))
         return self
 

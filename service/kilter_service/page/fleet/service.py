@@ -1,121 +1,137 @@
-"""What a card of a robot shows."""
+"""What a row of the fleet shows."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
 
-from kilter_service.contract.drift import DriftSummary
+from markupsafe import Markup
+
 from kilter_service.contract.robot_reports import RobotSummary
+from kilter_service.contract.standing import NextStep
 from kilter_service.contract.today import Today
 from kilter_service.contract.versions import VersionSummary
 from kilter_service.ground.db import Database
 from kilter_service.ground.paging import Page
 from kilter_service.ground.settings import Settings
 from kilter_service.jobs import service as jobs
+from kilter_service.page.figures import strip
+from kilter_service.page.figures.scale import Axis, lengths
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
-from kilter_service.page.shared.control_chart import LOOKS, standing
-from kilter_service.page.shared.correcting import OFF, OTHER, Correcting, corrector
+from kilter_service.page.shared.correcting import Correcting, corrector
 from kilter_service.page.shared.lists import Asked, Part, select_page
-from kilter_service.page.shared.state import State, assess_robot_state
+from kilter_service.page.shared.state import LOUDNESS, State, assess_robot_state
+from kilter_service.page.words import format_in_largest_unit
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 from kilter_service.versions.drift import service as drift
 from kilter_service.versions.today import service as today
-from kilter_service.versions.today.sentences import describe_change
 
-ALARMS = ("moved", "cannot_tell", "creeping")
+DAY = 86400.0
+COUNTS = {"bad": "to act on", "warn": "to look at", "faint": "not known", "good": "good"}
 
 
 @dataclass(frozen=True)
-class Card:
+class Row:
     """A robot with the version that corrects it, None without one, and the number of its jobs that are not over."""
 
     robot: RobotSummary
     version: VersionSummary | None
-    today: Today | None
+    today: Today
     accuracy: Accuracy | None
     correcting: Correcting
     open_jobs: int
-    drift: DriftSummary | None
+    activated: Sequence[datetime]
 
     @property
-    def state(self) -> str:
-        """Good as far as is known, changed since its fit, or not corrected, as the card says it."""
-        if self.stands.word in (OFF, OTHER):
-            return "uncorrected"
-        return "changed" if self.today is not None and self.today.changed else "corrected"
-
-    @property
-    def stands(self) -> State:
+    def state(self) -> State:
         """How the robot stands, as its own view says it."""
-        return assess_robot_state(self.today, self.accuracy, self.drift, self.correcting)
+        return assess_robot_state(self.today, self.correcting)
 
     @property
-    def rank(self) -> tuple[int, bool, float]:
-        """Those that a check says have moved first, then those without a known error, then the least accurate."""
-        moved = len(ALARMS) if self.drift is None or self.drift.state not in ALARMS else ALARMS.index(self.drift.state)
-        return moved, self.accuracy is not None, -self.accuracy.mean if self.accuracy else math.inf
+    def step(self) -> NextStep | None:
+        """What to do next."""
+        steps = self.today.standing.steps if self.today.standing else []
+        return steps[0] if steps else None
 
     @property
-    def badge(self) -> tuple[str, str]:
-        """How the robot stands by its checks as words of a badge, and its look."""
-        return LOOKS["never" if self.drift is None else self.drift.state]
+    def measured_at(self) -> datetime | None:
+        """When the rows of the error were measured."""
+        newest = self.today.newest
+        return max((one.measured_at for one in newest.campaigns), default=newest.at) if newest else None
 
     @property
-    def checked(self) -> str:
-        """What the checks say where it is not well, and when the last one was."""
-        if self.drift is None:
+    def rank(self) -> tuple[int, float]:
+        """The loudest first, then the least accurate."""
+        return LOUDNESS.index(self.state.look), -self.accuracy.mean if self.accuracy else -math.inf
+
+    @property
+    def spark(self) -> Markup | str:
+        """The last errors as a line; empty where there are fewer than two."""
+        errors = self.today.history
+        if len(errors) < 2:
             return ""
-        return (
-            standing(self.drift)
-            if self.drift.state == "ok"
-            else f"{self.drift.sentence} {standing(self.drift)}".strip()
-        )
+        first, last = (format_in_largest_unit(one.mean_mm, errors[-1].mean_mm) for one in (errors[0], errors[-1]))
+        title = f"The last {len(errors)} errors: from {first} to {last}"
+        days = [one.at.timestamp() / DAY for one in errors]
+        marks = [one.timestamp() / DAY for one in self.activated]
+        return strip.spark(days, [one.mean_mm for one in errors], marks, title)
 
 
-def cards(database: Database, settings: Settings) -> list[Card]:
-    """Return the robots in use, worst first."""
+@dataclass(frozen=True)
+class Fleet:
+    """The rows that are shown, how many there are of each look, and the axis on which all errors are."""
+
+    part: Part[Row]
+    counts: Mapping[str, int]
+    axis: Axis
+    most: float
+
+    def drawn(self, row: Row) -> Markup | str:
+        """The error of a row on the shared axis."""
+        found, standing = row.accuracy, row.today.standing
+        if found is None or standing is None:
+            return ""
+        low, high = found.low or found.mean, found.high or found.mean
+        title = f"Mean error {format_in_largest_unit(found.mean, self.most)}"
+        return strip.error(self.axis, found.mean, low, high, standing.tolerance_mm, row.state.look, title)
+
+
+def fleet(database: Database, settings: Settings, asked: Asked) -> Fleet:
+    """Return the robots in use that the address asks for, worst first."""
     seen = corrector(database, settings)
     open_jobs, active = jobs.open_of_robots(database), versions.active_of_robots(database)
-    known, checked = today.of_robots(database), {one.robot: one for one in drift.of_robots(database).robots}
-    made = []
+    known, log = today.of_robots(database), drift.activations_of_robots(database)
+    rows = []
     for robot in robots.list_robots(database, Page()).robots:
-        version = active.get(robot.name)
-        now = known.get(robot.name)
-        accuracy = None if now is None else accuracy_today(now)
+        now = known[robot.name]
         correcting = seen.describe_correction(robot.name, robot.active_version, robot.controller_compensation)
-        jobs_open, drifted = open_jobs.get(robot.name, 0), checked.get(robot.name)
-        made.append(Card(robot, version, now, accuracy, correcting, jobs_open, drifted))
-    return sorted(in_one_unit(made), key=lambda card: card.rank)
+        many, accuracy = open_jobs.get(robot.name, 0), accuracy_today(now)
+        rows.append(Row(robot, active.get(robot.name), now, accuracy, correcting, many, log.get(robot.name, ())))
+    rows.sort(key=lambda row: row.rank)
+    found = [row.accuracy for row in rows if row.accuracy is not None]
+    limits = [row.robot.tolerance_mm for row in rows if row.robot.tolerance_mm is not None]
+    shown = [end for one in found for end in (one.low or one.mean, one.high or one.mean)] + limits
+    return Fleet(
+        select_rows(rows, asked),
+        {look: sum(row.state.look == look for row in rows) for look in COUNTS},
+        lengths("mean error", shown, log=True),
+        max((one.mean for one in found), default=1.0),
+    )
 
 
-def in_one_unit(made: Sequence[Card]) -> list[Card]:
-    """Return cards whose errors all have the unit of the largest: robots are compared by them."""
-    most = max((card.accuracy.widest for card in made if card.accuracy is not None), default=0.0)
-    out = []
-    for card in made:
-        if card.accuracy is None or card.today is None:
-            out.append(card)
-            continue
-        now = card.today
-        said = describe_change(now.robot, now.newest, now.own, now.larger_by_mm, most)
-        same = now.model_copy(update={"compared": said})
-        out.append(replace(card, accuracy=replace(card.accuracy, widest=most), today=same))
-    return out
-
-
-def select_cards(made: list[Card], asked: Asked) -> Part[Card]:
-    """Return the cards that the address asks for; without a column they stay worst first."""
+def select_rows(rows: list[Row], asked: Asked) -> Part[Row]:
+    """Return the rows that the address asks for; without a column they stay worst first."""
     return select_page(
-        made,
+        rows,
         asked,
-        lambda card: f"{card.robot.name} {card.version.name if card.version else ''}",
+        lambda row: f"{row.robot.name} {row.version.name if row.version else ''}",
         {
-            "name": lambda card: card.robot.name,
-            "error": lambda card: card.accuracy.mean if card.accuracy else None,
-            "jobs": lambda card: card.open_jobs,
+            "name": lambda row: row.robot.name,
+            "error": lambda row: row.accuracy.mean if row.accuracy else None,
+            "measured": lambda row: row.measured_at,
         },
-        {"state": lambda card: card.state},
+        {"state": lambda row: row.state.look},
     )

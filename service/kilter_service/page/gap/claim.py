@@ -116,11 +116,6 @@ class Claim:
     raise_it: list[str]
     remarks: list[str]
 
-    @property
-    def failed_tests(self) -> list[str]:
-        """The tests that were not passed."""
-        return [test.name for test in self.tests if not test.passed]
-
 
 def claim_from_effect(effect: NamedEffect, unit: str = "mm") -> Claim:
     """Say how sure an effect is; ``unit`` is that of the search's lengths."""

@@ -120,9 +120,9 @@ class Curve:
     named: bool
 
 
-def curves(figures: GapFigures | None, unit: str) -> list[Curve]:
+def curves(figures: GapFigures | None, unit: str, width: float = 440.0, height: float = 320.0) -> list[Curve]:
     """Draw a plot for each joint at which an effect was named; for all joints where none was."""
-    return [_curve(joint, points, unit) for joint, points in _joints(figures) if points]
+    return [_curve(joint, points, unit, width, height) for joint, points in _joints(figures) if points]
 
 
 def _joints(figures: GapFigures | None) -> Iterator[tuple[int, list[Point]]]:
@@ -145,7 +145,7 @@ def _points(figure: Figure) -> Iterator[Point]:
             yield Point(float(angle), left + fitted if named else first, fitted)
 
 
-def _curve(joint: int, points: list[Point], unit: str) -> Curve:
+def _curve(joint: int, points: list[Point], unit: str, width: float, height: float) -> Curve:
     named = any(point.curve for point in points)
     sides = branches(points)
     bins = [bin_points(side) for side in sides]
@@ -156,8 +156,8 @@ def _curve(joint: int, points: list[Point], unit: str) -> Curve:
         f"Residual along what joint {joint} moves",
         around(f"angle of joint {joint}, deg", [p.angle for p in points]),
         around(f"residual, {unit}", values),
-        width=440.0,
-        height=320.0,
+        width=width,
+        height=height,
         table=_table(bins, unit),
         description=_describe_bins(joint, flat, named),
     )
@@ -173,14 +173,14 @@ def _side(drawn: Plot, side: list[Point], means: list[Bin], place: int, of: int,
     if named:
         one_line = of == 1 and smooth(side)
         line: Sequence[Point | Bin] = side if one_line else means
-        label = "fitted curve" if one_line else "fitted effect, mean of each bin"
+        label = "fitted curve" if one_line else "fitted effect"
         drawn.line([p.angle for p in line], [p.curve for p in line], label + tail, place, BLUE)
     for each in means:
         drawn.line([each.angle] * 2, [each.mean - each.half, each.mean + each.half], colour=colour)
     drawn.points(
         [b.angle for b in means],
         [b.mean for b in means],
-        f"mean of a bin, 95 % interval{tail}",
+        "" if place else "mean, 95 % interval",
         1 + place,
         colour,
         [f"{number(b.mean)} ± {number(b.half, 2)}, curve {number(b.curve)}, {b.count} visits" for b in means],

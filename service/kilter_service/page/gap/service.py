@@ -17,9 +17,10 @@ from kilter_service.contract.jobs.gap import GAP, GapJob, GapOptions, GapResult
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
+from kilter_service.ground.texts import plural
 from kilter_service.jobs import service as jobs
 from kilter_service.page.figures.heat_map import HeatMap
-from kilter_service.page.gap import answers, claim, curves, rivals
+from kilter_service.page.gap import claim, curves, effect_cards, rivals
 from kilter_service.page.shared import own_curves, steps
 from kilter_service.page.shared.called import (
     chance,
@@ -219,6 +220,33 @@ def _describe_largest(cells: Cells) -> str:
     return f"The largest: {row}, {column}, {number(cells[row, column], 2)} times what noise leaves."
 
 
+def set_aside(result: GapResult) -> str:
+    """Say how many visits took no part in the search."""
+    return f"{' '.join(_aside(result)) or 'The search set none aside: every visit took part.'}"
+
+
+def _aside(result: GapResult) -> Iterator[str]:
+    for warning in result.warnings or []:
+        if warning.code == "outliers" or warning.visits or warning.rows:
+            yield warning.message
+    held = (result.gap.held_out_set_aside if result.gap is not None else None) or 0
+    if held:
+        every = result.gap.validation_after_all_mm if result.gap is not None else None
+        with_them = "" if every is None else f"; with them the error after is {number(every, 4)} mm"
+        yield f"{plural(held, 'held-out visit')} no model of this search predicts, left out of its errors{with_them}."
+    told, fit = result.predictive, None if result.adequacy is None else result.adequacy.held_out
+    if told is not None and told.of_all:
+        yield (
+            f"Of held-out coordinates {told.inside} of {told.of} are within their 95 % intervals; with what was set aside "
+            f"{told.inside_all} of {told.of_all}."
+        )
+    if fit is not None and fit.freedom_all:
+        yield (
+            f"Their chi-square is {number(fit.chi2)} for {fit.freedom} numbers; with what was set aside "
+            f"{number(fit.chi2_all)} for {fit.freedom_all}."
+        )
+
+
 VERDICTS = {
     "closed": ("The gap is closed", "good"),
     "no_gap": ("Nothing is missing", "good"),
@@ -255,8 +283,11 @@ def result_context(database: Database, job: GapJob) -> dict[str, Any]:
         "unit": unit,
         "verdict": VERDICTS.get(result.verdict or "", (result.verdict or "", "faint")),
         "size": sizes(result.gap, unit),
-        "answers": answers.answers(result),
-        "set_aside": answers.set_aside(result),
+        "lines": (result.headline or verdict_words(result)).splitlines(),
+        "cards": effect_cards.cards(result, unit),
+        "poses_decide": result.told_apart is None or result.told_apart.enough or not result.told_apart.instead,
+        "decide": effect_cards.describe_decision(result),
+        "set_aside": set_aside(result),
         "suspicious": suspicious.of_campaigns(database, searched_campaigns(job)),
         "where": heat_map(result.where or []),
         "where_table": table(result.where or []),
@@ -265,16 +296,19 @@ def result_context(database: Database, job: GapJob) -> dict[str, Any]:
         "candidates": candidates(result, job.options, unit),
         "untestable": untestable(result.not_testable or []),
         "own_curves": own_curves.own_curves(result.effect_curves),
-        "others_moved": own_curves.has_effect_without_curve(result),
         "curves": curves.curves(result.figures, unit),
         "steps": None if read is None else steps.plot(read),
         "steps_said": "" if read is None else steps.describe(read),
         "rivals": rivals.rivals(result),
         "alias_map": rivals.heat_map(result.alias_matrix),
         "claims": [claim.claim_from_effect(effect, unit) for effect in result.effects or []],
-        "levels": claim.LEVELS,
         "newer": newer(database, job),
     }
+
+
+def verdict_words(result: GapResult) -> str:
+    """Say the verdict of a result from before the headlines."""
+    return VERDICTS.get(result.verdict or "", ("Searched", ""))[0]
 
 
 def sizes(gap: GapSize | None, unit: str) -> dict[str, float | None]:

@@ -91,8 +91,12 @@ def by_role(kind: str, campaigns: Sequence[Campaign]) -> dict[str, str]:
     out: dict[str, str] = {}
     for role, use in KINDS[kind].uses.items():
         whole = [one for one in campaigns if one.role == role and one.rows and not one.staged]
-        enough = [one for one in whole if one.rows >= FEWEST_ROWS] or whole
-        out |= {one.id: use for one in _newest(enough)}
+        few = KINDS[kind].most_campaigns == 1  # a check has few rows
+        enough = [one for one in whole if few or one.rows >= FEWEST_ROWS] or whole
+        out |= {one.id: use for one in _newest(enough)[: KINDS[kind].most_campaigns]}
+    if not out:  # no form opens that could only be refused
+        rest = [one for one in campaigns if one.rows and not one.staged]
+        out = {one.id: "train" for one in sorted(rest, key=_measurement_time)[-1:]}
     return out
 
 

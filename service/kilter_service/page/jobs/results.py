@@ -13,8 +13,9 @@ from kilter_service.contract.jobs.registry import KINDS, Job
 from kilter_service.contract.jobs.shared import MadeVersion
 from kilter_service.ground.db import Database
 from kilter_service.page.gap import service as story
-from kilter_service.page.jobs import identification, planned, stages
+from kilter_service.page.jobs import check_view, identification, planned, stages
 from kilter_service.page.jobs.version_names import version_name
+from kilter_service.page.shared.in_names import in_names
 
 EVALUATED = {"After": "Evaluated"}  # it may be older than the rows, or the nominal robot itself
 
@@ -71,11 +72,19 @@ def _plain_facts(result: BaseModel) -> dict[str, str]:
     }
 
 
+def rezero_context(database: Database, job: Job) -> dict[str, Any]:
+    """Return what is shown of a re-zeroing: what it changed; activating it is the next step on the same page."""
+    shown = default_context(database, job)
+    return {**shown, "sentence": in_names(database, shown["sentence"] or "")}
+
+
 PLAIN = Result("jobs/plain.html", default_context)
 RESULTS: dict[str, Result] = {
     "identify": Result("jobs/identify.html", identification.result_context),
     "gap": Result("gap/result.html", story.result_context),
     "evaluate": Result("jobs/evaluate.html", result_context),
+    "drift": Result("jobs/drift.html", check_view.result_context),
+    "rezero": Result("jobs/rezero.html", rezero_context),
     "plan": Result("jobs/plan.html", planned.result_context),
 }
 

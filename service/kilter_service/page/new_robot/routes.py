@@ -10,6 +10,7 @@ from fastapi.responses import HTMLResponse
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.page.new_robot import service
 from kilter_service.page.route import PageRoute
+from kilter_service.page.shared.goals import parse_goals
 from kilter_service.page.shell import get_root_path, redirect, render
 from kilter_service.robots import service as robots
 from kilter_service.robots.compensation import WORDS
@@ -49,8 +50,16 @@ async def check(
 
 @router.post("/new-robot")
 def add(
-    request: Request, database: DatabaseOfApp, _: Admin, document: Annotated[str, Form(max_length=2 * LONGEST)]
+    request: Request,
+    database: DatabaseOfApp,
+    _: Admin,
+    document: Annotated[str, Form(max_length=2 * LONGEST)],
+    tolerance_mm: Short = "",
+    check_interval_days: Short = "",
 ) -> Response:
-    """Add the robot that was shown."""
-    report, _new = robots.add(database, service.parse_posted_document(document))
+    """Add the robot that was shown, with how good it must be where that was said."""
+    goals = parse_goals(tolerance_mm, check_interval_days)
+    report, new = robots.add(database, service.parse_posted_document(document))
+    if new:
+        robots.change(database, report.name, goals)
     return redirect(request, f"{get_root_path(request)}/robots/{report.name}")

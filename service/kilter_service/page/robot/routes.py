@@ -19,7 +19,8 @@ from kilter_service.page.robot import pose as asked_pose
 from kilter_service.page.robot import scene, service
 from kilter_service.page.robot import settings as settled
 from kilter_service.page.route import PageRoute
-from kilter_service.page.shell import is_part, render
+from kilter_service.page.shared.goals import parse_goals
+from kilter_service.page.shell import get_root_path, is_part, redirect, render
 from kilter_service.robots import service as robots
 from kilter_service.robots.meshes import service as meshes
 from kilter_service.robots.repairs import service as repairs
@@ -89,6 +90,33 @@ def state(robot: str, request: Request, database: DatabaseOfApp, settings: Setti
 def settings(robot: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show what is rarely changed of a robot."""
     return render(request, "robot/settings.html", shown=settled.shown_settings(database, robot))
+
+
+@router.post("/robots/{robot}/steps")
+def take_step(
+    robot: str,
+    request: Request,
+    database: DatabaseOfApp,
+    _: Admin,
+    do: Annotated[str, Form(max_length=20)],
+    campaign: Annotated[str, Form(max_length=64)] = "",
+) -> Response:
+    """Queue the job that comes next, with campaign and cause filled in."""
+    job = service.take_step(database, robot, do, campaign)
+    return redirect(request, f"{get_root_path(request)}/jobs/{job}")
+
+
+@router.post("/robots/{robot}/goals")
+def goals(
+    robot: str,
+    database: DatabaseOfApp,
+    _: Admin,
+    tolerance_mm: Annotated[str, Form(max_length=LONGEST_DATE)] = "",
+    check_interval_days: Annotated[str, Form(max_length=LONGEST_DATE)] = "",
+) -> Response:
+    """Say how good the robot must be, and how often it is checked; what is left empty is not stated."""
+    robots.change(database, robot, parse_goals(tolerance_mm, check_interval_days))
+    return Response(status_code=204, headers=ANEW)
 
 
 @router.post("/robots/{robot}/remarks")

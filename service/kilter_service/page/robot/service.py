@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic import TypeAdapter
 
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.campaigns import Campaign
+from kilter_service.contract.jobs.gap import GAP, GapResult
 from kilter_service.contract.jobs.job import JobSummary
+from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.today import Today
@@ -21,6 +26,7 @@ from kilter_service.jobs import service as jobs
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_today
 from kilter_service.page.shared.control_chart import Watched, draw_check_history
 from kilter_service.page.shared.correcting import Correcting, corrector
+from kilter_service.page.shared.error_budget import Budget, error_budget
 from kilter_service.page.shared.state import State, assess_robot_state
 from kilter_service.robots import service as robots
 from kilter_service.robots.compensation import WORDS
@@ -29,6 +35,8 @@ from kilter_service.versions.drift import service as drift
 from kilter_service.versions.today import service as today
 
 NEWEST = Page(limit=50)
+JOBS = {"rezero": "rezero", "evaluate": "evaluate", "plan_check": "plan"}  # kinds of job by next step
+NEW_JOB: TypeAdapter[NewJob] = TypeAdapter(NewJob)
 
 
 @dataclass(frozen=True)
@@ -53,13 +61,14 @@ class Shown:
     campaign: Campaign | None
     suspicious: Sequence[SuspiciousRows]
     watched: Watched
+    budget: Budget | None
     chosen: bool  # whether the address says what is drawn
     controllers: Mapping[str, str] = field(default_factory=lambda: WORDS)
 
     @property
     def state(self) -> State:
         """How the robot stands."""
-        return assess_robot_state(self.today, self.accuracy, self.watched.found, self.correcting)
+        return assess_robot_state(self.today, self.correcting)
 
     @property
     def unseen(self) -> int:
@@ -98,7 +107,8 @@ def shown_robot(
         looked_at=looked_at,
         other=beside,
         campaign=_campaign(database, measured, looked_at, campaign, now),
-        watched=draw_check_history(drift.of_robot(database, name)),
+        watched=draw_check_history(drift.of_robot(database, name), now),
+        budget=error_budget(now, active, _search_of(database, active, now)),
         suspicious=[] if active is None else suspicious.of_campaigns(database, (one.id for one in active.campaigns)),
         chosen=bool(version or campaign or other),
     )
@@ -138,9 +148,37 @@ def standing(database: Database, settings: Settings, name: str) -> Standing:
     )
     measured = [] if now.newest is None else now.newest.campaigns
     seen_on = ", ".join(f"{one.name}, {one.when}" for one in measured)
-    return Standing(
-        robot, assess_robot_state(now, accuracy, drift.of_robot(database, name), correcting), accuracy, seen_on
-    )
+    return Standing(robot, assess_robot_state(now, correcting), accuracy, seen_on)
+
+
+def _search_of(database: Database, version: Version | None, now: Today) -> GapResult | None:
+    """The gap search that made a version, if it is the newest; None: another job did."""
+    if version is None or now.missing is None or now.missing.job_id != version.job_id:
+        return None
+    job = jobs.get(database, version.job_id)
+    return job.result if GAP.is_kind_of(job) else None
+
+
+def take_step(database: Database, name: str, do: str, campaign: str) -> str:
+    """Queue the job of a next step, and return its id.
+
+    Raises:
+        ServiceError: this does not come next any more.
+
+    """
+    standing = today.of_robot(database, name).standing
+    steps = [] if standing is None else standing.steps
+    step = next((one for one in steps if one.do == do and (one.campaign_id or "") == campaign), None)
+    if step is None or do not in JOBS:
+        raise ServiceError(
+            f"This is not what comes next for {name} any more: load the page anew.", code="option_invalid", option="do"
+        )
+    presets: dict[str, dict[str, Any]] = {"rezero": {"causes": step.causes}, "plan_check": {"purpose": "check"}}
+    options = presets.get(do, {})
+    if do == "plan_check":
+        options["version"] = robots.get(database, name).active_version
+    asked = {"kind": JOBS[do], "robot": name, "campaigns": [campaign] if campaign else [], "options": options}
+    return jobs.submit(database, NEW_JOB.validate_python(asked)).id
 
 
 def _campaign(

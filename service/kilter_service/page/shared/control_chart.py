@@ -8,28 +8,22 @@ from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
 
-from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftMark, DriftSummary, State
+from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftMark, DriftSummary
+from kilter_service.contract.standing import ErrorAt
+from kilter_service.contract.today import Today
 from kilter_service.ground.texts import plural
-from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import Axis, Days, around, days_around
-from kilter_service.page.words import moment, number
+from kilter_service.page.figures.plot import GREY, Plot
+from kilter_service.page.figures.scale import Axis, Days, days_around, lengths
+from kilter_service.page.words import bare, format_in_largest_unit, moment, number, unit
 from kilter_service.versions.drift.charts import height, last_value
 from kilter_service.versions.drift.wire import chance_words
 from kilter_service.versions.today.sentences import ago
 
 DAY = 86400.0
 WIDTH, HEIGHT = 480.0, 280.0  # two beside each other, and one on a telephone whose letters can be read
-LEAST_CHANCE = 1e-12  # drawn of what is less likely still
+WIDE, LOW = 1340.0, 138.0  # of the errors over time
 SHOWN_SUMS = 4  # of the charts, those with the largest sums
 FAR, FAR_DAYS = 5.0, 60.0  # a gap in the dates of so many times what follows, and so many days, is left out
-LOOKS: dict[State, tuple[str, str]] = {
-    "ok": ("as its version says", "good"),
-    "creeping": ("creeping", "warn"),
-    "cannot_tell": ("moved, cause not told", "bad"),
-    "moved": ("moved", "bad"),
-    "never": ("not checked", "faint"),
-}
-VERDICTS = (("ok", "ok", 0), ("moved", "moved", 4), ("cannot_tell", "cannot tell", 5))
 NEVER_SUMMED = (
     "No sums: with frames set up anew, or by a joint log alone, a check does not show every cause, and what creeps is not "
     "seen. Leave the instrument where it stands for some checks."
@@ -39,20 +33,15 @@ MARKS = ("activated", "re-zeroed", "rolled back", "repaired", "repair")
 
 @dataclass(frozen=True)
 class Watched:
-    """The figures of a robot's checks: ``checks`` None where there are none, ``sums`` None where they are too few.
+    """The figures of a robot's checks: ``errors`` None where there are none, ``sums`` None where they are too few.
 
     ``begins`` says what is dated so long before that it is not drawn; empty where all is.
     """
 
     found: DriftHistory
-    checks: Plot | None
+    errors: Plot | None
     sums: Plot | None
     begins: str = ""
-
-    @property
-    def badge(self) -> tuple[str, str]:
-        """How the robot stands as words of a badge, and its look."""
-        return LOOKS[self.found.state]
 
     @property
     def no_sums(self) -> str:
@@ -81,14 +70,15 @@ def standing(found: DriftSummary) -> str:
     return f"Checked on {found.last.at:%Y-%m-%d}, {ago(found.age_days)}; {checks} of this version."
 
 
-def draw_check_history(found: DriftHistory) -> Watched:
-    """Draw the checks of a robot."""
-    if not found.history:
+def draw_check_history(found: DriftHistory, today: Today) -> Watched:
+    """Draw the errors and the checks of a robot."""
+    days = [_day(one.at) for one in found.history] + [_day(one.at) for one in today.history]
+    if not days:
         return Watched(found, None, None)
-    days = [_day(one.at) for one in found.history] + [_day(one.at) for one in found.marks]
+    days += [_day(one.at) for one in found.marks]
     first = _first_drawn(days)
     axis = days_around("", [day for day in days if day >= first])
-    return Watched(found, _checks(found, axis), _sums(found, axis), _said_of_the_left(found, first))
+    return Watched(found, _errors(found, today, axis), _sums(found, axis), _said_of_the_left(found, first))
 
 
 def _first_drawn(days: Sequence[float]) -> float:
@@ -122,23 +112,34 @@ def _drawn(axis: Days, at: datetime) -> bool:
     return _day(at) >= axis.low
 
 
-def _checks(found: DriftHistory, axis: Days) -> Plot:
-    """Of how many arms that have not moved one shows as much as each check, by verdict."""
-    among = [1.0 / max(one.p_value, LEAST_CHANCE) for one in found.history]
-    limit = 1.0 / found.false_alarm
-    across = around("one unmoved arm in", [*among, limit, 1.0], log=True)
-    drawn = Plot("Checks", axis, across, WIDTH, HEIGHT, description=_describe_checks(found), table=_table(found))
+def _errors(found: DriftHistory, today: Today, axis: Days) -> Plot | None:
+    """The mean error on rows that no fit used, with its interval, over the days; a dot leads to its rows."""
+    errors = [one for one in today.history if _drawn(axis, one.at)]
+    if not errors:
+        return None
+    tolerance = today.standing.tolerance_mm if today.standing is not None else None
+    ends = [end for one in errors for end in (one.low_mm, one.high_mm) if end]
+    every = [*(one.mean_mm for one in errors), *ends, *([tolerance] if tolerance is not None else [])]
+    across = lengths("mean error", every, log=True)
+    said = {one.job_id: f"{one.sentence} " for one in found.history if one.verdict != "ok"}
+    about = _describe_checks(found)
+    drawn = Plot("Error over time", axis, across, WIDE, LOW, description=about, table=_table(found, today))
     _mark_events(drawn, found, axis)
-    for verdict, label, look in VERDICTS:
-        own = [
-            (one, many)
-            for one, many in zip(found.history, among, strict=True)
-            if one.verdict == verdict and _drawn(axis, one.at)
-        ]
+    for one in errors:
+        if one.low_mm and one.high_mm:
+            drawn.line([_day(one.at)] * 2, [one.low_mm, one.high_mm], colour=GREY)
+    for label, look, chosen in (("evaluation", 2, ("evaluation", False)), ("check", 0, ("check", False)),
+                                ("check that alarmed", 4, ("check", True))):  # fmt: skip
+        own = [one for one in errors if (one.source, one.alarm) == chosen]
         if own:
-            names = [f"{one.at:%Y-%m-%d}: {one.sentence}" for one, _ in own]
-            drawn.points([_day(one.at) for one, _ in own], [many for _, many in own], label, look, names=names)
-    return drawn.level(limit, f"alarm: 1 of {limit:.0f}")
+            words = [
+                f"{one.at:%Y-%m-%d}: {said.get(one.job_id, '')}{format_in_largest_unit(one.mean_mm, one.high_mm)}"
+                for one in own
+            ]
+            links = [f"?version={one.version_id}&campaign={one.campaign_id}#arm" for one in own]
+            days, means = [_day(one.at) for one in own], [one.mean_mm for one in own]
+            drawn.points(days, means, label, look, names=words, links=links)
+    return drawn if tolerance is None else drawn.level(tolerance, f"tolerance {tolerance:g} mm")
 
 
 def _sums(found: DriftHistory, axis: Days) -> Plot | None:
@@ -207,12 +208,25 @@ def _said_of_sums(charts: Sequence[ControlChart]) -> str:
     )
 
 
-def _table(found: DriftHistory) -> tuple[list[str], list[list[str]]]:
-    rows = [(one.at, [f"{one.at:%Y-%m-%d %H:%M}", _words(one), _chance(one)]) for one in found.history]
-    rows += [
-        (one.at, [f"{one.at:%Y-%m-%d %H:%M}", f"{one.what}: {one.note or one.version_id}", ""]) for one in found.marks
+def _table(found: DriftHistory, today: Today) -> tuple[list[str], list[list[str]]]:
+    errors = {(one.job_id): one for one in today.history}
+    most = max((one.mean_mm for one in today.history), default=None)
+    rows = [
+        (one.at, [_when(one.at), _words(one), _chance(one), bare(_mean(errors.pop(one.job_id, None)), most)])
+        for one in found.history
     ]
-    return ["When", "What", "Chance"], [row for _, row in sorted(rows, key=lambda one: one[0], reverse=True)]
+    rows += [(one.at, [_when(one.at), "evaluation", "", bare(one.mean_mm, most)]) for one in errors.values()]
+    rows += [(one.at, [_when(one.at), f"{one.what}: {one.note or one.version_id}", "", ""]) for one in found.marks]
+    head = ["When", "What", "Chance", f"Mean error, {unit(most)}"]
+    return head, [row for _, row in sorted(rows, key=lambda one: one[0], reverse=True)]
+
+
+def _when(at: datetime) -> str:
+    return f"{at:%Y-%m-%d %H:%M}"
+
+
+def _mean(error: ErrorAt | None) -> float | None:
+    return None if error is None else error.mean_mm
 
 
 def _words(one: CheckOfRobot) -> str:

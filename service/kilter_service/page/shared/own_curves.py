@@ -31,7 +31,7 @@ class OwnCurve:
 
 def own_curves(curves: Sequence[EffectCurve] | None) -> list[OwnCurve]:
     """Draw every curve of a result; none of an earlier one."""
-    return [OwnCurve(_curve_effect_name(curve), _plot(curve), tuple(_describe_curve(curve))) for curve in curves or []]
+    return [OwnCurve(_curve_effect_name(curve), plot(curve), tuple(_describe_curve(curve))) for curve in curves or []]
 
 
 def has_effect_without_curve(result: GapResult) -> bool:
@@ -44,13 +44,14 @@ def _curve_effect_name(curve: EffectCurve) -> str:
     return format_effect_at_joints(curve.id, [curve.joint])
 
 
-def _plot(curve: EffectCurve) -> Plot:
+def plot(curve: EffectCurve, width: float = WIDTH, height: float = HEIGHT) -> Plot:
+    """Draw an effect over what it follows."""
     drawn = Plot(
         title(curve),
         around(across(curve), _places(curve)),
         around(upwards(curve), _values(curve)),
-        width=WIDTH,
-        height=HEIGHT,
+        width=width,
+        height=height,
         table=_table(curve),
         description=" ".join(_describe_curve(curve)),
     )

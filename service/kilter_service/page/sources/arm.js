@@ -135,7 +135,7 @@ class Picture {
   fit() {
     if (!this.renderer) return;
     const width = this.canvas.parentElement.clientWidth;
-    const height = Math.round(Math.min(0.85 * width, Math.max(0.34 * window.innerHeight, 300)));
+    const height = Math.round(Math.min(0.85 * width, Math.max(0.3 * window.innerHeight, 270)));
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();

@@ -27,7 +27,7 @@ async function ask() {
 /** Say that the server does not answer, and ask it again and again. */
 export function missed() {
   if (!lost) {
-    const at = new Date().toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
+    const at = new Date().toLocaleTimeString([], { hour: "2-digit", minute: "2-digit", hour12: false });
     banner.querySelector("[data-words]").textContent = `The server does not answer since ${at}. What you see is older. This page asks again by itself.`;
     banner.querySelector("button").hidden = true;
     banner.className = "note bad";

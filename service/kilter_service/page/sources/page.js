@@ -9,6 +9,7 @@ import "./drop.js";
 import "./jobs.js";
 import "./correct.js";
 import "./login.js";
+import "./palette.js";
 import { missed } from "./lost.js";
 import { ended, offer } from "./ended.js";
 import "./shapes.js";
@@ -130,7 +131,7 @@ const BEHAVIOURS = {
 const started = new WeakSet(); // a part that is swapped in stands beside elements that have their behaviour already
 
 function closeDialog(button) {
-  button.addEventListener("click", () => button.closest("dialog").close());
+  button.addEventListener("click", () => button.closest("dialog")?.close());
 }
 
 function start(within) {
@@ -144,6 +145,13 @@ function start(within) {
   }
 }
 
+document.addEventListener("click", (event) => {
+  const point = event.target.closest("[data-goto]"); // of a figure, which has a table beside it
+  if (point) window.location.href = point.dataset.goto;
+});
+// Figures are as wide as the window was at the view before: where it is much narrower now, nobody could read them.
+const tight = [...document.querySelectorAll("figure > svg")].some((one) => one.clientWidth && one.viewBox.baseVal.width > 1.6 * one.clientWidth);
+if (tight && performance.getEntriesByType("navigation")[0]?.type === "navigate") window.location.reload();
 start(document);
 rows.begin();
 savable(document);

@@ -227,7 +227,7 @@ def activate(
             raise
         said = [in_names(database, str(one["message"])) for one in error.context["objections"]]
         return render(request, "versions/refused.html", 409, version=version, etag=etag, said=said)
-    return redirect(request, f"{get_root_path(request)}/robots/{done.robot}/versions")
+    return redirect(request, f"{get_root_path(request)}/robots/{done.robot}")
 
 
 @router.get("/robots/{robot}/rollback")
@@ -243,7 +243,7 @@ def roll_back(
 ) -> Response:
     """Go back to the version before."""
     done = activation.rollback(database, robot, actor, settings.temperature_c, Expected((etag,)))
-    return redirect(request, f"{get_root_path(request)}/robots/{done.robot}/versions")
+    return redirect(request, f"{get_root_path(request)}/robots/{done.robot}")
 
 
 @router.get("/versions/{a}/compare/{b}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -90,18 +91,27 @@ def of_robot(database: Database, robot: str) -> DriftHistory:
 def of_robots(database: Database) -> DriftList:
     """Return how all robots stand, the worst first."""
     with database.reading() as session:
+        found = summaries(session, robots.names_by_key(session, None))
+    return DriftList(robots=sorted(found.values(), key=_order))
+
+
+def activations_of_robots(database: Database) -> dict[str, list[datetime]]:
+    """Return when versions were activated, by robot."""
+    with database.reading() as session:
         names = robots.names_by_key(session, None)
-        made, log = store.checks(session, names), store.activations(session, names)
-        repaired = repairs.of_robots(session, names)
-        found = []
-        for key, name in names.items():
-            known = made.get(key, []), log.get(key, []), repaired.get(key, [])
-            found.append(
-                _summary(
-                    name, _describe_start_of_checks(*known), log.get(key, []), *_checks_and_charts(session, *known)
-                )
-            )
-    return DriftList(robots=sorted(found, key=_order))
+        return {names[key]: [one.at for one in log] for key, log in store.activations(session, names).items()}
+
+
+def summaries(session: Session, names: Mapping[int, str]) -> dict[int, DriftSummary]:
+    """Return how robots stand by their checks, by key."""
+    made, log = store.checks(session, names), store.activations(session, names)
+    repaired = repairs.of_robots(session, names)
+    found = {}
+    for key, name in names.items():
+        known = made.get(key, []), log.get(key, []), repaired.get(key, [])
+        since = _describe_start_of_checks(*known)
+        found[key] = _summary(name, since, log.get(key, []), *_checks_and_charts(session, *known))
+    return found
 
 
 def last_checks(session: Session) -> dict[str, CheckOfRobot]:

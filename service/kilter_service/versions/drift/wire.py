@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 PPM = 1e6
 QUANTILE = 1.959963984540054  # of a 95 % interval (kilter_core.types, which loads numpy)
-LEAST_CHANCE = 1e-300
+LEAST_CHANCE = 1e-6
 ZERO, SLIDE = math.radians(0.03), 5e-5  # steps that a check should show (kilter_core.watch.poses, which loads scipy)
 FRAME = ("x", "y", "z", "rx", "ry", "rz")
 KINDS = {"zero": "zero of joint {}", "sag": "sag of joint {}", "base": "base", "tool": "tool", "scale": "scale"}
@@ -165,8 +165,8 @@ def _verdict(found: Check, agreed_at: datetime | None) -> str:
 
 
 def chance_words(p_value: float, digits: int = 1) -> str:
-    """Return a chance in a few digits; what no number can hold is still not nothing."""
-    return f"{p_value:.{digits}g}" if p_value > 0.0 else f"less than {LEAST_CHANCE:g}"
+    """Return a chance in a few digits, where anybody tells them apart."""
+    return f"{p_value:.{digits}g}" if p_value >= LEAST_CHANCE else "less than one in a million"
 
 
 def rezero_sentence(found: Rezeroed, start: str, rows: int, campaign: str) -> str:

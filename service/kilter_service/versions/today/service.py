@@ -6,9 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from kilter_service.contract.drift import Repair
+from kilter_service.contract.error_words import interval
 from kilter_service.contract.fits import Metrics, StageErrors
 from kilter_service.contract.gap_details import AtJoints, NamedEffect
 from kilter_service.contract.jobs.gap import GapResult
+from kilter_service.contract.standing import ErrorAt
 from kilter_service.contract.today import ErrorsToday, MeasuredCampaign, NamedMissing, SearchToday, Today
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.contract.written import as_written
@@ -17,8 +19,10 @@ from kilter_service.ground.db.row import days_since
 from kilter_service.robots import store as arms
 from kilter_service.robots.compensation import parse_compensation, sentence
 from kilter_service.robots.repairs import store as repairs
+from kilter_service.versions.drift import service as drift
 from kilter_service.versions.predictions.own_errors import larger
 from kilter_service.versions.today import sentences, store
+from kilter_service.versions.today.standing import Known, assess
 from kilter_service.versions.today.store import Active, Evaluated, Measured, Searched
 
 
@@ -103,6 +107,7 @@ def _sentence(found: Searched, result: GapResult, named: Sequence[NamedMissing],
 
 
 Campaigns = Mapping[str, Measured]
+MOST, LAST = 200, 12  # errors over time of one robot, and of each of all
 
 
 def of_robot(database: Database, robot: str) -> Today:
@@ -114,7 +119,9 @@ def of_robot(database: Database, robot: str) -> Today:
         found = store.newest_search(session, key)
         searched = None if found is None else against(found, active)
         compensation = parse_compensation(arms.get_compensation(session, key))
-        known = _with_repair(_today_by_robot(session, robots, searched)[robots[key]], repairs.last_repair(session, key))
+        known = _with_repair(
+            _today_by_robot(session, robots, searched, MOST)[robots[key]], repairs.last_repair(session, key)
+        )
         return _with_controller(known, compensation)
 
 
@@ -140,20 +147,72 @@ def _with_controller(today: Today, compensation: ControllerCompensation) -> Toda
 def of_robots(database: Database) -> dict[str, Today]:
     """Say the same of all robots in use, by name, without their searches; however many, it takes a few queries."""
     with database.reading() as session:
-        return _today_by_robot(session, arms.names_by_key(session, None), None)
+        return _today_by_robot(session, arms.names_by_key(session, None), None, LAST)
 
 
-def _today_by_robot(session: Session, robots: Mapping[int, str], searched: SearchToday | None) -> dict[str, Today]:
+def _today_by_robot(
+    session: Session, robots: Mapping[int, str], searched: SearchToday | None, most: int
+) -> dict[str, Today]:
     active, measured = store.active(session, robots), store.measured_campaigns(session, robots)
-    evaluated = store.evaluations(session, [one.id for one in active.values()])
+    made = store.versions(session, robots)
+    evaluated = store.evaluations(session, [one.id for found in made.values() for one in found])
+    checked, goals = drift.summaries(session, robots), arms.goals(session, robots)
+    alarms = [
+        one.last.job_id for one in checked.values() if one.last is not None and one.state in ("moved", "cannot_tell")
+    ]
+    causes, planned = store.causes(session, alarms), store.planned(session, robots)
+    proposed = store.proposed(session, robots)
     out = {}
     for key, name in robots.items():
-        version, campaigns = active.get(key), measured.get(key, {})
+        version, campaigns, own, last = active.get(key), measured.get(key, {}), made.get(key, []), checked[key].last
         if version is None:
-            out[name] = _today_without_version(name, searched)
+            found = _today_without_version(name, searched)
         else:
-            out[name] = _today(name, version, campaigns, evaluated.get(version.id, []), searched)
+            found = _today(name, version, campaigns, evaluated.get(version.id, []), searched)
+        tolerance, days = goals[key]
+        known = Known(
+            tolerance_mm=tolerance,
+            check_interval_days=days,
+            rezeroed={one.rows: (one.id, one.name) for one in own if one.rows and version and one.parent == version.id},
+            causes=causes.get(last.job_id, []) if last is not None else [],
+            newest=(own[-1].id, own[-1].name) if own and not own[-1].was_active else None,
+            fresh=_fresh(found, campaigns, [] if own else list(campaigns.values())),
+            planned=planned.get(key),
+            proposed=proposed.get(key),
+        )
+        history = sorted(_history(campaigns, [one for v in own for one in evaluated.get(v.id, [])]), key=lambda e: e.at)
+        shown = history[-most:]
+        out[name] = found.model_copy(update={"standing": assess(found, checked[key], known), "history": shown})
     return out
+
+
+def _fresh(today: Today, campaigns: Campaigns, unused: Sequence[Measured]) -> tuple[str, str] | None:
+    """The newest campaign that is to be fitted, and that no version knows."""
+    after = [campaigns[one.id] for one in today.not_evaluated if one.id in campaigns] if today.version_id else unused
+    wanted = [one for one in after if one.role == "train"]
+    newest = max(wanted, key=lambda one: one.measured_at, default=None)
+    return None if newest is None else (newest.id, newest.name)
+
+
+def _history(campaigns: Campaigns, evaluated: Iterable[Evaluated]) -> Iterable[ErrorAt]:
+    """Errors of versions on campaigns in use, each when its rows were measured."""
+    for one in evaluated:
+        for campaign, metrics in one.metrics.items():
+            known, errors = campaigns.get(campaign), as_written(StageErrors, metrics)
+            if known is None or errors.identified is None:
+                continue
+            low, high = interval(errors.identified, errors.n) or (None, None)
+            yield ErrorAt(
+                at=known.measured_at,
+                mean_mm=errors.identified.mean_mm,
+                low_mm=low,
+                high_mm=high,
+                source="check" if one.kind == "drift" else "evaluation",
+                job_id=one.job_id,
+                version_id=one.version_id,
+                campaign_id=campaign,
+                alarm=one.said is not None,
+            )
 
 
 def _today_without_version(robot: str, searched: SearchToday | None) -> Today:

@@ -12,6 +12,7 @@ from sqlalchemy import func, select
 from kilter_service.campaigns import rest
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import ActivationRow, CampaignRow, JobRow, UploadRow, VersionRow
+from kilter_service.versions.store import REZEROED
 
 ALARMS = ("moved", "cannot_tell")  # verdicts of a check
 
@@ -26,6 +27,7 @@ class Measured:
     stated: bool
     hashes: frozenset[str]
     whole: str | None = None  # the campaign in use that it is the rest of
+    role: str = "train"
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,17 @@ class Evaluated:
     refit: list[str]
     agrees: bool = False  # of a check: what the version does not know of itself, and the noise, explain the errors
     said: str | None = None  # of a check that alarmed, its verdict in words
+
+
+@dataclass(frozen=True)
+class Made:
+    """A version in use; ``rows`` is the campaign of the check by which it was re-zeroed, None of any other."""
+
+    id: str
+    name: str
+    parent: str | None
+    rows: str | None
+    was_active: bool
 
 
 @dataclass(frozen=True)
@@ -112,6 +125,7 @@ def measured_campaigns(session: Session, of: Collection[int]) -> dict[int, dict[
             row.name,
             row.measured_at,
             row.retired_at,
+            row.role,
             begins,
             UploadRow.sha256,
             UploadRow.created_at,
@@ -121,10 +135,12 @@ def measured_campaigns(session: Session, of: Collection[int]) -> dict[int, dict[
     )
     retired: set[str] = set()
     out: dict[int, dict[str, Measured]] = {}
-    for robot, key, name, stated, ended, notes, sha256, sent in session.execute(query):
+    for robot, key, name, stated, ended, role, notes, sha256, sent in session.execute(query):
         at, whole = stated or sent, rest.parse_origin_campaign(notes)
         retired |= {key} if ended is not None else set()
-        known = out.setdefault(robot, {}).get(key, Measured(key, name, at, stated is not None, frozenset(), whole))
+        known = out.setdefault(robot, {}).get(
+            key, Measured(key, name, at, stated is not None, frozenset(), whole, role)
+        )
         out[robot][key] = replace(known, measured_at=max(known.measured_at, at), hashes=known.hashes | {sha256})
     return {robot: _together(found, retired) for robot, found in out.items()}
 
@@ -167,6 +183,61 @@ def evaluations(session: Session, of: Collection[str]) -> dict[str, list[Evaluat
             one = Evaluated(kind, key, at, evaluated, metrics, refit or [], verdict == "ok", said)
             out.setdefault(evaluated, []).append(one)
     return out
+
+
+def versions(session: Session, of: Collection[int]) -> dict[int, list[Made]]:
+    """Return the versions in use, by robot, oldest first."""
+    row = VersionRow
+    campaign = row.report[REZEROED]["campaign"].as_string()
+    used = select(ActivationRow.id).where(ActivationRow.version_id == row.id).exists()
+    query = (
+        select(row.robot_id, row.id, row.name, row.number, row.parent_id, campaign, used)
+        .where(row.robot_id.in_(of), row.retired_at.is_(None))
+        .order_by(row.created_at, row.id)
+    )
+    out: dict[int, list[Made]] = {}
+    for key, version, name, number, parent, rows, was_active in session.execute(query):
+        out.setdefault(key, []).append(Made(version, name or f"v{number}", parent, rows, was_active))
+    return out
+
+
+def causes(session: Session, checks: Collection[str]) -> dict[str, list[str]]:
+    """Return the names of the causes that checks may have, by job."""
+    query = select(JobRow.id, JobRow.result["causes"]).where(JobRow.id.in_(checks))
+    return {job: [str(one["name"]) for one in found or []] for job, found in session.execute(query)}
+
+
+def planned(session: Session, of: Collection[int]) -> dict[int, tuple[str, int]]:
+    """Return the job of each robot that planned poses after the last rows came, and how many these are."""
+    row = JobRow
+    rows_came = (
+        select(CampaignRow.robot_id, func.max(UploadRow.created_at).label("at"))
+        .join(UploadRow, UploadRow.campaign_id == CampaignRow.id)
+        .group_by(CampaignRow.robot_id)
+        .subquery()
+    )
+    query = (
+        select(row.robot_id, row.id, row.result["count"])
+        .join(rows_came, rows_came.c.robot_id == row.robot_id, isouter=True)
+        .where(row.robot_id.in_(of), row.kind == "plan", row.state == "succeeded")
+        .where((rows_came.c.at.is_(None)) | (row.created_at > rows_came.c.at))
+        .order_by(row.created_at, row.id)
+    )
+    return {robot: (job, int(count)) for robot, job, count in session.execute(query) if count}
+
+
+def proposed(session: Session, of: Collection[int]) -> dict[int, tuple[str, int]]:
+    """Return the newest gap search of each robot that proposes poses, and how many."""
+    row = JobRow
+    newest = func.row_number().over(partition_by=row.robot_id, order_by=(row.created_at.desc(), row.id))
+    ranked = select(row.id, newest.label("place")).where(
+        row.robot_id.in_(of), row.kind == "gap", row.state == "succeeded"
+    )
+    last = ranked.subquery()
+    query = (
+        select(row.robot_id, row.id, row.result["next_poses"]).join(last, last.c.id == row.id).where(last.c.place == 1)
+    )
+    return {robot: (job, len(poses)) for robot, job, poses in session.execute(query) if poses}
 
 
 def newest_search(session: Session, robot_id: int) -> Searched | None:

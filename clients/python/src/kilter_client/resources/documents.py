@@ -27,6 +27,7 @@ class Robots(Resource):
     list = make_document_method(robots.list_robots)
     get = make_document_method(robots.fetch_document)
     compensation = make_document_method(robots.compensate)
+    tolerance = make_document_method(robots.set_tolerance)
     today = make_document_method(robots.today)
     bridges = make_document_method(robots.bridges)
     announce_bridge = make_document_method(robots.announce_bridge)

@@ -81,6 +81,24 @@ def set_controller_compensation(
     return typed.robots.RobotReport.read((yield from calls.compensate(reference("robot", robot), compensation)))
 
 
+def set_tolerance(
+    robot: ResourceReference, tolerance_mm: float | None = None, *, check_interval_days: int | None = None
+) -> Steps[typed.robots.RobotReport]:
+    """Say how good a robot must be: ``today`` and the page then say whether it is.
+
+    Args:
+        robot: the robot, or its name.
+        tolerance_mm: largest mean error of the tool that is good enough, mm; None: not stated.
+        check_interval_days: days within which it is to be checked; None: not stated.
+
+    Raises:
+        NotFoundError: there is no such robot.
+
+    """
+    found = yield from calls.set_tolerance(reference("robot", robot), tolerance_mm, check_interval_days)
+    return typed.robots.RobotReport.read(found)
+
+
 def check_robot(
     source: str | PathLike[str] | Mapping[str, Any] | None = None,
     *,

@@ -86,6 +86,8 @@ def show_activations(document: Mapping[str, Any]) -> None:
 
 def show_today(document: Mapping[str, Any]) -> None:
     """Print how good a robot is today, in the server's words."""
+    standing = document["standing"]
     suggested = suggest_after_today(document)
-    print_lines(fit_messages(document["sentences"], screen_columns(), LINES - len(suggested), IN_JSON))
+    print_line(f"{standing['words']}. {standing['sentence']}")
+    print_lines(fit_messages(document["sentences"], screen_columns(), LINES - 1 - len(suggested), IN_JSON))
     print_lines(suggested)

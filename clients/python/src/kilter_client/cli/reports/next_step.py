@@ -23,10 +23,9 @@ def suggest_after_job(kilter: Kilter, job: Document) -> list[str]:
     """Return what to do after a job: with the version that it made or looked at, or about an arm that has moved."""
     result: Document = job.get("result") or {}
     if job["kind"] == "drift" and result:
-        verdict = result["verdict"]
-        if verdict == "moved":
-            return format_next("watch", "rezero", job["robot"], *_repeat("--campaign", job["campaigns"]))
-        return format_next(*(("today",) if verdict == "ok" else ("plan", "check")), job["robot"])
+        if result["verdict"] == "ok":
+            return format_next("today", job["robot"])
+        return suggest_after_today(kilter.robots.today(job["robot"]))
     return suggest_for_version(kilter.versions.get(result["version_id"])) if result.get("version_id") else []
 
 
@@ -61,13 +60,9 @@ def suggest_after_upload(kilter: Kilter, robot: str, campaign: str) -> list[str]
 
 
 def suggest_after_today(today: Document) -> list[str]:
-    """Return what to do about an arm as it is today: measure it, make a version of what moved, or plan the next check."""
-    newest = today["newest"] or {}
-    if today["version_id"] is None:
-        return format_next("upload", today["robot"], PLACEHOLDER)
-    if newest.get("alarm") and newest["campaigns"]:
-        return format_next("watch", "rezero", today["robot"], "--campaign", newest["campaigns"][-1]["id"])
-    return format_next("plan", "check", today["robot"])
+    """Return what to do about an arm as it is today: what the server's answer says first, as its page does."""
+    steps = today["standing"]["steps"]
+    return [f"Next: {name_ids(steps[0]['command'])}"] if steps else []
 
 
 def _repeat(option: str, values: Sequence[str]) -> list[str]:

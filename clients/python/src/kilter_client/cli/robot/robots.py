@@ -230,6 +230,30 @@ def compensation(
         )
 
 
+@robot.command(epilog="Example: kilter robot tolerance ur10 0.3 --check-every 30")
+def tolerance(
+    robot: Robot,
+    tolerance_mm: Annotated[
+        float | None, typer.Argument(metavar="[MM]", help="Largest mean error that is good enough; none: not stated.")
+    ] = None,
+    check_every: Annotated[
+        int | None, typer.Option(metavar="DAYS", help="Days within which it is to be checked; left out: not stated.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Say how good a robot must be, and how often it is checked; `kilter today` then says whether it is."""
+    with Kilter() as kilter:
+        emit(
+            kilter.robots.tolerance(robot, tolerance_mm, check_every), as_json, lambda found: print_line(_goals(found))
+        )
+
+
+def _goals(found: dict[str, Any]) -> str:
+    limit, days = found["tolerance_mm"], found["check_interval_days"]
+    said = [f"tolerance {limit:g} mm" if limit is not None else "no tolerance"]
+    return ", ".join([*said, f"checked every {days} days" if days is not None else "no interval of checks"])
+
+
 @robot.command("list", epilog="Example: kilter robot list")
 def list_(retired: Retired = False, as_json: Json = False) -> None:
     """List the robots."""
@@ -270,6 +294,7 @@ def _show(server: str, document: dict[str, Any]) -> None:
         print_line(document["controller_sentence"])
     else:
         print_line("controller: unknown (`kilter robot compensation` says what it does)")
+    print_line(_goals(document))
     names = list(document.get("parameters", ()))
     more = f" and {len(names) - MOST_NAMES} more (--json)" if len(names) > MOST_NAMES else ""
     print_line(f"{len(names)} parameters: {', '.join(names[:MOST_NAMES]) or 'none'}{more}")

@@ -147,6 +147,11 @@ def compensate(name: str, compensation: str) -> Steps[Document]:
     return patch(address("robots", name), {"controller_compensation": compensation})
 
 
+def set_tolerance(name: str, tolerance_mm: float | None, check_interval_days: int | None) -> Steps[Document]:
+    """Say how good a robot must be, and within how many days it is to be checked; None takes either away."""
+    return patch(address("robots", name), {"tolerance_mm": tolerance_mm, "check_interval_days": check_interval_days})
+
+
 def do(name: str, what: str) -> Steps[Document]:
     """Retire, restore, purge or roll back a robot."""
     return post(address("robots", name, what))

@@ -1,0 +1,1 @@
+"""The palette: robots, their views, versions, campaigns and jobs by a few letters."""

@@ -1,0 +1,229 @@
+"""How a robot stands, in a word, and what to do next: of every surface in this one place."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from kilter_service.contract.drift import DriftSummary
+from kilter_service.contract.error_words import interval, said_of_error
+from kilter_service.contract.standing import NextStep, RobotState, Standing, StepKind
+from kilter_service.contract.today import UNUSED, Today
+from kilter_service.ground.db.row import days_since
+from kilter_service.ground.texts import plural
+from kilter_service.versions.today.sentences import ago, largest
+
+Look = Literal["good", "warn", "bad", "faint"]
+FILE = "FILE"  # of the person's own
+CAUSES = {"zero": "Re-zero", "sag": "Re-fit the sag of", "base": "Re-fit the base", "tool": "Re-fit the tool",
+          "scale": "Re-fit the scale"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is stored beside the errors of a robot: its goals, and what could be done next.
+
+    ``rezeroed`` are versions made of the active one by the rows of a check (by campaign), ``causes`` what the last check
+    names, ``newest`` the newest version if it never was active, ``fresh`` the newest campaign that is to be fitted,
+    ``planned`` the job of poses that nobody has measured yet, and how many these are, ``proposed`` the same of the newest
+    search.
+    """
+
+    tolerance_mm: float | None = None
+    check_interval_days: int | None = None
+    rezeroed: dict[str, tuple[str, str]] = field(default_factory=dict)
+    causes: Sequence[str] = ()
+    newest: tuple[str, str] | None = None
+    fresh: tuple[str, str] | None = None
+    planned: tuple[str, int] | None = None
+    proposed: tuple[str, int] | None = None
+
+
+def assess(today: Today, drift: DriftSummary, known: Known) -> Standing:
+    """Say how a robot stands; what is worst is said."""
+    state, words, sentence, look = next(_states(today, drift, known))
+    return Standing(
+        state=state,
+        words=words,
+        sentence=sentence,
+        look=look,
+        tolerance_mm=known.tolerance_mm,
+        check_interval_days=known.check_interval_days,
+        without_mm=_without(today),
+        steps=list({step.do: step for step in _steps(state, today, drift, known)}.values())[:3],
+    )
+
+
+def _states(today: Today, drift: DriftSummary, known: Known) -> Iterator[tuple[RobotState, str, str, Look]]:
+    newest = today.newest
+    if today.version_id is None:
+        yield "uncalibrated", "Not calibrated", today.sentences[0], "faint"
+        return
+    moved = drift.state in ("moved", "cannot_tell")
+    if _is_worse(today):
+        assert newest is not None
+        most = largest(newest, today.own)
+        with_it, without = (said_of_error(one or 0.0, most) for one in (_mean(today), _without(today)))
+        said = f"On the newest rows the version leaves {with_it}, the nominal arm alone {without}."
+        yield "worse", "Worse than uncorrected", f"{said} {_reason(drift) if moved else ''}".strip(), "bad"
+    if drift.state == "moved":
+        yield "moved", "Has moved", _reason(drift), "bad"
+    if drift.state == "cannot_tell":
+        yield "cannot_tell", "Moved, cause unknown", _reason(drift), "bad"
+    if today.changed:
+        more = said_of_error(today.larger_by_mm or 0.0, largest(newest, today.own))
+        yield "changed", "Has changed", f"Its error is {more} larger than at the fit, more than chance explains.", "bad"
+    yield from _by_goals(today, drift, known)
+
+
+def _by_goals(today: Today, drift: DriftSummary, known: Known) -> Iterator[tuple[RobotState, str, str, Look]]:
+    newest, checked = today.newest, _checked(drift)
+    if newest is None or newest.errors.identified is None:
+        yield "not_known", "Not known", "The active version was made without measurements of the tool.", "warn"
+        return
+    mean = newest.errors.identified.mean_mm
+    low, high = interval(newest.errors.identified, newest.errors.n) or (mean, mean)
+    limit = known.tolerance_mm
+    if limit is not None and low > limit:
+        yield "outside", "Outside", f"{number(mean / limit)} times its tolerance of {limit:g} mm.", "bad"
+    if known.check_interval_days is not None and (age := _age(today, drift)) > known.check_interval_days:
+        said = f"It is to be checked every {plural(known.check_interval_days, 'day')}."
+        yield "unchecked", f"Not checked for {plural(age, 'day')}", said, "warn"
+    if drift.state == "creeping":
+        yield "drifting", "Drifting", _reason(drift), "warn"
+    if newest.source == "fitted":
+        yield "not_known", "Not known", "Nothing was held out of the fit, so its error looks too good.", "warn"
+    if limit is None:
+        fit = today.own or newest
+        since = max((one.measured_at for one in fit.campaigns), default=fit.at)
+        look: Look = "good" if drift.last is not None else "faint"
+        yield "as_calibrated", f"As calibrated on {since.day} {since:%B}", checked, look
+        return
+    if high > limit:
+        yield "near", "Near", f"Its tolerance of {limit:g} mm is inside the interval of its error.", "warn"
+    yield "within", f"Within {limit:g} mm", checked, "good"
+
+
+def number(times: float) -> str:
+    """Write how many times, with two digits."""
+    return f"{times:.0f}" if times >= 10 else f"{times:.1f}".removesuffix(".0")
+
+
+def _checked(drift: DriftSummary) -> str:
+    if drift.last is None or drift.age_days is None:
+        return "It was not checked since."
+    return f"Its checks agree with the version, last on {drift.last.at:%Y-%m-%d}, {ago(drift.age_days)}."
+
+
+def _age(today: Today, drift: DriftSummary) -> int:
+    """Days since rows of the arm said how it is: of a check or an evaluation, else of its fit."""
+    newest = today.newest
+    ages = [] if newest is None else [one.age_days for one in newest.campaigns]
+    ages += [] if drift.age_days is None else [drift.age_days]
+    ages += [] if today.own is None else [days_since(today.own.at)] if not ages else []
+    return min(ages, default=0)
+
+
+def _reason(drift: DriftSummary) -> str:
+    """The first sentence of a check, without the word of its verdict."""
+    said = drift.sentence.partition(": ")[2] or drift.sentence
+    first = said.partition(". ")[0].rstrip(".")
+    return f"{first[:1].upper()}{first[1:]}."
+
+
+def _mean(today: Today) -> float | None:
+    errors = None if today.newest is None else today.newest.errors.identified
+    return None if errors is None else errors.mean_mm
+
+
+def _without(today: Today) -> float | None:
+    without = None if today.newest is None else today.newest.errors.without
+    return None if without is None else without.mean_mm
+
+
+def _is_worse(today: Today) -> bool:
+    """Whether the arm errs less without its version, by the interval of its error."""
+    newest, without = today.newest, _without(today)
+    if newest is None or without is None or newest.errors.identified is None or newest.source not in UNUSED:
+        return False
+    found = newest.errors.identified
+    return (interval(found, newest.errors.n) or (found.mean_mm,))[0] > without
+
+
+def _steps(state: RobotState, today: Today, drift: DriftSummary, known: Known) -> Iterator[NextStep]:
+    robot, alarm = today.robot, drift.state in ("moved", "cannot_tell")
+    if state == "uncalibrated":
+        if known.newest is not None:
+            yield _activation(*known.newest)
+        if known.fresh is not None:
+            yield _search(robot, *known.fresh)
+        yield _step("upload", "Add measurements", "upload", robot, FILE)
+        return
+    if state in ("changed", "outside", "near") and known.newest is not None:
+        yield _activation(*known.newest)
+    if alarm and drift.last is not None:
+        if drift.last.campaign_id in known.rezeroed:
+            version, name = known.rezeroed[drift.last.campaign_id]
+            yield _activation(version, f"re-zeroed {name}")
+        elif drift.state == "moved" and len(known.causes) == 1:
+            campaign = drift.last.campaign_id
+            words = ("watch", "rezero", robot, "--campaign", campaign)
+            yield _step("rezero", _rezero_words(known.causes[0]), *words, campaign_id=campaign, causes=[*known.causes])
+    if known.fresh is not None:
+        yield _search(robot, *known.fresh)
+    newest = today.not_evaluated[-1] if today.not_evaluated else None
+    if not alarm and newest is not None and (known.fresh is None or known.fresh[0] != newest.id):
+        words = ("version", "evaluate", robot, "--campaign", newest.id)
+        yield _step("evaluate", f"Evaluate on {newest.name}", *words, campaign_id=newest.id)
+    poses = list(_poses(state, today, known))
+    yield from poses if drift.state == "cannot_tell" else []
+    if alarm:
+        yield _step("record_repair", "It was repaired", "watch", "repair", robot, "WHAT")
+    yield from poses
+
+
+def _poses(state: RobotState, today: Today, known: Known) -> Iterator[NextStep]:
+    """Poses to measure: those that a job proposes, else a plan of some."""
+    if known.planned is not None:
+        job, count = known.planned
+        yield _step("measure", f"Measure {plural(count, 'planned pose')}", "server", "jobs", "show", job, job_id=job)
+    elif state in ("not_known", "outside", "near") and known.proposed is not None:
+        job, count = known.proposed
+        yield _step("measure", f"Measure {plural(count, 'pose')}", "server", "jobs", "show", job, job_id=job)
+    yield _step("plan_check", "Plan a check", "plan", "check", today.robot)
+
+
+def _rezero_words(cause: str) -> str:
+    kind, _, joint = cause.partition("_")
+    return f"{CAUSES[kind]} joint {joint}" if joint else CAUSES[kind]
+
+
+def _activation(version: str, name: str) -> NextStep:
+    return _step("activate", f"Activate {name}", "activate", version, version_id=version)
+
+
+def _search(robot: str, campaign: str, name: str) -> NextStep:
+    words = ("gap", robot, "--campaign", campaign)
+    return _step("search", "Identify and search", *words, campaign_id=campaign)
+
+
+def _step(
+    do: StepKind,
+    words: str,
+    *command: str,
+    version_id: str | None = None,
+    campaign_id: str | None = None,
+    job_id: str | None = None,
+    causes: Sequence[str] = (),
+) -> NextStep:
+    return NextStep(
+        do=do,
+        words=words,
+        command=f"kilter {shlex.join(command)}",
+        version_id=version_id,
+        campaign_id=campaign_id,
+        job_id=job_id,
+        causes=[*causes],
+    )
