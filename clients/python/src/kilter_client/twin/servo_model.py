@@ -179,7 +179,7 @@ def _name(model: Any, joint: int) -> str:
 def _refuse_joint(model: Any, path: Path, name: str, joint: int, actuator: int | None) -> None:
     if int(model.jnt_type[joint]) not in (HINGE, SLIDE):
         raise FileError(
-            f"{path}: {name} is a free or ball joint, and a log commands hinges and prismatic joints: name those with --joints.",
+            f"{path}: {name} is a free or ball joint, and a log commands neither: name the others with --joints.",
             file=str(path),
             code="model_joint",
         )
