@@ -66,6 +66,7 @@ NEEDED = {
 # Of the page every view is a viewer's and every change an operator's, but for these.
 PAGE_OPEN = "GET /assets/{name} GET /login POST /login POST /login/link POST /logout"
 PAGE_ADMIN = """POST /new-robot POST /robots/{robot}/remarks POST /robots/{robot}/compensation
+    POST /robots/{robot}/goals
     POST /robots/{robot}/meshes/{link} POST /robots/{robot}/meshes/{link}/remove
     GET /audit GET /access POST /access POST /access/{token}/revoke"""
 ROLES = ("viewer", "operator", "admin")

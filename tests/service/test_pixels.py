@@ -318,7 +318,7 @@ def test_a_search_by_views_becomes_a_version(client: httpx.Client, worker: Any, 
     assert metrics["validation"]["identified"]["mean_mm"] < 0.2 * metrics["validation"]["registration_only"]["mean_mm"]
     assert found["result"]["gap"]["lengths"] == "by_views"
     shown = client.get(f"/jobs/{job}", headers={"accept": "text/html"}).text
-    assert "mm by views</div>" in shown
+    assert "mm by views rms" in shown
     assert "how far an effect moves the tool is in mm at the tool" in shown
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from kilter_service.ground.db import Database
 from kilter_service.page.shared.control_chart import draw_check_history as drawn
 from kilter_service.versions.drift import service as drift
+from kilter_service.versions.today import service as today
 from tests.core.watch.drifting import some_arm
 from tests.service.watched_robot import DAY, Watched
 
@@ -67,9 +68,9 @@ def test_checks_and_comparisons_begin_anew_with_a_repair(client: httpx.Client, d
     found = robot.history()
     assert (found["state"], found["checks"]) == ("ok", 5)
     assert {len(one["up"]) for one in found["charts"]} == {5}
-    figures = drawn(drift.of_robot(database, "mended"))
-    assert figures.checks is not None
-    assert "repair 2026-09-06" in figures.checks.svg()
+    figures = drawn(drift.of_robot(database, "mended"), today.of_robot(database, "mended"))
+    assert figures.errors is not None
+    assert "repair 2026-09-06" in figures.errors.svg()
     judged = client.get("/v1/robots/mended/acceptance", params=TOLERANCE).raise_for_status().json()
     assert [one["id"] for one in judged["campaigns"]] == [found["last"]["campaign_id"]]
 
