@@ -210,9 +210,11 @@ def _columns(path: Path) -> list[tuple[str, ...]]:
 
 def _jobs(robot: str, job: str, campaign: str, command: Command) -> None:
     assert job in [known["id"] for known in command.json("jobs", "list", "--robot", robot)["jobs"]]
-    assert job[:12] in command("jobs")
+    name = command.json("jobs", "show", job)["name"]
+    assert name == f"identification of {robot} 1"
+    assert name in command("jobs", "list", "--robot", robot)
+    assert "succeeded" in command("jobs", "show", name)
     assert command.json("jobs", "list", "--state", "failed", "--robot", robot)["jobs"] == []
-    assert "succeeded" in command("jobs", "show", job)
     queued = command.json("identify", robot, "-c", campaign, "--no-wait", "--level", "1")
     assert queued["state"] in ("queued", "running")
     assert command.json("jobs", "watch", queued["id"])["state"] == "succeeded"

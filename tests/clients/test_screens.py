@@ -102,6 +102,7 @@ def test_every_answer_fits_on_a_screen_and_its_headline_is_true(
         ("server", "status"),
         ("server", "audit"),
         ("version", "residuals", "latest", "--robot", name, "-o", "residuals.csv"),
+        ("version", "export", "latest", "--robot", name, "--format", "dh-csv", "-o", "arm.csv"),
     ):
         screen(*arguments)
     evaluated = screen("evaluate", name, "--campaign", "unseen", "--version", "latest")

@@ -85,9 +85,9 @@ def select_learned_effects(
     if poses < FEWEST_POSES:
         return plain, Learned(ids, False, poses)
     without, beside = (_held_out(model, train, options, prior) for model in (plain, begin))
-    better = without - beside
     from scipy.stats import wilcoxon  # 20 MB, which the API does without
 
+    better = without - beside
     p = float(wilcoxon(better, alternative="greater").pvalue) if np.any(better) else 1.0
     kept = p < ALPHA and float(beside.mean()) < (1.0 - LEAST_GAIN) * float(without.mean())
     return begin if kept else plain, Learned(ids, kept, poses, float(without.mean()), float(beside.mean()), p)

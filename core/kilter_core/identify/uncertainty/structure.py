@@ -30,7 +30,6 @@ SHARES = np.linspace(0.005, 0.995, 100) ** 2  # denser towards none: a share is 
 LACKING = 0.05  # prior probability that a model lacks something, before its residuals are seen
 EQUATIONS_PER_JOINT = 3  # equations left over for each joint
 SMALL = 1e-9
-BLOCK = 32  # columns that LAPACK takes at once
 
 
 @dataclass(frozen=True)
@@ -72,10 +71,8 @@ class Structure:
             return None
         sliding = np.array([joint.kind == "prismatic" for joint in problem.model.robot.joints])
         columns, weights = _over_joints(L, rows.q[poses.first], sliding)
-        smooth, drifting = (
-            _remove_fitted_part(basis, one.reshape(len(said), -1)[said])
-            for one in (columns, _over_time(L, poses.when, of_points))
-        )
+        parts = (columns, _over_time(L, poses.when, of_points))
+        smooth, drifting = (_remove_fitted_part(basis, one.reshape(len(said), -1)[said]) for one in parts)
         found = _read([*(smooth * weight for weight in weights), drifting], left, freedom, points)
         without = _without_pose(basis, left, np.nonzero(said)[0] // r.shape[1])[points]
         return replace(found, reach=_reach(without / np.sqrt(left @ left / freedom)))
@@ -131,12 +128,10 @@ def _read(kernels: list[Floats], left: Floats, freedom: int, points: Bools) -> S
 def _without_pose(basis: Floats, left: Floats, pose: Ints) -> Floats:
     """What a fit without its pose would leave of each number (R,), times what makes the variance of noise one again."""
     out, kept = np.empty_like(left), 1.0 - np.sum(basis**2, axis=1)
-    first = np.concatenate([[0], np.flatnonzero(np.diff(pose)) + 1])
-    count = np.diff(np.append(first, len(left)))
+    first, count = np.unique(pose, return_index=True, return_counts=True)[1:]  # the rows of a pose stand together
     for size in np.unique(count):  # poses with as many numbers at once
         rows = first[count == size, None] + np.arange(size)
-        of = basis[rows]
-        apart = np.eye(size) - of @ of.transpose(0, 2, 1)
+        apart = np.eye(size) - basis[rows] @ basis[rows].transpose(0, 2, 1)
         out[rows] = np.einsum("pij,pj->pi", np.linalg.pinv(apart, rcond=SMALL, hermitian=True), left[rows])
     return np.asarray(out * np.sqrt(np.maximum(kept, 0.0)))
 
@@ -158,21 +153,17 @@ def _likelihoods(columns: Floats, left: Floats, freedom: int, ratios: Floats) ->
 
 
 def _solve_shifted(gram: Floats, start: Floats, ratios: Floats) -> tuple[Floats, Floats]:
-    """Return log det B and start' inv(B) start for each B = I + ratio * gram.
+    """Return log det B and start' inv(B) start for each B = I + ratio * gram, in a third of the time of its eigenvectors.
 
-    Both are read off the tridiagonal form of ``gram`` that begins with ``start`` (Golub and Meurant 2010, chapter 7), from
-    its end: a third of the time of its eigenvectors.
+    Both are read off the tridiagonal form of ``gram`` that begins with ``start`` (Golub and Meurant 2010, chapter 7).
     """
-    length = float(np.linalg.norm(start))
-    mirror = start.copy()
+    length, mirror = float(np.linalg.norm(start)), start.copy()
     mirror[0] += np.copysign(length, start[0])
     mirror /= max(float(np.linalg.norm(mirror)), SMALL * SMALL)
     moved = gram @ mirror
     moved -= (mirror @ moved) * mirror
-    turned = gram - 2.0 * (
-        np.outer(mirror, moved) + np.outer(moved, mirror)
-    )  # the mirror lays ``start`` on the first axis
-    _, along, beside, _, _ = dsytrd(turned, lower=1, lwork=BLOCK * len(gram))
+    turned = gram - 2.0 * (np.outer(mirror, moved) + np.outer(moved, mirror))  # ``start`` lies on its first axis
+    _, along, beside, _, _ = dsytrd(turned, lower=1, lwork=32 * len(gram))
     pivot = 1.0 + ratios * along[-1]
     log_det = np.log(pivot)
     for own, next_to in zip(along[-2::-1], beside[::-1] ** 2, strict=True):

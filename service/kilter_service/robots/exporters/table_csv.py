@@ -28,9 +28,8 @@ if TYPE_CHECKING:
     from kilter_core.model import ClosestTable
 
 ZERO_SIGN = (
-    "Zero offsets: what a joint really has beyond its reading (real = reading + offset). A controller that adds its offset "
-    "takes the number as it is, one that subtracts it the negative. Enter either these and the table's nominal "
-    "theta_offset_deg (d_mm of a prismatic joint), or the table as it is, never both."
+    "Zero offsets: real = reading + offset; a controller that subtracts its offset takes the negative. Enter either these "
+    "and the nominal theta_offset_deg (d_mm of a prismatic joint), or the table as it is, never both."
 )
 
 

@@ -20,15 +20,16 @@ def _format_value(value: float | None) -> str:
     return "" if value is None else f"{value:.6g}"
 
 
-def show(document: dict[str, Any]) -> None:
-    """Print both as tables."""
+def show(document: dict[str, Any], details: bool) -> None:
+    """Print the zero offsets as a table, with ``details`` every number of the export beside its nominal one."""
     if "numbers" not in document:
         return
-    rows = [
-        (one["where"], one["name"], *(_format_value(one[key]) for key in ("nominal", "exported", "difference")))
-        for one in document["numbers"]
-    ]
-    show_rows(("joint or frame", "number", "nominal", "exported", "difference"), rows)
+    if details:
+        rows = [
+            (one["where"], one["name"], *(_format_value(one[key]) for key in ("nominal", "exported", "difference")))
+            for one in document["numbers"]
+        ]
+        show_rows(("joint or frame", "number", "nominal", "exported", "difference"), rows)
     offsets = []
     for one in document["zero_offsets"]:
         unit = "deg" if "offset_deg" in one else "mm"

@@ -112,6 +112,7 @@ def export(
     form: Annotated[str, typer.Option("--format", help="json, urdf, mjcf, usd, dh-csv, ...")] = "json",
     output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; default is stdout.")] = None,
     robot: OfRobot = None,
+    details: Details = False,
     as_json: Json = False,
 ) -> None:
     """Write a version as a file for other programs."""
@@ -128,11 +129,11 @@ def export(
     write(output, content)
     document = {"version_id": version, "format": form, "output": str(output), "bytes": len(content)}
     document["notes"] = list(content.notes)
-    emit(document | files_robots.lists_of_export(content), as_json, _show_written)
+    emit(document | files_robots.lists_of_export(content), as_json, partial(_show_written, details=details))
 
 
-def _show_written(document: dict[str, Any]) -> None:
-    exported.show(document)
+def _show_written(document: dict[str, Any], details: bool) -> None:
+    exported.show(document, details)
     print_line(f"{document['output']}: {document['bytes']} bytes")
 
 
