@@ -12,7 +12,7 @@ depends_on = None
 
 
 def upgrade() -> None:
-    op.add_column("robots", sa.Column("tolerance_mm", sa.Float(), nullable=True))
+    op.add_column("robots", sa.Column("tolerance_mm", sa.Double(), nullable=True))
     op.add_column("robots", sa.Column("check_interval_days", sa.Integer(), nullable=True))
 
 

@@ -1,6 +1,7 @@
 """How often what a simulator hides is named: logs of servo arms in MuJoCo, each with one effect or none.
 
-``python -m tests.clients.score_servos --seeds 3``: three-joint arms whose model states other servos than they have.
+``python -m tests.clients.score_servos --seeds 3``: three-joint arms whose model states other servos than they have;
+with ``--single`` a servo with 0.3 kg on a lever.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +30,9 @@ def draw_servos(rng: np.random.Generator) -> Servos:
     )))  # fmt: skip
 
 
-def draw_hidden(rng: np.random.Generator, name: str) -> Hidden | None:
+def draw_hidden(rng: np.random.Generator, name: str, single: bool) -> Hidden | None:
     """An effect of a size that servos have, at a joint that weight loads."""
-    j = int(rng.integers(1, 3))
+    j = 0 if single else int(rng.integers(1, 3))
     read = ("motor", "body")[int(rng.integers(2))]
     sizes = {
         "command_delay": rng.uniform(0.005, 0.06),
@@ -65,19 +67,23 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--only", default="")
+    parser.add_argument("--single", action="store_true")
     asked = parser.parse_args()
     counts: dict[str, Counter[str]] = {}
     names = ("none", "command_delay", "backlash", "load_friction", "torque_limit", "flexible_gear")
     for name in (asked.only,) if asked.only else names:
         for seed in range(asked.first, asked.first + asked.seeds):
             rng = np.random.default_rng([seed, names.index(name)])
-            hidden, servos = draw_hidden(rng, name), draw_servos(rng)
+            hidden, servos = draw_hidden(rng, name, asked.single), draw_servos(rng)
+            stated = NOMINAL
+            if asked.single:
+                servos, stated = replace(servos.of_joint(1), payload_kg=0.3), NOMINAL.of_joint(1)
             with tempfile.TemporaryDirectory() as folder:
                 logs = [Path(folder) / f"log{k}.csv" for k in range(LOGS)]
                 for k, path in enumerate(logs):
                     record(1000 * seed + 10 * names.index(name) + k, hidden, servos, SECONDS).write(path)
                 model = Path(folder) / "arm.xml"
-                model.write_text(arm_xml(NOMINAL))
+                model.write_text(arm_xml(stated))
                 found, _ = find_servo_gap(model, logs)
             verdict = judge(hidden, found)
             counts.setdefault(name, Counter())[verdict] += 1

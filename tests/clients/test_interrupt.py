@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -51,16 +53,17 @@ def test_while_a_job_runs(robot: str, kilter: Kilter, write_campaign: Write, com
         job = kilter.jobs.submit("gap", robot, [campaign], options={"bootstraps": MANY})["id"]
         process = started("server", "jobs", "watch", "latest", "--robot", robot)
         assert process.stderr is not None
-        assert process.stderr.readline() == f"job 'latest' is {job[:12]}\n"
+        assert process.stderr.readline() == f"job 'latest' is {kilter.jobs.get(job)['name']!r}\n"
         while kilter.jobs.get(job)["state"] == "queued":
             continue
     else:
         process = started("gap", robot, "--campaign", "monday", "--option", f"bootstraps={MANY}")
         assert process.stderr is not None
-        job = kilter.resolve("job", process.stderr.readline().split()[1]).id
+        job = kilter.resolve("job", process.stderr.readline().removeprefix("job: ").strip()).id
     _, err = interrupted(process)
-    assert f"job {job} continues at the server" in err
-    assert f"`kilter server jobs watch {job}` follows it, `kilter server jobs cancel {job}` stops it." in err
+    named = shlex.quote(kilter.jobs.get(job)["name"]) if command != "watch" else job
+    assert re.search(rf"job ({re.escape(named)}|'[^']*') continues at the server", err)
+    assert re.search(r"`kilter server jobs watch [^`]+` follows it, `kilter server jobs cancel [^`]+` stops it\.", err)
     # The interruption stopped nothing: the job goes on, or is over on a machine that was slow to end the command, also while
     # it is asked to stop.
     assert kilter.jobs.get(job)["state"] in ("queued", "running", "succeeded")

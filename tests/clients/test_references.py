@@ -53,7 +53,7 @@ def test_a_calibration_without_copying_an_id(
     second = command.json("upload", robot, held_out)["campaign_id"]
     command("campaigns", "name", first, "monday morning")
     out, err = command("identify", robot, "-c", "monday morning", "-v", "latest", "--level", "1", "--name", "monday")
-    assert err == "campaign 'latest' is held-out.csv\njob monday\n"  # a name says by itself what it stands for
+    assert err == "campaign 'latest' is held-out.csv\njob: monday\n"  # a name says by itself what it stands for
     version = kilter.versions.list(robot)[0]
     assert version["name"] == "monday"
     numbered = f"{robot} v1"

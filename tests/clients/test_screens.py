@@ -166,9 +166,11 @@ def test_details_and_json_hold_all_that_an_answer_leaves_out(server: Path, capsy
 
 def test_today_of_a_busy_robot_fits_on_a_screen(capsys: Capture) -> None:
     sentences = [f"Check {k} of arm: {CAUSE}{REMEDY}" for k in range(40)]
-    show_today({"robot": "arm", "version_id": None, "newest": None, "sentences": sentences})
+    standing = {"words": "Not known", "sentence": "Nobody has checked it.", "steps": [{"command": "kilter check arm"}]}
+    show_today({"robot": "arm", "version_id": None, "newest": None, "sentences": sentences, "standing": standing})
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) <= LINES
     assert max(map(len, lines)) <= COLUMNS
-    assert lines[0].startswith("Check 0 of arm")
+    assert lines[0] == "Not known. Nobody has checked it."
+    assert lines[1].startswith("Check 0 of arm")
     assert any(re.search(r"and \d+ more \(all: --json\)", line) for line in lines)

@@ -109,7 +109,7 @@ def _edge(found: JointFindings, effect: RolloutEffect, value: float) -> tuple[fl
 def _overall_rms(report: RolloutReport, which: str) -> float:
     """Root mean square in deg over all revolute joints, on rows that no choice saw."""
     squares = [_rms_of(found, which) ** 2 for found in report.joints if not found.record.slides]
-    return float(np.degrees(np.sqrt(np.mean(squares)))) if squares else 0.0
+    return EDGE["rad"][0] * float(np.sqrt(np.mean(squares))) if squares else 0.0
 
 
 def _rms_of(found: JointFindings, which: str) -> float:

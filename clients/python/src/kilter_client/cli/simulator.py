@@ -17,6 +17,10 @@ from kilter_client.cli.terminal.progress import job_bar
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import MissingPackageError, UsageError
 from kilter_files.formats import LogHints
+from kilter_files.ground.later import later
+
+with later(__name__):  # it has the core, which a client alone does without
+    from kilter_client.twin import servo_gap
 
 if TYPE_CHECKING:
     from kilter_client.twin.patched import Patched
@@ -49,7 +53,8 @@ def search_models(logs: Sequence[str], asked: ModelSearch, details: bool, as_jso
     """
     if getattr(find_spec("kilter_core"), "origin", None) is None:
         raise MissingPackageError(
-            "kilter gap --model needs the core: pip install kilter-core mujoco.", package="kilter-core"
+            "kilter gap --model needs the core and MuJoCo: install the wheel of kilter_core, and mujoco.",
+            package="kilter-core",
         )
     if (asked.output or asked.ranges) and len(asked.models) > 1:
         raise UsageError("--output and --ranges are of one model: leave them out to compare several.")
@@ -68,15 +73,11 @@ def search_models(logs: Sequence[str], asked: ModelSearch, details: bool, as_jso
 
 
 def _search(model: Path, logs: Sequence[str], asked: ModelSearch, as_json: bool) -> tuple[dict[str, Any], Patched]:
-    from kilter_client.twin.servo_gap import (
-        LogOptions,
-        find_servo_gap,
-    )  # it has the core, which a client alone does without
 
     hints = LogHints(calibration=asked.calibration, norm_mode=asked.norm_mode)
-    options = LogOptions(split_names(asked.joints), asked.site, asked.payload_body, hints, asked.column_map)
+    options = servo_gap.LogOptions(split_names(asked.joints), asked.site, asked.payload_body, hints, asked.column_map)
     with job_bar(f"gap of {model.name}", as_json) as progress:
-        return find_servo_gap(model, list(logs), list(asked.held), options, asked.seed or 0, progress)
+        return servo_gap.find_servo_gap(model, list(logs), list(asked.held), options, asked.seed or 0, progress)
 
 
 def _compare(documents: Sequence[Mapping[str, Any]]) -> str:

@@ -68,7 +68,7 @@ def by_rows(found: SearchResult) -> tuple[Floats, Floats]:
     covariance = np.linalg.inv(H)
     own = slice(len(source.prior_mean), None)
     step = (covariance @ (J.T @ problem.raw - weight * away))[own] * library
-    deviation = np.sqrt(np.diag(covariance)[own]) * library * widening(found)
+    deviation = np.sqrt(np.maximum(np.diag(covariance)[own], 0.0)) * library * widening(found)
     return np.abs(source.library(problem.values)[columns] + step), deviation
 
 

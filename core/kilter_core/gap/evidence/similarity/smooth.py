@@ -298,7 +298,7 @@ def _bump_columns(search: SearchResult, source: Source, joint: int, q: Floats) -
     """Whitened effect (R, B) of rotating the joint by a bump of one radian, for all bumps."""
     rotated = source.joint_columns(search.problem.values)(joint)
     along = search.problem.settings.whitening.residual(rotated)
-    span = float(np.ptp(q))
+    span = max(float(np.ptp(q)), np.finfo(np.float64).tiny)
     centres = np.linspace(q.min(), q.max(), BUMP_CENTRES)
     shapes = [np.exp(-0.5 * ((q - c) / (w * span)) ** 2) for c in centres for w in BUMP_WIDTHS]
     return np.stack([(along * shape[:, None]).reshape(-1) for shape in shapes], axis=1)
