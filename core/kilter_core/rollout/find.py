@@ -99,8 +99,7 @@ def find_missing_motion(
     progress(0.0, "servo of each joint")
     with ThreadPoolExecutor(max(1, min(len(moving), os.cpu_count() or 1))) as pool:
         joints = _search_arm(moving, split, logs, replay, pool, progress)
-    if replay is not None:
-        joints = _judge_by_whole_arm(joints, replay)
+    joints = _judge_on_unseen(joints, replay)
     held = np.unique(moving[0].episode[split.held]).tolist() if split.whole else []
     names = {record.name for record in moving}
     return RolloutReport(
@@ -131,7 +130,7 @@ def _search_arm(
     believed: set[str] = set()
     again = {one.record.name for one in joints}
     while again:
-        best = _find_most_certain(joints, believed, replay)
+        best = _find_most_certain(joints, believed, split, replay)
         if best is not None:
             believed.add(best)
         progress(0.4 + 0.4 * len(believed) / len(joints), "the arm as a whole")
@@ -144,10 +143,10 @@ def _search_arm(
     return joints
 
 
-def _find_most_certain(joints: Sequence[JointFindings], believed: set[str], replay: Replay) -> str | None:
+def _find_most_certain(joints: Sequence[JointFindings], believed: set[str], split: Split, replay: Replay) -> str | None:
     """Name the joint that gains most by what it lacks, if the whole arm gains by it too on the rows that choose."""
     open_ones = [one for one in joints if one.judged and one.record.name not in believed]
-    open_ones.sort(key=lambda one: one.rms(one.fit) / max(one.rms(one.base), 1e-12))
+    open_ones.sort(key=lambda one: one.rms(one.fit, split.train) / max(one.rms(one.base, split.train), 1e-12))
     fits = {one.record.name: fit for one, fit in zip(joints, _fits_of(joints, believed), strict=True)}
     for one in open_ones:
         name, record = one.record.name, one.record
@@ -202,8 +201,10 @@ def _correct(records: Sequence[JointRecord], fits: Sequence[Fit], replay: Replay
     return found
 
 
-def _judge_by_whole_arm(joints: Sequence[JointFindings], replay: Replay) -> list[JointFindings]:
+def _judge_on_unseen(joints: Sequence[JointFindings], replay: Replay | None) -> list[JointFindings]:
     """Judge each effect by what the whole arm leaves on unseen rows with it and without it; what these contradict goes."""
+    if replay is None:
+        return [drop_contradicted(found, found.judged) for found in joints]
     fits = {found.record.name: found.believed for found in joints}
     whole = replay(fits)
     judged = []

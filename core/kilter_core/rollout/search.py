@@ -82,9 +82,9 @@ class JointFindings:
         """What the model as it is stated leaves of the readings (R,), rad."""
         return self.record.reading - simulate(self.record, self.record.stated)
 
-    def rms(self, fit: Fit) -> float:
-        """Root mean square (rad) of what a fit leaves on rows that no choice saw."""
-        rows = self.split.held & self.record.used
+    def rms(self, fit: Fit, rows: Bools | None = None) -> float:
+        """Root mean square (rad) of what a fit leaves on ``rows``, by default those that no choice saw."""
+        rows = (self.split.held if rows is None else rows) & self.record.used
         return float(np.sqrt(np.mean(fit.left[rows] ** 2)))
 
 
@@ -110,7 +110,10 @@ def split_episodes(record: JointRecord, seed: int, apart: Bools | None = None) -
 
 
 def search_joint(record: JointRecord, split: Split, logs: Sequence[int]) -> JointFindings:
-    """Find what a joint lacks; ``logs (E,)`` is the file that each episode comes from."""
+    """Find what a joint lacks; ``logs (E,)`` is the file that each episode comes from.
+
+    What unseen rows contradict is still among it: they take no part in any choice until all are made.
+    """
     base, fit, rivals, tried = _choose(record, split)
     pushed = _find_pushed_blocks(record, fit, split)
     if pushed.any():
@@ -126,8 +129,7 @@ def search_joint(record: JointRecord, split: Split, logs: Sequence[int]) -> Join
     rows = np.searchsorted(record.block, np.flatnonzero(pushed))
     times = np.concatenate([one.t for one in record.episodes])
     aside = tuple((int(record.episode[row]), float(times[row])) for row in rows)
-    everything = JointFindings(record, split, base, fit, tuple(judged), excluded, aside)
-    return drop_contradicted(everything, judged)
+    return JointFindings(record, split, base, fit, tuple(judged), excluded, aside)
 
 
 def judge_unseen(found: JointFindings, one: JudgedEffect, without: Floats, with_it: Floats) -> JudgedEffect:
