@@ -10,9 +10,8 @@ from kilter_core.motion.effects import MOTION_EFFECTS
 from kilter_core.motion.find import MotionReport
 from kilter_core.motion.layout import Term
 from kilter_core.motion.search import Judged
-from kilter_core.types import Floats
+from kilter_core.types import QUANTILE, Floats
 
-NORMAL_95 = 1.959964
 SCRAMBLED_SHARE = 0.25  # of all torque; joints without a signal have little
 FEWEST_LATE = 3  # joints, from which a common delay is that of a clock
 IMITATED = "masses, inertias and friction of the model make the same torques in this log"
@@ -120,9 +119,9 @@ def _list_amplitudes(term: Term, value: Floats, sigma: Floats | None, units: lis
                 "value": float(value[k]),
                 "unit": unit,
                 "sigma": spread,
-                "interval_low": None if spread is None else float(value[k]) - NORMAL_95 * spread,
-                "interval_high": None if spread is None else float(value[k]) + NORMAL_95 * spread,
-                "seen": None if spread is None else bool(np.abs(value[k]) > NORMAL_95 * spread),
+                "interval_low": None if spread is None else float(value[k]) - QUANTILE * spread,
+                "interval_high": None if spread is None else float(value[k]) + QUANTILE * spread,
+                "seen": None if spread is None else bool(np.abs(value[k]) > QUANTILE * spread),
             }
         )
     return found

@@ -9,8 +9,8 @@ import numpy as np
 from kilter_core.rollout.effects import ROLLOUT_EFFECTS, RolloutEffect
 from kilter_core.rollout.find import Absorbed, RolloutReport, list_absorbed
 from kilter_core.rollout.search import JointFindings, JudgedEffect, servo_sigmas
+from kilter_core.types import QUANTILE
 
-NORMAL_95 = 1.959964
 EDGE = {  # SI -> factor and unit at the edge
     "s": (1e3, "ms"),
     "rad": (float(np.degrees(1.0)), "deg"),
@@ -29,7 +29,7 @@ def to_document(report: RolloutReport) -> dict[str, Any]:
     effects = [_describe_effect(found, one) for found in report.joints for one in found.judged]
     return {
         "headline": write_headline(report),
-        "verdict": "found" if any(one["sure"] for one in effects) else "no_gap",
+        "verdict": "found" if effects else "no_gap",
         "effects": effects,
         "joints": [_describe_joint(found) for found in report.joints],
         "excluded": [  # what a log leaves room for; what it leaves all room for is not testable
@@ -65,9 +65,9 @@ def write_headline(report: RolloutReport) -> str:
         f"Error on {where}: your model {stated:.2g} deg, with numbers of the servo fitted {base:.2g} deg{last}."
     )
     worst = [
-        (one.times, f"{one.name} of {found.record.name} {one.times:.1f} times")
+        (one.times, f"{one.number.name} of {found.record.name} {one.times:.1f} times")
         for found in report.joints
-        if _is_believed(found)
+        if found.judged
         for one in list_absorbed(found)
         if one.times > MUCH
     ]
@@ -75,10 +75,6 @@ def write_headline(report: RolloutReport) -> str:
         listed = ", ".join(text for _, text in sorted(worst, reverse=True)[:3])
         said.append(f"A fit without it makes {listed} too large.")
     return " ".join(said)
-
-
-def _is_believed(found: JointFindings) -> bool:
-    return any(SURE.get(one.verdict) for one in found.judged)
 
 
 def _name_effects(report: RolloutReport, how_sure: str) -> str:
@@ -120,7 +116,8 @@ def _rms_of(found: JointFindings, which: str) -> float:
 
 
 def _describe_joint(found: JointFindings) -> dict[str, Any]:
-    factor, unit = (1e3, "mm") if found.record.slides else (float(np.degrees(1.0)), "deg")
+    factor, unit = (EDGE | (OF_SLIDES if found.record.slides else {}))["rad"]
+    sigmas = servo_sigmas(found.record, found.believed, found.split.train)
     return {
         "joint": found.record.name,
         "unit": unit,
@@ -128,23 +125,21 @@ def _describe_joint(found: JointFindings) -> dict[str, Any]:
         "servo_fitted": factor * _rms_of(found, "base"),
         "found": factor * _rms_of(found, "fit"),
         "friction": "as the simulator has it" if found.believed.creeps else "holds without creep",
-        "servo": [_describe_absorbed(found, one) for one in list_absorbed(found)],
+        "servo": [_describe_absorbed(found, one, sigmas[one.number.name]) for one in list_absorbed(found)],
         "set_aside": [{"episode": episode, "t_s": t} for episode, t in found.pushed_s],
     }
 
 
-def _describe_absorbed(found: JointFindings, one: Absorbed) -> dict[str, Any]:
-    sigma = servo_sigmas(found.record, found.believed, found.split.train)[one.name]
-    unit = {"armature": "kg m2", "friction": "N m", "damping": "N m s/rad", "gain": "N m/rad"}[one.name]
-    stated = float(found.record.stated[["armature", "friction", "damping", "gain"].index(one.name)])
+def _describe_absorbed(found: JointFindings, one: Absorbed, sigma: float) -> dict[str, Any]:
+    unit = one.number.unit
     return {
-        "name": one.name,
+        "name": one.number.name,
         "unit": unit.replace("N m", "N").replace("rad", "m").replace("kg m2", "kg") if found.record.slides else unit,
-        "stated": stated,
+        "stated": float(found.record.stated[one.number.place]),
         "without_effects": one.without,
         "found": one.found,
-        "interval_low": max(one.found - NORMAL_95 * sigma, 0.0),
-        "interval_high": one.found + NORMAL_95 * sigma,
+        "interval_low": max(one.found - QUANTILE * sigma, 0.0),
+        "interval_high": one.found + QUANTILE * sigma,
         "absorbed": one.times if found.judged else None,
     }
 
@@ -174,8 +169,8 @@ def _describe_effect(found: JointFindings, one: JudgedEffect) -> dict[str, Any]:
                 "value": value,
                 "unit": unit,
                 "sigma": sigma,
-                "interval_low": value - NORMAL_95 * sigma,
-                "interval_high": value + NORMAL_95 * sigma,
+                "interval_low": value - QUANTILE * sigma,
+                "interval_high": value + QUANTILE * sigma,
             }
         ],
         "unseen_deviations": one.unseen,
@@ -190,7 +185,7 @@ def _list_warnings(report: RolloutReport) -> list[dict[str, Any]]:
         f"{number} of {one.record.name}"
         for one in report.joints
         for number, sigma in servo_sigmas(one.record, one.believed, one.split.train).items()
-        if number in ("armature", "friction", "damping", "gain") and sigma > LOOSE * one.believed.values[number]
+        if sigma > LOOSE * one.believed.values[number]
     ]
     if loose:
         message = (

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.errors import ObservationError
+from kilter_core.rollout.effects import Number
 from kilter_core.rollout.fit import BASE, Fit, simulate
 from kilter_core.rollout.record import JointRecord
 from kilter_core.rollout.search import (
@@ -52,7 +53,7 @@ class RolloutReport:
 class Absorbed:
     """A number of the servo that a fit without the effects makes ``times`` as large as one with them."""
 
-    name: str
+    number: Number
     without: float
     found: float
 
@@ -188,10 +189,8 @@ def _renew(
     return [found.get(one.record.name, one) for one in joints]
 
 
-def _correct(records: Sequence[JointRecord], fits: Sequence[Fit], replay: Replay | None) -> list[JointRecord]:
+def _correct(records: Sequence[JointRecord], fits: Sequence[Fit], replay: Replay) -> list[JointRecord]:
     """Give each joint what the whole arm reads beyond it."""
-    if replay is None:
-        return list(records)
     whole = replay({record.name: fit for record, fit in zip(records, fits, strict=True)})
     found = []
     for record, fit in zip(records, fits, strict=True):
@@ -219,9 +218,7 @@ def _judge_on_unseen(joints: Sequence[JointFindings], replay: Replay | None) -> 
 
 def list_absorbed(found: JointFindings) -> list[Absorbed]:
     """Return the numbers of the servo, with what a fit without the effects found makes of them."""
-    return [
-        Absorbed(number.name, float(found.base.p[number.place]), float(found.fit.p[number.place])) for number in BASE
-    ]
+    return [Absorbed(number, float(found.base.p[number.place]), float(found.fit.p[number.place])) for number in BASE]
 
 
 def _refuse_other_command(record: JointRecord, records: Sequence[JointRecord]) -> None:

@@ -187,8 +187,7 @@ def fit_base(record: JointRecord, rows: Bools) -> Fit:
             p = start.copy()
             p[place.ARMATURE] *= armature
             p[place.GAIN] *= gain
-            left = (record.reading - simulate(record, p))[rows & record.used]
-            tries.append((float(np.nan_to_num(np.mean(left**2), nan=1e9)), p))
+            tries.append((_mean_square(record, p, rows), p))
     tries.sort(key=lambda one: one[0])
     sigma = max(np.sqrt(tries[0][0]), 1e-6)
     fits = [fit_joint(record, (), rows, sigma, p) for _, p in tries[:3]]
@@ -202,7 +201,6 @@ def fit_with(record: JointRecord, fit: Fit, term: Term, rows: Bools, sigma: floa
     """Fit one more term beside those of ``fit``, from the best of its starting values."""
     number = term.effect.number
     scale = _scale(record, number)
-    episodes = np.unique(record.episode[rows & record.used]).tolist()
     tries = []
     for servo, start in product((fit.p, start_values(record)), number.starts):
         p = fit.p.copy()
@@ -210,7 +208,13 @@ def fit_with(record: JointRecord, fit: Fit, term: Term, rows: Bools, sigma: floa
         for at, value in term.effect.variants[term.variant].items():
             p[at] = value
         p[number.place] = start * scale
-        left = (record.reading - simulate(record, p, episodes))[rows & record.used]
-        tries.append((float(np.nan_to_num(np.mean(left**2), nan=1e9)), p))
+        tries.append((_mean_square(record, p, rows), p))
     _, begin = min(tries, key=lambda one: one[0])
     return fit_joint(record, (*fit.terms, term), rows, sigma, begin)
+
+
+def _mean_square(record: JointRecord, p: Floats, rows: Bools) -> float:
+    """Mean square (rad2) that a joint with these numbers leaves on some rows; large where it diverges."""
+    rows = rows & record.used
+    left = (record.reading - simulate(record, p, np.unique(record.episode[rows]).tolist()))[rows]
+    return float(np.nan_to_num(np.mean(left**2), nan=1e9))

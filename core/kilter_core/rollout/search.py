@@ -14,9 +14,9 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.rollout.effects import BY_ID, ROLLOUT_EFFECTS, RolloutEffect
-from kilter_core.rollout.fit import EVALUATIONS, Fit, Term, fit_base, fit_joint, fit_with, simulate
+from kilter_core.rollout.fit import BASE, EVALUATIONS, Fit, Term, fit_base, fit_joint, fit_with, simulate
 from kilter_core.rollout.record import JointRecord
-from kilter_core.types import Bools, Floats
+from kilter_core.types import QUANTILE, Bools, Floats
 
 FOLDS = 4
 MOST_TERMS = 3
@@ -163,9 +163,9 @@ def _choose(record: JointRecord, split: Split) -> tuple[Fit, Fit, dict[str, tupl
     base = fit = fit_base(record, split.train)
     rivals: dict[str, tuple[RolloutEffect, ...]] = {}
     tried: list[Fit] = []
+    without = _fold_losses(record, fit, split.train)
     for _ in range(MOST_TERMS):
-        tried = _fit_candidates(record, fit, base, split.train)
-        without = _fold_losses(record, fit, split.train)
+        tried = _fit_candidates(record, fit, split.train)
         losses = {one.terms[-1].effect.id: _fold_losses(record, one, split.train) for one in tried[:TRIED]}
         best = min(losses, key=lambda name: float(losses[name].sum()), default=None)
         if best is None or not _gains(without, losses[best]):
@@ -178,11 +178,11 @@ def _choose(record: JointRecord, split: Split) -> tuple[Fit, Fit, dict[str, tupl
             for name, own in losses.items()
             if name != best and _standard_errors(own, losses[best]) < RIVAL and _gains(without, own)
         )
-        fit = _drop_idle_terms(record, chosen, split.train)
+        fit, without = _drop_idle_terms(record, chosen, losses[best], split.train)
     return base, fit, rivals, tried
 
 
-def _fit_candidates(record: JointRecord, fit: Fit, base: Fit, train: Bools) -> list[Fit]:
+def _fit_candidates(record: JointRecord, fit: Fit, train: Bools) -> list[Fit]:
     """Fits with one effect more, each in its best variant, that which leaves least first."""
     sigma = _rms(record, fit, train)
     have = {term.effect.id for term in fit.terms}
@@ -195,14 +195,14 @@ def _fit_candidates(record: JointRecord, fit: Fit, base: Fit, train: Bools) -> l
     return sorted(best.values(), key=lambda one: one.cost)
 
 
-def _drop_idle_terms(record: JointRecord, fit: Fit, train: Bools) -> Fit:
-    """Take out earlier terms that the last one has made needless."""
+def _drop_idle_terms(record: JointRecord, fit: Fit, losses: Floats, train: Bools) -> tuple[Fit, Floats]:
+    """Take out earlier terms that the last one has made needless; return the fit and what it leaves of each second."""
     for term in fit.terms[:-1]:
         fewer = _refit(record, fit, [one for one in fit.terms if one is not term], train)
-        with_it, without = _fold_losses(record, fit, train), _fold_losses(record, fewer, train)
-        if not _gains(without, with_it) or not _is_worth_a_name(fit, term):
-            fit = fewer
-    return fit
+        without = _fold_losses(record, fewer, train)
+        if not _gains(without, losses) or not _is_worth_a_name(fit, term):
+            fit, losses = fewer, without
+    return fit, losses
 
 
 def _refit(record: JointRecord, fit: Fit, terms: Sequence[Term], rows: Bools, evaluations: int = 2 * REFITS) -> Fit:
@@ -274,7 +274,7 @@ def covariance(record: JointRecord, fit: Fit, rows: Bools) -> Floats:
 def servo_sigmas(record: JointRecord, fit: Fit, rows: Bools) -> dict[str, float]:
     """Standard errors of the numbers of the servo, by name."""
     spread = np.sqrt(np.maximum(np.diag(covariance(record, fit, rows)), 0.0)) * fit.scales
-    return {number.name: float(s) for number, s in zip(fit.fitted, spread, strict=True)}
+    return {number.name: float(s) for number, s in zip(BASE, spread, strict=False)}
 
 
 def _sigma_of(record: JointRecord, fit: Fit, term: Term, rows: Bools) -> float:
@@ -285,7 +285,7 @@ def _sigma_of(record: JointRecord, fit: Fit, term: Term, rows: Bools) -> float:
 def _upper_limit(record: JointRecord, fit: Fit, rows: Bools) -> float:
     term = fit.terms[-1]
     value = float(fit.p[term.effect.number.place])
-    return abs(value) + 1.96 * _sigma_of(record, fit, term, rows)
+    return abs(value) + QUANTILE * _sigma_of(record, fit, term, rows)
 
 
 def _judge(

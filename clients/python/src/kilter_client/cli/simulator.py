@@ -25,6 +25,8 @@ with later(__name__):  # it has the core, which a client alone does without
 if TYPE_CHECKING:
     from kilter_client.twin.patched import Patched
 
+ERRORS = {"stated": "your model", "servo_fitted": "its servos fitted", "found": "with what was found"}
+
 
 @dataclass(frozen=True)
 class ModelSearch:
@@ -73,7 +75,6 @@ def search_models(logs: Sequence[str], asked: ModelSearch, details: bool, as_jso
 
 
 def _search(model: Path, logs: Sequence[str], asked: ModelSearch, as_json: bool) -> tuple[dict[str, Any], Patched]:
-
     hints = LogHints(calibration=asked.calibration, norm_mode=asked.norm_mode)
     options = servo_gap.LogOptions(split_names(asked.joints), asked.site, asked.payload_body, hints, asked.column_map)
     with job_bar(f"gap of {model.name}", as_json) as progress:
@@ -97,10 +98,7 @@ def _error(document: Mapping[str, Any], which: str) -> float:
 def _show(document: Mapping[str, Any], details: bool) -> None:
     print_line(document["headline"])
     if "models" in document:
-        rows = [
-            (one["model"], *(_cell(one, which) for which in ("stated", "servo_fitted", "found")))
-            for one in document["models"]
-        ]
+        rows = [(one["model"], *(_cell(one, which) for which in ERRORS)) for one in document["models"]]
         show_rows(("model", "as it is, deg", "servo fitted", "with what was found"), rows, numbers=True)
         for one in document["models"]:
             for line in _list_differences(one)[: None if details else 3]:
@@ -122,13 +120,8 @@ def _show(document: Mapping[str, Any], details: bool) -> None:
     for key in ("output", "ranges_file"):
         if key in document:
             print_line(f"Written: {document[key]}")
-    if "output" in document:
-        return
-    if document["effects"] or document["refuted"]:
+    if "output" not in document and (document["effects"] or document["refuted"]):
         print_line("Next: the same with --output FILE.xml writes a copy of the model with all of this.")
-
-
-ERRORS = {"stated": "your model", "servo_fitted": "its servos fitted", "found": "with what was found"}
 
 
 def _row(one: Mapping[str, Any]) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_client.errors import FileError
+from kilter_client.twin.settled import UNITS
 from kilter_files import read_joints
 from kilter_files.ground.later import np
 from kilter_files.tables import JointLog
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 GAP_ROWS = 10  # of usual steps without a row, by which an episode ends
 DROPPED = 1.5  # of a usual step, beyond which a row is missing
 FEWEST_ROWS = 50
-SI = {"deg": 0.017453292519943295, "rad": 1.0, "mm": 1e-3, "m": 1.0}
 COMMAND = re.compile(r"cmd(\d+)_(deg|rad|mm|m)")
 REMEDY = "Add cmd1_deg, cmd2_deg, ... (the position that each joint was told) beside q1_deg, q2_deg, ..."
 
@@ -63,8 +63,8 @@ def read_command_log(
     missing = [f"cmd{k}" for k in range(1, joints + 1) if k not in commands]
     if missing:
         raise _fault(path, f"has no command of joint {missing[0][3:]}", REMEDY)
-    command = np.column_stack([log.columns[commands[k][0]] * SI[commands[k][1]] for k in range(1, joints + 1)])
-    reading = np.column_stack([log.columns[name] * SI[name.partition("_")[2]] for name in log.joints])
+    command = np.column_stack([log.columns[commands[k][0]] * UNITS[commands[k][1]] for k in range(1, joints + 1)])
+    reading = np.column_stack([log.columns[name] * UNITS[name.partition("_")[2]] for name in log.joints])
     parts = [part for part in _episodes(log) if len(part) >= FEWEST_ROWS]
     if not parts:
         raise _fault(path, f"has no episode of {FEWEST_ROWS} rows", "Record longer motions.")

@@ -10,6 +10,8 @@ import math
 from functools import lru_cache
 from typing import Any
 
+from kilter_client.errors import UsageError
+
 TABLE, FORMAT = "kilter_motion", 1
 
 
@@ -68,8 +70,18 @@ def model_text(model: Any, name: str) -> bytes | None:
 
 @lru_cache(maxsize=16)
 def parse_table(text: bytes) -> dict[str, Any]:
-    """Read a table."""
+    """Read a table of this release.
+
+    Raises:
+        UsageError: it is of a later one.
+
+    """
     table: dict[str, Any] = json.loads(text)
+    if table.get("format") != FORMAT:
+        raise UsageError(
+            f"The model's table has format {table.get('format')!r}, this release knows {FORMAT}: update kilter-client, "
+            "or export the version again."
+        )
     return table
 
 

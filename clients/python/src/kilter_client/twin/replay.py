@@ -1,12 +1,10 @@
-"""A whole arm of MuJoCo driven by the commands of a log: how far its readings are from those of the arm, in deg and mm."""
+"""A whole arm of MuJoCo driven by the commands of a log: its readings, and where its tool is."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from kilter_client.errors import FileError
 from kilter_client.twin.command_log import CommandEpisode
 from kilter_client.twin.motion_step import TABLE, model_text, parse_table, read_joints
 from kilter_client.twin.servo_model import ServoModel
@@ -16,48 +14,13 @@ from kilter_files.ground.later import mujoco, np
 if TYPE_CHECKING:
     from kilter_files.ground import Floats
 
-SETTLE_S = 0.3  # from the start of an episode, in which a guessed speed dies out
-
-
-@dataclass(frozen=True)
-class Replayed:
-    """Differences of readings (rows, n) rad (m), and distances (rows,) m of the tool between both, None without a site."""
-
-    apart: Floats
-    tool: Floats | None
-
-
-def replay(arm: ServoModel, model: Any, episodes: Sequence[CommandEpisode], site: str | None) -> Replayed:
-    """Drive ``model``, the arm's own or a patched copy of it, by the commands of some episodes.
-
-    Raises:
-        FileError: the simulation diverges.
-
-    """
-    found = [_run(arm, model, one) for one in episodes]
-    if not all(np.isfinite(read).all() for read, _ in found):
-        raise FileError(
-            f"{arm.path}: the simulation diverges at steps of {model.opt.timestep * 1e3:g} ms: take smaller ones, or "
-            'integrator="implicitfast".',
-            file=str(arm.path),
-            code="model_unstable",
-        )
-    apart = np.concatenate([one.reading[rows] - read[rows] for one, (read, rows) in zip(episodes, found, strict=True)])
-    if site is None:
-        return Replayed(apart, None)
-    both = [
-        np.linalg.norm(tool_points(arm, one.reading[rows], site) - tool_points(arm, read[rows], site), axis=1)
-        for one, (read, rows) in zip(episodes, found, strict=True)
-    ]
-    return Replayed(apart, np.concatenate(both))
-
 
 def replay_readings(arm: ServoModel, model: Any, episodes: Sequence[CommandEpisode]) -> Floats:
-    """Readings (R, n) of all rows of some episodes; not finite where the simulation diverges."""
-    return np.concatenate([_run(arm, model, one)[0] for one in episodes])
+    """Readings (R, n) of an arm, its own model or a patched copy, in some episodes; not finite where it diverges."""
+    return np.concatenate([_run(arm, model, one) for one in episodes])
 
 
-def _run(arm: ServoModel, model: Any, one: CommandEpisode) -> tuple[Floats, Floats]:
+def _run(arm: ServoModel, model: Any, one: CommandEpisode) -> Floats:
     arm.hang(model, one.payload_kg)
     data = mujoco.MjData(model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -83,7 +46,7 @@ def _run(arm: ServoModel, model: Any, one: CommandEpisode) -> tuple[Floats, Floa
         for _ in range(count if table else 0):
             apply(model, data)
             mujoco.mj_step(model, data)
-    return read, one.t > one.t[0] + SETTLE_S
+    return read
 
 
 def _fill_history(arm: ServoModel, model: Any, data: Any, command: Floats) -> None:

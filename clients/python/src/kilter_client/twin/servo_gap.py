@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 from kilter_client.errors import FileError
 from kilter_client.twin.command_log import CommandEpisode, CommandLog, read_command_log
 from kilter_client.twin.patched import Patched, patch_model
-from kilter_client.twin.replay import Replayed, replay, replay_readings
+from kilter_client.twin.replay import replay_readings, tool_points
 from kilter_client.twin.servo_model import ServoModel
+from kilter_client.twin.settled import HINGE
 from kilter_core.errors import CoreError
 from kilter_core.rollout import Fit, JointRecord, RolloutReport, draw_ranges, find_missing_motion, to_document
 from kilter_files.ground.later import mujoco, np
@@ -102,13 +103,19 @@ def _judge_whole_arm(
 ) -> dict[str, Any]:
     """Errors of the whole arm in MuJoCo on unseen episodes: the model as it is, with its servos fitted, and the copy."""
     every = [one for log in logs for one in log.episodes]
-    held = [every[k] for k in report.held_episodes] or every
+    places = report.held_episodes or tuple(range(len(every)))
+    held = [every[k] for k in places]
     records = [one.record for one in report.joints]
+    used = records[0].used[np.isin(records[0].episode, places)]
+    measured = np.concatenate([one.reading for one in held])[used]
+    at = None if site is None else tool_points(arm, measured, site)
     servos = patch_model(arm, records, {one.record.name: one.base for one in report.joints})
     models = {"stated": arm.model, "servo_fitted": servos.model, "found": copy.model}
     found: dict[str, Any] = {"unseen": report.unseen, "site": site}
     for name, model in models.items():
-        found[name] = _describe_replay(arm, _replay(arm, model, held, site))
+        read = replay_readings(arm, model, held)
+        tool = None if at is None else np.linalg.norm(at - tool_points(arm, read[used], str(site)), axis=1)
+        found[name] = _describe_replay(arm, measured - read[used], tool) if np.isfinite(read).all() else None
     return found
 
 
@@ -120,23 +127,13 @@ def _replay_fits(
     return dict(zip(arm.joints, readings.T, strict=True))
 
 
-def _replay(arm: ServoModel, model: Any, episodes: Sequence[CommandEpisode], site: str | None) -> Replayed | None:
-    try:
-        return replay(arm, model, episodes, site)
-    except FileError as error:
-        if error.code == "model_unstable":
-            return None
-        raise
-
-
-def _describe_replay(arm: ServoModel, one: Replayed | None) -> dict[str, Any] | None:
-    if one is None:
-        return None
-    turning = [k for k, j in enumerate(arm.ids) if int(arm.model.jnt_type[j]) == 3]  # mjJNT_HINGE
+def _describe_replay(arm: ServoModel, apart: Floats, tool: Floats | None) -> dict[str, Any]:
+    """Errors of readings (R, n) rad, and of the tool (R,) m, None without a site."""
+    revolute = [k for k, j in enumerate(arm.ids) if int(arm.model.jnt_type[j]) == HINGE]
     return {
-        "rms_deg": float(np.degrees(np.sqrt(np.mean(one.apart[:, turning] ** 2)))),
-        "tool_rms_mm": None if one.tool is None else float(1e3 * np.sqrt(np.mean(one.tool**2))),
-        "tool_max_mm": None if one.tool is None else float(1e3 * np.max(one.tool)),
+        "rms_deg": float(np.degrees(np.sqrt(np.mean(apart[:, revolute] ** 2)))),
+        "tool_rms_mm": None if tool is None else float(1e3 * np.sqrt(np.mean(tool**2))),
+        "tool_max_mm": None if tool is None else float(1e3 * np.max(tool)),
     }
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import FileError
-from kilter_client.twin.settled import HINGE, JOINT, SLIDE, find_element_id, load_model
+from kilter_client.twin.settled import HINGE, JOINT, SLIDE, find_element_id, load_model, silence_warnings
 from kilter_core.rollout import JointEpisode, JointRecord, Servo, smooth_motion
 from kilter_files.ground.later import mujoco, np
 
@@ -66,7 +66,7 @@ class ServoModel:
                 file=str(path),
                 code="model_step",
             )
-        mujoco.set_mju_user_warning(lambda _: None)
+        silence_warnings()
         return cls(path, model, tuple(names), tuple(ids), tuple(driven[j] for j in ids), payload)
 
     def records(self, logs: Sequence[CommandLog]) -> list[JointRecord]:

@@ -155,7 +155,7 @@ def model_errors(model: Any, rows: MeasuredRows, settings: Settings, path: Path)
         UsageError: views that do not say where camera and board stand.
 
     """
-    _hold_the_log()
+    silence_warnings()
     places, turns = [], []
     arm = _Arm.from_model(model, settings, path)
     for k in range(len(rows.readings)):
@@ -167,7 +167,7 @@ def model_errors(model: Any, rows: MeasuredRows, settings: Settings, path: Path)
     return distances_after_registration(np.array(places), np.array(turns), rows.points)
 
 
-def _hold_the_log() -> None:
+def silence_warnings() -> None:
     """MuJoCo writes its warnings into a file where one stands; what they say is said by the refusal."""
     mujoco.set_mju_user_warning(lambda _: None)
 

@@ -6,20 +6,17 @@ hand it to ``mujoco.set_mjcb_control``. SI throughout; loads are those of the we
 
 from __future__ import annotations
 
-import json
 import math
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from kilter_client.errors import UsageError
 from kilter_client.twin.motion_step import TABLE as MOTION
-from kilter_client.twin.motion_step import apply_motion, model_text
+from kilter_client.twin.motion_step import apply_motion, model_text, parse_table
 from kilter_files.ground.later import np
 
 if TYPE_CHECKING:
     from kilter_files.ground import Floats
 
-TABLE, FORMAT = "kilter", 1
+TABLE = "kilter"
 NO_LOAD = 1e-9  # N m (N): below it a sign would be that of rounding noise
 NEVER_MOVED = 1e-9  # rad (m) of a control
 
@@ -73,18 +70,7 @@ def apply(model: Any, data: Any) -> None:
 
 def _read_embedded_table(model: Any) -> dict[str, Any] | None:
     text = model_text(model, TABLE)
-    return None if text is None else _read(text)
-
-
-@lru_cache(maxsize=16)
-def _read(text: bytes) -> dict[str, Any]:
-    table: dict[str, Any] = json.loads(text)
-    if table.get("format") != FORMAT:
-        raise UsageError(
-            f"The model's table has format {table.get('format')!r}, this release knows {FORMAT}: update kilter-client, "
-            "or export the version again."
-        )
-    return table
+    return None if text is None else parse_table(text)
 
 
 def _sides(data: Any, controls: dict[str, float]) -> dict[str, float]:
