@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kilter_client.errors import FileError, MissingPackageError, UsageError
+from kilter_client.errors import FileError, UsageError
 from kilter_client.twin.step import apply
 from kilter_client.twin.views import ViewErrors, errors_of_views
-from kilter_files.ground.later import mujoco, np
+from kilter_files.ground.later import mujoco, need, np
 from kilter_files.rig import FEWEST_CORNERS
 
 if TYPE_CHECKING:
@@ -117,11 +117,7 @@ def mujoco_package() -> Any:
         MissingPackageError: it is not installed.
 
     """
-    try:
-        import mujoco
-    except ImportError as error:
-        raise MissingPackageError("Models of MuJoCo need it: pip install mujoco.", package="mujoco") from error
-    return mujoco
+    return need("Models of MuJoCo need", "mujoco")
 
 
 def load_model(path: Path) -> Any:
