@@ -63,8 +63,8 @@ COMMANDS = dict(leaves(typer.main.get_command(app)))
 
 def test_every_command_of_the_contract_is_there() -> None:
     assert {f"kilter {' '.join((MOVED.get(first, first), *rest))}" for first, *rest in map(str.split, (
-        "robot add", "robot check", "robot convert", "robot from-circles", "robot frame", "robot list", "robot show",
-        "robot note", "robot compensation", "robot tolerance", "robot retire", "robot restore", "robot purge",
+        "robot add", "robot torque", "robot check", "robot convert", "robot from-circles", "robot frame", "robot list",
+        "robot show", "robot note", "robot compensation", "robot tolerance", "robot retire", "robot restore", "robot purge",
         *(f"{kind} {verb}" for kind in ("campaigns", "versions")
           for verb in ("list", "name", "note", "retire", "restore", "purge")),
         "instrument add", "instrument list", "upload", "inspect", "match",

@@ -13,8 +13,8 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.errors import NotFoundError
-from tests.core.motion.moving_arm import Logger, ur_like
+from kilter_client.errors import ConflictError, NotFoundError, ObservationError
+from tests.core.motion.moving_arm import Logger, State, ur_like
 from tests.core.motion.test_find import HIDDEN, at_joint
 from tests.core.truth import Body
 
@@ -75,6 +75,40 @@ def test_a_log_is_uploaded_and_its_missing_effect_named(server: Path, logged: Pa
         text = page.get(f"/jobs/{job['id']}").raise_for_status().text
     assert "What is left of the torques" in text
     assert "rms error before" not in text
+
+
+def test_torques_of_a_path_come_from_the_newest_search(
+    server: Path, hidden: tuple[Logger, Path], logged: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    logger, _ = hidden
+    document = logger.arm.document() | {"name": "driven"}
+    path, out = tmp_path / "path.csv", tmp_path / "torques.csv"
+    t = np.arange(0.0, 5.0, 0.01)
+    q, qd, qdd = logger._path(t)
+    np.savetxt(path, np.column_stack([t, np.degrees(q)]), delimiter=",", header=",".join(HEAD[:7]), comments="")
+    with Kilter() as kilter:
+        kilter.robots.add(document)
+        with pytest.raises(ConflictError, match="No search in torques") as refused:
+            kilter.torques("driven", path)
+        assert refused.value.code == "no_torque_model"
+        kilter.upload("driven", logged, name="log")
+        kilter.gap("driven", "log", name="by log")
+        assert run(["robot", "torque", "driven", str(path), "-o", str(out)]) == 0
+        assert "by log" in capsys.readouterr().err
+        rows = np.genfromtxt(out, delimiter=",", names=True)
+        told = np.stack([rows[f"tau{j}_nm"] for j in JOINTS], axis=1)
+        joint, shape = HIDDEN["gear_ripple"]
+        ripple = at_joint(joint, shape, 1.5)(logger)
+        state = State(q, qd, qdd, logger._rigid(q, qd, qdd), t)
+        right = state.rigid + logger.friction.torque(state) + ripple(state)
+        wrong = np.sqrt(np.mean((told - right)[20:-20] ** 2, axis=0))
+        assert np.all(wrong < 0.02 * logger.usual + 0.1 * right.std(axis=0))
+        heavy = kilter.torques(
+            "driven", {"t_s": t, **{f"q{j}_deg": np.degrees(q[:, j - 1]) for j in JOINTS}}, payload_kg=5
+        )
+        assert np.abs(heavy.to_numpy()["tau2_nm"] - told[:, 1]).max() > 10.0
+        with pytest.raises(ObservationError, match="t_s"):
+            kilter.torques("driven", {f"q{j}_deg": np.zeros(8) for j in JOINTS})
 
 
 def test_a_log_without_its_time_is_refused(server: Path, logged: Path, tmp_path: Path, capsys: Capture) -> None:

@@ -47,7 +47,8 @@ NEEDED = {
         GET /v1/instruments""",
     "operator": """POST /v1/robots/check POST /v1/robots/convert POST /v1/robots/from-circles POST /v1/frames
         POST /v1/robots/{robot}/forward POST /v1/robots/{robot}/inverse
-        POST /v1/robots/{robot}/correct POST /v1/robots/{robot}/campaigns PATCH /v1/campaigns/{campaign}
+        POST /v1/robots/{robot}/correct POST /v1/robots/{robot}/torques
+        POST /v1/robots/{robot}/campaigns PATCH /v1/campaigns/{campaign}
         POST /v1/campaigns/{campaign}/commit POST /v1/campaigns/{campaign}/observations
         POST /v1/campaigns/{campaign}/retire POST /v1/campaigns/{campaign}/restore DELETE /v1/campaigns/{campaign}
         POST /v1/robots/{robot}/observations/check

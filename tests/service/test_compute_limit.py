@@ -117,7 +117,8 @@ def test_every_route_that_only_computes_is_limited() -> None:
     assert timed == {
         "GET /v1/versions/{version}/preview", "GET /v1/versions/{a}/diff/{b}", "GET /v1/versions/{version}/residuals",
         "GET /v1/versions/{version}/export", "POST /v1/robots/check", "POST /v1/robots/convert",
-        "POST /v1/robots/from-circles", "POST /v1/robots/{robot}/correct", "POST /v1/frames", "POST /v1/jobs/check",
+        "POST /v1/robots/from-circles", "POST /v1/robots/{robot}/correct", "POST /v1/robots/{robot}/torques",
+        "POST /v1/frames", "POST /v1/jobs/check",
         "POST /v1/robots/{robot}/forward", "POST /v1/robots/{robot}/inverse",
         "POST /v1/robots/{robot}/observations/check", "GET /v1/campaigns/{campaign}/suspicious",
         "GET /v1/campaigns/{campaign}/observations", "GET /v1/robots/{robot}/acceptance",

@@ -66,7 +66,7 @@ GROUPS = {
         "residuals",
         "export",
     ),
-    "Correction": ("correct", "filter"),
+    "Correction": ("correct", "torques", "filter"),
     "Keeping": ("change", "retire", "restore", "purge", "tombstones"),
     "Server": ("resolve", "health"),
     "Access": ("whoami", "login_link", "add_token", "tokens", "revoke_token", "audit", "verify_audit"),

@@ -3,6 +3,8 @@ from .excite import MotionPlan as MotionPlan
 from .excite import plan_motions as plan_motions
 from .find import MotionReport as MotionReport
 from .find import find_missing_torque as find_missing_torque
+from .model import TorqueModel as TorqueModel
+from .model import path_of_rows as path_of_rows
 from .options import MotionOptions as MotionOptions
 from .payload import CarriedBody as CarriedBody
 from .payload import weigh_payload as weigh_payload

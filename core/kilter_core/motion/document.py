@@ -45,6 +45,7 @@ def to_document(report: MotionReport) -> dict[str, Any]:
             "seconds": report.seconds,
             "unseen": report.unseen,
             "base_parameters": len(report.base),
+            "model": report.model.to_document(),
         },
         "not_testable": [
             {"id": t.effect.id, "joints": [t.joint + 1], "reason": IMITATED, "remedy": f"Record {t.effect.remedy}."}

@@ -50,7 +50,7 @@ class MotionEffect:
 
     ``common`` ones belong to every model and are fitted, not searched. ``within`` are the values that
     physics allows. It may need the ``temperature``, or the ``order`` of a ripple. Where it ``follows_model``, its columns
-    are computed anew from the model that has it.
+    are computed anew from the model that has it. What follows the clock of a log is not told ``ahead`` of a motion.
     """
 
     id: str
@@ -63,6 +63,7 @@ class MotionEffect:
     needs: frozenset[str] = frozenset()
     remedy: str = ""
     follows_model: bool = False
+    ahead: bool = True
 
 
 def _single_column(column: Callable[[JointSignals], Floats]) -> Callable[[JointSignals], Floats]:
@@ -175,6 +176,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         within=(-0.2, 0.2),
         follows_model=True,
         remedy="fast reversals, and both signals on one clock",
+        ahead=False,
     ),
     MotionEffect(
         "gear_ripple",
@@ -216,6 +218,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         (("change", "N m/rad"),),
         _single_column(lambda s: s.qd * s.t),
         remedy="a log of half an hour from cold, with the temperature of the joint",
+        ahead=False,
     ),
     MotionEffect(
         "thermal_friction",
@@ -233,6 +236,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         (("drift", "N m/s"),),
         _single_column(lambda s: s.t),
         remedy="the same motion at the start and at the end",
+        ahead=False,
     ),
 )
 

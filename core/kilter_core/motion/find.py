@@ -11,6 +11,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError
 from kilter_core.motion.fit import Fit, covariance, find_hidden_terms, fit_terms, joint_weights
 from kilter_core.motion.layout import Known, Layout, Term
+from kilter_core.motion.model import TorqueModel
 from kilter_core.motion.normal import Equations, form_equations
 from kilter_core.motion.options import MotionOptions
 from kilter_core.motion.record import Log, clipped_rows
@@ -44,7 +45,7 @@ class MotionReport:
     ``resting`` and ``clipped`` are joints without a row, and rows that were left out because the drive gave no more.
     ``hidden`` are effects that the bodies and the friction imitate in this log, ``pushed_s`` the seconds left out because
     something leant on the arm, ``unexplained`` joints of whose torque the model leaves a third or more: they took no
-    part. ``spread (n,)`` of the torques, N m.
+    part. ``spread (n,)`` of the torques, N m. ``model`` is what unseen motions bear out, fitted to the whole log.
     """
 
     robot: Robot
@@ -61,6 +62,7 @@ class MotionReport:
     pushed_s: tuple[float, ...]
     unexplained: tuple[int, ...]
     spread: Floats
+    model: TorqueModel
 
 
 def find_missing_torque(
@@ -179,10 +181,8 @@ def _write_report(
 ) -> MotionReport:
     common = [term for term in terms if term.effect.common]
     whole = fit_terms(equations, terms, split.every, weights)
-    rms = [
-        _compute_held_rms(equations, split, weights, model)
-        for model in ([], common, _choose_borne_out_terms(equations, split, weights, judged))
-    ]
+    borne_out = _choose_borne_out_terms(equations, split, weights, judged)
+    rms = [_compute_held_rms(equations, split, weights, model) for model in ([], common, borne_out)]
     rows = equations.rows.sum(axis=0)
     return MotionReport(
         equations.layout.robot,
@@ -203,6 +203,12 @@ def _write_report(
         tuple(equations.start_s[pushed].tolist()),
         tuple(np.flatnonzero(odd).tolist()),
         log.tau.std(axis=0),
+        TorqueModel.from_fit(
+            equations,
+            fit_terms(equations, borne_out, split.every, weights),
+            borne_out,
+            np.flatnonzero((rows > 0) & (weights > 0.0)).tolist(),
+        ),
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.motion.effects import CARRIED_MASS, MOTION_EFFECTS, JointSignals, MotionEffect
-from kilter_core.motion.record import Log, Part
+from kilter_core.motion.record import Log, Path
 from kilter_core.motion.regressor import (
     PER_LINK,
     base_columns,
@@ -37,13 +37,10 @@ class Term:
 
 @dataclass(frozen=True)
 class Bodies:
-    """Of a stretch of a log: columns (N, n, m) that all joints share, torques ``stated (N, n)`` N m of the payload that the
-    log states, and ``tau (N, n)`` without them.
-    """
+    """Of a path: columns (N, n, m) that all joints share, and torques ``stated (N, n)`` N m of the payload that it states."""
 
     columns: Floats
     stated: Floats
-    tau: Floats
 
 
 @dataclass(frozen=True)
@@ -130,8 +127,8 @@ class Layout:
         """Number of columns that all joints share, masses of one session with them."""
         return self.n_common_columns + sum(len(columns) for _, columns in self.carried)
 
-    def bodies(self, part: Part) -> Bodies:
-        """Return the columns of a stretch of the log that all joints share: bodies, and what is carried."""
+    def bodies(self, part: Path) -> Bodies:
+        """Return the columns of a path that all joints share: bodies, and what is carried."""
         Y = rigid_regressor(self.robot, part.q, part.qd, part.qdd)
         last = int(np.argmax(link_elements(self.robot)))
         outermost = Y[:, :, PER_LINK * last : PER_LINK * (last + 1)]
@@ -140,9 +137,9 @@ class Layout:
         columns = [Y[:, :, self.kept]]
         columns += [outermost * float(part.session in self.loaded)] if self.loaded else []
         columns += [Y[:, :, one] * float(part.session == session) for session, one in self.carried]
-        return Bodies(np.concatenate(columns, axis=2), stated, part.tau - stated)
+        return Bodies(np.concatenate(columns, axis=2), stated)
 
-    def joint_columns(self, part: Part, bodies: Bodies, j: int, known: Known | None) -> Floats:
+    def joint_columns(self, part: Path, bodies: Bodies, j: int, known: Known | None) -> Floats:
         """Columns (N, m) of one joint: those that all joints share, then its terms in order."""
         signals = self.signals(part, bodies, j, known)
         return np.concatenate(
@@ -156,7 +153,7 @@ class Layout:
     def _terms_of_joint(self, j: int) -> list[Term]:
         return [t for t in self.terms if t.joint == j and t.session is None]
 
-    def signals(self, part: Part, bodies: Bodies, j: int, known: Known | None) -> JointSignals:
+    def signals(self, part: Path, bodies: Bodies, j: int, known: Known | None) -> JointSignals:
         """Return what effects at a joint read; without a model so far there is no load."""
         load = np.zeros(len(part.t))
         if known is not None:

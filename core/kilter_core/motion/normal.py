@@ -123,4 +123,4 @@ def _smooth_columns(layout: Layout, part: Part, known: Known | None) -> list[Flo
     """Of each joint its columns and the torque, filtered and thinned."""
     bodies = layout.bodies(part)
     columns = (layout.joint_columns(part, bodies, j, known) for j in range(layout.robot.n_joints))
-    return [part.smooth(np.column_stack([X, bodies.tau[:, j]])) for j, X in enumerate(columns)]
+    return [part.smooth(np.column_stack([X, part.tau[:, j] - bodies.stated[:, j]])) for j, X in enumerate(columns)]

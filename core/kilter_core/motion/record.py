@@ -39,14 +39,12 @@ LEAST_SPREAD = 1e-3  # rad or m, of a joint that hardly moves
 
 
 @dataclass(frozen=True)
-class Part:
-    """A stretch of a log without a gap: ``t (N,)`` s, joints, speeds, accelerations and torques ``(N, n)`` on an even clock.
+class Path:
+    """A motion without a gap: ``t (N,)`` s, joints, speeds and accelerations ``(N, n)``, ``temperature_c (N,)`` or None.
 
-    ``motion (N,)`` numbers the motions, ``temperature_c (N,)`` or None. ``usable (N, n)`` are torques that were not clipped.
     ``payload_kg`` is stated to hang at ``payload_com (3,)`` m in the tool frame.
     """
 
-    motion: Ints
     session: int
     payload_kg: float
     payload_com: Floats
@@ -54,11 +52,21 @@ class Part:
     q: Floats
     qd: Floats
     qdd: Floats
-    tau: Floats
     temperature_c: Floats | None
+    step_s: float
+
+
+@dataclass(frozen=True)
+class Part(Path):
+    """A stretch of a log, on an even clock: a path with its torques ``tau (N, n)``.
+
+    ``motion (N,)`` numbers the motions. ``usable (N, n)`` are torques that were not clipped.
+    """
+
+    motion: Ints
+    tau: Floats
     usable: Bools
     rest_rad_s: Floats
-    step_s: float
     cut_off_hz: float
 
     def smooth(self, columns: Floats) -> Floats:
@@ -185,7 +193,6 @@ class Log:
         session = 0 if obs.session is None else int(obs.session[piece[0]])
         carried = 0.0 if obs.payload_kg is None else float(obs.payload_kg[piece[0]])
         return Part(
-            self.motion[piece][nearest],
             session,
             carried,
             np.zeros(3) if obs.payload_com is None else obs.payload_com[piece[0]],
@@ -193,11 +200,12 @@ class Log:
             q,
             qd,
             np.gradient(qd, self.step_s, axis=0),
-            _interpolate(clock, t, tau),
             warm,
+            self.step_s,
+            self.motion[piece][nearest],
+            _interpolate(clock, t, tau),
             ~clipped_rows(tau)[nearest],
             self._rest_speeds,
-            self.step_s,
             self.cut_off_hz,
         )
 

@@ -57,7 +57,7 @@ def _list_residuals(log: Log, equations: Equations, fit: Fit) -> list[Floats]:
         bodies, use = layout.bodies(part), (part.moving & part.usable)[part.rows]
         for j, one in enumerate(found):
             model = layout.joint_columns(part, bodies, j, None) @ fit.theta[equations.places[j]]
-            left = part.smooth(bodies.tau[:, j] - model)
+            left = part.smooth(part.tau[:, j] - bodies.stated[:, j] - model)
             one.append(np.stack([part.q[part.rows, j], left])[:, use[:, j]])
         rows += len(use)
         if rows > MOST_ROWS:

@@ -205,6 +205,38 @@ class JointTorque(Stored):
     at_rest: bool = Field(False, description="Whether it never moved, so that nothing is said of it.")
 
 
+class LinkBody(Stored):
+    """A link as the torques of a log show it; what they do not show is as described."""
+
+    link: int = Field(description="Link, from 1.")
+    mass_kg: float = Field(description="Mass, kg.")
+    centre_mm: list[float] = Field(description="Centre of mass in the frame of the link, mm.")
+    inertia_kg_m2: list[list[float]] = Field(description="Inertia about the centre, in the axes of that frame, kg m2.")
+
+
+class TorqueTerm(Stored):
+    """A part of the torque of a joint beside its bodies, with its values; angles in rad."""
+
+    id: str = Field(description="Effect.")
+    joint: int = Field(description="Joint, from 1.")
+    values: list[float] = Field(description="Its values, in the order of its parameters.")
+
+
+class TorqueModel(Stored):
+    """What tells the torques of a motion ahead: sums of masses and inertias, and friction."""
+
+    base: list[float] = Field(description="Base parameters: the sums of masses and inertias that torques can tell.")
+    links: list[LinkBody] = Field(description="Links that could be real and have these sums.")
+    terms: list[TorqueTerm] = Field(description="Friction, and effects that unseen motions bore out.")
+    joints: list[int] = Field(description="Joints, from 1, of which the log says something.")
+    usual_speeds: list[float] = Field(
+        description="Highest speed that each joint usually reached in the log, rad/s or m/s."
+    )
+    middles: list[float] = Field(description="Middle of the range of each joint in the log, rad or m.")
+    orders: list[float | None] = Field(description="Order of the ripple of each joint per revolution; null: none.")
+    mean_temperature_c: float | None = Field(None, description="Mean temperature in the log, degrees Celsius.")
+
+
 class MotionFound(Stored):
     """What a log of joint torques says, as a whole."""
 
@@ -216,6 +248,9 @@ class MotionFound(Stored):
     seconds: float = Field(description="How long the joints moved, s.")
     unseen: bool = Field(description="Whether whole motions that no choice saw judged it.")
     base_parameters: int = Field(description="Number of sums of masses and inertias that torques can tell.")
+    model: TorqueModel | None = Field(
+        None, description="What tells torques ahead; null in searches of earlier releases."
+    )
 
 
 class Place(Stored):

@@ -110,7 +110,7 @@ async def correct(
     with get_scratch(request).folder_for("correct") as folder:
         path = folder / "body"
         await spool_upload(request, path, settings.max_upload_mb)
-        carried = Carried(payload_kg, _point(payload_com_mm))
+        carried = Carried(payload_kg, read_point(payload_com_mm))
         wanted = service.Wanted(version, format, task, strict, at_limit, None if hold is None else tuple(hold))
         file, left_out, notes, u95 = await compute(
             request, _correct_to_temp_file, database, robot, path, media, wanted, settings.temperature_c, carried
@@ -120,7 +120,7 @@ async def correct(
     return StreamingResponse(_pieces(file), media_type=media if format is None else YAML, headers=headers)
 
 
-def _point(text: str | None) -> tuple[float, float, float] | None:
+def read_point(text: str | None) -> tuple[float, float, float] | None:
     """Read a point.
 
     Raises:

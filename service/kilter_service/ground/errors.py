@@ -101,6 +101,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "cancelled": (409, "The job was cancelled"),
     "job_finished": (409, "The job has already finished"),
     "no_active_version": (409, "The robot has no active version"),
+    "no_torque_model": (409, "No search in torques was made"),
     "nothing_held_out": (409, "No row is left that was not fitted"),
     "rows_not_reached": (409, "Rows are not corrected to within what is stated"),
     "calibration_differs": (409, "Rows of another calibration of the servos"),

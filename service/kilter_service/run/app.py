@@ -12,6 +12,7 @@ from fastapi.concurrency import run_in_threadpool
 from kilter_service.campaigns.routes import router as campaigns
 from kilter_service.campaigns.suspicious.routes import router as suspicious
 from kilter_service.correction.routes import router as correction
+from kilter_service.correction.torques import router as torques
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.files.private_files import TEMPORARY, Scratch
 from kilter_service.ground.settings import Settings
@@ -61,6 +62,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     suspicious,
     versions,
     jobs,
+    torques,
     fleet_jobs,
     correction,
     frames,

@@ -105,6 +105,7 @@ class AsyncKilter:
     residuals = make_async_method(made.residuals)
     export = make_async_method(made.export)
     correct = make_async_method(made.correct)
+    torques = make_async_method(made.torques)
     filter = make_async_method(programs.filter)
     versions = make_async_method(made.versions)
     change = make_async_method(keeping.change)

@@ -118,6 +118,7 @@ class Kilter:
     residuals = waiting(versions.residuals)
     export = waiting(versions.export)
     correct = waiting(versions.correct)
+    torques = waiting(versions.torques)
     filter = waiting(programs.filter)
     change = waiting(keeping.change)
     retire = waiting(keeping.retire)

@@ -1,9 +1,12 @@
-"""Counts of the jobs that have ended, by kind, state and how long they took."""
+"""Jobs that have ended: counts by kind, state and how long they took, and what the newest search in torques found."""
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from datetime import timedelta
+from typing import Any
+
+from sqlalchemy import select
 
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import EndedJobsRow, JobRow
@@ -35,3 +38,18 @@ def _took(row: JobRow) -> timedelta | None:
 def _duration_bin(took: timedelta) -> int:
     at = bisect_left(AT_MOST_MS, took / timedelta(milliseconds=1))
     return AT_MOST_MS[at] if at < len(AT_MOST_MS) else LONGER_MS
+
+
+def newest_search_in_torques(
+    session: Session, robot_id: int, job_id: str | None = None
+) -> tuple[str, str, dict[str, Any]] | None:
+    """Return id, name and model of the newest search in torques of a robot, or of the one that is named; None without one."""
+    row = JobRow
+    model = row.result["motion"]["model"]
+    query = select(row.id, row.name, model).where(
+        row.robot_id == robot_id, row.kind == "gap", row.state == "succeeded", model["base"].is_not(None)
+    )
+    if job_id is not None:
+        query = query.where(row.id == job_id)
+    found = session.execute(query.order_by(row.created_at.desc(), row.id).limit(1)).one_or_none()
+    return None if found is None else (found[0], found[1], found[2])

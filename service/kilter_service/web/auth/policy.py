@@ -102,6 +102,9 @@ RULES: Mapping[str, Rule] = {
     "POST /v1/robots/{robot}/correct": OPERATE.with_time_limit("Send the path in parts with fewer rows.").within(
         "corrections"
     ),
+    "POST /v1/robots/{robot}/torques": OPERATE.with_time_limit("Send the path in parts with fewer rows.").within(
+        "corrections"
+    ),
     "POST /v1/robots/{robot}/observations/check": OPERATE.with_time_limit("Send fewer rows."),
     "POST /v1/robots/{robot}/campaigns": OPERATE,
     "PATCH /v1/campaigns/{campaign}": OPERATE,

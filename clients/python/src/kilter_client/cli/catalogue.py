@@ -82,6 +82,7 @@ WRITTEN: Mapping[str, Entry] = {
     "correct": Entry("correction.correct", "Correct a trajectory with the active version."),
     "filter": Entry("correction.filtered", "Correct the joint targets of a robot program."),
     "bridge": Entry("correction.bridge", "Correct an arm between its controller and its drives."),
+    "torque": Entry("correction.torque", "Tell the torques that a path needs."),
     "stream-session": Entry("access", "Print the keys of a session of a stream."),
     "robot": Entry("robot.robots", "Add, list, show, check, convert and retire robots."),
     "mesh": Entry("robot.meshes", "Give links their shapes, for the picture of the arm."),
@@ -109,7 +110,7 @@ def _by_own_names(*names: str) -> dict[str, str]:
 GROUPS: Mapping[str, Group] = {
     "robot": Group(
         "Add, list, show and check robots; presets, shapes, kits, fleets.",
-        _by_own_names("presets", "mesh", "kit", "homing", "episodes", "fleet"),
+        _by_own_names("presets", "mesh", "torque", "kit", "homing", "episodes", "fleet"),
         own="robot",
     ),
     "version": Group(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from kilter_client import typed
 from kilter_client.requests.calls import versions as calls
-from kilter_client.requests.steps import Steps
+from kilter_client.requests.steps import Answer, Steps
 from kilter_client.results.corrected import Corrected
 from kilter_client.results.record import Records
 from kilter_client.results.rows import Rows, write_file
@@ -172,9 +172,46 @@ def correct(
         at_limit=at_limit,
         hold=hold,
     )
-    corrected = Corrected(answer.content)
-    corrected.media_type = answer.headers.get("content-type", "").partition(";")[0]
-    corrected.left_out = tuple(filter(None, answer.headers.get("kilter-not-corrected", "").split(", ")))
-    corrected.notes = calls.server_notes(answer)
-    corrected.u95 = answer.headers.get("kilter-u95", "")
-    return corrected
+    return _answered_path(answer)
+
+
+def torques(
+    robot: ResourceReference,
+    path: Data,
+    *,
+    columns: Sequence[str] | None = None,
+    search: ResourceReference | None = None,
+    payload_kg: float | None = None,
+    payload_com_mm: Sequence[float] | None = None,
+) -> Steps[Corrected]:
+    """Return a path with the torques of gravity, inertia and friction along it, ``tau1_nm`` ..., by a search in torques.
+
+    The answer has the format that was sent, CSV for arrays. ``notes`` names the search, and joints without a torque.
+
+    Args:
+        robot: name of the robot.
+        path: a file; or columns by name (``{"t_s": ..., "q1_deg": ...}``), a structured array, a pandas DataFrame.
+        columns: names of the columns of an array of two dimensions, with units.
+        search: the search to take: id or its beginning, or name; default: the newest of the robot.
+        payload_kg: mass on the tool along the whole path, kg.
+        payload_com_mm: its centre in the tool frame, mm.
+
+    Raises:
+        ConflictError: no log of torques was searched. ObservationError: the rows are not what their columns say.
+        FileError, UsageError: the path is neither such a file nor rows.
+
+    """
+    chosen = None if not search else reference("job", search)
+    rows = prepare_rows(path, columns)
+    return _answered_path(
+        (yield from calls.torques(reference("robot", robot), rows, chosen, payload_kg, payload_com_mm))
+    )
+
+
+def _answered_path(answer: Answer) -> Corrected:
+    path = Corrected(answer.content)
+    path.media_type = answer.headers.get("content-type", "").partition(";")[0]
+    path.left_out = tuple(filter(None, answer.headers.get("kilter-not-corrected", "").split(", ")))
+    path.notes = calls.server_notes(answer)
+    path.u95 = answer.headers.get("kilter-u95", "")
+    return path

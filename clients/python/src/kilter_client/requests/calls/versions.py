@@ -110,15 +110,38 @@ def correct(
         "strict": strict or None,
         "at_limit": at_limit or None,
         "hold": list(hold) if hold else None,
-        "payload_kg": payload_kg,
-        "payload_com_mm": None if payload_com_mm is None else ",".join(f"{float(value)!r}" for value in payload_com_mm),
     }
-    accepted = "*/*" if form else trajectory.content_type
+    return (yield from _send_path(robot, "correct", trajectory, wanted, payload_kg, payload_com_mm, bool(form)))
+
+
+def torques(
+    robot: str,
+    path: Prepared,
+    search: str | None,
+    payload_kg: float | None = None,
+    payload_com_mm: Sequence[float] | None = None,
+) -> Steps[Answer]:
+    """Add the torques that a path needs, by a search in torques."""
+    chosen = None if not search else (yield from resolve_id("job", search, robot))
+    return (yield from _send_path(robot, "torques", path, {"search": chosen}, payload_kg, payload_com_mm))
+
+
+def _send_path(
+    robot: str,
+    what: str,
+    path: Prepared,
+    wanted: Document,
+    payload_kg: float | None,
+    payload_com_mm: Sequence[float] | None,
+    other_form: bool = False,
+) -> Steps[Answer]:
+    carried = None if payload_com_mm is None else ",".join(f"{float(value)!r}" for value in payload_com_mm)
+    wanted = {**wanted, "payload_kg": payload_kg, "payload_com_mm": carried}
     request = Request(
         "POST",
-        address("robots", robot, "correct"),
-        content=trajectory.content,
-        headers={"Content-Type": trajectory.content_type, "Accept": accepted},
+        address("robots", robot, what),
+        content=path.content,
+        headers={"Content-Type": path.content_type, "Accept": "*/*" if other_form else path.content_type},
         params={name: value for name, value in wanted.items() if value is not None},
         timeout_s=LONG_TIMEOUT_S,
         again=True,

@@ -1,0 +1,63 @@
+"""``kilter robot torque``: a path in, the torques that it needs out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from kilter_client import Kilter
+from kilter_client.cli.stored.versions import write
+from kilter_client.cli.terminal import arguments
+from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot
+from kilter_client.cli.terminal.output import emit, note, print_line
+from kilter_client.errors import UsageError
+from kilter_files import prepare
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the ``kilter`` command."""
+    app.command(epilog="Example: kilter robot torque ur10 path.csv -o with-torques.csv --payload-kg 2")(torque)
+
+
+def torque(
+    robot: Robot,
+    file: File,
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; default is stdout.")] = None,
+    column_map: Annotated[
+        Path | None, typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False)
+    ] = None,
+    search: Annotated[
+        str | None, typer.Option(help="Search in torques to take: id or name; default: the newest of the robot.")
+    ] = None,
+    payload_kg: Annotated[
+        float | None, typer.Option(min=0.0, help="Mass on the tool along the whole path, kg; 0 for an empty tool.")
+    ] = None,
+    payload_com_mm: PayloadCentre = None,
+    as_json: Json = False,
+) -> None:
+    """Tell the torques that a path (t_s, q1_deg, ...) needs; the answer has the format that was sent.
+
+    They are those of gravity, inertia and friction as the newest search in torques (kilter gap) found them: feed-forward for
+    a controller, or what to compare its own model with. Columns qd1_deg_s and qdd1_deg_s are taken where the path has them.
+    """
+    if as_json and output is None:
+        raise UsageError("--json reports what was written: name the file with -o.")
+    centre = arguments.three("--payload-com-mm", payload_com_mm)
+    with Kilter() as kilter:
+        content = kilter.torques(
+            robot, prepare(file, column_map=column_map), search=search, payload_kg=payload_kg, payload_com_mm=centre
+        )
+    for remark in content.notes:
+        note(f"Note: {remark}", as_json)
+    if output is None:
+        typer.get_binary_stream("stdout").write(content)
+        return
+    write(output, content)
+    document = {"robot": robot, "output": str(output), "bytes": len(content), "notes": list(content.notes)}
+    emit(
+        document,
+        as_json,
+        lambda told: print_line(f"{told['output']}: the path with its torques, {told['bytes']} bytes."),
+    )

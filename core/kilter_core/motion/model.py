@@ -1,0 +1,167 @@
+"""The torques that a motion needs, by what a log showed: bodies of links, friction, and the effects that unseen motions bore
+out. Gravity, inertia and friction are told ahead (computed torque; Siciliano and others 2009, sec. 8.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from kilter_core.arm.robot import Link, Robot
+from kilter_core.errors import ObservationError
+from kilter_core.motion.bodies import physical_links
+from kilter_core.motion.effects import MOTION_EFFECTS
+from kilter_core.motion.fit import Fit
+from kilter_core.motion.layout import Known, Layout, Term
+from kilter_core.motion.normal import Equations
+from kilter_core.motion.record import Path
+from kilter_core.motion.regressor import base_columns, link_elements
+from kilter_core.observations import Observations
+from kilter_core.parameters import metres, mm
+from kilter_core.types import Floats
+
+FEWEST_ROWS = 6
+SPLINE = 5  # degree: accelerations are smooth too
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueModel:
+    """``layout`` has the base parameters and the terms, ``values (width,)`` are theirs.
+
+    ``links`` could be real and have these base parameters; where the log says nothing they are as described. ``joints`` are
+    those (from 0) of which the log says something; of the others no torque is told.
+    """
+
+    layout: Layout
+    values: Floats
+    links: tuple[Link, ...]
+    joints: tuple[int, ...]
+
+    @classmethod
+    def from_fit(cls, equations: Equations, fit: Fit, terms: Sequence[Term], joints: Sequence[int]) -> Self:
+        """Return the model of a fit of these terms, without those that a motion to come does not have."""
+        base = np.arange(equations.base)
+        own = np.searchsorted(fit.columns, base)
+        information = np.asarray(np.linalg.inv(fit.inverse[np.ix_(own, own)]), dtype=np.float64)
+        links = physical_links(equations.layout.robot, fit.theta[base], information)
+        kept = [term for term in terms if term.effect.ahead and term.session is None and term.joint in joints]
+        found = [(term, fit.theta[term.columns]) for term in kept]
+        return cls._of_terms(equations.layout, fit.theta[base], found, links, tuple(joints))
+
+    @classmethod
+    def _of_terms(
+        cls,
+        layout: Layout,
+        base: Floats,
+        found: Sequence[tuple[Term, Floats]],
+        links: tuple[Link, ...],
+        joints: tuple[int, ...],
+    ) -> Self:
+        at, terms = len(base), []
+        for term, values in found:
+            terms.append(replace(term, columns=np.arange(at, at + len(values))))
+            at += len(values)
+        whole = replace(layout, terms=tuple(terms), width=at, loaded=frozenset(), carried=())
+        return cls(whole, np.concatenate([base, *(values for _, values in found)]), links, joints)
+
+    def torques(self, path: Path) -> Floats:
+        """Return the torques (N, n) N m (forces N) that a path needs; NaN at joints of which nothing is known."""
+        known = Known.from_values(self.layout, self.values)
+        bodies = self.layout.bodies(path)
+        out = np.full(path.q.shape, np.nan)
+        for j in self.joints:
+            X = self.layout.joint_columns(path, bodies, j, known)
+            out[:, j] = bodies.stated[:, j] + X @ self.values[self.layout.places(j)]
+        return out
+
+    def to_document(self) -> dict[str, Any]:
+        """Return the model as a document: kg, mm, kg m2 in the links' frames; angles of terms in rad, as in URDF and MJCF."""
+        layout = self.layout
+        return {
+            "base": self.values[: len(layout.kept)],
+            "links": [
+                {
+                    "link": k + 1,
+                    "mass_kg": link.mass,
+                    "centre_mm": mm(np.asarray(link.com)),
+                    "inertia_kg_m2": link.inertia,
+                }
+                for k, link in enumerate(self.links)
+            ],
+            "terms": [
+                {"id": term.effect.id, "joint": term.joint + 1, "values": self.values[term.columns]}
+                for term in layout.terms
+            ],
+            "joints": [j + 1 for j in self.joints],
+            "usual_speeds": layout.speeds,
+            "middles": layout.middles,
+            "orders": list(layout.orders),
+            "mean_temperature_c": None if np.isnan(layout.mean_c) else layout.mean_c,
+        }
+
+    @classmethod
+    def from_document(cls, robot: Robot, document: Mapping[str, Any]) -> Self:
+        """Read the model of a robot."""
+        links = tuple(
+            Link(
+                element, one["mass_kg"], np.array([metres(x) for x in one["centre_mm"]]), np.array(one["inertia_kg_m2"])
+            )
+            for element, one in zip(link_elements(robot), document["links"], strict=True)
+        )
+        mean_c = document["mean_temperature_c"]
+        layout = Layout(
+            robot,
+            base_columns(robot)[0],
+            (),
+            0,
+            np.array(document["usual_speeds"]),
+            np.array(document["middles"]),
+            tuple(document["orders"]),
+            0.0,
+            np.nan if mean_c is None else mean_c,
+        )
+        effects = {effect.id: effect for effect in MOTION_EFFECTS}
+        found = [
+            (Term(effects[one["id"]], one["joint"] - 1, np.zeros(0, dtype=np.int64)), np.array(one["values"]))
+            for one in document["terms"]
+        ]
+        return cls._of_terms(layout, np.array(document["base"]), found, links, tuple(j - 1 for j in document["joints"]))
+
+
+def path_of_rows(rows: Observations) -> Path:
+    """Return a path with ``t (N,)`` s, joints ``q (N, n)`` rad or m, their speeds and accelerations, and what is carried.
+
+    Speeds and accelerations are those of the rows, else of a spline through their joints.
+
+    Raises:
+        ObservationError: no times, times that do not rise, fewer than six rows, or a load that changes along the path.
+
+    """
+    t, q = rows.t, rows.q
+    if t is None:
+        raise ObservationError("Torques follow speed and acceleration: add the column 't_s'.", column="t_s")
+    if len(t) < FEWEST_ROWS:
+        raise ObservationError(
+            f"The path has {len(t)} rows: give {FEWEST_ROWS} or more, so that its accelerations are known."
+        )
+    late = np.flatnonzero(np.diff(t) <= 0.0)
+    if len(late):
+        row = int(late[0]) + 2
+        raise ObservationError(f"Row {row}, column 't_s': the time must rise from row to row.", row=row, column="t_s")
+    carried = np.zeros(len(t)) if rows.payload_kg is None else rows.payload_kg
+    centre = np.zeros((len(t), 3)) if rows.payload_com is None else rows.payload_com
+    if np.ptp(carried) > 0.0 or np.ptp(centre, axis=0).any():
+        raise ObservationError(
+            "The payload changes along the path: send the path in parts that carry one load each.", column="payload_kg"
+        )
+    speeds, rates = rows.qd, rows.qdd
+    if speeds is None or rates is None:
+        spline = make_interp_spline(t, q, k=SPLINE)
+        speeds = np.asarray(spline(t, 1)) if speeds is None else speeds
+        rates = np.asarray(spline(t, 2)) if rates is None else rates
+    step_s = float(np.median(np.diff(t)))
+    return Path(0, float(carried[0]), centre[0], np.zeros(len(t)), q, speeds, rates, rows.temperature_c, step_s)
