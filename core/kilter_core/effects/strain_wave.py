@@ -42,6 +42,7 @@ class StrainWave(Effect):
     signs = "positive"
     aliases = ("hardening", "backlash_load", "axial_compliance")
     remedy = "repeat poses with three payloads or more, one of them none"
+    rarer = float(len(KNEES))  # it has one of so many knees
 
     knee_nm: float = option(10.0, "Load at which the soft start ends, N m, above 0.", above=0.0)
 

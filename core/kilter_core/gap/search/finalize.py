@@ -16,7 +16,7 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.in_space import fit_rms
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, refit
 from kilter_core.gap.search.scan import residual_given
-from kilter_core.gap.search.select import MARGIN
+from kilter_core.gap.search.select import MARGIN, SMALLEST_GAIN
 from kilter_core.types import Floats
 
 # Position against orientation: what moves a joint moves both, so an effect fitted to both must fit each.
@@ -138,10 +138,14 @@ def _without_chance(found: SearchResult, alpha: float) -> tuple[int, ...]:
 
 
 def _with_causes(found: SearchResult, seen: set[frozenset[int]]) -> tuple[int, ...]:
-    """The set with one empirical member replaced by the best physical one within the margin, where there is one."""
+    """The set with one member replaced by the best physical one, where that does better at the final fit.
+
+    It need not, for an empirical member: within the margin a cause takes its place.
+    """
     selector, gram = found.selector, found.problem.gram
     candidates = selector.scorer.candidates
-    for place in (k for k in found.chosen if candidates[k].empirical):
+    for place in found.chosen:
+        allowed = MARGIN if candidates[place].empirical else -SMALLEST_GAIN
         rest = tuple(k for k in found.chosen if k != place)
         taken = set(selector.columns(rest))
         scores = selector.scorer.scores(gram.condition_on_columns(selector.columns(rest)))
@@ -149,7 +153,7 @@ def _with_causes(found: SearchResult, seen: set[frozenset[int]]) -> tuple[int, .
         value -= selector.scorer.paid
         for k in np.argsort(-value, kind="stable"):
             rival = candidates[int(k)]
-            if value[place] - value[k] > MARGIN:
+            if value[place] - value[k] > allowed:
                 break
             after = (*rest, int(k))
             fits = not rival.empirical and not taken & set(rival.columns)
