@@ -71,7 +71,7 @@ class Layout:
     @classmethod
     def of_log(cls, robot: Robot, log: Log, loaded: frozenset[int] = frozenset()) -> Layout:
         """Return the layout of rigid bodies and the effects that every model has."""
-        kept, _ = base_columns(robot)
+        kept = base_columns(robot)
         n = robot.n_joints
         speeds, low, high = np.zeros(n), np.full(n, np.inf), np.full(n, -np.inf)
         times, warmth = [], []

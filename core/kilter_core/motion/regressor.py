@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 
 from kilter_core.arm.chain import LINKAGE, Chain, Element
-from kilter_core.arm.robot import Link, Robot
+from kilter_core.arm.robot import Robot
 from kilter_core.transforms import rotations_about, skew
 from kilter_core.types import Floats, Ints
 
@@ -77,19 +77,6 @@ def rigid_regressor(robot: Robot, q: Floats, qd: Floats, qdd: Floats) -> Floats:
     return Y
 
 
-def stated_numbers(robot: Robot) -> Floats:
-    """Numbers ``pi (10 L,)`` of the links as the robot's description states them; zero where it states no link."""
-    if not robot.links:
-        return np.zeros(PER_LINK * robot.n_joints)
-    return np.concatenate([_numbers_of_link(link) for link in robot.links])
-
-
-def _numbers_of_link(link: Link) -> Floats:
-    at_centre = numbers_of_point(link.mass, np.asarray(link.com, dtype=np.float64))
-    at_centre[4:] += link.inertia[np.triu_indices(3)]
-    return at_centre
-
-
 def numbers_of_point(mass: float, centre: Floats) -> Floats:
     """Return the numbers (10,) of a point mass, kg, at ``centre (3,)`` m in the frame of its body."""
     about_origin = mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
@@ -118,20 +105,17 @@ def shown_columns(robot: Robot) -> list[Ints]:
     return [own[_independent_columns(Y[:, own], largest)] for own in every]
 
 
-def base_columns(robot: Robot, seed: int = 0) -> tuple[Ints, Floats]:
-    """Return the columns (p,) of the regressor that are independent, and ``K (p, 10 L)``: base parameters are ``K @ pi``.
+def base_columns(robot: Robot) -> Ints:
+    """Return the columns (p,) of the regressor that are independent.
 
     By QR with pivoting of the regressor at random states within the joints' limits (Gautier 1991).
     """
-    Y = _random_regressor(robot, seed)
-    kept = _independent_columns(Y)
-    K, *_ = np.linalg.lstsq(Y[:, kept], Y, rcond=None)
-    return kept, np.asarray(K, dtype=np.float64)
+    return _independent_columns(_random_regressor(robot))
 
 
-def _random_regressor(robot: Robot, seed: int = 0) -> Floats:
+def _random_regressor(robot: Robot) -> Floats:
     """Rows of all joints (n RANDOM_STATES, 10 L) at random states within the limits."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     limits = np.clip(robot.limits, -NO_LIMIT_RAD, NO_LIMIT_RAD)
     shape = (RANDOM_STATES, robot.n_joints)
     q = rng.uniform(limits[:, 0], limits[:, 1], shape)

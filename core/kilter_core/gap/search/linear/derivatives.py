@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.effects import Batch
 from kilter_core.gap.search.linear.bases import lengths
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.types import Floats
@@ -24,16 +22,12 @@ class Derivatives:
 
     settings: ProblemSettings
     values: Floats
-    batch: Batch | None
-    only: Sequence[int] | None
     kept: tuple[Floats, Floats] | None = None
 
     @staticmethod
-    def evaluate_at_values(
-        settings: ProblemSettings, values: Floats, batch: Batch | None, only: Sequence[int] | None
-    ) -> tuple[Derivatives, Floats, Floats]:
+    def evaluate_at_values(settings: ProblemSettings, values: Floats) -> tuple[Derivatives, Floats, Floats]:
         """With the whitened residual (R,) and the lengths of the library's columns (Q,)."""
-        made = Derivatives(settings, values, batch, only)
+        made = Derivatives(settings, values)
         r, norm = made._make()
         return made, r, norm
 
@@ -59,7 +53,7 @@ class Derivatives:
         return self.kept
 
     def _make(self) -> tuple[Floats, Floats]:
-        r, G, W = self.settings.linearise(self.values, self.batch, self.only)
+        r, G, W = self.settings.linearise(self.values)
         norm = lengths(W)
         W /= np.where(norm > 0.0, norm, 1.0)
         self.kept = (G, W)

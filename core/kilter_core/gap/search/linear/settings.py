@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from kilter_core.effects import Batch
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.sources.rounding import Rounding
 from kilter_core.gap.search.sources.source import Source
@@ -88,9 +87,7 @@ class ProblemSettings:
         """Whitened residuals (V, m), zero where nothing was seen or the visit does not count."""
         return self.whitening.residual(self.source.residual(values))
 
-    def linearise(
-        self, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None
-    ) -> tuple[Floats, Floats, Floats]:
+    def linearise(self, values: Floats, only: Sequence[int] | None = None) -> tuple[Floats, Floats, Floats]:
         """Whitened residuals (R,), and derivatives by geometry (R, P) and library (R, Q): the columns ``only``, or all."""
-        linear, by = self.source.linear(values, batch, only), self.whitening
+        linear, by = self.source.linear(values, None, only), self.whitening
         return by.residual(linear.r).reshape(-1), by.columns(linear.G), by.columns(linear.W)
