@@ -15,7 +15,7 @@ from kilter_client.twin.replay import replay_readings, tool_points
 from kilter_client.twin.servo_model import ServoModel
 from kilter_client.twin.settled import HINGE
 from kilter_core.errors import CoreError
-from kilter_core.rollout import Fit, JointRecord, RolloutReport, draw_ranges, find_missing_motion, to_document
+from kilter_core.motion import JointFit, JointRecord, RolloutReport, describe_rollouts, draw_ranges, find_missing_motion
 from kilter_files.ground.later import mujoco, np
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def find_servo_gap(
     try:
         whole = partial(_replay_fits, arm, records, [one for log in read for one in log.episodes])
         report = find_missing_motion(records, of_episode, range(len(logs), len(read)), whole, seed, progress)
-        document = to_document(report)
+        document = describe_rollouts(report)
     except CoreError as error:
         raise FileError(f"{logs[0]}: {error.message}", code=error.code, **error.context) from error
     copy = patch_model(arm, records, {one.record.name: one.believed for one in report.joints})
@@ -120,7 +120,7 @@ def _judge_whole_arm(
 
 
 def _replay_fits(
-    arm: ServoModel, records: Sequence[JointRecord], episodes: Sequence[CommandEpisode], fits: Mapping[str, Fit]
+    arm: ServoModel, records: Sequence[JointRecord], episodes: Sequence[CommandEpisode], fits: Mapping[str, JointFit]
 ) -> dict[str, Floats]:
     """Readings (R,) of each joint in MuJoCo, with these fits of some of them."""
     readings = replay_readings(arm, patch_model(arm, records, fits).model, episodes)
