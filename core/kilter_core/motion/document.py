@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.motion.effects import MOTION_EFFECTS, unit_of_slide
+from kilter_core.motion.effects import MOTION_EFFECTS, prismatic_unit
 from kilter_core.motion.find import MotionReport
 from kilter_core.motion.layout import Term
 from kilter_core.motion.search import Judged
@@ -103,7 +103,7 @@ def _describe_effect(one: Judged, units: list[str]) -> dict[str, Any]:
 def _list_amplitudes(term: Term, value: Floats, sigma: Floats | None, units: list[str]) -> list[dict[str, Any]]:
     found = []
     for k, (name, unit) in enumerate(term.effect.parameters):
-        unit = unit if units[term.joint] == "N m" else unit_of_slide(unit)
+        unit = unit if units[term.joint] == "N m" else prismatic_unit(unit)
         spread = None if sigma is None else float(sigma[k])
         found.append(
             {

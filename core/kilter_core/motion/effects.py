@@ -263,6 +263,6 @@ CARRIED_MASS = MotionEffect(
 CARRIED_WITH = ("load_friction",)  # what a load changes beside the bodies
 
 
-def unit_of_slide(unit: str) -> str:
+def prismatic_unit(unit: str) -> str:
     """Return the unit that a number of a revolute joint has where the joint slides."""
     return unit.replace("N m", "N").replace("rad", "m").replace("kg m2", "kg")

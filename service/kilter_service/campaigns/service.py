@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from pydantic import TypeAdapter
 
 from kilter_core.errors import ObservationError
+from kilter_core.observations import SINCE_1970_S
+from kilter_files.ground.later import pc
 from kilter_service.campaigns import store, wire
 from kilter_service.campaigns.belonging import judged_whole
 from kilter_service.campaigns.chunks import Chunk, write_chunk
@@ -18,7 +20,6 @@ from kilter_service.campaigns.row_rules.payload_size import payload_warning
 from kilter_service.campaigns.row_rules.rules import RowRules
 from kilter_service.campaigns.row_rules.view_rules import views_rules
 from kilter_service.campaigns.servo_zeros import refuse_other_servos, refuse_other_zeros
-from kilter_service.campaigns.stamps import date_by_stamps, last_stamp
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.columns import CONTACTS, TILTS
 from kilter_service.contract.remarks import Remark
@@ -43,6 +44,8 @@ AHEAD = timedelta(hours=1)  # by which the clock of whoever measured may be fast
 Checked = tuple[list[Chunk], tuple[dict[str, Any], ...]]
 CAMPAIGN, UPLOADED = TypeAdapter(Campaign), TypeAdapter(Uploaded)
 MEASURED = ("x", "marker_x", "link", "pixel_u", "tau", *TILTS, *CONTACTS)
+
+TIME = "t_s"
 
 
 def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_REPEATED) -> Campaign:
@@ -318,3 +321,20 @@ def _same_columns(session: Session, campaign_id: str, names: Sequence[str]) -> N
                 column=odd[0],
                 columns=odd,
             )
+
+
+def last_stamp(session: Session, campaign_id: str) -> datetime | None:
+    """Return when the last row of a campaign was measured; None where its times do not count from 1970."""
+    if not any(TIME in upload.columns for upload in store.uploads_of_campaign(session, campaign_id)):
+        return None
+    latest = pc.max(store.table(session, campaign_id).column(TIME)).as_py()
+    if latest is None or latest < SINCE_1970_S:
+        return None
+    # Stamps without a zone are taken for UTC: those of a lab east of it may be ahead.
+    return min(datetime.fromtimestamp(latest, UTC), datetime.now(UTC))
+
+
+def date_by_stamps(session: Session, campaign_id: str, before: datetime | None = None) -> None:
+    """Date a campaign by its last stamp, unless somebody said when it was measured; ``before`` is what stamps said so far."""
+    if store.get(session, campaign_id).measured_at in (None, before):
+        store.set_measured_at(session, campaign_id, last_stamp(session, campaign_id))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.motion.effects import unit_of_slide
+from kilter_core.motion.effects import prismatic_unit
 from kilter_core.motion.rollout.effects import ROLLOUT_EFFECTS, RolloutEffect
 from kilter_core.motion.rollout.find import Absorbed, RolloutReport, list_absorbed
 from kilter_core.motion.rollout.search import JointFindings, JudgedEffect, covariance, servo_sigmas
@@ -137,7 +137,7 @@ def _describe_absorbed(found: JointFindings, one: Absorbed, sigma: float) -> dic
     unit = one.number.unit
     return {
         "name": one.number.name,
-        "unit": unit_of_slide(unit) if found.record.slides else unit,
+        "unit": prismatic_unit(unit) if found.record.slides else unit,
         "stated": float(found.record.stated[one.number.place]),
         "without_effects": one.without,
         "found": one.found,
