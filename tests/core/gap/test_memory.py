@@ -15,7 +15,7 @@ from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.linear import derivatives
 from kilter_core.gap.search.linear.gram import Recent
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, refit
-from kilter_core.gap.search.linear.soft import Soft
+from kilter_core.gap.search.linear.projection import Soft
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.match.clock_checks import Checks, follow_clocks, refuse_drift
 from kilter_files.match.dwells import Thinned
 from kilter_files.tables.joint_log import JointLog

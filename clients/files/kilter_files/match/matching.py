@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.ground.later import interpolate
 from kilter_files.match.clock_checks import UNTOLD, Checks
 from kilter_files.match.clocks import Clocks, Pieces, match_pieces

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.errors import MissingPackageError
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import MissingPackageError, fault
 from kilter_files.ground.later import later, need, np, pa, parquet
 from kilter_files.ground.units import MARKER
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, Prepared

@@ -19,8 +19,7 @@ from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_identify, core_model
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.budgets import add_to_metrics
-from kilter_service.jobs.inputs.plain import to_json_types
-from kilter_service.jobs.inputs.rows_of_campaigns import by_campaign
+from kilter_service.jobs.inputs.plain import by_campaign, to_json_types
 from kilter_service.jobs.inputs.setups import FRAMES, LAID_AGAIN, Setups
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent

@@ -10,7 +10,7 @@ from kilter_service.ground.db import Database, DatabaseAwayError
 from kilter_service.ground.db.lookout import Lookout
 from kilter_service.ground.failure_log import log_failure
 from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.lease.claim import Claim
+from kilter_service.jobs.lease.store import Claim
 from kilter_service.jobs.work.runner import Runner
 
 log = logging.getLogger("kilter.worker")

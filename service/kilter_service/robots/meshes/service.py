@@ -19,7 +19,7 @@ from kilter_service.ground.wire import to_mm
 from kilter_service.robots import store as robots
 from kilter_service.robots.importers.urdf_shapes import link_shapes
 from kilter_service.robots.meshes import store
-from kilter_service.robots.meshes.records import MeshRecord
+from kilter_service.robots.meshes.store import MeshRecord
 
 if TYPE_CHECKING:
     import numpy as np

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.errors import KilterError
-from kilter_files.ground.faults import fault, read_head
+from kilter_files.ground.errors import KilterError, fault, read_head
 from kilter_files.ground.later import need, np, rosbag1, rosbag2, typesys
 
 JOINT_STATE = "sensor_msgs/msg/JointState"

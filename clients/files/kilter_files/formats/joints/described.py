@@ -6,8 +6,7 @@ from pathlib import Path
 
 from kilter_files.formats.column import column
 from kilter_files.formats.joints.bag import JOINT_STATE, read_bag, topics
-from kilter_files.formats.joints.joint_log import log_of_bag
-from kilter_files.formats.joints.joint_order import by_name
+from kilter_files.formats.joints.joint_log import by_name, log_of_bag
 from kilter_files.formats.reader import Document, LogHints
 from kilter_files.ground.later import np
 from kilter_files.ground.units import column_unit

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.ground.later import need, np
 from kilter_files.ground.names import did_you_mean
 

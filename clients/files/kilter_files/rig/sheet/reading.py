@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.rig.sheet.camera import Camera, fit_camera
 from kilter_files.rig.sheet.fiducials import Marks, find_marks, place_sheet
 from kilter_files.rig.sheet.layout import Sheet

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from kilter_client.requests.calls import kept, references
+from kilter_client.requests.calls import references
+from kilter_client.requests.calls import references as kept
 from kilter_client.requests.calls.references import Found, Kind, is_full
 from kilter_client.requests.connection import Connection
 from kilter_client.requests.steps import Document

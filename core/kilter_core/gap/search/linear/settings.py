@@ -10,8 +10,7 @@ import numpy as np
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.sources.rounding import Rounding
 from kilter_core.gap.search.sources.source import Source
-from kilter_core.identify.fit.problem import ByCovariance
-from kilter_core.identify.fit.shared_errors import SharedErrors
+from kilter_core.identify.fit.problem import ByCovariance, SharedErrors
 from kilter_core.types import Bools, Floats, Ints
 
 

@@ -25,10 +25,9 @@ from kilter_client.cli import run
 from kilter_client.errors import FileError
 from kilter_files.rig.printed import page_pdf
 from kilter_files.rig.sheet import picture
-from kilter_files.rig.sheet.drawing import sheet_page
 from kilter_files.rig.sheet.layout import sheet_for
 from kilter_files.rig.sheet.reading import Options, read_sheet
-from kilter_files.rig.sheet.shapes import aruco
+from kilter_files.rig.sheet.shapes import aruco, sheet_page
 
 Paper = tuple[NDArray[np.float64], float]
 DPI = 160.0
