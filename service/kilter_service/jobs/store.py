@@ -20,7 +20,6 @@ from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import NOT_OVER, JobRow, RobotRow, VersionRow
 from kilter_service.ground.ended_jobs import store as ended
-from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.ground.version import code_version
 from kilter_service.jobs.durations import PastRun
@@ -82,12 +81,7 @@ def _next_name(session: Session, robot_id: int, job: NewJob) -> str:
 
 
 def _row(session: Session, job_id: str) -> JobRow:
-    row = session.get(JobRow, job_id)
-    if row is None or not robots.is_visible(session, row.robot_id):
-        raise ServiceError(
-            f"There is no job {job_id!r}: list them with GET /v1/jobs.", code="job_not_found", job=job_id
-        )
-    return row
+    return robots.visible_row(session, JobRow, job_id, "/v1/jobs")
 
 
 def get(session: Session, job_id: str) -> JobRecord:
