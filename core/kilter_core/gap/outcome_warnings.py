@@ -20,12 +20,13 @@ from kilter_core.gap.search.linear.complete_form import incomplete_warnings
 from kilter_core.gap.search.linear.in_space import fit_rms
 from kilter_core.gap.study import Study
 from kilter_core.identify.comparison.model_comparison import (
+    CONFIRM,
     WORSE_THAN_GEOMETRY,
     PoseErrors,
+    elsewhere,
     grown,
     worse_warning,
 )
-from kilter_core.identify.comparison.other_setups import CONFIRM, elsewhere
 from kilter_core.identify.identifiable.load_model import far_from_stated
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.report import large_residual

@@ -37,7 +37,7 @@ from kilter_core.identify.rows.noise import pooled_columns
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts
 from kilter_core.model import Calibration
-from kilter_core.model.doubts import Doubt
+from kilter_core.model.calibration import Doubt
 from kilter_core.observations import Observations
 from kilter_core.parameters import display_unit_and_scale, metres
 from kilter_core.types import Bools, Floats, Ints

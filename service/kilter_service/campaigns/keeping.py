@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from kilter_service.campaigns import store
-from kilter_service.campaigns.service import load_campaign
-from kilter_service.campaigns.servo_zeros import refuse_other_servos
+from kilter_service.campaigns.service import load_campaign, refuse_other_servos
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.ground.db import Database

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,10 +16,8 @@ from kilter_service.campaigns import store, wire
 from kilter_service.campaigns.belonging import judged_whole
 from kilter_service.campaigns.chunks import Chunk, write_chunk
 from kilter_service.campaigns.records import CampaignRecord
-from kilter_service.campaigns.row_rules.payload_size import payload_warning
-from kilter_service.campaigns.row_rules.rules import RowRules
+from kilter_service.campaigns.row_rules.rules import RowRules, payload_warning
 from kilter_service.campaigns.row_rules.view_rules import views_rules
-from kilter_service.campaigns.servo_zeros import refuse_other_servos, refuse_other_zeros
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.columns import CONTACTS, TILTS
 from kilter_service.contract.remarks import Remark
@@ -46,6 +44,8 @@ CAMPAIGN, UPLOADED = TypeAdapter(Campaign), TypeAdapter(Uploaded)
 MEASURED = ("x", "marker_x", "link", "pixel_u", "tau", *TILTS, *CONTACTS)
 
 TIME = "t_s"
+
+CONDITION = "calibration_sha256"
 
 
 def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_REPEATED) -> Campaign:
@@ -338,3 +338,40 @@ def date_by_stamps(session: Session, campaign_id: str, before: datetime | None =
     """Date a campaign by its last stamp, unless somebody said when it was measured; ``before`` is what stamps said so far."""
     if store.get(session, campaign_id).measured_at in (None, before):
         store.set_measured_at(session, campaign_id, last_stamp(session, campaign_id))
+
+
+def refuse_other_zeros(session: Session, robot_id: int, robot: str, name: str, conditions: Mapping[str, Any]) -> None:
+    """Compare the calibration of a campaign with that of the robot's campaigns in use; one that states none is left alone.
+
+    Raises:
+        ServiceError: a campaign of the robot is of another one.
+
+    """
+    stated = conditions.get(CONDITION)
+    if stated is None:
+        return
+    for campaign_id in store.ids_of_robot(session, robot_id):
+        other = store.get(session, campaign_id)
+        has = other.conditions.get(CONDITION)
+        if has not in (None, stated):
+            raise ServiceError(
+                f"Campaign {name!r} was measured with servo calibration {stated[:12]}, campaign {other.name!r} of {robot} with "
+                f"{has[:12]}: with other zeros it is another arm. Add a robot for it (`kilter robot add`), or retire the "
+                "campaigns of the old calibration and identify anew.",
+                code="calibration_differs",
+                campaign=other.id,
+                stated=stated,
+                has=has,
+            )
+
+
+def refuse_other_servos(session: Session, campaign_id: str) -> None:
+    """Compare a campaign that comes into use with those that are in use.
+
+    Raises:
+        ServiceError: one of them is of another calibration.
+
+    """
+    campaign = store.get(session, campaign_id)
+    robot = robots.by_id(session, campaign.robot_id).name
+    refuse_other_zeros(session, campaign.robot_id, robot, campaign.name, campaign.conditions)

@@ -10,8 +10,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.effects.other_campaigns import placed_later
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify.carried_masses import with_masses
-from kilter_core.identify.fleet.asked import of_its_type
-from kilter_core.identify.fleet.prior import FleetPrior
+from kilter_core.identify.fleet.prior import FleetPrior, of_its_type
 from kilter_core.identify.fleet.versions import FleetVersion
 from kilter_core.identify.holdout import Folds, split
 from kilter_core.identify.methods.kalman import Prior

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from kilter_core.errors import ObservationError
 from kilter_core.types import Floats
 from kilter_service.campaigns.belonging import Belonging
-from kilter_service.campaigns.row_rules.payload_size import PayloadSize
 from kilter_service.campaigns.row_rules.view_rules import ViewRules
 from kilter_service.contract.columns import BASE, CONTACTS, NAMED, PLACE, TILTS
 from kilter_service.ground.core import core_identify
 from kilter_service.ground.tables.columns import Column
-from kilter_service.robots.likely_payload import longest_reach
+from kilter_service.robots.likely_payload import heaviest_likely_payload, longest_reach
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -42,6 +41,8 @@ DOUBTFUL = {"deg": math.radians(10.0), "mm": 20e-3}
 MOST_ROWS = 1000  # that are named one by one in the error's context
 SHOWN = 8
 BEYOND_LIMITS = "beyond_limits"
+
+UNLIKELY = "payload_unlikely"
 
 
 class RowRules:
@@ -361,3 +362,32 @@ class JointLimits:
                 f"{count} readings are outside the limits of their joints: {listed}. {remedy[0].upper()}{remedy[1:]}."
             )
         raise ObservationError(what, row=rows[0], column=first.column.name, rows=rows)
+
+
+def payload_warning(robot: Robot, payload_kg: float, where: str) -> dict[str, Any] | None:
+    """Return the warning about a payload, None where an arm of this size may carry it."""
+    most, why = heaviest_likely_payload(robot)
+    if not payload_kg > most:
+        return None
+    what = (
+        f"{where} is {payload_kg:.6g} kg, but {why}. Is it in grams? Then divide it by 1000 ({payload_kg / 1e3:.4g} kg) "
+        'or write unit = "g" in the column map, and upload the rows as a new campaign.'
+    )
+    return {"code": UNLIKELY, "message": what}
+
+
+class PayloadSize:
+    """The payloads of one upload: take every piece, then ask for `warnings`."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._largest: tuple[float, str] = (0.0, "")
+
+    def add_payloads(self, column: Column, cells: Floats) -> None:
+        """Remember the largest payload of the next rows."""
+        self._largest = max(self._largest, (float(np.nanmax(cells, initial=0.0)) * column.factor, column.name))
+
+    def warnings(self) -> tuple[dict[str, Any], ...]:
+        """Return the warning about the largest payload, if there is one."""
+        found = payload_warning(self._robot, self._largest[0], f"The payload (column {self._largest[1]!r})")
+        return () if found is None else (found,)

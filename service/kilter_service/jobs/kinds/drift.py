@@ -17,7 +17,7 @@ from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from kilter_service.versions.drift import wire
-from kilter_service.versions.drift.since import last_otherwise
+from kilter_service.versions.drift.records import last_otherwise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

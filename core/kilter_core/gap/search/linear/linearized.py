@@ -14,12 +14,17 @@ from functools import cached_property
 import numpy as np
 
 from kilter_core.effects import Batch
-from kilter_core.gap.search.linear.bases import lengths, orthonormal, split_geometry_directions
-from kilter_core.gap.search.linear.derivatives import Derivatives
 from kilter_core.gap.search.linear.gram import Gram
-from kilter_core.gap.search.linear.projection import Projection, Soft, Stacked
+from kilter_core.gap.search.linear.projection import (
+    Projection,
+    Soft,
+    Stacked,
+    lengths,
+    orthonormal,
+    split_geometry_directions,
+)
 from kilter_core.gap.search.linear.ranges import ends, exactly_within
-from kilter_core.gap.search.linear.settings import ProblemSettings
+from kilter_core.gap.search.linear.settings import Derivatives, ProblemSettings
 from kilter_core.identify.fit.problem import ByCovariance, LeastSquares, Whitened
 from kilter_core.identify.fit.solver import minimise
 from kilter_core.parameters import Prior

@@ -18,7 +18,7 @@ from kilter_client.cli import run
 from kilter_client.errors import FileError
 from kilter_core.evaluate import evaluate
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.model.inverse_kinematics import reach
+from kilter_core.model.general_inverse import reach
 from kilter_core.observations import Observations
 from kilter_core.twin import thesis_katana
 from kilter_files.rig.drawn_circle import Circle, Frame, JoinOptions, join, register
