@@ -1,4 +1,4 @@
-"""A calibration: a model with values, and where cameras, boards and the wanted frames stand."""
+"""A calibration: a model with values, where cameras, boards and frames stand, and where it is less sure than it says."""
 
 from __future__ import annotations
 

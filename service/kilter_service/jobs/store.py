@@ -1,4 +1,4 @@
-"""Rows of jobs."""
+"""Rows of jobs, and the versions of other robots that a prior of the type is made of."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A posted robot document into the one core reads: URDF becomes a chain, everything else stays as it is."""
+"""Robot documents: a posted one into the one core reads, and the same arm in another convention."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Axes that follow a joint (mimic, parallelogram) in words: who carries the load on them."""
+"""Axes that follow a joint (mimic, parallelogram), and errors of axes that no parameter takes up, in words."""
 
 from __future__ import annotations
 

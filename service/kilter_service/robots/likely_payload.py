@@ -1,4 +1,4 @@
-"""What an arm of a size may carry."""
+"""How far the tool of an arm can be from its base, and what an arm of that size may carry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers in cells."""
+"""Numbers in cells, and cells that hold a list of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Suggestions for misspelt names."""
+"""Suggestions for misspelt names, and numbers of sessions that have names."""
 
 from __future__ import annotations
 

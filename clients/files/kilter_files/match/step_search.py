@@ -1,4 +1,4 @@
-"""Steps in signs that should stay the same: the rows where means before and after differ most, one after the other."""
+"""Steps in signs that should stay the same, and which marker moved between two shapes of a body."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Masses of the links in a DH or MDH table: filled for every row or for none."""
+"""Masses of the links in a DH or MDH table, filled for every row or for none, and the cells of such a table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The prior of a type: which versions carry it, and what each robot looks like to the others."""
+"""The prior of a type: which versions carry it, what each robot looks like to the others, and the model that has it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The SHA-256 that lies beside a backup, as `sha256sum --check` reads it."""
+"""Digests of bytes: the SHA-256 beside a backup, and that which a client sends with a body (RFC 9530)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that their owner alone may read: the data folder, the databases in it, and folders for a while that leave nothing."""
+"""Files that their owner alone may read: the data folder, the file that names a running server, folders for a while."""
 
 from __future__ import annotations
 

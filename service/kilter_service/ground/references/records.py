@@ -1,4 +1,4 @@
-"""What is left of what was purged, as it is stored."""
+"""What is left of what was purged, as it is stored and as it goes over the wire."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Under which conditions rows are checked: what was stated, and what is taken for granted where nobody stated it."""
+"""Conditions and noise of rows that are checked: what was stated, what is taken for granted, and of another instrument."""
 
 from __future__ import annotations
 

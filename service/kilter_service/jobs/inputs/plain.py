@@ -1,4 +1,4 @@
-"""Documents that JSON can hold."""
+"""Documents that JSON can hold, and rows as a job counts them over all its campaigns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`kilterd worker`: the process that executes jobs."""
+"""`kilterd worker`: the process that executes jobs, and its thread that takes one after the other."""
 
 from __future__ import annotations
 

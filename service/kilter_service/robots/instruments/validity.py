@@ -1,4 +1,4 @@
-"""Whether an instrument's certificate held on the day of a campaign."""
+"""Certificates of instruments: whether one held on the day of a campaign, and the error that it permits."""
 
 from __future__ import annotations
 

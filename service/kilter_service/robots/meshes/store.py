@@ -1,4 +1,4 @@
-"""Rows of meshes."""
+"""Meshes as they are stored, and their rows."""
 
 from __future__ import annotations
 

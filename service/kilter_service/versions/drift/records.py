@@ -1,4 +1,4 @@
-"""What is stored of checks."""
+"""What is stored of checks, and since when an arm has moved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of tokens."""
+"""Tokens as they are stored, of the secret only its hash, and their rows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is printed, as plain shapes: nothing here knows PDF or SVG."""
+"""What is printed of a sheet: plain shapes, and the page in true mm that they make."""
 
 from __future__ import annotations
 

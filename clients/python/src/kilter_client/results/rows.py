@@ -1,4 +1,4 @@
-"""Rows of a file that the server sent, column by column."""
+"""Tables, columns with units in their names, and rows of a file that the server sent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stays the same through a search: rows, noise and everything beside it that whitens, and which visits count."""
+"""What stays the same through a search: rows, noise and what whitens; and the whitened derivatives at a fit."""
 
 from __future__ import annotations
 

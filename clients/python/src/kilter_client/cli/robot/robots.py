@@ -1,4 +1,4 @@
-"""``kilter robot``: describe robots."""
+"""``kilter robot``: describe robots, by options that every command shares that reads one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What goes to stdout and stderr: one JSON document, or text for people."""
+"""What goes to stdout and stderr: one JSON document, text for people, and progress bars."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Calls that find what a reference stands for."""
+"""Calls that find what a reference stands for, and those that campaigns and versions have in common."""
 
 from __future__ import annotations
 
