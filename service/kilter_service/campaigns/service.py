@@ -27,7 +27,7 @@ from kilter_service.ground.paging import Page, in_time
 from kilter_service.ground.references import retired
 from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.columns import has, read_columns
-from kilter_service.ground.tables.names import Names
+from kilter_service.ground.tables.reading import Names
 from kilter_service.ground.tables.views import rig_from_conditions
 from kilter_service.ground.tables.writing import write_table
 from kilter_service.robots import store as robots

@@ -7,15 +7,17 @@ the database itself refuses its writes.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import sqlite3
+import weakref
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
+from sqlalchemy import URL, Connection, Engine, Select, create_engine, event, make_url
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session, sessionmaker
 from sqlalchemy.pool import ConnectionPoolEntry, QueuePool
@@ -218,3 +220,45 @@ def outages(folder: Path | None = None, *, writes: bool = True) -> Iterator[None
         if known.code == READ_ONLY_CODE and not writes and (folder is None or not is_read_only(folder)):
             raise
         raise DatabaseAwayError(known.message, code=known.code) from error
+
+
+class Lookout:
+    """Asks whether there is anything to do, for a thirtieth of the time of a session; for one thread."""
+
+    def __init__(self, database: Database, *queries: Select[Any]) -> None:
+        self._database, self._queries = database, queries
+        dialect = database.engine.dialect
+        compiled = [query.compile(dialect=dialect, compile_kwargs={"render_postcompile": True}) for query in queries]
+        self._statements = [
+            (one.string, one.params if one.positiontup is None else tuple(one.params[name] for name in one.positiontup))
+            for one in compiled
+        ]
+        self._connection: Any = None
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Return the rows of the queries, one after the other; what is wrong with the database is raised as by a session."""
+        try:
+            cursor = self._connected().cursor()
+            return [tuple(row) for statement in self._statements for row in cursor.execute(*statement).fetchall()]
+        except Exception:
+            self.close()
+            with self._database.reading() as session:
+                return [tuple(row) for query in self._queries for row in session.execute(query)]
+
+    def _connected(self) -> Any:
+        if self._connection is None:
+            pooled = self._database.engine.raw_connection()
+            self._connection = found = pooled.dbapi_connection
+            # Out of the pool, which hands out none that commits by itself, and would log the roll-back of one that is lost.
+            pooled.detach()
+            self._closing = weakref.finalize(self, found.close)  # type: ignore[union-attr]
+            if self._database.engine.dialect.name != "sqlite":
+                self._connection.autocommit = True
+        return self._connection
+
+    def close(self) -> None:
+        """Close the connection; the next question opens another."""
+        if self._connection is not None:
+            self._connection = None
+            with contextlib.suppress(Exception):  # of a connection that is lost
+                self._closing()

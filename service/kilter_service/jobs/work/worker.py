@@ -18,8 +18,8 @@ from typing import Any
 
 from kilter_core.errors import CoreError
 from kilter_service.ground.db import Database, DatabaseAwayError, revision
+from kilter_service.ground.db.database import Lookout
 from kilter_service.ground.db.failures import in_words
-from kilter_service.ground.db.lookout import Lookout
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.failure_log import log_failure
 from kilter_service.ground.files.migration_lock import wait_for_migration
