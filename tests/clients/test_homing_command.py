@@ -11,8 +11,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.errors import FileError
-from kilter_files.formats.joints.lerobot.calibration import read_calibration
-from kilter_files.formats.joints.lerobot.homing import with_zero_offsets
+from kilter_files.formats.joints.lerobot.calibration import read_calibration, with_zero_offsets
 from tests.clients.test_cli import Command
 
 JOINTS = ("j1", "j2", "j3")

@@ -93,7 +93,6 @@ again = Calibration.from_document(robot, found.calibration.to_document())
 assert np.allclose(again.predict(rows).position, found.calibration.predict(rows).position)
 assert "toy_wobble" in {c.id for c in build_library(robot, rows).candidates}
 from kilter_core.correct.program import compile_program
-from kilter_core.correct.reference import correct
 program = compile_program(again)
 assert (program.supported, program.unsupported) == (("toy_wobble",), ()), program.unsupported
 """

@@ -21,7 +21,6 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Robot
 from kilter_core.correct.program import CorrectionOptions, compile_program
-from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import BASE, EFFECTS, TOOL, Batch, Effect, Local, effect_from_document, make_effect
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify import IdentifyOptions, identify
@@ -29,6 +28,7 @@ from kilter_core.model import Calibration, Prediction, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.transforms import rotation_log
 from kilter_files.look.unusual import below_zero
+from tests.core.correct.reference import CorrectOptions, correct
 
 Floats = NDArray[np.float64]
 

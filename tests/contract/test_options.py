@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 import kilter_core.gap
 import kilter_core.identify
 from kilter_core.effects import EFFECTS, effect_from_document
-from kilter_core.gap.search.requested import joints_by_effect
+from kilter_core.gap.search.candidates import joints_by_effect
 from kilter_service.contract.effects import AnyEffect
 from kilter_service.contract.jobs.gap import GapOptions
 from kilter_service.contract.jobs.identify import IdentifyOptions

@@ -14,12 +14,12 @@ from kilter_core.arm.chain import Element
 from kilter_core.arm.robot import Robot
 from kilter_core.correct.kernels import chain, inverse, layout
 from kilter_core.correct.program import CorrectionOptions, Track, compile_program
-from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import Batch, Effect, Local
 from kilter_core.errors import OptionError
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
+from tests.core.correct.reference import CorrectOptions, correct
 
 EFFECTS = ("clearance_tilt", "backlash_load", "axial_compliance", "backlash")
 EXACT = CorrectionOptions(least_softening_nm=0.0, largest_rad=0.3, largest_m=0.1, farthest_m=0.1)

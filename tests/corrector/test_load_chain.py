@@ -10,9 +10,9 @@ import pytest
 
 from kilter_core.arm.robot import Link
 from kilter_core.correct.program import CorrectionOptions, Track, compile_program
-from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
+from tests.core.correct.reference import CorrectOptions, correct
 from tests.corrector.test_runtime_effects import BASE_TILT, OF_ARMS, TEMPERATURE_C, calibration_with, landing
 
 LOADS = (

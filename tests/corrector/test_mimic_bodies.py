@@ -10,9 +10,9 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.correct.program import CorrectionOptions, compile_program
-from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration, RobotModel
+from tests.core.correct.reference import CorrectOptions, correct
 from tests.core.palletiser import said
 from tests.core.truth import Arm, Step, ur10, with_bodies
 from tests.corrector.test_runtime_effects import landing

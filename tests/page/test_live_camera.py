@@ -10,8 +10,7 @@ import cv2
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from kilter_files.rig.live.feeds import open_feed
-from kilter_files.rig.live.newest import newest
+from kilter_files.rig.live.feeds import newest, open_feed
 from kilter_files.rig.live.server import serve_live_page
 from kilter_files.rig.live.session import Session, follow
 from kilter_files.rig.live.taken import Taken

@@ -17,7 +17,7 @@ from playwright.sync_api import Browser, Page
 
 from kilter_core.twin import thesis_katana
 from kilter_service.page.campaign.chosen import ranges, read
-from kilter_service.versions.predictions.joint_space import least_motion
+from kilter_service.versions.predictions.places import least_motion
 from tests.service.conftest import Katana
 
 from .conftest import CHROMIUM, log_in, opened

@@ -10,8 +10,8 @@ import pytest
 
 from kilter_service.ground.caller import CALLER, Caller, as_document
 from kilter_service.ground.db import Database
-from kilter_service.jobs.fleet_versions import fleet_versions
 from kilter_service.jobs.lease import store as lease
+from kilter_service.jobs.store import fleet_versions
 from kilter_service.jobs.work.runner import Runner
 from kilter_service.robots import store as robots
 from tests.core.identify.fleet.simulated import Arm, Type, document, poses

@@ -18,10 +18,9 @@ from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.jobs.kind import JobInput
 from kilter_service.jobs.kinds.identify import run
 from kilter_service.jobs.plotly_figures.arrows import LONGEST, MOST_ARROWS, arrows, magnification
-from kilter_service.jobs.plotly_figures.identify import WORST
+from kilter_service.jobs.plotly_figures.identify import MOST_PARAMETERS, WORST, changes
 from kilter_service.jobs.plotly_figures.layout import LONGEST as LONGEST_LABEL
 from kilter_service.jobs.plotly_figures.layout import add_captions, bar_layout, distinct_labels, shorten_label
-from kilter_service.jobs.plotly_figures.parameters import MOST_PARAMETERS, changes
 from tests.core.campaigns import joints, measured
 from tests.core.truth import Arm, some_arm, some_pose, ur10, with_hidden_errors
 

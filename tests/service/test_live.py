@@ -17,7 +17,7 @@ from kilter_service.stream.live import followers
 from kilter_service.stream.live.heard import WHY, Heard
 from kilter_service.stream.live.heard import _edges_us as edges_us
 from kilter_service.stream.live.session import Place
-from kilter_service.stream.live.verdict import bypass
+from kilter_service.stream.live.shown import bypass
 from kilter_service.stream.signing.masters import load_masters
 from kilter_service.stream.signing.sealed import opened_document
 

@@ -10,11 +10,11 @@ import pytest
 from sqlalchemy import event, select
 
 from kilter_service.ground.db import Database, DatabaseAwayError
-from kilter_service.ground.db.lookout import Lookout
+from kilter_service.ground.db.database import Lookout
 from kilter_service.ground.db.tables import RobotRow
 from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.work.queue_consumer import QueueConsumer
 from kilter_service.jobs.work.runner import Runner
+from kilter_service.jobs.work.worker import QueueConsumer
 from kilter_service.stream.corrector.database_source import DatabaseSource
 from tests.service.conftest import Katana
 

@@ -11,7 +11,7 @@ import pytest
 
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.limits import MAX_TRIANGLES
-from kilter_service.robots.meshes.reading import triangles
+from kilter_service.robots.meshes.service import triangles
 
 from .conftest import Katana
 

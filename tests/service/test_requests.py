@@ -275,7 +275,8 @@ def test_nothing_is_parsed_or_computed_on_the_event_loop(
     from kilter_service.campaigns import service as campaigns
     from kilter_service.correction import service as correction
     from kilter_service.ground.tables import reading
-    from kilter_service.robots import check, convert
+    from kilter_service.robots import check
+    from kilter_service.robots import documents as convert
     from kilter_service.robots import routes as circles
     from kilter_service.robots import service as robots
 

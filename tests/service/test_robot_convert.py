@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
 from kilter_core.arm.presets import preset_document
-from kilter_service.robots.convert import convert as converted
+from kilter_service.robots.documents import convert as converted
 from kilter_service.robots.documents import core_document
 from kilter_service.robots.wire import DOCUMENT
 from tests.core.arm.test_documents import poses

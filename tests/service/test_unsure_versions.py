@@ -12,7 +12,7 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.correct.program import compile_program
 from kilter_core.model import Calibration
-from kilter_core.model.doubts import Doubt
+from kilter_core.model.calibration import Doubt
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.db import Database
 from kilter_service.jobs.kind import JobInput, JobOutput, VersionContent

@@ -15,7 +15,6 @@ import yaml
 from pyarrow import parquet
 
 from kilter_core.correct.program import CorrectionOptions, Track, compile_program
-from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -29,6 +28,7 @@ from kilter_service.stream.corrector.stream import Stream
 from kilter_service.stream.corrector.wire import Answer, Flag, decode_answer, encode_setpoints
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
+from tests.core.correct.reference import CorrectOptions, correct
 
 pytestmark = pytest.mark.both_databases
 

@@ -21,7 +21,7 @@ from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import HeartbeatRow, JobRow, VersionRow
 from kilter_service.ground.settings import Settings
 from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.lease.claim import Claim
+from kilter_service.jobs.lease.store import Claim
 from kilter_service.jobs.work import worker as workers
 from kilter_service.jobs.work.runner import Runner
 from kilter_service.jobs.work.worker import Watch

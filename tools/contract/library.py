@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import Any
 
 import kilter
-from kilter_client.results import corrected, dry_run, program, record, rows, shown, shown_jobs, tables
+from kilter_client.results import corrected, dry_run, program, record, rows, shown, shown_jobs
 from kilter_client.typed.names import JOBS, MODULE_OF
 
 MADE = "<!-- Made from the docstrings by `make contract`: change it there. -->\n"
@@ -74,7 +74,7 @@ GROUPS = {
 # What results can do, by hand-written class.
 BEHAVIOUR = {
     "Every result": (record.Record,),
-    "Lists of results": (record.Records, tables.Tabular),
+    "Lists of results": (record.Records, rows.Tabular),
     "Parameters": (shown.ShownParameter,),
     "Identifications, versions and gap searches": (shown.Shown, shown.Asking),
     "Versions": (shown_jobs.OfVersion,),

@@ -12,7 +12,6 @@ from kilter_client.cli.demo import circle
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Robot
-from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import make_effect
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.estimate import prepare_problem
@@ -23,6 +22,7 @@ from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.plan.iso9283_poses import iso_poses
 from kilter_core.types import Floats
+from tests.core.correct.reference import CorrectOptions, correct
 from tools.thesis.arms import CHAPTER_4, Arm, built
 
 POSES, UNSEEN = 118, 60

@@ -1,3 +1,4 @@
+from .chain import increment as increment
 from .conventions import PARALLEL_RAD as PARALLEL_RAD
 from .conventions import Row as Row
 from .conversions.documents import drive_document as drive_document
@@ -13,7 +14,6 @@ from .documents.document import robot_from_document as robot_from_document
 from .documents.parts import parse_pose as parse_pose
 from .documents.resolved import resolved_document as resolved_document
 from .documents.resolved import robot_from_resolved as robot_from_resolved
-from .frames import increment as increment
 from .kernels.compiled import EXACT as EXACT
 from .kernels.compiled import KernelCache as KernelCache
 from .kernels.compiled import compile_kernel as compile_kernel

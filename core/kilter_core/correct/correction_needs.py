@@ -34,7 +34,7 @@ class Needs:
     """What N poses need of a correction, and what becomes of them within limits.
 
     Within the widest limits: ``joints`` has the size of the correction (n,) rad or m by quantile, ``largest (n,)`` its
-    maximum; ``removed`` the error of the tool m by quantile, ``largest_removed`` its maximum; ``turned`` what is left of
+    maximum; ``removed`` the error of the tool m by quantile; ``turned`` what is left of
     its orientation rad by quantile.
     Within the limits of the options: shares of the rows that are refused, damped near a singular posture, held at a
     limit, and that keep more of the point's error than ``reached_m``; ``most_left`` m is the largest that is kept. The
@@ -46,7 +46,6 @@ class Needs:
     joints: Mapping[float, Floats]
     largest: Floats
     removed: Mapping[float, float]
-    largest_removed: float
     turned: Mapping[float, float]
     largest_rad: float
     largest_m: float
@@ -55,11 +54,6 @@ class Needs:
     within: Shares
     within_suggested: Shares
     rows: CorrectedRows
-
-    def suggested_options(self, options: CorrectionOptions | None = None) -> CorrectionOptions:
-        """The options with the suggested limits."""
-        limits = {"largest_rad": self.largest_rad, "largest_m": self.largest_m, "farthest_m": self.farthest_m}
-        return replace(options or CorrectionOptions(), **limits)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -98,7 +92,6 @@ def needs(calibration: Calibration, q: Floats, options: CorrectionOptions | None
         joints=MappingProxyType({level: np.quantile(size, level, axis=0) for level in QUANTILES}),
         largest=size.max(axis=0),
         removed=_quantiles(far),
-        largest_removed=float(far.max()),
         turned=_quantiles(wide.left_rad),
         **limits,
         capped=any(need > most for need, (_, most) in zip(asked, bounds, strict=True)),

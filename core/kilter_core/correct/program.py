@@ -1,7 +1,6 @@
 """From a calibration to the flat program of the correction kernel, and the calls that use it.
 
-The stream, the trajectory query and the correction over HTTP all run the same kernel;
-:mod:`kilter_core.correct.reference` is the readable one that it is tested against.
+The stream, the trajectory query and the correction over HTTP all run the same kernel.
 """
 
 from __future__ import annotations

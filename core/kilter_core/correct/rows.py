@@ -8,7 +8,7 @@ import numpy as np
 
 from kilter_core.arm.run_time import BendingRow, Curve, RunTimeForm, Shape
 from kilter_core.correct.kernels import layout
-from kilter_core.model.doubts import Doubt
+from kilter_core.model.calibration import Doubt
 from kilter_core.types import Floats
 
 _SHAPES: Mapping[Shape, float] = {

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from kilter_core.identify.comparison.model_comparison import Difference, PoseErrors
-from kilter_core.identify.comparison.other_setups import elsewhere
+from kilter_core.identify.comparison.model_comparison import Difference, PoseErrors, elsewhere
 from kilter_core.identify.estimate import new_frames, refit_frames
 from kilter_core.identify.uncertainty.left_open import left_open
 from kilter_core.identify.uncertainty.predictive import Predictive

@@ -9,7 +9,7 @@ from .report.next_poses import wire_scale as wire_scale
 from .report.report import GapReport as GapReport
 from .report.separation import plan_separation as plan_separation
 from .report.separation import undecided_effect_pair as undecided_effect_pair
-from .search.requested import joints_by_effect as joints_by_effect
+from .search.candidates import joints_by_effect as joints_by_effect
 from .search.scan import warm_up as warm_up
 from .study import held_out_share as held_out_share
 from .study import split_held_out_rows as split_held_out_rows

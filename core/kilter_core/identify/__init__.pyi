@@ -42,7 +42,7 @@ from .run import identify as identify
 from .setup_frames import with_own_frames as with_own_frames
 from .steps.report import Identification as Identification
 from .uncertainty.predictive import Predictive as Predictive
+from .uncertainty.predictive import Workspace as Workspace
 from .uncertainty.predictive import acting as acting
-from .uncertainty.workspace import Workspace as Workspace
 from .uncertainty.zero_offsets import KnownZeros as KnownZeros
 from .uncertainty.zero_offsets import known_zeros as known_zeros

@@ -31,11 +31,6 @@ BARE: dict[str, Any] = dict.fromkeys(("pixels", "pixel_sigma", "camera", "board"
 OF_TRACKER: dict[str, Any] = dict.fromkeys(("markers", "tip"))
 
 
-def as_seen_poses(begin: Calibration, rows: Observations, *others: Any) -> tuple[Any, ...]:
-    """As :func:`seen_poses`, the rows alone."""
-    return seen_poses(begin, rows, *others)[0]
-
-
 def seen_poses(
     begin: Calibration, rows: Observations, *others: Any
 ) -> tuple[tuple[Any, ...], PlannedViews | None, tuple[dict[str, Any], ...]]:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from kilter_core.arm.frames import frame_parameters, increment
+from kilter_core.arm.chain import frame_parameters, increment
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import BASE, TOOL, Batch, Effect, Local
 from kilter_core.effects.base import Derivative, linear

@@ -1,10 +1,10 @@
 from .calibration import Calibration as Calibration
+from .calibration import Doubt as Doubt
+from .calibration import unexplained_error as unexplained_error
 from .closed_inverse import closed_form_kind as closed_form_kind
 from .closed_inverse import flange as flange
 from .closed_inverse import read_six_axes as read_six_axes
 from .directions import missing_directions as missing_directions
-from .doubts import Doubt as Doubt
-from .doubts import unexplained_error as unexplained_error
 from .general_inverse import reaching as reaching
 from .geometry import FlangeFrames as FlangeFrames
 from .geometry import arm_screws as arm_screws

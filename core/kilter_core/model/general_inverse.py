@@ -16,9 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eig
 
+from kilter_core.arm.robot import Robot
+from kilter_core.model import RobotModel
 from kilter_core.model.closed_inverse import Axes, Posture, about, angle_about, any_across, closed_form_kind, solutions
+from kilter_core.observations import Observations
 from kilter_core.transforms import inverse, rotations_about
-from kilter_core.types import Floats
+from kilter_core.types import Bools, Floats
 
 # An eigenvalue is off by its condition times the rounding of the pencil, and that of the equations grows as their rank falls;
 # the largest seen was a thirtieth of this product. A root whose imaginary part is larger than ten times it is not real.
@@ -32,6 +35,10 @@ RANK = 1e-9  # below this share the equations do not determine the joints
 NEARLY = 0.05  # m and rad
 # From where the angles of joints 3, 4 and 5 are counted: a tangent of half an angle has no number for 180 degrees.
 SHIFTS = ((0.37, -1.13, 2.29), (-2.41, 0.83, -0.59))
+
+MOST_STEPS = 40
+STEP_LIMIT_RAD = 0.3
+REACHED_M = 1e-7
 
 
 @dataclass(frozen=True)
@@ -347,3 +354,28 @@ def _singular(axes: Axes, q: Floats) -> bool:
 
 def _are_same_angles(one: Floats, other: Floats, within: float = SAME_RAD) -> bool:
     return bool(np.abs(np.remainder(one - other + math.pi, 2.0 * math.pi) - math.pi).max() < within)
+
+
+def reach(robot: Robot, targets: Floats, starts: Floats, margin: float = 0.01) -> tuple[Floats, Bools]:
+    """Joints (N, n) whose nominal tool point is at ``targets (N, 3)`` m in the frame of the robot's base pose.
+
+    Newton steps of least norm from ``starts (N, n)``, kept inside the limits by ``margin`` of each joint's range, which
+    leaves room for a correction. Returns the joints and which arrived.
+    """
+    model = RobotModel(robot)
+    values = model.values0()
+    lower, upper = robot.limits.T
+    room = np.where(np.isfinite(upper - lower), margin * (upper - lower), 0.0)
+    lower, upper = lower + room, upper - room
+    q = np.clip(starts, lower, upper)
+    for _ in range(MOST_STEPS):
+        prediction, J = model.joint_jacobian(Observations(q), values)
+        error = targets - prediction.position
+        if np.max(np.linalg.norm(error, axis=1), initial=0.0) < REACHED_M:
+            break
+        A = J[:, :3]
+        damped = A @ A.transpose(0, 2, 1) + 1e-6 * np.eye(3)
+        step = np.einsum("nij,ni->nj", A, np.linalg.solve(damped, error[:, :, None])[:, :, 0])
+        q = np.clip(q + np.clip(step, -STEP_LIMIT_RAD, STEP_LIMIT_RAD), lower, upper)
+    left = np.linalg.norm(targets - model.predict(Observations(q), values).position, axis=1)
+    return q, left < 10 * REACHED_M

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.arm.frames import frame_parameters, increment
+from kilter_core.arm.chain import frame_parameters, increment
 from kilter_core.observations.rig import Camera, Rig
 from kilter_core.parameters import Parameter
 from kilter_core.transforms import rotation_along

@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kilter_core.arm.chain import Chain, Element
-from kilter_core.arm.frames import FRAME_AXES, frame_parameters, increment
+from kilter_core.arm.chain import FRAME_AXES, Chain, Element, frame_parameters, increment
 from kilter_core.arm.kernels import kinematics
 from kilter_core.arm.loads.chain import LoadChain
 from kilter_core.arm.loads.deflection import HANGING_ROUNDS, SIDED_ROUNDS, Deflection

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from kilter_core.arm.robot import Link, Robot
-from kilter_core.motion.regressor import PER_LINK, base_columns, link_elements, stated_numbers
+from kilter_core.motion.regressor import PER_LINK, base_sums, link_elements, stated_numbers
 from kilter_core.types import Floats
 
 NEAR = 0.25  # weight of the divergence against squares of standard deviations
@@ -28,7 +28,7 @@ def physical_links(robot: Robot, base: Floats, information: Floats) -> tuple[Lin
 
     ``information (p, p)`` is the inverse of their covariance; it says which sums may differ from the fit.
     """
-    _, K = base_columns(robot)
+    K = base_sums(robot)
     start = np.stack([_make_definite(numbers) for numbers in stated_numbers(robot).reshape(-1, PER_LINK)])
     found = _find_nearest(start, K.T @ information @ K, K.T @ information @ base)
     return tuple(_link(element, numbers) for element, numbers in zip(link_elements(robot), found, strict=True))

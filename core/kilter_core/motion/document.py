@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.motion.effects import MOTION_EFFECTS
+from kilter_core.motion.effects import MOTION_EFFECTS, prismatic_unit
 from kilter_core.motion.find import MotionReport
 from kilter_core.motion.layout import Term
 from kilter_core.motion.search import Judged
@@ -77,7 +77,6 @@ def _is_scrambled(report: MotionReport) -> bool:
 
 def _describe_effect(one: Judged, units: list[str]) -> dict[str, Any]:
     effect, j = one.term.effect, one.term.joint
-    members = [other.id for other in MOTION_EFFECTS if other.physical.id == effect.physical.id]
     return {
         "id": effect.id,
         "joints": [j + 1],
@@ -86,12 +85,7 @@ def _describe_effect(one: Judged, units: list[str]) -> dict[str, Any]:
         "verdict": one.verdict,
         "empirical": False,
         "claim": None,
-        "physical_class": {
-            "id": effect.physical.id,
-            "label": effect.physical.label_for_joints([j]),
-            "members": members,
-            "outside": list(effect.physical.outside),
-        },
+        "physical_class": effect.describe_class(effect.physical.label_for_joints([j]), MOTION_EFFECTS),
         "class": effect.physical.label_for_joints([j]) if one.verdict == "class_confirmed" else None,
         "alias_set": [
             {"id": rival.term.effect.id, "joints": [rival.term.joint + 1], "behind": rival.behind}
@@ -110,9 +104,7 @@ def _describe_effect(one: Judged, units: list[str]) -> dict[str, Any]:
 def _list_amplitudes(term: Term, value: Floats, sigma: Floats | None, units: list[str]) -> list[dict[str, Any]]:
     found = []
     for k, (name, unit) in enumerate(term.effect.parameters):
-        unit = (
-            unit if units[term.joint] == "N m" else unit.replace("N m", "N").replace("rad", "m").replace("kg m2", "kg")
-        )
+        unit = unit if units[term.joint] == "N m" else prismatic_unit(unit)
         spread = None if sigma is None else float(sigma[k])
         found.append(
             {

@@ -6,8 +6,9 @@ the drive: Gautier and Briot 2014. A column is what one unit of the parameter ad
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,21 @@ class JointSignals:
 
 
 @dataclass(frozen=True)
-class MotionEffect:
+class JointEffect:
+    """An effect on one joint, of its torque or of its servo."""
+
+    id: str
+    label: str
+    physical: PhysicalClass
+
+    def describe_class(self, label: str, effects: Sequence[JointEffect]) -> dict[str, Any]:
+        """Return its physical class under this label; ``effects`` are all that a search tries."""
+        members = [other.id for other in effects if other.physical.id == self.physical.id]
+        return {"id": self.physical.id, "label": label, "members": members, "outside": list(self.physical.outside)}
+
+
+@dataclass(frozen=True)
+class MotionEffect(JointEffect):
     """An effect on the torque of one joint; ``columns`` are (N, k) for ``parameters`` with their units (angles in rad).
 
     ``common`` ones belong to every model and are fitted, not searched. ``within`` are the values that
@@ -53,9 +68,6 @@ class MotionEffect:
     are computed anew from the model that has it. What follows the clock of a log is not told ``ahead`` of a motion.
     """
 
-    id: str
-    label: str
-    physical: PhysicalClass
     parameters: tuple[tuple[str, str], ...]
     columns: Callable[[JointSignals], Floats]
     common: bool = False
@@ -253,3 +265,8 @@ CARRIED_MASS = MotionEffect(
 )
 
 CARRIED_WITH = ("load_friction",)  # what a load changes beside the bodies
+
+
+def prismatic_unit(unit: str) -> str:
+    """Return the unit that a number of a revolute joint has where the joint slides."""
+    return unit.replace("N m", "N").replace("rad", "m").replace("kg m2", "kg")

@@ -67,7 +67,7 @@ def plan_motions(
             option="seconds",
         )
     progress, rng = progress or unheard, np.random.default_rng(seed)
-    kept, _ = base_columns(robot)
+    kept = base_columns(robot)
     limits = _usable_limits(robot)
     fastest = np.array([speed[joint.kind == "prismatic"] for joint in robot.joints])
     chosen: list[Floats] = []

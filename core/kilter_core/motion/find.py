@@ -13,9 +13,7 @@ from kilter_core.motion.fit import Fit, covariance, find_hidden_terms, fit_terms
 from kilter_core.motion.layout import Known, Layout, Term
 from kilter_core.motion.model import TorqueModel
 from kilter_core.motion.normal import Equations, form_equations
-from kilter_core.motion.options import MotionOptions
 from kilter_core.motion.record import Log, clipped_rows
-from kilter_core.motion.ripples import find_orders
 from kilter_core.motion.search import Judged, Split, judge_terms, search_terms, split_motions
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Progress, unheard
@@ -26,6 +24,19 @@ MOST_PUSHED = 0.1  # of the seconds
 PASSES = 3
 UNEXPLAINED = 0.33  # of the spread of a torque, left by bodies and friction
 NEGATIVE = 5.0  # standard errors below zero of a friction
+# Torque that repeats with the angle of a joint: how often per turn, before anything else about it is known.
+RIPPLE_ROWS = 20_000
+FEWEST_RIPPLE_ROWS = 50
+FEWEST_PERIODS = 4.0  # of a ripple that a joint must have passed
+LOWEST, HIGHEST = 3, 400  # per turn; slower ones are curves of the joint
+BAND_SHARE = 0.8  # of the cut-off: faster ripples are filtered away at the joint's usual speed
+
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """``seed`` chooses the motions that are held out."""
+
+    seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -234,3 +245,51 @@ def _could_be_named(term: Term, model: list[Term], weights: Floats) -> bool:
 def _compute_held_rms(equations: Equations, split: Split, weights: Floats, terms: list[Term]) -> Floats:
     fit = fit_terms(equations, terms, split.train, weights)
     return equations.rms(fit.theta, split.held)
+
+
+def orders_tried(robot: Robot, j: int, speed: float, cut_off_hz: float) -> Floats:
+    """Orders per turn that can be seen at a joint: whole ones, and those of its gear."""
+    highest = min(HIGHEST, BAND_SHARE * cut_off_hz * 2.0 * np.pi / max(0.5 * speed, 1e-6))
+    whole = np.arange(LOWEST, max(LOWEST, int(highest)), dtype=np.float64)
+    ratio = robot.joints[j].gear_ratio
+    return whole if ratio is None else np.unique(np.concatenate([whole, [abs(ratio), 2.0 * abs(ratio)]]))
+
+
+def find_orders(log: Log, equations: Equations, fit: Fit) -> tuple[tuple[float | None, ...], int]:
+    """Return the order at which what a fit leaves of each joint repeats most, None where none can be seen, and how many
+    were tried in all.
+    """
+    robot = equations.layout.robot
+    best: list[float | None] = []
+    tried = 0
+    for j, (q, left) in enumerate(_list_residuals(log, equations, fit)):
+        orders = np.zeros(0)
+        if len(q) >= FEWEST_RIPPLE_ROWS and robot.joints[j].kind == "revolute":
+            orders = orders_tried(robot, j, float(equations.layout.speeds[j]), log.cut_off_hz)
+            orders = orders[orders * np.ptp(q) > FEWEST_PERIODS * 2.0 * np.pi]
+        tried += len(orders)
+        power = [_measure_ripple(order, q, left) for order in orders.tolist()]
+        best.append(float(orders[int(np.argmax(power))]) if power else None)
+    return tuple(best), tried
+
+
+def _measure_ripple(order: float, q: Floats, r: Floats) -> float:
+    waves = np.stack([np.sin(order * q), np.cos(order * q)], axis=1)
+    along = waves.T @ r
+    return float(along @ np.linalg.pinv(waves.T @ waves) @ along)
+
+
+def _list_residuals(log: Log, equations: Equations, fit: Fit) -> list[Floats]:
+    """Angles and what is left of the torques (2, N) of each joint where it moves."""
+    layout, rows = equations.layout, 0
+    found: list[list[Floats]] = [[] for _ in equations.products]
+    for part in log.parts():
+        bodies, use = layout.bodies(part), (part.moving & part.usable)[part.rows]
+        for j, one in enumerate(found):
+            model = layout.joint_columns(part, bodies, j, None) @ fit.theta[equations.places[j]]
+            left = part.smooth(part.tau[:, j] - bodies.stated[:, j] - model)
+            one.append(np.stack([part.q[part.rows, j], left])[:, use[:, j]])
+        rows += len(use)
+        if rows > RIPPLE_ROWS:
+            break
+    return [np.concatenate(one, axis=1) for one in found]

@@ -49,8 +49,7 @@ class Layout:
 
     Of each joint: the speed that it usually reaches,
     the middle of its range and the order of its ripple. ``mean_t`` s and ``mean_c`` are means of the log.
-    In sessions that are ``loaded`` the outermost body carries ten numbers more, whose columns follow the base columns.
-    ``carried`` are columns of the regressor that count in one session only: theirs come next.
+    ``carried`` are columns of the regressor that count in one session only, as candidates or in every model: theirs follow.
     """
 
     robot: Robot
@@ -62,13 +61,12 @@ class Layout:
     orders: tuple[float | None, ...]
     mean_t: float
     mean_c: float
-    loaded: frozenset[int] = frozenset()
-    carried: tuple[tuple[int, Ints], ...] = ()
+    carried: tuple[tuple[int, Ints, bool], ...] = ()
 
     @classmethod
-    def of_log(cls, robot: Robot, log: Log, loaded: frozenset[int] = frozenset()) -> Layout:
-        """Return the layout of rigid bodies and the effects that every model has."""
-        kept, _ = base_columns(robot)
+    def of_log(cls, robot: Robot, log: Log, loaded: int | None = None) -> Layout:
+        """Return the layout that every model has: rigid bodies, common effects, a body at the tool in session ``loaded``."""
+        kept = base_columns(robot)
         n = robot.n_joints
         speeds, low, high = np.zeros(n), np.full(n, np.inf), np.full(n, -np.inf)
         times, warmth = [], []
@@ -88,7 +86,7 @@ class Layout:
             (None,) * n,
             float(np.mean(times)),
             mean_c,
-            loaded,
+            () if loaded is None else ((loaded, _outermost_columns(robot), True),),
         )
         return bare._with_effects([effect for effect in MOTION_EFFECTS if effect.common])
 
@@ -96,14 +94,14 @@ class Layout:
         """Return the layout with every effect of the library, ripples of these orders, and masses carried in ``sessions``."""
         most = max(1, MOST_CARRIED // (PER_LINK * max(1, len(sessions))))
         shown = shown_columns(self.robot)[-most:] if sessions else []
-        carried = [(session, columns) for session in sessions for columns in shown if len(columns)]
-        return replace(self, orders=tuple(orders), carried=tuple(carried))._with_effects(MOTION_EFFECTS)
+        carried = [(session, columns, False) for session in sessions for columns in shown if len(columns)]
+        return replace(self, orders=tuple(orders), carried=(*self.carried, *carried))._with_effects(MOTION_EFFECTS)
 
     def _with_effects(self, effects: Sequence[MotionEffect]) -> Layout:
-        terms, at = [], self.n_common_columns
-        for session, columns in self.carried:
+        terms, at = [], len(self.kept)
+        for session, columns, common in self.carried:
             shown = tuple(CARRIED_MASS.parameters[c % PER_LINK] for c in columns.tolist())
-            effect = replace(CARRIED_MASS, parameters=shown)
+            effect = replace(CARRIED_MASS, parameters=shown, common=common)
             joint = joint_behind_link(self.robot, int(columns[0]) // PER_LINK)
             terms.append(Term(effect, joint, np.arange(at, at + len(shown)), session))
             at += len(shown)
@@ -118,26 +116,17 @@ class Layout:
         return replace(self, terms=tuple(terms), width=at)
 
     @property
-    def n_common_columns(self) -> int:
-        """Number of columns that every model has and all joints share; they come first."""
-        return len(self.kept) + (PER_LINK if self.loaded else 0)
-
-    @property
     def n_body_columns(self) -> int:
         """Number of columns that all joints share, masses of one session with them."""
-        return self.n_common_columns + sum(len(columns) for _, columns in self.carried)
+        return len(self.kept) + sum(len(columns) for _, columns, _ in self.carried)
 
     def bodies(self, part: Path) -> Bodies:
         """Return the columns of a path that all joints share: bodies, and what is carried."""
         Y = rigid_regressor(self.robot, part.q, part.qd, part.qdd)
-        last = int(np.argmax(link_elements(self.robot)))
-        outermost = Y[:, :, PER_LINK * last : PER_LINK * (last + 1)]
         centre = tool_in_link(self.robot) @ np.append(part.payload_com, 1.0)
-        stated = outermost @ numbers_of_point(part.payload_kg, centre[:3])
-        columns = [Y[:, :, self.kept]]
-        columns += [outermost * float(part.session in self.loaded)] if self.loaded else []
-        columns += [Y[:, :, one] * float(part.session == session) for session, one in self.carried]
-        return Bodies(np.concatenate(columns, axis=2), stated)
+        stated = Y[:, :, _outermost_columns(self.robot)] @ numbers_of_point(part.payload_kg, centre[:3])
+        carried = [Y[:, :, one] * float(part.session == session) for session, one, _ in self.carried]
+        return Bodies(np.concatenate([Y[:, :, self.kept], *carried], axis=2), stated)
 
     def joint_columns(self, part: Path, bodies: Bodies, j: int, known: Known | None) -> Floats:
         """Columns (N, m) of one joint: those that all joints share, then its terms in order."""
@@ -192,3 +181,8 @@ class Known:
         """Return what the values (width,) of a layout say."""
         common = {(t.effect.id, t.joint): theta[t.columns] for t in layout.terms if t.effect.common}
         return cls(theta[: layout.n_body_columns], common)
+
+
+def _outermost_columns(robot: Robot) -> Ints:
+    """Columns (10,) of the regressor that the body at the tool has."""
+    return PER_LINK * int(np.argmax(link_elements(robot))) + np.arange(PER_LINK)

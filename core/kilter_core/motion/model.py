@@ -65,7 +65,7 @@ class TorqueModel:
         for term, values in found:
             terms.append(replace(term, columns=np.arange(at, at + len(values))))
             at += len(values)
-        whole = replace(layout, terms=tuple(terms), width=at, loaded=frozenset(), carried=())
+        whole = replace(layout, terms=tuple(terms), width=at, carried=())
         return cls(whole, np.concatenate([base, *(values for _, values in found)]), links, joints)
 
     def torques(self, path: Path) -> Floats:
@@ -115,7 +115,7 @@ class TorqueModel:
         mean_c = document["mean_temperature_c"]
         layout = Layout(
             robot,
-            base_columns(robot)[0],
+            base_columns(robot),
             (),
             0,
             np.array(document["usual_speeds"]),

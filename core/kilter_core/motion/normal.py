@@ -37,8 +37,8 @@ class Equations:
 
     @property
     def base(self) -> int:
-        """Number of columns that all joints share; they come first."""
-        return self.layout.n_common_columns
+        """Number of columns of base parameters; they come first."""
+        return len(self.layout.kept)
 
     @property
     def terms(self) -> tuple[Term, ...]:

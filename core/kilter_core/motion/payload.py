@@ -54,7 +54,7 @@ def weigh_payload(robot: Robot, loaded: Sequence[Observations], empty: Sequence[
     """
     rows = Observations.concatenate([*_as_session(empty, EMPTY), *_as_session(loaded, LOADED)])
     log = Log.from_observations(rows)
-    layout = Layout.of_log(robot, log, frozenset({LOADED}))
+    layout = Layout.of_log(robot, log, LOADED)
     first = form_equations(layout, log)
     with_load = first.session == LOADED
     _refuse_one_sided(first, with_load)
@@ -64,8 +64,8 @@ def weigh_payload(robot: Robot, loaded: Sequence[Observations], empty: Sequence[
     equations = form_equations(layout.with_candidates((None,) * robot.n_joints), log, known)
     terms = [t for t in equations.terms if t.effect.common or t.effect.id in CARRIED_WITH]
     fit = fit_terms(equations, terms, every, weights)
-    at = slice(len(layout.kept), layout.n_common_columns)
-    numbers, spread = fit.theta[at], covariance(equations, fit, every)[at, at]
+    at = next(term.columns for term in terms if term.session == LOADED)
+    numbers, spread = fit.theta[at], covariance(equations, fit, every)[np.ix_(at, at)]
     without = fit.theta.copy()
     without[at] = 0.0
     left = np.stack([equations.rms(theta, with_load) for theta in (without, fit.theta)])

@@ -78,7 +78,7 @@ def rigid_regressor(robot: Robot, q: Floats, qd: Floats, qdd: Floats) -> Floats:
 
 
 def stated_numbers(robot: Robot) -> Floats:
-    """Numbers ``pi (10 L,)`` of the links as the robot's description states them; zero where it states no link."""
+    """Return numbers ``pi (10 L,)`` of the links as the robot's description states them; zero where it states no link."""
     if not robot.links:
         return np.zeros(PER_LINK * robot.n_joints)
     return np.concatenate([_numbers_of_link(link) for link in robot.links])
@@ -118,20 +118,24 @@ def shown_columns(robot: Robot) -> list[Ints]:
     return [own[_independent_columns(Y[:, own], largest)] for own in every]
 
 
-def base_columns(robot: Robot, seed: int = 0) -> tuple[Ints, Floats]:
-    """Return the columns (p,) of the regressor that are independent, and ``K (p, 10 L)``: base parameters are ``K @ pi``.
+def base_columns(robot: Robot) -> Ints:
+    """Return the columns (p,) of the regressor that are independent.
 
     By QR with pivoting of the regressor at random states within the joints' limits (Gautier 1991).
     """
-    Y = _random_regressor(robot, seed)
-    kept = _independent_columns(Y)
-    K, *_ = np.linalg.lstsq(Y[:, kept], Y, rcond=None)
-    return kept, np.asarray(K, dtype=np.float64)
+    return _independent_columns(_random_regressor(robot))
 
 
-def _random_regressor(robot: Robot, seed: int = 0) -> Floats:
+def base_sums(robot: Robot) -> Floats:
+    """Return ``K (p, 10 L)``: base parameters are ``K @ pi``, in the order of :func:`base_columns`."""
+    Y = _random_regressor(robot)
+    K, *_ = np.linalg.lstsq(Y[:, _independent_columns(Y)], Y, rcond=None)
+    return np.asarray(K, dtype=np.float64)
+
+
+def _random_regressor(robot: Robot) -> Floats:
     """Rows of all joints (n RANDOM_STATES, 10 L) at random states within the limits."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     limits = np.clip(robot.limits, -NO_LIMIT_RAD, NO_LIMIT_RAD)
     shape = (RANDOM_STATES, robot.n_joints)
     q = rng.uniform(limits[:, 0], limits[:, 1], shape)

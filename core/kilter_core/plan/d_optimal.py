@@ -18,7 +18,6 @@ from kilter_core.model.region import Region
 from kilter_core.observations import Observations
 from kilter_core.observations.neutral import with_neutral_conditions
 from kilter_core.parameters import Prior
-from kilter_core.plan.greedy import most_informative
 from kilter_core.types import Floats, Ints
 
 POOL = 600
@@ -114,3 +113,25 @@ def looked_for(start: Calibration, effects: Sequence[Effect]) -> tuple[RobotMode
 
 def _has(model: RobotModel, effect: Effect) -> bool:
     return bool({p.name for p in effect.parameters(model.robot)} & set(model.names))
+
+
+def most_informative(
+    X: Floats, count: int, progress: Callable[[float], None] | None = None, known: Floats | None = None
+) -> Ints:
+    """Pick (count,) of N poses by their whitened derivatives ``X (N, r, P)``, parameters in units of their priors.
+
+    ``known (P, P)`` is the covariance of these priors in such units, the identity when None.
+    """
+    C = np.eye(X.shape[2]) if known is None else known
+    picked: list[int] = []
+    for k in range(count):
+        XC = X @ C
+        S = np.eye(X.shape[1]) + XC @ X.transpose(0, 2, 1)
+        gain = np.linalg.slogdet(S)[1]
+        gain[picked] = -np.inf
+        best = int(np.argmax(gain))
+        picked.append(best)
+        C = C - XC[best].T @ np.linalg.solve(S[best], XC[best])
+        if progress is not None:
+            progress((k + 1) / count)
+    return np.array(picked)

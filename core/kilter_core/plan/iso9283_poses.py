@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import RobotError
 from kilter_core.model import RobotModel
-from kilter_core.model.inverse_kinematics import reach
+from kilter_core.model.general_inverse import reach
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
 from kilter_core.parameters import mm

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from kilter_service.campaigns import store
-from kilter_service.campaigns.records import CampaignRecord
-from kilter_service.campaigns.service import load_campaign
-from kilter_service.campaigns.servo_zeros import refuse_other_servos
+from kilter_service.campaigns.service import load_campaign, refuse_other_servos
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.references import Change, Tombstone
-from kilter_service.ground.db import Database, Session
+from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.references import store as references
-from kilter_service.ground.references.records import TombstoneRecord
-from kilter_service.ground.references.wire import tombstone
+from kilter_service.ground.references.records import TombstoneRecord, tombstone
 from kilter_service.robots import store as robots
 from kilter_service.robots.resolved import hash_canonical_json
 
@@ -64,7 +61,9 @@ def purge(database: Database, campaign_id: str, actor: str) -> Tombstone:
     """
     with database.transaction() as session:
         campaign = store.whole(session, campaign_id)
-        _refuse_cited(session, campaign)
+        citing = references.citing_campaign(session, campaign.robot_id, campaign.id)
+        citing += store.unfinished_jobs(session, campaign.id)
+        references.refuse_cited("campaign", campaign.id, citing, "purge those first")
         left = TombstoneRecord(
             id=campaign.id,
             kind="campaign",
@@ -77,18 +76,3 @@ def purge(database: Database, campaign_id: str, actor: str) -> Tombstone:
         references.add_tombstone(session, left)
         store.delete_whole(session, campaign_id)
     return tombstone(left)
-
-
-def _refuse_cited(session: Session, campaign: CampaignRecord) -> None:
-    citing = [
-        *references.citing_campaign(session, campaign.robot_id, campaign.id),
-        *store.unfinished_jobs(session, campaign.id),
-    ]
-    if citing:
-        raise ServiceError(
-            f"Campaign {campaign.id} is cited by {', '.join(citing[:10])}{' and more' if len(citing) > 10 else ''}: "
-            f"purge those first, or retire it instead (kilter measure campaigns retire {campaign.id}).",
-            code="cited",
-            campaign=campaign.id,
-            cited_by=citing,
-        )

@@ -13,7 +13,7 @@ from kilter_service.campaigns.belonging import MIXED_UP, Judged
 from kilter_service.ground.db import Database
 from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.columns import Column, read_columns
-from kilter_service.ground.tables.names import Names
+from kilter_service.ground.tables.reading import Names
 from kilter_service.ground.wire import joint_scale
 from kilter_service.robots import store as robots
 

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from kilter_service.campaigns import keeping, service
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.references import Change, Tombstone
-from kilter_service.ground.files.digests import check_digest
+from kilter_service.ground.files.file_hash import check_digest
 from kilter_service.ground.tables import reading
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.bodies import parse_json, spool_upload

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Any
 from pydantic import TypeAdapter
 
 from kilter_core.errors import ObservationError
+from kilter_core.observations import SINCE_1970_S
+from kilter_files.ground.later import pc
 from kilter_service.campaigns import store, wire
 from kilter_service.campaigns.belonging import judged_whole
 from kilter_service.campaigns.chunks import Chunk, write_chunk
 from kilter_service.campaigns.records import CampaignRecord
-from kilter_service.campaigns.row_rules.payload_size import payload_warning
-from kilter_service.campaigns.row_rules.rules import RowRules
+from kilter_service.campaigns.row_rules.rules import RowRules, payload_warning
 from kilter_service.campaigns.row_rules.view_rules import views_rules
-from kilter_service.campaigns.servo_zeros import refuse_other_servos, refuse_other_zeros
-from kilter_service.campaigns.stamps import date_by_stamps, last_stamp
 from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
 from kilter_service.contract.columns import CONTACTS, TILTS
 from kilter_service.contract.remarks import Remark
@@ -28,7 +27,7 @@ from kilter_service.ground.paging import Page, in_time
 from kilter_service.ground.references import retired
 from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.columns import has, read_columns
-from kilter_service.ground.tables.names import Names
+from kilter_service.ground.tables.reading import Names
 from kilter_service.ground.tables.views import rig_from_conditions
 from kilter_service.ground.tables.writing import write_table
 from kilter_service.robots import store as robots
@@ -43,6 +42,10 @@ AHEAD = timedelta(hours=1)  # by which the clock of whoever measured may be fast
 Checked = tuple[list[Chunk], tuple[dict[str, Any], ...]]
 CAMPAIGN, UPLOADED = TypeAdapter(Campaign), TypeAdapter(Uploaded)
 MEASURED = ("x", "marker_x", "link", "pixel_u", "tau", *TILTS, *CONTACTS)
+
+TIME = "t_s"
+
+CONDITION = "calibration_sha256"
 
 
 def add(database: Database, robot: str, campaign: NewCampaign, once: Once = NOT_REPEATED) -> Campaign:
@@ -318,3 +321,57 @@ def _same_columns(session: Session, campaign_id: str, names: Sequence[str]) -> N
                 column=odd[0],
                 columns=odd,
             )
+
+
+def last_stamp(session: Session, campaign_id: str) -> datetime | None:
+    """Return when the last row of a campaign was measured; None where its times do not count from 1970."""
+    if not any(TIME in upload.columns for upload in store.uploads_of_campaign(session, campaign_id)):
+        return None
+    latest = pc.max(store.table(session, campaign_id).column(TIME)).as_py()
+    if latest is None or latest < SINCE_1970_S:
+        return None
+    # Stamps without a zone are taken for UTC: those of a lab east of it may be ahead.
+    return min(datetime.fromtimestamp(latest, UTC), datetime.now(UTC))
+
+
+def date_by_stamps(session: Session, campaign_id: str, before: datetime | None = None) -> None:
+    """Date a campaign by its last stamp, unless somebody said when it was measured; ``before`` is what stamps said so far."""
+    if store.get(session, campaign_id).measured_at in (None, before):
+        store.set_measured_at(session, campaign_id, last_stamp(session, campaign_id))
+
+
+def refuse_other_zeros(session: Session, robot_id: int, robot: str, name: str, conditions: Mapping[str, Any]) -> None:
+    """Compare the calibration of a campaign with that of the robot's campaigns in use; one that states none is left alone.
+
+    Raises:
+        ServiceError: a campaign of the robot is of another one.
+
+    """
+    stated = conditions.get(CONDITION)
+    if stated is None:
+        return
+    for campaign_id in store.ids_of_robot(session, robot_id):
+        other = store.get(session, campaign_id)
+        has = other.conditions.get(CONDITION)
+        if has not in (None, stated):
+            raise ServiceError(
+                f"Campaign {name!r} was measured with servo calibration {stated[:12]}, campaign {other.name!r} of {robot} with "
+                f"{has[:12]}: with other zeros it is another arm. Add a robot for it (`kilter robot add`), or retire the "
+                "campaigns of the old calibration and identify anew.",
+                code="calibration_differs",
+                campaign=other.id,
+                stated=stated,
+                has=has,
+            )
+
+
+def refuse_other_servos(session: Session, campaign_id: str) -> None:
+    """Compare a campaign that comes into use with those that are in use.
+
+    Raises:
+        ServiceError: one of them is of another calibration.
+
+    """
+    campaign = store.get(session, campaign_id)
+    robot = robots.by_id(session, campaign.robot_id).name
+    refuse_other_zeros(session, campaign.robot_id, robot, campaign.name, campaign.conditions)

@@ -114,15 +114,7 @@ def _record(row: CampaignRow) -> CampaignRecord:
 
 
 def _row(session: Session, campaign_id: str) -> CampaignRow:
-    row = session.get(CampaignRow, campaign_id)
-    if row is None or not robots.is_visible(session, row.robot_id):
-        raise ServiceError(
-            f"There is no campaign {campaign_id!r}: list them with GET /v1/robots/{{robot}}/campaigns."
-            + references.gone(session, "campaign", campaign_id),
-            code="campaign_not_found",
-            campaign=campaign_id,
-        )
-    return row
+    return robots.visible_row(session, CampaignRow, campaign_id, "/v1/robots/{robot}/campaigns")
 
 
 def whole(session: Session, campaign_id: str) -> CampaignRecord:

@@ -1,11 +1,18 @@
-"""A posted robot document into the one core reads: URDF becomes a chain, everything else stays as it is."""
+"""Robot documents: a posted one into the one core reads, and the same arm in another convention."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+from xml.etree.ElementTree import indent, tostring
 
 from kilter_core.errors import RobotError
+from kilter_service.contract.robots import RobotDocument
+from kilter_service.ground.core import core_arm, core_model
+from kilter_service.robots.exporters.urdf_new import new_urdf
 from kilter_service.robots.importers.urdf import chain_document
+
+if TYPE_CHECKING:
+    from kilter_core.arm import Robot
 
 SETTINGS = ("controller_compensation",)  # what a document says beside the arm
 KEPT = ("gravity_m_s2", "tool", "base", "links", "payload_sigma", "load")
@@ -74,3 +81,36 @@ def _with_extras(joints: list[dict[str, Any]], extras: list[dict[str, Any]], mim
             field="joints",
         )
     return [{**joint, **by_name.get(joint["name"], {})} for joint in joints]
+
+
+def convert(document: RobotDocument, to: str) -> dict[str, Any]:
+    """Return the document of the same arm in convention ``to``.
+
+    Raises:
+        RobotError: not an arm, or one the convention cannot describe. OptionError: no such convention.
+
+    """
+    posted = document.model_dump(mode="json", exclude_none=True)
+    robot = core_arm.robot_from_document(core_document(posted).document)
+    made = _urdf(robot) if to == "urdf" else core_arm.robot_document(robot, to)
+    return made | {key: posted[key] for key in ("source", *SETTINGS) if key in posted}
+
+
+def _urdf(robot: Robot) -> dict[str, Any]:
+    root = new_urdf(robot.name, core_model.Calibration.nominal(robot))
+    indent(root)
+    driven = [{"name": joint.name, **told} for joint in robot.joints if (told := core_arm.drive_document(joint))]
+    return (
+        {
+            "name": robot.name,
+            "convention": "urdf",
+            "urdf": '<?xml version="1.0"?>\n' + tostring(root, encoding="unicode") + "\n",
+            "base_link": "base_link",
+            "tip_link": "flange",
+            "gravity_m_s2": robot.gravity.tolist(),
+            "base": core_arm.pose_document(robot.T_base),
+            "tool": core_arm.pose_document(robot.T_tool),
+        }
+        | core_arm.load_document(robot)
+        | ({"joints": driven} if driven else {})
+    )

@@ -1,10 +1,10 @@
-"""What an arm of a size may carry."""
+"""How far the tool of an arm can be from its base, and what an arm of that size may carry."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from kilter_service.robots.reach import longest_reach
+import numpy as np
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot
@@ -23,3 +23,10 @@ def heaviest_likely_payload(robot: Robot) -> tuple[float, str]:
         by_reach = PER_REACH_BESIDE_MASSES_KG * reach**3 + LEAST_BESIDE_MASSES_KG
         return max(mass, by_reach), f"the links of the arm weigh {mass:.3g} kg"
     return PER_REACH_KG * reach**3 + LEAST_KG, f"the arm reaches {reach:.2g} m at most"
+
+
+def longest_reach(robot: Robot) -> float:
+    """Return the sum of all lengths and strokes of the arm and its tool (m): no point of the workspace is farther out."""
+    lengths = sum(abs(e.value) for e in robot.chain.elements if not e.axis.rotates)
+    strokes = [max(abs(j.lower), abs(j.upper)) for j in robot.joints if j.kind == "prismatic"]
+    return float(lengths + sum(strokes) + np.linalg.norm(robot.T_tool[:3, 3]))

@@ -23,7 +23,7 @@ from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.tables.columns import read_columns
 from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.robots import check as checks
-from kilter_service.robots import convert as conversions
+from kilter_service.robots import documents as conversions
 from kilter_service.robots import nominal, service
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.web.auth.access import Admin

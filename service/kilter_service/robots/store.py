@@ -10,10 +10,11 @@ from sqlalchemy import Select, delete, func, select
 from kilter_service.ground.caller import allowed_robots, may_see
 from kilter_service.ground.core import core_arm
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.tables import ActivationRow, CampaignRow, RobotRow, UploadRow, VersionRow
+from kilter_service.ground.db.tables import ActivationRow, CampaignRow, JobRow, RobotRow, UploadRow, VersionRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.ground.references import retired
+from kilter_service.ground.references import store as references
 from kilter_service.robots.compensation import parse_compensation
 from kilter_service.robots.records import RobotRecord
 from kilter_service.robots.resolved import Resolved
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from kilter_core.arm import Robot
 
 
+Belonging = TypeVar("Belonging", CampaignRow, VersionRow, JobRow)
 Query = TypeVar("Query", bound="Select[*tuple[Any, ...]]")
 
 
@@ -145,9 +147,22 @@ def names_by_key(session: Session, name: str | None) -> dict[int, str]:
     return dict(session.execute(query).all())
 
 
-def is_visible(session: Session, robot_id: int) -> bool:
-    """Whether the caller may see the robot of a key, and what belongs to it."""
-    return allowed_robots() is None or may_see(session.get_one(RobotRow, robot_id).name)
+def visible_row(session: Session, table: type[Belonging], id_: str, listed: str) -> Belonging:
+    """Return a campaign, version or job of a robot that the caller may see.
+
+    Raises:
+        ServiceError: there is none; it names the address at which they are ``listed``.
+
+    """
+    row = session.get(table, id_)
+    if row is None or not (allowed_robots() is None or may_see(session.get_one(RobotRow, row.robot_id).name)):
+        kind = next(kind for kind, rows in references.TABLES.items() if rows is table)
+        raise ServiceError(
+            f"There is no {kind} {id_!r}: list them with GET {listed}." + references.gone(session, kind, id_),
+            code=f"{kind}_not_found",
+            **{kind: id_},
+        )
+    return row
 
 
 def usable(session: Session, name: str) -> StoredRobot:

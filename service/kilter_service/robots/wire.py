@@ -11,8 +11,7 @@ from kilter_service.contract.robot_reports import JointSummary, RobotReport, Rob
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.ground.wire import DEG, MM
 from kilter_service.robots.compensation import statement
-from kilter_service.robots.directions import notes_on_missing_directions
-from kilter_service.robots.drives import said_of_drives
+from kilter_service.robots.drives import notes_on_missing_directions, said_of_drives
 from kilter_service.robots.records import RobotRecord
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from kilter_service.web.observability import logs, tracing
 with later(__name__):
     from kilter_service.ground import db
     from kilter_service.ground.db import failures, revision
-    from kilter_service.ground.files import server_file
+    from kilter_service.ground.files import private_files
     from kilter_service.jobs.retention import service as retention
     from kilter_service.jobs.work import worker as jobs
     from kilter_service.run import compiling, serving, supervisor
@@ -68,7 +68,7 @@ def api(settings: Settings, arguments: argparse.Namespace) -> None:
         return
     listen_rules.check_binding(settings)
     token.admin_token(settings)
-    with serving.listener(settings) as opened, server_file.ServerFile(settings.server_file) as file:
+    with serving.listener(settings) as opened, private_files.ServerFile(settings.server_file) as file:
         serving.check_database(settings)
         document = {
             "url": serving.listening_url(opened, settings),

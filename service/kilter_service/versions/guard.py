@@ -20,10 +20,11 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.versions import Comparison, CorrectionLimits, Objection, Rival
 from kilter_service.ground.core import core_identify, core_model
 from kilter_service.ground.db import Database, Session
+from kilter_service.ground.texts import plural
 from kilter_service.ground.wire import to_mm
 from kilter_service.robots import store as robots
+from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions import store, wire
-from kilter_service.versions.as_it_was import AsItWas
 from kilter_service.versions.objections import objections_from_report, of_calibration
 from kilter_service.versions.predictions import own_errors
 from kilter_service.versions.predictions.unfitted_rows import Archive, Unseen
@@ -355,3 +356,36 @@ def _objection(which: str, compared: Comparison, rival: Rival) -> Objection:
         f"where chance explains {rival.margin_mm:.2g} mm."
     )
     return Objection(code=f"worse_than_{which}", message=message)
+
+
+@dataclass(frozen=True)
+class AsItWas:
+    """Ids of such ``campaigns``, and ``since`` when the arm is as it is, in words; empty: as long as it is known."""
+
+    campaigns: frozenset[str] = frozenset()
+    since: str = ""
+
+    @staticmethod
+    def from_repairs_and_reports(session: Session, robot_id: int, *reports: Mapping[str, Any]) -> AsItWas:
+        """What was measured before the last repair, or before what the versions of these reports were re-zeroed by."""
+        repair, found = repairs.last_repair(session, robot_id), AsItWas()
+        if repair is not None:
+            before = frozenset(campaigns.ids_until(session, robot_id, repair.at))
+            found = AsItWas(before, f"the repair of {repair.at:%Y-%m-%d} ({repair.what})")
+        for report in reports:
+            campaign = (report.get(store.REZEROED) or {}).get("campaign")
+            before = frozenset() if campaign is None else frozenset(campaigns.ids_before(session, robot_id, campaign))
+            if campaign is not None and (not found.since or len(before) > len(found.campaigns)):
+                found = AsItWas(before, f"{campaigns.get(session, campaign).name}, whose rows re-zeroed a version")
+        return found
+
+    def left_out(self, unseen: Unseen) -> Unseen:
+        """Rows without those of such campaigns, and a sentence that says so."""
+        left = [name for name in unseen.rows if name in self.campaigns]
+        if not left:
+            return unseen
+        rows = {name: found for name, found in unseen.rows.items() if name not in self.campaigns}
+        said = (
+            f"Not compared, for they show the arm as it was: {plural(len(left), 'campaign')} from before {self.since}."
+        )
+        return replace(unseen, rows=rows, left_out={**unseen.left_out, left[0]: said})

@@ -8,8 +8,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.references import store as references
-from kilter_service.ground.references.records import TombstoneRecord
-from kilter_service.ground.references.wire import tombstone
+from kilter_service.ground.references.records import TombstoneRecord, tombstone
 from kilter_service.versions import store, wire
 from kilter_service.versions.records import VersionRecord
 
@@ -65,14 +64,7 @@ def purge(database: Database, version_id: str, actor: str) -> Tombstone:
         version = store.get(session, version_id)
         _refuse_active(version, "purged")
         citing = store.citing_version(session, version.robot_id, version.id)
-        if citing:
-            raise ServiceError(
-                f"Version {version.id} is cited by {', '.join(citing[:10])}{' and more' if len(citing) > 10 else ''}: purge "
-                f"what can be purged first, or retire it instead (kilter version retire {version.id}).",
-                code="cited",
-                version=version.id,
-                cited_by=citing,
-            )
+        references.refuse_cited("version", version.id, citing, "purge what can be purged first")
         left = TombstoneRecord(version.id, "version", version.robot, version.name, version.sha256, actor, utc_now())
         references.add_tombstone(session, left)
         store.remove(session, version_id)

@@ -15,7 +15,6 @@ from kilter_service.ground.core import core_identify, core_model
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.audited import note
 from kilter_service.ground.db.tables import ActivationRow, JobRow, ReplayRow, RobotRow, VersionRow
-from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import ALL, Page
 from kilter_service.ground.references import retired
 from kilter_service.ground.references import store as references
@@ -131,15 +130,7 @@ def get(session: Session, version_id: str) -> VersionRecord:
 
 
 def _row(session: Session, version_id: str) -> VersionRow:
-    row = session.get(VersionRow, version_id)
-    if row is None or not robots.is_visible(session, row.robot_id):
-        raise ServiceError(
-            f"There is no version {version_id!r}: list them with GET /v1/robots/{{robot}}/versions."
-            + references.gone(session, "version", version_id),
-            code="version_not_found",
-            version=version_id,
-        )
-    return row
+    return robots.visible_row(session, VersionRow, version_id, "/v1/robots/{robot}/versions")
 
 
 def _record(row: VersionRow, robot: str, last: ActivationRecord | None) -> VersionRecord:

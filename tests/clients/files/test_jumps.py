@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_files.tables.jumps import jumps
+from kilter_files.tables.survey import jumps
 
 Floats = NDArray[np.float64]
 JUMP_MM, LEFT = 5.0, 0.05

@@ -13,11 +13,11 @@ from kilter_core.arm.documents.resolved import resolved_document, robot_from_res
 from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Payload, Robot
 from kilter_core.correct.program import CorrectionOptions, compile_program
-from kilter_core.correct.reference import correct
 from kilter_core.effects.axial_compliance import AxialCompliance
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
+from tests.core.correct.reference import correct
 
 LOAD = {"payload_kg": 4.0, "payload_com_mm": [10.0, -20.0, 90.0]}
 STATED = Payload(4.0, (0.01, -0.02, 0.09))

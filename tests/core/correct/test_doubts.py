@@ -10,7 +10,7 @@ from kilter_core.correct import file
 from kilter_core.correct.kernels import layout
 from kilter_core.correct.program import CorrectionProgram, Track, compile_program
 from kilter_core.model import Calibration
-from kilter_core.model.doubts import Doubt, unexplained_error
+from kilter_core.model.calibration import Doubt, unexplained_error
 
 ROBOT = robot_from_document({"name": "arm", "convention": "preset", "preset": "ur10"})
 

@@ -10,13 +10,13 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.correct.program import compile_program
-from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects import make_effect
 from kilter_core.effects.joint_curve import FADE
 from kilter_core.errors import OptionError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from tests.core.correct.c_corrector import built
+from tests.core.correct.reference import CorrectOptions, correct
 from tests.core.correct.test_c_corrector import compare
 
 ROBOT = robot_from_document({"name": "arm", "convention": "preset", "preset": "ur10"})

@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.correct.reference import CorrectOptions, Status, correct
 from kilter_core.effects import make_effect
 from kilter_core.errors import OptionError
 from kilter_core.model import Calibration, RobotModel
 from tests.core.campaigns import joints, table_errors
+from tests.core.correct.reference import CorrectOptions, Status, correct
 from tests.core.truth import Arm, Body, Step, small_pose, some_arm, some_pose, ur10, with_bodies
 
 Floats = NDArray[np.float64]

@@ -33,7 +33,7 @@ def test_the_point_is_held_within_limits_that_the_version_needs(name: str) -> No
     for seed in range(2):
         arm = twin(name, seed)
         q = arm.poses(200, seed)
-        limits = needs(arm.calibration, arm.poses(300, 99)).suggested_options()
+        limits = needs(arm.calibration, arm.poses(300, 99))
         rows, off, _ = corrected(arm, q, largest_rad=limits.largest_rad, farthest_m=limits.farthest_m)
         before, _ = arm.left(q, q)
         assert (rows.status == OK).all()
@@ -161,7 +161,6 @@ def test_what_a_version_needs_is_said() -> None:
     assert found.within_suggested.left <= found.within.left
     assert found.within.refused == 0.0
     assert not found.capped
-    assert found.suggested_options().largest_rad == found.largest_rad
     with pytest.raises(ObservationError, match="at least one"):
         needs(arm.calibration, q[:0])
 

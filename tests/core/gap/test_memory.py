@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.search.linear import derivatives
+from kilter_core.gap.search.linear import settings
 from kilter_core.gap.search.linear.gram import Recent
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, refit
-from kilter_core.gap.search.linear.soft import Soft
+from kilter_core.gap.search.linear.projection import Soft
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
@@ -70,7 +70,7 @@ def problem() -> LinearizedProblem:
 def test_a_fit_at_rest_has_the_same_derivatives_when_asked_again(
     problem: LinearizedProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(derivatives, "MOST_BYTES", 0)
+    monkeypatch.setattr(settings, "MOST_BYTES", 0)
     G, W = problem.G.copy(), problem.W_raw.copy()
     problem.resting()
     assert problem.derivatives.kept is None
@@ -80,7 +80,7 @@ def test_a_fit_at_rest_has_the_same_derivatives_when_asked_again(
 
 
 def test_what_was_found_rests_while_the_geometry_is_fitted_under_its_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(derivatives, "MOST_BYTES", 0)
+    monkeypatch.setattr(settings, "MOST_BYTES", 0)
     options = GapOptions(effects=("axial_compliance", "backlash"))
     prepared = prepare_data(Calibration.nominal(katana()), campaign(katana(), seed=2), options)
     found = refit(replace(prepared.problem.settings), prepared.problem.values, [0])

@@ -16,7 +16,7 @@ from kilter_core.errors import ObservationError
 from kilter_core.gap.find import find_gap
 from kilter_core.gap.options import GapOptions
 from kilter_core.identify import Identification, IdentifyOptions, identify
-from kilter_core.identify.seen_poses import as_seen_poses
+from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.watch.arm_check import check
@@ -129,7 +129,7 @@ def test_a_search_beside_many_points_takes_these() -> None:
     scene, rng = hiding(4), np.random.default_rng(4)
     tracked = points(scene, rng, 40)
     rows = Observations.concatenate([views(scene, rng), tracked, bar(scene, rng)])
-    (seen,) = as_seen_poses(Calibration.nominal(robot_from_document(scene.drawn.document())), rows)
+    ((seen,), _, _) = seen_poses(Calibration.nominal(robot_from_document(scene.drawn.document())), rows)
     measured = ~np.isnan(seen.position).any(axis=1)
     np.testing.assert_array_equal(seen.position[measured], tracked.position)
     assert {"axial_compliance j2", "backlash j2"} <= set(labels(scene, rows))

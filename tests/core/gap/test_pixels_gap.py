@@ -13,7 +13,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapReport, find_gap
 from kilter_core.gap.options import GapOptions
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.seen_poses import as_seen_poses
+from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.measurement.pose_weights import typical_deviations, weights
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
@@ -67,7 +67,7 @@ def search(scene: Scene, rows: Observations) -> GapReport:
 def test_views_are_poses_of_the_tool(scene: Scene) -> None:
     rng = np.random.default_rng(4)
     rows = scene.observed(scene.poses(30, rng), rng, 0.1)
-    seen = as_seen_poses(Calibration.nominal(robot_from_document(scene.drawn.document())), rows)[0]
+    ((seen,), _, _) = seen_poses(Calibration.nominal(robot_from_document(scene.drawn.document())), rows)
     off = seen.position - scene.tools(seen.q)[0]
     assert seen.pixels is None
     assert np.sqrt(np.mean((off / seen.sigma) ** 2)) < 2.0

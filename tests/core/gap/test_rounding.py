@@ -9,8 +9,7 @@ import pytest
 
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.search.prepare import prepare_data
-from kilter_core.identify.fit.problem import ByCovariance
-from kilter_core.identify.fit.shared_errors import SharedErrors
+from kilter_core.identify.fit.problem import ByCovariance, SharedErrors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.rounding import reading_steps

@@ -18,7 +18,7 @@ from kilter_core.gap.search.events import (
     replace_events,
     with_row_numbers,
 )
-from kilter_core.gap.search.linear import derivatives
+from kilter_core.gap.search.linear import settings as derivatives
 from kilter_core.gap.search.linear.linearized import linearise_problem
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration, RobotModel

@@ -11,8 +11,8 @@ import pytest
 from kilter_client.cli.reports.gap_report import show_gap
 from kilter_client.cli.terminal.tables import number
 from kilter_core.gap import GapOptions, effect_search, find_gap
-from kilter_core.gap.evidence.fits import last_refits as module
-from kilter_core.gap.evidence.fits.last_refits import refit_with_wider_priors
+from kilter_core.gap import effect_search as module
+from kilter_core.gap.effect_search import refit_with_wider_priors
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.report.report import GapReport
 from kilter_core.gap.search import re_evaluation as renewal

@@ -12,7 +12,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, GapReport, find_gap
-from kilter_core.gap.evidence.held_out.unseen import _shown_members
+from kilter_core.gap.effect_search import _shown_members
 from kilter_core.gap.search import candidates
 from kilter_core.gap.search.candidates import FAMILY
 from kilter_core.gap.search.forward_selection import SearchResult

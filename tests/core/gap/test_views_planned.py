@@ -12,7 +12,7 @@ from kilter_core.gap import find, find_gap, plan_separation
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.next_poses import separate
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.seen_poses import as_seen_poses
+from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.gap.test_pixels_gap import STIFF, erring, play, seen_by
@@ -87,7 +87,7 @@ def test_views_as_poses_are_as_certain_as_their_pixels() -> None:
     asked = IdentifyOptions(effects=({"id": "backlash", "joints": [2]},), masses="as_stated")
     for seed in (5, 6, 7):
         rows = seen_by(scene, seed)
-        (seen,) = as_seen_poses(Calibration.nominal(robot), rows)
+        ((seen,), _, _) = seen_poses(Calibration.nominal(robot), rows)
         sigma = [
             dict(zip(one.fit.names, one.fit.sigma, strict=True))["backlash_2"]
             for one in (identify(robot, seen, None, asked), identify(robot, rows, None, asked))

@@ -15,7 +15,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import OptionError
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.fit.least_squares import Fit, Problem, Weights, solve
-from kilter_core.identify.identifiable.observability import correlated_groups, observability
+from kilter_core.identify.steps.report import correlated_groups, observability
 from kilter_core.identify.uncertainty.intervals import bootstrap, profile
 from kilter_core.measurement import Measurement
 from kilter_core.model import RobotModel

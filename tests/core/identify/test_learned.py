@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.correct.reference import CorrectOptions, correct
 from kilter_core.effects.unknown_residual import UnknownResidual
 from kilter_core.errors import OptionError
 from kilter_core.gap.search.candidates import build_library
@@ -21,6 +20,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.campaigns import joints, measured, table_errors
+from tests.core.correct.reference import CorrectOptions, correct
 from tests.core.truth import ur10
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,7 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.identify import Folds, Identification, IdentifyOptions, identify
-from kilter_core.identify.seen_poses import as_seen_poses
+from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.campaigns import held
@@ -149,7 +149,7 @@ def test_a_search_takes_the_views_and_leaves_the_contacts_to_the_geometry() -> N
     views = scene.observed(scene.poses(30, rng), rng, 0.1, scene.rig(boards=UNSURE))
     both = Observations.concatenate([views, sockets(scene, rng)])
     robot = robot_from_document(scene.drawn.document())
-    (seen,) = as_seen_poses(Calibration.nominal(robot), both)
+    ((seen,), _, _) = seen_poses(Calibration.nominal(robot), both)
     assert len(seen) == len(views)
     assert (seen.socket, seen.pixels) == (None, None)
     assert np.linalg.norm(seen.position - scene.tools(seen.q)[0], axis=1).max() < 0.05

@@ -10,7 +10,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import Folds, Identification, identify
-from kilter_core.identify.uncertainty.workspace import POSES, Workspace
+from kilter_core.identify.uncertainty.predictive import POSES, Workspace
 from kilter_core.observations import Observations
 from tests.core.campaigns import joints, measured
 from tests.core.truth import small_pose, some_pose, ur10, with_hidden_errors

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kilter_core.identify.uncertainty.settling import scatter_of_poses
+from kilter_core.identify.uncertainty.clustered import scatter_of_poses
 
 Floats = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from kilter_core.errors import Finding, ObservationError
 from kilter_core.gap.evidence.held_out.when import describe_moved_part, not_said_by
 from kilter_core.gap.find import find_gap
 from kilter_core.gap.options import GapOptions
-from kilter_core.gap.report.sentences import SENTENCES
+from kilter_core.gap.outcome_warnings import SENTENCES
 from kilter_core.identify import Identification, IdentifyOptions, identify
 from kilter_core.identify.plausibility.views.unrelated_views import far_views, refuse_unrelated_views
 from kilter_core.model import Calibration

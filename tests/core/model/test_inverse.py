@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.model.inverse_kinematics import reach
+from kilter_core.model.general_inverse import reach
 from tests.core.campaigns import joints
 from tests.core.truth import some_arm
 

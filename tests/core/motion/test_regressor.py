@@ -30,11 +30,12 @@ def test_torques_of_any_arm_are_pinocchio_s(seed: int, n: int, kind: str) -> Non
 @pytest.mark.parametrize("seed", range(3))
 def test_base_parameters_say_all_that_the_torques_say(seed: int) -> None:
     _, robot, rng = arm_robot("revolute", 6, seed)
-    kept, K = base_columns(robot)
+    kept = base_columns(robot)
     q, qd, qdd = (rng.uniform(-1.0, 1.0, (20, 6)) for _ in range(3))
     Y = rigid_regressor(robot, q, qd, qdd)
-    pi = rng.normal(size=Y.shape[2])
-    np.testing.assert_allclose(Y @ pi, Y[:, :, kept] @ (K @ pi), atol=1e-9)
+    torques = (Y @ rng.normal(size=Y.shape[2])).ravel()
+    base, *_ = np.linalg.lstsq(Y[:, :, kept].reshape(len(torques), -1), torques, rcond=None)
+    np.testing.assert_allclose(Y[:, :, kept].reshape(len(torques), -1) @ base, torques, atol=1e-9)
 
 
 def test_an_upright_elbow_arm_has_36_base_parameters() -> None:
@@ -52,7 +53,7 @@ def test_an_upright_elbow_arm_has_36_base_parameters() -> None:
         elements += [{"axis": "Tz", "value": 1e3 * d}, {"axis": "Rz", "value": 0.0, "joint": f"j{j + 1}"}]
     joints = [{"name": f"j{j + 1}"} for j in range(6)]
     robot = robot_from_document({"name": "puma", "convention": "chain", "joints": joints, "elements": elements})
-    assert len(base_columns(robot)[0]) == 36
+    assert len(base_columns(robot)) == 36
 
 
 def test_a_drive_carries_what_is_linked_to_it_and_nothing_else() -> None:
@@ -74,4 +75,3 @@ def test_an_arm_without_stated_links_has_a_body_behind_every_joint() -> None:
     named = replace(robot, links=tuple(Link(k, 0.0, np.zeros(3)) for k in robot.chain.primary))
     q, qd, qdd = (rng.uniform(-1.0, 1.0, (5, 4)) for _ in range(3))
     np.testing.assert_array_equal(rigid_regressor(bare, q, qd, qdd), rigid_regressor(named, q, qd, qdd))
-    assert not stated_numbers(bare).any()

@@ -5,14 +5,14 @@ from .joints.lerobot.beside_rows import refuse_unreached as refuse_unreached
 from .joints.lerobot.beside_rows import servo_by_joint as servo_by_joint
 from .joints.lerobot.calibration import BY_RANGE as BY_RANGE
 from .joints.lerobot.calibration import DEGREES as DEGREES
+from .joints.lerobot.calibration import TICK_DEG as TICK_DEG
 from .joints.lerobot.calibration import Calibration as Calibration
+from .joints.lerobot.calibration import Homed as Homed
 from .joints.lerobot.calibration import read_calibration as read_calibration
 from .joints.lerobot.calibration import refuse_outside as refuse_outside
 from .joints.lerobot.calibration import servo_name_for_joint as servo_name_for_joint
+from .joints.lerobot.calibration import with_zero_offsets as with_zero_offsets
 from .joints.lerobot.episodes import read_episodes as read_episodes
-from .joints.lerobot.homing import TICK_DEG as TICK_DEG
-from .joints.lerobot.homing import Homed as Homed
-from .joints.lerobot.homing import with_zero_offsets as with_zero_offsets
 from .joints.lerobot.moved import detect_joint_moves as detect_joint_moves
 from .logs.ballbar import BAR_SIGMA_MM as BAR_SIGMA_MM
 from .logs.ballbar import read_ballbar as read_ballbar

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from kilter_files.formats.reader import MAP, Head, Hints, RecordingReader
 from kilter_files.formats.registry import all_readers, binary_reader, has_format, readers_for
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import FileError, fault
 from kilter_files.tables.source import Layout, Source
 
 if TYPE_CHECKING:

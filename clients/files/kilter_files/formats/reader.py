@@ -9,8 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import read_head
+from kilter_files.ground.errors import FileError, read_head
 from kilter_files.ground.text_layout import TextLayout, lines_in_cells, sniff
 from kilter_files.tables.source import Layout
 

@@ -11,7 +11,7 @@ from typing import Any
 from kilter_files.formats.reader import USES, Document, Head, Hints, Reader
 from kilter_files.formats.strangers import stranger
 from kilter_files.formats.zipped import ZIP, of_zip
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 
 # modules of `kilter_files.formats.readers`: what first bytes show before what only columns show
 READERS = (

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kilter_files.ground.archives import member_names
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import FileError, fault
 
 ZIP = b"PK\x03\x04"
 DATA_SET = "meta/info.json"

@@ -3,9 +3,9 @@ from .errors import FileError as FileError
 from .errors import KilterError as KilterError
 from .errors import MissingPackageError as MissingPackageError
 from .errors import UsageError as UsageError
-from .faults import read_head as read_head
+from .errors import read_head as read_head
+from .names import NAMED_SESSIONS as NAMED_SESSIONS
 from .names import did_you_mean as did_you_mean
-from .session_names import NAMED_SESSIONS as NAMED_SESSIONS
 from .units import TIMESTAMP as TIMESTAMP
 from .units import UNKNOWN as UNKNOWN
 from .units import column_unit as column_unit

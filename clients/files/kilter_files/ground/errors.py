@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, ClassVar
+
+CUT = "Copy or export it again. If it was recorded like that, allow_cut (--allow-cut) uses the complete frames."
 
 
 class KilterError(Exception):
@@ -52,3 +55,23 @@ class UsageError(KilterError):
 
     default_code = "usage"
     default_title = "Wrong usage"
+
+
+def fault(path: Path, what: str, remedy: str, **place: Any) -> FileError:
+    """Build the error of a file; ``place`` is any of line, frame, column, byte."""
+    named = [f"{key} {value!r}" if key == "column" else f"{key} {value}" for key, value in place.items()]
+    return FileError(f"{', '.join([str(path), *named])}: {what}. {remedy}", file=str(path), **place)
+
+
+def read_head(path: Path, size: int) -> bytes:
+    """Return the first bytes of a file.
+
+    Raises:
+        FileError: it cannot be read.
+
+    """
+    try:
+        with path.open("rb") as stream:
+            return stream.read(size)
+    except OSError as error:
+        raise FileError(f"{path}: cannot be read: {error.strerror or error}.", file=str(path)) from error

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import FileError, fault
 from kilter_files.ground.later import csv, need, np, pa
 from kilter_files.ground.text_layout import TextLayout
 from kilter_files.ground.time_stamps import parse_stamp

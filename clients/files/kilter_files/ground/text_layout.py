@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.cell_numbers import parse_number
-from kilter_files.ground.faults import fault, read_head
+from kilter_files.ground.errors import fault, read_head
 from kilter_files.ground.units import SIZES
 
 SAMPLE_BYTES = 1 << 18

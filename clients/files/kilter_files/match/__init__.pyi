@@ -3,11 +3,11 @@ from .arm import arm_from_check as arm_from_check
 from .arm import rotations as rotations
 from .clock_checks import Checks as Checks
 from .dwells import RestOptions as RestOptions
-from .frames_by_time import match_frames as match_frames
 from .matching import Columns as Columns
 from .matching import clock_report as clock_report
 from .matching import frame_rows as frame_rows
 from .matching import match_dwells as match_dwells
+from .matching import match_frames as match_frames
 from .matching import pose_row_indices as pose_row_indices
 from .rigid_body import Body as Body
 from .rigid_body import find_body as find_body

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.tables.joint_log import JointLog
 
 

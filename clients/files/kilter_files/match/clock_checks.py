@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.match.arm import Arm
 from kilter_files.match.dwells import Thinned, mean_seen
 from kilter_files.match.lag_evidence import (

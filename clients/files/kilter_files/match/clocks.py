@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
-from kilter_files.match.arm import Arm
+from kilter_files.ground.errors import fault
 from kilter_files.match.clock_checks import Checks, follow_clocks, refuse_drift
 from kilter_files.match.dwells import Thinned
 from kilter_files.tables.joint_log import JointLog
@@ -74,21 +73,12 @@ class Pieces:
         return whole and not any(start <= end_s and start_s <= end for start, end in self.lost)
 
 
-def match_clocks(path: Path, thinned: Thinned, log: JointLog, arm: Arm | None = None) -> Clocks:
-    """Match a recording's clock with a joint log's, if they do not jump against each other.
-
-    Raises:
-        FileError: no time in the log, motions that do not resemble each other, too few of them, or clocks that jump.
-
-    """
-    return match_pieces(path, thinned, log, Checks(arm))[0].parts[0][2]
-
-
 def match_pieces(path: Path, thinned: Thinned, log: JointLog, checks: Checks) -> tuple[Pieces, list[str]]:
     """Match the clocks part by part between their jumps, where ``checks`` allow it; return warnings too.
 
     Raises:
-        FileError: as of :func:`match_clocks`, and a model that explains no part.
+        FileError: no time in the log, motions that do not resemble each other, too few of them, or a model that explains
+            no part.
 
     """
     if log.t_s is None or len(log) < 20:

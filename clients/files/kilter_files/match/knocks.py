@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from kilter_files.ground.arrays import Floats
 from kilter_files.match.dwells import Thinned, mean_seen
 from kilter_files.match.rigid_body import align_shape, mean_shape
-from kilter_files.match.shape_change import marker_displacement, moved_alone
-from kilter_files.match.step_search import LEAST_MM, SURE, Cut, find_step_cuts
+from kilter_files.match.step_search import LEAST_MM, SURE, Cut, find_step_cuts, marker_displacement, moved_alone
 
 SHARED = 2.0  # a marker's shift is shared out among all by the fit of the shape
 MOST_MARKERS = 12

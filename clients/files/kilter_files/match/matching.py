@@ -11,16 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.ground.later import interpolate
 from kilter_files.match.clock_checks import UNTOLD, Checks
 from kilter_files.match.clocks import Clocks, Pieces, match_pieces
 from kilter_files.match.dwells import Dwell, RestOptions, find_dwells, thin
-from kilter_files.match.pair_checks import refuse_knocks, refuse_wrong_pairs
+from kilter_files.match.pair_checks import (
+    refuse_knocks,
+    refuse_knocks_of_frames,
+    refuse_wrong_frames,
+    refuse_wrong_pairs,
+)
 from kilter_files.match.rigid_body import Body, Poses, poses, seen_enough
 from kilter_files.tables.joint_log import JointLog
-from kilter_files.tables.jumps import jumps
 from kilter_files.tables.recording import Recording
+from kilter_files.tables.survey import jumps
 
 SAME_POSE_DEG = 0.01
 MOVED_DEG = 0.05
@@ -267,3 +272,18 @@ def frame_rows(
             known = seen_enough(found) & ~(found.rms_mm > OFF_SHAPE_MM)
             if known.any():
                 yield {name: values[known] for name, values in (columns | pose_columns(found)).items()}
+
+
+def match_frames(recording: Recording, log: JointLog, checks: Checks) -> tuple[Pieces, list[str]]:
+    """Match the clocks of a recording whose every frame is to be sent; return warnings too.
+
+    Raises:
+        FileError: clocks that jump, markers or a body that were knocked, joints that belong to other markers.
+
+    """
+    refuse_jumps(recording)
+    thinned = thin(recording)
+    warnings = refuse_knocks_of_frames(recording, thinned, checks)
+    pieces, told = match_pieces(recording.path, thinned, log, checks)
+    warnings += told
+    return pieces, warnings + refuse_wrong_frames(recording.path, log, thinned, pieces.log_time, checks)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.ground.turns import matrices_from_quaternions, quaternions_from_matrices
 from kilter_files.match.dwells import mean_seen, thin
 from kilter_files.tables.recording import Block, Recording

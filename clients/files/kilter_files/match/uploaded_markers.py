@@ -12,14 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.errors import MissingPackageError
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import MissingPackageError, fault
 from kilter_files.ground.later import later, need, np, pa, parquet
 from kilter_files.ground.units import MARKER
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, Prepared
 
 with later(__name__):  # they need numpy, which rows without markers do not
-    from kilter_files.match import knocks, shape_change
+    from kilter_files.match import knocks, step_search
 
 A_MARKER = re.compile(rb"m[1-9]\d?[xyz]_")
 SHOWN = 4
@@ -52,7 +51,7 @@ def _check_knocks(path: Path, prepared: Prepared, unchecked: bool) -> list[str]:
     if points is None or not found:
         return []
     names = tuple(f"m{k}" for k in numbers)
-    exchanged = shape_change.changed_places(points, round(found[0].from_s))
+    exchanged = step_search.changed_places(points, round(found[0].from_s))
     if exchanged:
         who = " and ".join(repr(names[k]) for k in exchanged)
         what = f"markers {who} change places between rows {found[0].from_s:.0f} and {found[0].to_s:.0f}"

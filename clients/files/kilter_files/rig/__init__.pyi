@@ -31,8 +31,8 @@ from .kit.words import describe_views as describe_views
 from .kit.words import result_summary as result_summary
 from .kit.words import steps as steps
 from .live.feeds import Folder as Folder
+from .live.feeds import newest as newest
 from .live.feeds import open_feed as open_feed
-from .live.newest import newest as newest
 from .live.server import serve_live_page as serve_live_page
 from .live.session import Session as Session
 from .live.session import follow as follow
@@ -52,11 +52,11 @@ from .see.sources import Pictures as Pictures
 from .see.sources import gather_source as gather_source
 from .see.target import check_apart as check_apart
 from .see.target import read_target as read_target
-from .sheet.drawing import save_sheet as save_sheet
 from .sheet.layout import sheet_for as sheet_for
 from .sheet.reading import Options as Options
+from .sheet.reading import figure as figure
 from .sheet.reading import read_sheet as read_sheet
-from .sheet.report import figure as figure
-from .sheet.report import to_csv as to_csv
+from .sheet.reading import to_csv as to_csv
+from .sheet.shapes import save_sheet as save_sheet
 from .tilt_join import TiltOptions as TiltOptions
 from .tilt_join import join_tilts as join_tilts

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from kilter_files.formats.logs.ballbar import BallBar
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.rig.drawn_circle import commanded_mm, refuse_other_length
 from kilter_files.tables.joint_log import JointLog
 from kilter_files.tables.table import Table

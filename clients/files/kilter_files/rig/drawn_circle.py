@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_files.formats.opening import open_source
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.rig.height import Heights
 from kilter_files.tables.joint_log import JointLog
 from kilter_files.tables.source import Layout

@@ -8,8 +8,7 @@ from kilter_files.formats.joints.joint_log import read_joint_log
 from kilter_files.formats.reader import Hints, LogHints
 from kilter_files.formats.registry import all_readers
 from kilter_files.formats.tracker_header import PRESETS
-from kilter_files.ground.errors import UsageError
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import UsageError, fault
 from kilter_files.ground.units import JOINT
 from kilter_files.match.matching import Columns, pose_numbers, pose_row_indices
 from kilter_files.tables.joint_log import JointLog

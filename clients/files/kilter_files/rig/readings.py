@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 
 TO_DEG: Mapping[str, float] = {"deg": 1.0, "mrad": 180.0 / math.pi / 1000.0, "arcmin": 1.0 / 60.0}
 JOINT_VALUE = re.compile(r"^q(\d+)_(deg|mm)$")

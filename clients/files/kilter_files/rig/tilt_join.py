@@ -11,8 +11,7 @@ import numpy as np
 
 from kilter_files.formats.logs.inclinometer import read_inclinometer, tilt_column_indices
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import FileError, fault
 from kilter_files.ground.text_layout import sniff
 from kilter_files.ground.units import SIZES
 from kilter_files.match.dwells import RestOptions

@@ -1,13 +1,14 @@
-"""Masses of the links in a DH or MDH table: filled for every row or for none."""
+"""Masses of the links in a DH or MDH table, filled for every row or for none, and the cells of such a table."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.errors import FileError
-from kilter_files.robots.sheet import Sheet
 
 LENGTHS = {"mm": 1.0, "m": 1e3}
 CENTRE = ("com_x", "com_y", "com_z")
@@ -103,3 +104,14 @@ def _error(sheet: Sheet, line: int, quantity: str, what: str) -> FileError:
 def plain_name(name: str) -> str:
     """Return a column's name as it is compared: small letters, no spaces."""
     return name.strip().lower().replace(" ", "_")
+
+
+@dataclass
+class Sheet:
+    """Cells of a table with the line each row stood on, and its comments."""
+
+    path: Path
+    names: list[str]
+    rows: list[tuple[int, list[str]]]
+    comments: list[str] = field(default_factory=list)
+    decimal: str = "."

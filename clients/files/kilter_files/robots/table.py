@@ -14,7 +14,7 @@ from kilter_files.ground.later import need
 from kilter_files.ground.names import did_you_mean
 from kilter_files.ground.workbook_formulas import REMEDY, describe_cells, formulas_without_value
 from kilter_files.robots import masses
-from kilter_files.robots.sheet import Sheet
+from kilter_files.robots.masses import Sheet
 from kilter_files.robots.text import read_text
 
 MAX_BYTES = 20_000_000  # unpacked: a table of a robot is a few kilobytes

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.ground.names import did_you_mean
 from kilter_files.tables.recording import Block, Recording
 

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kilter_files.ground.cell_lists import element, elements, parse_element_name
-from kilter_files.ground.cell_numbers import parse_number
+from kilter_files.ground.cell_numbers import element, elements, parse_element_name, parse_number
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.names import did_you_mean
 from kilter_files.ground.time_stamps import parse_stamp

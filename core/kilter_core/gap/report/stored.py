@@ -36,7 +36,7 @@ from kilter_core.measurement.contacts import has_contacts as held_rows
 from kilter_core.measurement.kind import POINTS
 from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.model.doubts import Doubt
+from kilter_core.model.calibration import Doubt
 from kilter_core.observations import Observations
 from kilter_core.parameters import indices
 from kilter_core.types import Ints

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.errors import CoreError
+from kilter_core.errors import CoreError, TooFewPosesError
+from kilter_core.identify.estimate import refit_frames
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.registry import METHODS
@@ -24,6 +25,14 @@ ERRORS_OF_DOUBT = 2.0  # standard errors of the mean difference: chance alone go
 SHARE_OF_DOUBT = 0.01  # of the other's error: with thousands of poses any difference is certain, a small one no harm
 WORSE_THAN_REGISTRATION = "heldout_worse_than_registration"
 WORSE_THAN_GEOMETRY = "worse_than_geometry"
+
+ELSEWHERE = "set_up_elsewhere"
+RIGID = 0.2  # of the error is left in new frames: no wear or drift of an arm is a rigid motion so nearly
+BY_POSE = (
+    "With {words} fitted to these rows {here:.3g} mm are left (mean by pose), {there:.3g} mm as the version has {them}"
+)
+EVALUATE = "Evaluate with refit {refit}."
+CONFIRM = "Name them as the confirmation, where base and tool are fitted, or hold out poses of the same set-up."
 
 
 @dataclass(frozen=True)
@@ -174,3 +183,43 @@ def _by_pose(calibration: Calibration, unseen: Measurement) -> Floats:
     # Distances and contacts are between rows: each counts for itself.
     group = pose if len(pose) == len(square) else np.arange(len(square))
     return np.asarray(np.sqrt(np.bincount(group, square) / np.bincount(group)))
+
+
+def elsewhere(
+    calibration: Calibration, measurement: Measurement, remedy: str = EVALUATE, refit: Sequence[str] = ()
+) -> Iterator[dict[str, Any]]:
+    """Warn where rows agree with a calibration in other frames only; say nothing of rows that are too few to tell.
+
+    ``refit`` are the frames fitted to the rows already; ``remedy`` may name those to fit as ``{refit}``.
+    """
+    if not measurement.observes_places:
+        return
+    for anew in (("base",), ("base", "tool")):
+        if set(anew) <= set(refit):
+            continue
+        try:
+            stages = {
+                "there": refit_frames(calibration, measurement, tuple(refit)),
+                "here": refit_frames(calibration, measurement, anew),
+            }
+        except TooFewPosesError:
+            return
+        errors = PoseErrors.from_calibrations(stages, measurement).stages
+        there, here = errors["there"], errors["here"]
+        if np.mean(here) < RIGID * np.mean(there) and Difference.from_paired_errors(there, here).worse:
+            yield _warning(anew, mean_mm(there), mean_mm(here), remedy)
+            return
+
+
+def _warning(anew: Sequence[str], there_mm: float, here_mm: float, remedy: str) -> dict[str, Any]:
+    words, one = " and ".join(anew), len(anew) == 1
+    numbers = BY_POSE.format(words=words, here=here_mm, there=there_mm, them="it" if one else "them")
+    who = "the instrument, or the arm, stood elsewhere" if one else "instrument and tool were set up anew"
+    refit = "[" + ", ".join(f'"{name}"' for name in anew) + "]"
+    return {
+        "code": ELSEWHERE,
+        "refit": list(anew),
+        "version_mm": there_mm,
+        "refitted_mm": here_mm,
+        "message": f"{numbers}: {who}. {remedy.format(refit=refit)}",
+    }

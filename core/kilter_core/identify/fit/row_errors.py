@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kilter_core.arm.frames import increment
+from kilter_core.arm.chain import increment
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.transforms import inverse

@@ -19,8 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtrc
 
-from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.fit.prior_use import PriorUse
+from kilter_core.identify.fit.least_squares import Fit, PriorUse
 from kilter_core.parameters import TypePrior
 from kilter_core.types import Floats
 

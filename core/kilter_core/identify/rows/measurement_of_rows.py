@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from kilter_core.effects import Effect
 from kilter_core.errors import OptionError
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
+from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 
@@ -58,3 +62,14 @@ def _refuse(options: IdentifyOptions, what: str) -> None:
         raise OptionError(f"{what} have no poses to resample one by one: take intervals profile.", option="intervals")
     if any(effect.id == "unknown_residual" for effect in options.make_effects()):
         raise OptionError(f"{what} cannot gate a learned effect: leave unknown_residual out.", option="effects")
+
+
+def as_inputs(named: Sequence[Effect | type[Effect]], start: Calibration | None, *given: Any) -> tuple[Any, ...]:
+    """What was given, its rows with the tilt of the base as a condition where an effect takes it so.
+
+    The effects are those ``named`` and those of the ``start``.
+    """
+    effects = (*named, *(() if start is None else start.model.effects))
+    if not any("base_tilt_x" in effect.needs for effect in effects):
+        return given
+    return tuple(one.with_tilt_as_condition() if isinstance(one, Observations) else one for one in given)

@@ -2,21 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from kilter_core.arm.chain import Element
+from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet.said import prior_warnings
+from kilter_core.identify.identifiable.identifiability import identifiable
 from kilter_core.identify.identifiable.load_model import far_from_stated, load_rows
 from kilter_core.identify.plausibility.another_arm import another_arm
 from kilter_core.identify.plausibility.astray_rows import unless_astray
 from kilter_core.identify.report import fit_warnings
-from kilter_core.identify.steps.camera_findings import bad_timing, bent_boards, gauges
+from kilter_core.identify.scale_gauge import free_scale
+from kilter_core.identify.setup_frames import of_the_arm
 from kilter_core.identify.steps.fit import Fitted
 from kilter_core.identify.steps.start import Study
 from kilter_core.identify.steps.uncertainty import Uncertainty
 from kilter_core.identify.steps.validation import HeldOut
 from kilter_core.identify.view_report import tell_less, too_large_to_deploy, wrong_views
+from kilter_core.identify.views.cameras import unknown_rig
+from kilter_core.measurement.camera.board_shape import board_shapes
+from kilter_core.measurement.camera.view_motion import Delay, timing
+from kilter_core.model.placed_rig import PlacedRig
+from kilter_core.observations.rig import format_part_name
+from kilter_core.parameters import mm
+from kilter_core.types import QUANTILE
+
+CHANCE = 1e-3  # of saying it of a flat board, all boards together, or of pictures in time
+LITTLE_M = 2e-5  # from the highest to the lowest corner: no printed sheet is flatter
+LITTLE_PX = 0.05  # rms of a corner, below which a delay is not worth a word
+TRACKER = "a few points that a tracker or a measuring arm takes in the robot's own base"
+SETTLES = {
+    "base_yaw": "set the first joint's zero by its mark or a reference in the base, or measure " + TRACKER,
+    "tool_roll": "set the last joint's zero by its mark, or measure two points of the tool whose place on it is known",
+    "axis_place": "measure " + TRACKER,
+    "tool_place": "measure a point of the tool whose place on the flange is known",
+    "board_scale": "measure one long distance: between two corners with a caliper or a metre stick (state the board's scale "
+    "as exact then), or between two places of the tool",
+    "focal_length": "tilt the board by 30 degrees and more, take views at two distances, or calibrate the lens by itself and "
+    "state `sigmas_px`",
+}
 
 
 @dataclass(frozen=True)
@@ -56,3 +84,149 @@ CHECKS_AFTER: tuple[Callable[[Outcome], Iterable[dict[str, Any]]], ...] = (
 def list_findings(outcome: Outcome) -> tuple[dict[str, Any], ...]:
     """Warnings of all checks, without those that another one explains."""
     return tuple(unless_astray(finding for check in CHECKS_AFTER for finding in check(outcome)))
+
+
+# What to know of cameras and boards before trusting a fit: what they cannot tell apart, bent boards, late pictures.
+# A camera's place takes what the first joint's zero or height does, a board's what the last joint's does, a board's
+# scale what all lengths do together. Which of the two a fit gives it to is a choice, and no pixel contradicts it.
+
+
+def gauges(fit: Fit) -> Iterator[dict[str, Any]]:
+    """Warnings ``camera_gauge``: what is given to one of two that act alike; nothing where a tracker measured too."""
+    rig, names = unknown_rig(fit.problem.model), list(fit.names)
+    if rig is None:
+        return
+    seen = np.asarray(identifiable(fit.sigma, fit.problem.prior_sigma))
+    unknown = {n for n, told, arm in zip(names, seen, of_the_arm(fit), strict=True) if arm and not told}
+    if fit.problem.measurement.tool.places_itself:
+        yield from _of_ends(fit, rig, unknown)
+    if free_scale(fit):
+        boards = [f"board_{b.name}_scale" for b in rig.rig.boards]
+        yield _gauge_warning(
+            "board_scale", boards, "The scale of the board", "all link lengths and the distance to the camera"
+        )
+    for camera in rig.rig.cameras:
+        focal = [f"camera_{camera.name}_{k}" for k in ("fx", "fy")]
+        known = dict(zip(names, seen, strict=True))
+        if any(not known.get(name, True) for name in focal):
+            yield _gauge_warning(
+                "focal_length",
+                focal,
+                f"The focal length of {format_part_name('camera', camera.name)}",
+                "its distance to the board",
+            )
+
+
+def _of_ends(fit: Fit, rig: PlacedRig, unknown: set[str]) -> Iterator[dict[str, Any]]:
+    robot = fit.problem.model.robot
+    elements = robot.chain.elements
+    joints = [k for k, e in enumerate(elements) if e.joint is not None]
+    room, tool = _fixed_and_flange_parts(rig)
+    for code, turns, found, what, other in (
+        ("base_yaw", True, elements[: joints[0] + 1], "The zero of the first joint", f"how {room} is rotated"),
+        ("axis_place", False, elements[: joints[1]], "The place of the first axis", f"where {room} stands"),
+        ("tool_roll", True, elements[joints[-1] :], "The zero of the last joint", f"how {tool} is rotated"),
+        ("tool_place", False, elements[joints[-1] :], "The length behind the last joint", f"where {tool} is mounted"),
+    ):
+        names = [str(e.name) for e in found if e.name in unknown and _is(e, turns)]
+        if names:
+            yield _gauge_warning(code, names, what, other)
+
+
+def _is(element: Element, turns: bool) -> bool:
+    return element.axis.rotates == turns
+
+
+def _fixed_and_flange_parts(rig: PlacedRig) -> tuple[str, str]:
+    """What stands in the room and what is on the flange, in words."""
+    parts = [("camera", c.name, c.mount) for c in rig.rig.cameras] + [
+        ("board", b.name, b.mount) for b in rig.rig.boards
+    ]
+    fixed = next(format_part_name(what, name) for what, name, mount in parts if mount == "fixed")
+    return fixed, next(format_part_name(what, name) for what, name, mount in parts if mount == "flange")
+
+
+def _gauge_warning(gauge: str, names: list[str], what: str, other: str) -> dict[str, Any]:
+    return {
+        "code": "camera_gauge",
+        "gauge": gauge,
+        "parameters": names,
+        "message": f"{what} ({', '.join(names)}) cannot be told from {other} by these pixels: it keeps what it was given. To "
+        f"settle it, {SETTLES[gauge]}.",
+    }
+
+
+def bent_boards(fit: Fit) -> Iterator[dict[str, Any]]:
+    """Warnings ``board_not_flat``; nothing where no camera measured, or too little."""
+    views = fit.problem.measurement.pixels
+    if views is None:
+        return
+    prediction = fit.calibration().predict(views.observations)
+    found = list(board_shapes(views, prediction, views.resolve_rig(prediction)))
+    for one in found:
+        if one.chance * len(found) > CHANCE or one.size - QUANTILE * one.sigma < LITTLE_M:
+            continue
+        (x, y), twist = (mm(v) for v in one.bows), mm(one.twist)
+        size, half = mm(one.size), mm(QUANTILE * one.sigma)
+        yield {
+            "code": "board_not_flat",
+            "board": one.board,
+            "size_mm": size,
+            "u95_mm": half,
+            "bow_x_mm": x,
+            "bow_y_mm": y,
+            "twist_mm": twist,
+            "rms_px": one.rms_px,
+            "p_value": one.chance,
+            "message": f"Board {one.board} is not flat: from its highest to its lowest corner {size:.2g} mm (95 %: within "
+            f"{half:.1g} mm), a bow of {x:.2g} mm along x and {y:.2g} mm along y and a twist of {twist:.2g} mm in z of its "
+            f"frame. It moves corners by {one.rms_px:.2g} px (rms). Glue it to a stiff plate and measure anew, or add this to "
+            "the heights in its `corners_mm`; if another board says the same, the lens needs another model.",
+        }
+
+
+def bad_timing(fit: Fit) -> Iterator[dict[str, Any]]:
+    """Warnings ``pictures_late`` and ``rolling_shutter``; nothing of views of an arm at rest."""
+    views = fit.problem.measurement.pixels
+    found = None if views is None else timing(views, fit.calibration())
+    if found is None:
+        return
+    if _clear(found.pictures):
+        late = found.pictures
+        side = "after" if late.s > 0.0 else "before"
+        yield _timing_warning(
+            "pictures_late",
+            late,
+            found.views,
+            f"Pictures were taken {_format_delay(late)} {side} their joints were read: corners are off along the motion by "
+            f"{late.rms_px:.2g} px (rms). Let the arm rest at every pose, or move the times of the pictures by that much.",
+        )
+    if _clear(found.lines):
+        lines = found.lines
+        yield _timing_warning(
+            "rolling_shutter",
+            lines,
+            found.views,
+            f"The camera reads its picture line by line, over {_format_delay(lines)}, while the arm moves: corners are off by "
+            f"{lines.rms_px:.2g} px (rms). Let the arm rest at every pose, or take a camera with a global shutter.",
+        )
+
+
+def _clear(one: Delay) -> bool:
+    return one.chance < CHANCE and one.rms_px > LITTLE_PX
+
+
+def _format_delay(one: Delay) -> str:
+    return f"{abs(one.s):.3g} s (95 %: within {QUANTILE * one.sigma:.1g} s)"
+
+
+def _timing_warning(code: str, one: Delay, views: int, message: str) -> dict[str, Any]:
+    return {
+        "code": code,
+        "time_s": one.s,
+        "u95_s": QUANTILE * one.sigma,
+        "rms_px": one.rms_px,
+        "views": views,
+        "p_value": one.chance,
+        "message": message,
+    }

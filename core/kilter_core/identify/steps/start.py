@@ -10,16 +10,14 @@ from kilter_core.arm.robot import Robot
 from kilter_core.effects.other_campaigns import placed_later
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify.carried_masses import with_masses
-from kilter_core.identify.fleet.asked import of_its_type
-from kilter_core.identify.fleet.prior import FleetPrior
+from kilter_core.identify.fleet.prior import FleetPrior, of_its_type
 from kilter_core.identify.fleet.versions import FleetVersion
 from kilter_core.identify.holdout import Folds, split
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.astray_rows import of_held_out
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
-from kilter_core.identify.rows.measurement_of_rows import between_rows, measurement_for
-from kilter_core.identify.rows.read_tilt import as_inputs
+from kilter_core.identify.rows.measurement_of_rows import as_inputs, between_rows, measurement_for
 from kilter_core.identify.setup_frames import Frames
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.identify.comparison.model_comparison import PoseErrors, geometry_alone
-from kilter_core.identify.comparison.other_setups import elsewhere
+from kilter_core.identify.comparison.model_comparison import PoseErrors, elsewhere, geometry_alone
 from kilter_core.identify.fit.row_errors import RowErrors
 from kilter_core.identify.holdout import Folds, fold_splits
 from kilter_core.identify.learned import select_learned_effects

@@ -11,7 +11,7 @@ fewer poses than it takes to see them scatter.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
@@ -21,13 +21,15 @@ from kilter_core.identify.fit.least_squares import HUBER_SIGMAS, Fit, freedom_by
 from kilter_core.identify.fit.problem import HOLD
 from kilter_core.identify.fit.robust import Loss, tukey_limit
 from kilter_core.identify.fit.tukey import row_dimension, row_sizes
-from kilter_core.identify.uncertainty.row_numbers import RowNumbers
-from kilter_core.identify.uncertainty.settling import scatter_of_poses
-from kilter_core.measurement.kind import TURNS
-from kilter_core.types import QUANTILE, Floats, Ints
+from kilter_core.measurement.kind import TURNS, Spanned
+from kilter_core.types import QUANTILE, Bools, Floats, Ints
 
 FOLLOWED = 0.02  # share of the noise below which the fit follows a pose in a direction, so that no residual shows it
 SMALL = 1e-12  # share of the largest below which a direction of the scores is none
+
+ROUNDS = 10  # of scoring, each half a step
+LEAST = 0.003  # share of what is the same at every pose: without any, poses would be taken as exact across their levers
+POSES_PER_SHARE = 4  # poses for each share that is estimated
 
 
 def with_clustered_covariance(fit: Fit) -> Fit:
@@ -227,3 +229,122 @@ def _batches(A: Floats, r: Floats, groups: Ints) -> Iterator[tuple[Floats, Float
             Q, J = np.linalg.qr(J)
             e = np.einsum("gnm,gn->gm", Q, e)
         yield J, e
+
+
+# What each row of a fit says, in as many numbers as it follows.
+# A view has two numbers for each corner and follows sixteen at most: the tool's six and those of lens and scale. What
+# is left of the others is noise of corners that no error of the arm moves. Read with the rest, 96 numbers of a few
+# dozen views hide how poses scatter, and corners that are far off look like poses that are.
+
+
+@dataclass(frozen=True)
+class RowNumbers:
+    """Derivatives ``A (N, R, F)`` in prior sigmas, residuals ``r (N, R)`` and levers of the joints ``L (N, R, n)``, whitened;
+    ``told (N, R)`` says which numbers each row has, and ``group`` (R) of which noise group they are.
+    """
+
+    A: Floats
+    r: Floats
+    L: Floats
+    told: Bools
+    group: tuple[str, ...]
+
+    @staticmethod
+    def from_fit(fit: Fit) -> RowNumbers:
+        """Of the rows of a fit; views in a fit whose numbers are shortened already, and rows of a filter, as they are."""
+        problem, rows = fit.problem, len(fit.problem.measurement.observations)
+        here = problem.linearise(fit.values, fit.residual)
+        A, r = problem.by_row(here)
+        L, start, parts = levers(fit), 0, []
+        for block, root in zip(fit.residual.blocks, problem.roots(fit.residual), strict=True):
+            each = problem.block_size(block) // rows
+            own = slice(start, start + each)
+            start += each
+            told = ~np.isnan(block.r).reshape(rows, -1)
+            part = RowNumbers(A[:, own], r[:, own], L[:, own], told[:, :each], (block.group,) * each)
+            if isinstance(block.slopes, Spanned) and each == told.shape[1]:  # not shortened yet
+                part = part.project_on_span(block.slopes.span, root, told)
+            parts.append(part)
+        return RowNumbers(
+            np.concatenate([p.A for p in parts], axis=1),
+            np.concatenate([p.r for p in parts], axis=1),
+            np.concatenate([p.L for p in parts], axis=1),
+            np.concatenate([p.told for p in parts], axis=1),
+            tuple(group for p in parts for group in p.group),
+        )
+
+    def project_on_span(self, span: Floats, root: Floats | None, told: Floats) -> RowNumbers:
+        """As the numbers that move along a ``span (N, R, k)``, each row's own; a robust loss weighs them by a ``root``."""
+        weight = (
+            np.ones(told.shape) if root is None else np.broadcast_to(root, (*root.shape[:2], 2)).reshape(told.shape)
+        )
+        weight = weight * told
+        Q = np.linalg.qr(span * weight[:, :, None])[0].transpose(0, 2, 1)
+        some = np.repeat(told.any(axis=1, keepdims=True), Q.shape[1], axis=1)
+        A, r, L = Q @ self.A, (Q @ self.r[:, :, None])[:, :, 0], Q @ (weight[:, :, None] * self.L)
+        return RowNumbers(A, r, L, some, self.group[:1] * Q.shape[1])
+
+
+# How the scatter of poses differs from pose to pose: joints come to rest a little off, and far poses show more of it.
+# A joint that settles with the same scatter everywhere moves the tool by its lever, which is what its compliance does
+# too: taken as the same scatter at every pose it would leave compliances far too sure.
+
+
+def levers(fit: Fit) -> Floats:
+    """What a rotation of each joint moves of every row (N, R, n), whitened as the residuals are."""
+    problem = fit.problem
+    prediction, J = problem.model.joint_jacobian(problem.batch, fit.values, problem.measurement.reads_joints)
+    moved = problem.measurement.residual(prediction, J)
+    parts = [problem.over_sigma_slope(block).reshape(len(J), -1, J.shape[2]) for block in moved.blocks]
+    whole = np.concatenate(parts, axis=1)
+    return whole if problem.weights.rows is None else whole * np.sqrt(problem.weights.rows)[:, None, None]
+
+
+def scatter_of_poses(mean: Floats, lever: Floats, common: Floats, known: Floats, seen: Bools | None = None) -> Floats:
+    """Covariance (G, R, R) of what the rows of each pose share, by scoring of variance components.
+
+    ``mean (G, R)`` are the residuals of the poses, ``lever (G, R, n)`` what the joints move there. A share of ``common
+    (R, R)``, the same at every pose, and of each joint's settling adds to what is ``known (G, R, R)`` of the rows' own.
+    Numbers that a pose lacks, by ``seen (G, R)``, take no part there: zeros would say that it scatters less.
+    """
+    G, R, n = lever.shape
+    flat = np.broadcast_to(common, (G, *common.shape))
+    if seen is not None:
+        flat = flat * (seen[:, :, None] & seen[:, None, :])
+        known = np.where(seen[:, :, None] & seen[:, None, :], known, np.eye(R))
+    if POSES_PER_SHARE * (n + 1) > G or np.linalg.eigvalsh(common)[0] <= 0.0:
+        return flat
+    size = np.einsum("gij,gij->j", lever, lever) / np.trace(common) / G
+    scaled = lever / np.sqrt(np.where(size > 0.0, size, np.inf))  # a joint that moves nothing has no share
+    share = np.concatenate([[1.0], np.zeros(n)])
+    for _ in range(ROUNDS):
+        inverse = np.asarray(np.linalg.inv(_together(share, flat, scaled) + known), dtype=np.float64)
+        share = 0.5 * (share + _estimate_scatter_shares(inverse, mean, scaled, flat))
+        share[0] = max(share[0], LEAST)
+    return _together(share, flat, scaled)
+
+
+def _together(share: Floats, flat: Floats, scaled: Floats) -> Floats:
+    return np.asarray(share[0] * flat + (scaled * share[1:]) @ scaled.transpose(0, 2, 1))
+
+
+def _estimate_scatter_shares(inverse: Floats, mean: Floats, scaled: Floats, flat: Floats) -> Floats:
+    """Shares (1 + n,), none negative, that the residuals of the poses ask for under these inverse covariances."""
+    n = scaled.shape[2]
+    scaled_inverse = inverse @ scaled
+    through = inverse @ flat
+    M = np.empty((n + 1, n + 1))
+    M[0, 0] = np.einsum("gij,gji->", through, through)
+    M[0, 1:] = M[1:, 0] = np.einsum("gij,gij->j", scaled_inverse, flat @ scaled_inverse)
+    M[1:, 1:] = np.sum((scaled.transpose(0, 2, 1) @ scaled_inverse) ** 2, axis=0)
+    weighed = np.einsum("gij,gj->gi", inverse, mean)
+    v = np.concatenate(
+        [
+            [np.einsum("gi,gij,gj->", weighed, flat, weighed)],
+            np.sum(np.einsum("gij,gi->gj", scaled, weighed) ** 2, axis=0),
+        ]
+    )
+    root = np.linalg.cholesky(M + 1e-9 * np.trace(M) * np.eye(n + 1))
+    from scipy.optimize import nnls  # who only asks what a fit left does not compute it
+
+    return np.asarray(nnls(root.T, np.linalg.solve(root, v))[0])

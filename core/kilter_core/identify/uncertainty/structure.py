@@ -17,7 +17,7 @@ from scipy.linalg.lapack import dsytrd
 from scipy.special import expit, ive, logit, logsumexp
 
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.uncertainty.row_numbers import RowNumbers
+from kilter_core.identify.uncertainty.clustered import RowNumbers
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import read_clock
 from kilter_core.types import QUANTILE, Bools, Floats, Ints

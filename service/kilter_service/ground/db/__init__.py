@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from sqlalchemy.orm import Session
 
-from kilter_service.ground.db.database import Database
-from kilter_service.ground.db.outages import DatabaseAwayError
+from kilter_service.ground.db.database import Database, DatabaseAwayError
 
 __all__ = ["Database", "DatabaseAwayError", "Session"]

@@ -7,19 +7,25 @@ the database itself refuses its writes.
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import os
 import sqlite3
+import weakref
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
+from sqlalchemy import URL, Connection, Engine, Select, create_engine, event, make_url
+from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session, sessionmaker
 from sqlalchemy.pool import ConnectionPoolEntry, QueuePool
 
 from kilter_service.ground.db import audited, sealed, seals
 from kilter_service.ground.db.audited_rows import AuditedTokens
-from kilter_service.ground.db.outages import DatabaseAwayError, outages
+from kilter_service.ground.db.failures import AWAY_CODE, FAILED_CODE, FULL_CODE, READ_ONLY, READ_ONLY_CODE, in_words
+from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.files.private_files import private_file, private_folder
 
 BUSY_TIMEOUT_MS = 15_000
@@ -177,3 +183,82 @@ def _begin_postgresql(connection: Connection) -> None:
     # READ COMMITTED: every query after the lock sees what the holder before has stored.
     connection.exec_driver_sql("SET TRANSACTION ISOLATION LEVEL READ COMMITTED")
     connection.exec_driver_sql(f"SELECT pg_advisory_xact_lock({WRITER})")
+
+
+class DatabaseAwayError(ServiceError):
+    """The database does not answer now; what was asked of it was not stored, or it cannot be told."""
+
+    default_code = AWAY_CODE
+
+
+def is_read_only(folder: Path) -> bool:
+    """Whether the file system of a folder is mounted read-only, or takes nothing more after an error of its disk."""
+    if os.statvfs(folder).f_flag & os.ST_RDONLY:
+        return True
+    try:  # since Linux 6.15 the flags do not say the second (ext4: emergency_ro)
+        os.close(os.open(folder, getattr(os, "O_TMPFILE", 0) | os.O_WRONLY, 0o600))
+    except OSError as error:
+        return error.errno == errno.EROFS
+    return False
+
+
+@contextmanager
+def outages(folder: Path | None = None, *, writes: bool = True) -> Iterator[None]:
+    """Raise ``DatabaseAwayError`` where the server is gone or the disk full or read-only, of SQLite that of ``folder``.
+
+    Other errors pass; so does a write that the database refuses to a session that only reads.
+    """
+    try:
+        yield
+    except DBAPIError as error:
+        known = in_words(error)
+        # SQLite calls it a failure when the kernel refuses to write to a file that was open before.
+        if known is not None and known.code == FAILED_CODE and folder is not None and is_read_only(folder):
+            raise DatabaseAwayError(READ_ONLY, code=READ_ONLY_CODE) from error
+        if known is None or known.code not in (AWAY_CODE, FULL_CODE, READ_ONLY_CODE):
+            raise
+        if known.code == READ_ONLY_CODE and not writes and (folder is None or not is_read_only(folder)):
+            raise
+        raise DatabaseAwayError(known.message, code=known.code) from error
+
+
+class Lookout:
+    """Asks whether there is anything to do, for a thirtieth of the time of a session; for one thread."""
+
+    def __init__(self, database: Database, *queries: Select[Any]) -> None:
+        self._database, self._queries = database, queries
+        dialect = database.engine.dialect
+        compiled = [query.compile(dialect=dialect, compile_kwargs={"render_postcompile": True}) for query in queries]
+        self._statements = [
+            (one.string, one.params if one.positiontup is None else tuple(one.params[name] for name in one.positiontup))
+            for one in compiled
+        ]
+        self._connection: Any = None
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Return the rows of the queries, one after the other; what is wrong with the database is raised as by a session."""
+        try:
+            cursor = self._connected().cursor()
+            return [tuple(row) for statement in self._statements for row in cursor.execute(*statement).fetchall()]
+        except Exception:
+            self.close()
+            with self._database.reading() as session:
+                return [tuple(row) for query in self._queries for row in session.execute(query)]
+
+    def _connected(self) -> Any:
+        if self._connection is None:
+            pooled = self._database.engine.raw_connection()
+            self._connection = found = pooled.dbapi_connection
+            # Out of the pool, which hands out none that commits by itself, and would log the roll-back of one that is lost.
+            pooled.detach()
+            self._closing = weakref.finalize(self, found.close)  # type: ignore[union-attr]
+            if self._database.engine.dialect.name != "sqlite":
+                self._connection.autocommit = True
+        return self._connection
+
+    def close(self) -> None:
+        """Close the connection; the next question opens another."""
+        if self._connection is not None:
+            self._connection = None
+            with contextlib.suppress(Exception):  # of a connection that is lost
+                self._closing()

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 from sqlalchemy import inspect, text
 from sqlalchemy.exc import DBAPIError
 
-from kilter_service.ground.db.database import Database
+from kilter_service.ground.db.database import Database, DatabaseAwayError
 from kilter_service.ground.db.database_seal import check_key
 from kilter_service.ground.db.failures import in_words
-from kilter_service.ground.db.outages import DatabaseAwayError
 from kilter_service.ground.db.seal_tables import SealRow
 from kilter_service.ground.errors import ServiceError
 

@@ -1,9 +1,10 @@
-"""Files that their owner alone may read: the data folder, the databases in it, and folders for a while that leave nothing."""
+"""Files that their owner alone may read: the data folder, the file that names a running server, folders for a while."""
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
+import json
 import os
 import shutil
 import stat
@@ -11,7 +12,8 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from types import TracebackType
+from typing import IO, Any
 
 from kilter_service.ground.errors import ServiceError
 
@@ -179,3 +181,26 @@ def _try_lock_file(path: Path, how: int) -> IO[str] | None:
         file.close()
         return None
     return file
+
+
+class ServerFile:
+    """Writes the file when the server is ready, removes it when the server stops."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def write(self, document: dict[str, Any]) -> None:
+        """Replace the file in one go, so that nobody reads half of it."""
+        part = self._path.with_suffix(".part")
+        part.write_text(json.dumps(document, indent=1), encoding="utf-8")
+        part.replace(self._path)
+
+    def __enter__(self) -> ServerFile:
+        private_folder(self._path.parent)
+        self._path.unlink(missing_ok=True)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._path.unlink(missing_ok=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from typing import Any, Literal, NamedTuple
@@ -246,3 +246,15 @@ def gone(session: Session, kind: str, id_: str) -> str:
 def _tombstone(row: TombstoneRow) -> TombstoneRecord:
     kind: Whose = row.kind  # type: ignore[assignment]  # checked when it was stored, and again by the model
     return TombstoneRecord(row.id, kind, row.robot, row.name, row.sha256, row.by, row.at)
+
+
+def refuse_cited(kind: Kind, id_: str, citing: Sequence[str], remedy: str) -> None:
+    """Refuse to purge what something else cites."""
+    if citing:
+        raise ServiceError(
+            f"{kind.capitalize()} {id_} is cited by {', '.join(citing[:10])}{' and more' if len(citing) > 10 else ''}: "
+            f"{remedy}, or retire it instead (kilter {COMMANDS[kind]} retire {id_}).",
+            code="cited",
+            cited_by=list(citing),
+            **{kind: id_},
+        )

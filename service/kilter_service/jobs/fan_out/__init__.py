@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from kilter_service.jobs.fan_out.cluster import DaskCluster
-from kilter_service.jobs.fan_out.local import LocalProcesses
+from kilter_service.jobs.fan_out.engine import LocalProcesses
 from kilter_service.jobs.fan_out.spread import FanOut
 
 __all__ = ["FanOut", "fan_out"]

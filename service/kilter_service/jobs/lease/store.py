@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 
 from sqlalchemy import ColumnElement, Select, and_, delete, or_, select, update
@@ -11,7 +12,6 @@ from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import NOT_OVER, HeartbeatRow, JobRow
 from kilter_service.ground.ended_jobs import store as ended
-from kilter_service.jobs.lease.claim import Claim
 
 WORKER = "worker"  # the process of the heartbeats that count here
 MAX_ATTEMPTS = 10  # a job that has ended its worker this often would go on doing so
@@ -116,3 +116,12 @@ def _running(session: Session, where: ColumnElement[bool]) -> Sequence[JobRow]:
 
 def _queue(row: JobRow) -> None:
     row.state, row.fraction, row.stage = "queued", 0.0, "queued again: its worker has stopped"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One run of a job: whoever claims the job next has another attempt."""
+
+    job_id: str
+    worker: str
+    attempt: int

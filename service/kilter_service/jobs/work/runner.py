@@ -37,7 +37,7 @@ from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.inputs.setups import LAID_AGAIN
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.lease.claim import Claim
+from kilter_service.jobs.lease.store import Claim
 from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import get_job_kind
 from kilter_service.jobs.work.creeping import CreepingPosts

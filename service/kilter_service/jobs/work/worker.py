@@ -1,4 +1,4 @@
-"""`kilterd worker`: the process that executes jobs."""
+"""`kilterd worker`: the process that executes jobs, and its thread that takes one after the other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import socket
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import datetime
 from pathlib import Path
@@ -18,22 +18,28 @@ from typing import Any
 
 from kilter_core.errors import CoreError
 from kilter_service.ground.db import Database, DatabaseAwayError, revision
+from kilter_service.ground.db.database import Lookout
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.failure_log import log_failure
 from kilter_service.ground.files.migration_lock import wait_for_migration
 from kilter_service.ground.processes.memory import end_before_others
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.webhook import Webhook
 from kilter_service.jobs.fan_out import fan_out
 from kilter_service.jobs.lease import store as lease
+from kilter_service.jobs.lease.store import Claim
 from kilter_service.jobs.registry import KINDS
 from kilter_service.jobs.retention.service import Retention
 from kilter_service.jobs.work.creeping import CreepingPosts
-from kilter_service.jobs.work.queue_consumer import QueueConsumer
 from kilter_service.jobs.work.runner import Runner
 from kilter_service.web.health import store as health
 
 LOOK_S = 0.1
+
+consumer_log = logging.getLogger("kilter.worker")
+POLL_S = 0.2
+PAUSE_S = 2.0  # after something that should not happen
 
 
 @contextmanager
@@ -235,3 +241,40 @@ class Member:
                 lease.give_back(session, self.id)
         except DatabaseAwayError:
             log.warning("worker %s could not say that it ends", self.id)
+
+
+class QueueConsumer:
+    """Claims jobs of some kinds and runs them, until ``stop``."""
+
+    def __init__(
+        self, database: Database, runner: Runner, worker: str, kinds: Sequence[str], stop: threading.Event
+    ) -> None:
+        self._database, self._runner, self._worker, self._stop = database, runner, worker, stop
+        self._kinds = kinds
+        # Many workers may ask; only one at a time may change.
+        self._lookout = Lookout(database, lease.query_for_free_jobs(kinds, worker))
+
+    def start(self, name: str) -> None:
+        """Begin, in a thread that ends with the process."""
+        threading.Thread(target=self._work, name=f"jobs-{name}", daemon=True).start()
+
+    def _work(self) -> None:
+        while not self._stop.is_set():
+            try:
+                claim = self._claim_next_job()
+                if claim is not None:
+                    self._runner.run(claim)
+                    continue
+                pause = POLL_S
+            except DatabaseAwayError:  # the thread that writes the heartbeat says so
+                pause = PAUSE_S
+            except Exception as error:  # one job, or one moment, must not end the queue
+                log_failure(consumer_log, error, "worker %s goes on", self._worker)
+                pause = PAUSE_S
+            self._stop.wait(pause)
+
+    def _claim_next_job(self) -> Claim | None:
+        if not self._lookout.rows():
+            return None
+        with self._database.transaction() as session:
+            return None if self._stop.is_set() else lease.claim(session, self._worker, self._kinds)

@@ -26,7 +26,7 @@ from kilter_service.page.campaign import service
 from kilter_service.page.campaign.series import KEPT
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
-from kilter_service.versions.predictions import joint_space, places
+from kilter_service.versions.predictions import places
 from kilter_service.versions.predictions.paired import error_lengths, residuals
 
 if TYPE_CHECKING:
@@ -222,5 +222,5 @@ def _of_joint(database: Database, campaign: Campaign, version: str, name: str) -
             f"{campaign.robot} has no joint {name[:64]!r}: it has {', '.join(names)}.", code="option_invalid"
         )
     place = names.index(name)
-    motion = joint_space.joint_errors(database, version, campaign.id)[:, place]
+    motion = places.joint_errors(database, version, campaign.id)[:, place]
     return motion * joint_scale(arm)[place], joint_units(arm)[place]

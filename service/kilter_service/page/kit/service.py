@@ -30,7 +30,7 @@ from kilter_service.ground.paging import Page
 from kilter_service.ground.recent import Recent
 from kilter_service.ground.wire import to_deg
 from kilter_service.robots import service as robots
-from kilter_service.robots.convert import convert
+from kilter_service.robots.documents import convert
 from kilter_service.versions import service as versions
 
 NEWEST = Page(limit=20)

@@ -28,7 +28,7 @@ from kilter_service.page.words import bare, largest, percent, unit
 from kilter_service.versions import activation
 from kilter_service.versions.addressed import AddressedVersion, FirstVersion, SecondVersion
 from kilter_service.versions.if_match import Expected
-from kilter_service.versions.predictions.workspace import workspace
+from kilter_service.versions.predictions.places import workspace
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
 

@@ -1,11 +1,17 @@
-"""Whether an instrument's certificate held on the day of a campaign."""
+"""Certificates of instruments: whether one held on the day of a campaign, and the error that it permits."""
 
 from __future__ import annotations
 
 from datetime import datetime
+from typing import TYPE_CHECKING, Any
 
 from kilter_service.contract.instruments import Instrument
 from kilter_service.contract.remarks import Remark
+from kilter_service.ground.core import core_evaluate
+from kilter_service.ground.wire import from_um
+
+if TYPE_CHECKING:
+    from kilter_service.contract.instruments import Instrument
 
 
 def remarks(instrument: Instrument | None, measured_at: datetime | None, stored_at: datetime) -> list[Remark]:
@@ -28,3 +34,10 @@ def remarks(instrument: Instrument | None, measured_at: datetime | None, stored_
         )
         return [Remark(code="instrument_not_yet_certified", message=message)]
     return []
+
+
+def permissible(instrument: Instrument | None) -> Any:
+    """Return an instrument's permissible error as core has it; None without one."""
+    if instrument is None:
+        return None
+    return core_evaluate.PermissibleError(from_um(instrument.mpe_um), from_um(instrument.mpe_um_per_m))

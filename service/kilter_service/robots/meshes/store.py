@@ -1,14 +1,18 @@
-"""Rows of meshes."""
+"""Meshes as they are stored, and their rows."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Literal
+
 from sqlalchemy import select
 
+from kilter_service.contract.meshes import MeshUnit
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import MeshRow
 from kilter_service.ground.errors import ServiceError
-from kilter_service.robots.meshes.records import MeshRecord
 
 
 def put(session: Session, robot_id: int, record: MeshRecord, content: bytes) -> None:
@@ -59,3 +63,15 @@ def _row(session: Session, robot_id: int, link: str) -> MeshRow:
 
 def _record(row: MeshRow) -> MeshRecord:
     return MeshRecord(row.link, row.format, row.unit, row.triangles, row.sha256, row.created_at)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class MeshRecord:
+    """A mesh without its content."""
+
+    link: str
+    format: Literal["stl", "obj"]
+    unit: MeshUnit
+    triangles: int
+    sha256: str
+    created_at: datetime

@@ -15,7 +15,7 @@ from kilter_service.stream.corrector.active import Active, version_number, works
 
 with later(__name__):
     from kilter_service.ground import correction_limits, db
-    from kilter_service.ground.db import lookout, revision
+    from kilter_service.ground.db import database, revision
     from kilter_service.robots import compensation
     from kilter_service.robots import store as robots
     from kilter_service.versions import store
@@ -37,9 +37,9 @@ class DatabaseSource:
         return db.Database(self._url)
 
     @cached_property
-    def _lookout(self) -> lookout.Lookout:
+    def _lookout(self) -> database.Lookout:
         compensated = robots.query_for_compensated(compensation.CORRECTS)
-        return lookout.Lookout(self._database, store.query_for_active_stamp(), compensated)
+        return database.Lookout(self._database, store.query_for_active_stamp(), compensated)
 
     def stamp(self) -> Hashable:
         """What changes with every activation and with what controllers correct; None while the database has no tables."""

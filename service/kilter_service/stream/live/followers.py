@@ -21,8 +21,7 @@ from kilter_service.stream.corrector.keys import robot_from_key, stream_from_key
 from kilter_service.stream.live import store
 from kilter_service.stream.live.heard import Heard
 from kilter_service.stream.live.session import LiveSession, Message, open_or_reuse_session
-from kilter_service.stream.live.shown import Reach, RobotShown
-from kilter_service.stream.live.verdict import bypass
+from kilter_service.stream.live.shown import Reach, RobotShown, bypass
 from kilter_service.stream.signing.masters import Masters, load_masters
 
 log = logging.getLogger("kilter.api")

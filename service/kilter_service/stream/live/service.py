@@ -10,8 +10,7 @@ from kilter_service.stream.live import store
 from kilter_service.stream.live.followers import ALIVE_S
 from kilter_service.stream.live.heard import Heard
 from kilter_service.stream.live.session import read_corrector_place
-from kilter_service.stream.live.shown import Reach, RobotShown
-from kilter_service.stream.live.verdict import bypass
+from kilter_service.stream.live.shown import Reach, RobotShown, bypass
 
 
 def load_robot_view(database: Database, settings: Settings, robot: str) -> RobotShown:

@@ -13,7 +13,7 @@ from kilter_core.observations import Observations, evenly
 from kilter_core.types import Floats, Ints
 from kilter_service.contract.instruments import Instrument
 from kilter_service.ground.core import core_evaluate, core_identify, core_measurement, core_model, core_watch
-from kilter_service.robots.instruments.permissible import permissible
+from kilter_service.robots.instruments.validity import permissible
 
 if TYPE_CHECKING:
     from kilter_core.evaluate import Conformity

@@ -20,7 +20,7 @@ from kilter_service.robots.instruments import store as instruments
 from kilter_service.robots.instruments.validity import remarks
 from kilter_service.versions import store as versions
 from kilter_service.versions.acceptance.rows import judge_rows, of_another_arm, sample_places_and_errors, span
-from kilter_service.versions.as_it_was import AsItWas
+from kilter_service.versions.guard import AsItWas
 from kilter_service.versions.predictions.unfitted_rows import Archive
 from kilter_service.versions.today import sentences
 from kilter_service.versions.today import service as today

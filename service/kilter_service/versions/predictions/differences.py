@@ -7,20 +7,49 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from kilter_core.errors import CoreError
+from kilter_core.parameters import display_unit_and_scale
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.fits import Metrics
 from kilter_service.contract.versions import ParameterChange, VersionDiff
 from kilter_service.ground.called import display_name
+from kilter_service.ground.core import transforms
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.versions import store
 from kilter_service.versions.predictions.paired import NOTHING, Pairs, Side, judge_pairs, pairs
-from kilter_service.versions.predictions.values import Value, wire_values
 from kilter_service.versions.wire import summary
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
+
+FRAME = (("x", "mm"), ("y", "mm"), ("z", "mm"), ("rx", "deg"), ("ry", "deg"), ("rz", "deg"))
+
+
+class Value(NamedTuple):
+    """A number and its unit."""
+
+    value: float
+    unit: str
+
+
+def wire_values(calibration: Calibration) -> dict[str, Value]:
+    """Return every parameter by name; base and tool as x, y, z and rx, ry, rz (URDF) next to the nominal ones."""
+    model, values = calibration.model.absorb_frame_increments(calibration.values)
+    out = {}
+    for parameter, value in zip(model.parameters, values, strict=True):
+        unit, scale = display_unit_and_scale(parameter.unit)
+        out[parameter.name] = Value(float(value) * scale, unit)
+    robot = calibration.robot
+    for which, T, nominal in (("base", model.T_base, robot.T_base), ("tool", model.T_tool, robot.T_tool)):
+        near = transforms.xyz_rpy_from_pose(np.asarray(nominal))[1]
+        xyz, rpy = transforms.xyz_rpy_from_pose(np.asarray(T), near)
+        numbers = [*(xyz * 1e3), *np.degrees(rpy)]
+        out |= {f"{which}_{k}": Value(float(v), unit) for (k, unit), v in zip(FRAME, numbers, strict=True)}
+    return out
+
 
 NOMINAL = "nominal"
 MOST_CAMPAIGNS = 20  # whose rows are compared without asking

@@ -17,9 +17,11 @@ from kilter_service.ground.core import core_arm, core_correct, core_identify, co
 from kilter_service.ground.correction_limits import correction_options
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.robots import store as robots
 from kilter_service.versions import store
-from kilter_service.versions.predictions.preview import drawn
+from kilter_service.versions.predictions.preview import at_poses, drawn
 from kilter_service.versions.predictions.residuals import Part, iter_frame_groups, load_parts, refit_frames
+from kilter_service.versions.records import PreviewedPoses
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot
@@ -30,6 +32,8 @@ MOST_ROWS, WORST = 8000, 500  # rows that are shown, and of these those that are
 SLICE, FITTED_ROWS = 50_000, 2000  # rows predicted at once, and those that registration is fitted to
 DRAWN = 3000
 STAGES = ("nominal", "registration_only", "identified")
+
+DAMPING_M = 1e-3  # m/rad: near a singular pose no joint is asked to move without bound
 
 
 @dataclass(frozen=True)
@@ -216,3 +220,57 @@ def in_base(calibration: Calibration, points: Floats) -> Floats:
     """Points (N, 3) m of the measurements in the frame of the robot's base."""
     base = transforms.inverse(calibration.model.T_base @ core_arm.increment(calibration.values[:6]))
     return np.asarray(points @ base[:3, :3].T + base[:3, 3])
+
+
+def joint_errors(database: Database, version: str, campaign: str) -> Floats:
+    """Return for each of the rows of :func:`places` (N, n) the least motion of the joints, rad or m, that its error is.
+
+    Raises:
+        ServiceError: as :func:`places`.
+
+    """
+    found = places(database, version, campaign)
+    with database.reading() as session:
+        calibration = store.calibration(session, version)
+        robot = robots.core_robot(session, campaigns.whole(session, campaign).robot_id)
+        rows = campaigns.observations(session, campaign, robot).select(found.row - 1)
+    _, jacobian = calibration.model.joint_jacobian(rows, calibration.values)
+    return least_motion(_in_base(calibration, jacobian[:, :3]), found.left["identified"])
+
+
+def least_motion(jacobian: Floats, error: Floats) -> Floats:
+    """Motions (N, n) of the joints of least length that move tools by errors (N, 3) m; ``jacobian (N, 3, n)`` m/rad."""
+    square = jacobian @ jacobian.transpose(0, 2, 1) + DAMPING_M**2 * np.eye(3)
+    return np.asarray((jacobian.transpose(0, 2, 1) @ np.linalg.solve(square, error[:, :, None]))[:, :, 0])
+
+
+def _in_base(calibration: Calibration, jacobian: Floats) -> Floats:
+    """Derivatives (N, 3, n) of measured positions in the axes of the robot's base."""
+    turn = (calibration.model.T_base @ core_arm.increment(calibration.values[:6]))[:3, :3]
+    return np.asarray(turn.T @ jacobian)
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Poses all over the joint limits: what the version does there, and the tool (N, 3) m in the robot's base frame."""
+
+    robot: Robot
+    limits: CorrectionLimits
+    found: PreviewedPoses
+    points: Floats
+
+
+def workspace(database: Database, version_id: str, temperature_c: float | None) -> Workspace:
+    """Correct poses drawn within the joint limits as `correct` does.
+
+    Raises:
+        ServiceError: no such version.
+
+    """
+    with database.reading() as session:
+        limits = CorrectionLimits(**store.get(session, version_id).limits)
+        calibration, known = store.calibration(session, version_id), store.load_predictive(session, version_id)
+    q = drawn(calibration.robot)
+    rows = Observations(q=q)
+    points = in_base(calibration, core_identify.acting(calibration, rows).predict(rows).position)
+    return Workspace(calibration.robot, limits, at_poses(calibration, known, limits, q, temperature_c), points)

@@ -15,7 +15,7 @@ from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.web.tokens import store
-from kilter_service.web.tokens.records import TokenRecord
+from kilter_service.web.tokens.store import TokenRecord
 
 log = logging.getLogger("kilter.api")
 

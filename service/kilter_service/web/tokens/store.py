@@ -1,9 +1,10 @@
-"""Rows of tokens."""
+"""Tokens as they are stored, of the secret only its hash, and their rows."""
 
 from __future__ import annotations
 
 import uuid
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import datetime
 
 from sqlalchemy import and_, or_, select
@@ -15,7 +16,6 @@ from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import TokenRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.web.tokens.records import TokenRecord
 
 
 def add(
@@ -125,3 +125,18 @@ def _record(row: TokenRow) -> TokenRecord:
         row.revoked_at,
         row.revoked_by,
     )
+
+
+@dataclass(frozen=True)
+class TokenRecord:
+    """A token; ``robots`` None: of all robots."""
+
+    id: str
+    name: str
+    role: Role
+    robots: list[str] | None
+    created_at: datetime
+    created_by: str
+    expires_at: datetime | None
+    revoked_at: datetime | None
+    revoked_by: str

@@ -12,8 +12,7 @@ import numpy as np
 from kilter_client import FileError
 from kilter_files.match.arm import Arm, arm_from_check
 from kilter_files.match.clock_checks import Checks
-from kilter_files.match.frames_by_time import match_frames
-from kilter_files.match.matching import frame_rows, match_dwells
+from kilter_files.match.matching import frame_rows, match_dwells, match_frames
 from kilter_files.tables.joint_log import JointLog
 from kilter_files.tables.recording import Block, Recording
 from tests.clients.files.match.campaign_generator import Jump, Knock, Made, Plan, document, make, schedule, turn_of

@@ -12,7 +12,7 @@ from kilter_core.model.geometry import arm_screws
 from kilter_files.match.arm import Arm, arm_from_check
 from kilter_files.match.registration import fit_arm_errors, register
 from kilter_service.robots.check import check
-from kilter_service.robots.convert import convert
+from kilter_service.robots.documents import convert
 from kilter_service.robots.wire import DOCUMENT
 
 SLIDING = {

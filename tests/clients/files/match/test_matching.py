@@ -10,7 +10,8 @@ import pytest
 from kilter_client import FileError
 from kilter_files.formats.joints.joint_log import read_joint_log
 from kilter_files.formats.opening import open_recording
-from kilter_files.match.clocks import match_clocks
+from kilter_files.match.clock_checks import Checks
+from kilter_files.match.clocks import match_pieces
 from kilter_files.match.dwells import RestOptions, find_dwells, thin
 from kilter_files.match.matching import frame_rows, match_dwells
 from tests.clients.files.simulated import arm, stops, wander, write_csv, write_log, write_n3d
@@ -84,7 +85,10 @@ def test_clocks(tmp_path: Path, rate: float, log_rate: float, rests: bool) -> No
     points = arm(move(t)) + rng.normal(0, NOISE, (len(t), 3, 3))
     q = move((log_t - offset) / (1 + drift)) + rng.normal(0, 0.001, (len(log_t), 3))
     path = write_n3d(tmp_path / "a.n3d", points, rate)
-    clocks = match_clocks(path, thin(open_recording(path)), read_joint_log(write_log(tmp_path / "l.csv", q, log_t)))
+    pieces, _ = match_pieces(
+        path, thin(open_recording(path)), read_joint_log(write_log(tmp_path / "l.csv", q, log_t)), Checks(None)
+    )
+    clocks = pieces.parts[0][2]
     assert clocks.offset_sigma_s < 5e-5
     assert abs(clocks.offset_s - offset - drift * clocks.middle_s) < 4 * clocks.offset_sigma_s + 1e-6
     assert abs(clocks.drift - drift) < 4 * clocks.drift_sigma + 1e-7
@@ -100,7 +104,8 @@ def test_dwells_by_time_and_frames_by_time(tmp_path: Path) -> None:
     assert (
         np.abs(np.stack([matched.columns[n] for n in log.joints], 1) - POSES[: matched.report["dwells"]]).max() < 1e-3
     )
-    clocks = match_clocks(recording.path, thin(recording), log)
+    pieces, _ = match_pieces(recording.path, thin(recording), log, Checks(None))
+    clocks = pieces.parts[0][2]
     rows = list(frame_rows(recording, log, clocks))
     q_rows = np.concatenate([np.stack([block[n] for n in log.joints], 1) for block in rows])
     points = np.concatenate([marker_means(block) for block in rows])
@@ -112,7 +117,7 @@ def test_a_log_of_another_motion_is_refused(tmp_path: Path) -> None:
     log = read_joint_log(write_log(tmp_path / "l.csv", np.random.default_rng(0).normal(0, 1, (len(log_t), 3)), log_t))
     path = dwelling(tmp_path / "a.n3d", 100.0)
     with pytest.raises(FileError, match=r"its motion is not that of l\.csv"):
-        match_clocks(path, thin(open_recording(path)), log)
+        match_pieces(path, thin(open_recording(path)), log, Checks(None))
 
 
 @pytest.mark.parametrize(

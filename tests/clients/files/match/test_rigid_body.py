@@ -182,14 +182,16 @@ def test_damaged_long_tables(tmp_path: Path, edit: dict[str, str], words: str) -
 
 
 def test_frames_as_poses_and_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from kilter_files.match.clocks import match_clocks
+    from kilter_files.match.clock_checks import Checks
+    from kilter_files.match.clocks import match_pieces
     from kilter_files.match.dwells import thin
 
     recording = recorded(tmp_path / "a.n3d")
     log_t = np.arange(-1, 18, 1 / 125)
     log = write_log(tmp_path / "log.csv", stops(POSES, 1.0, 0.8, np.clip(log_t, 0, None)), log_t)
     found, joints = open_recording(recording), read_joint_log(log)
-    clocks = match_clocks(recording, thin(found), joints)
+    pieces, _ = match_pieces(recording, thin(found), joints, Checks(None))
+    clocks = pieces.parts[0][2]
     rows = next(frame_rows(found, joints, clocks, find_body(found, "mean")))
     assert {"x_mm", "qw", "q1_deg"} <= set(rows)
     assert "m1x_mm" not in rows

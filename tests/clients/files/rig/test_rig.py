@@ -47,10 +47,11 @@ def test_big_endian_and_digital(shared_data: Path) -> None:
 
 def test_volts_to_mm(tmp_path: Path) -> None:
     path = write_tdms(tmp_path / "a.tdms", np.array([0.0, 1.0, 2.5, 5.0, 5.2]))
-    _, mm = read_channel(path, "rig/poti", Calibration(((0, -10), (2.5, 15), (5, 35))))
-    np.testing.assert_allclose(mm, [-10, 0, 15, 35, 36.6])
-    with pytest.raises(FileError, match=r"line 3, column 'rig/poti': 2.5 V is far outside the calibration"):
-        read_channel(path, "rig/poti", Calibration(((0, 0), (1, 10))))
+    _, volts = read_channel(path, "rig/poti")
+    np.testing.assert_allclose(Calibration(((0, -10), (2.5, 15), (5, 35))).to_mm(volts), [-10, 0, 15, 35, 36.6])
+    np.testing.assert_array_equal(
+        np.isnan(Calibration(((0, 0), (1, 10))).to_mm(volts)), [False, False, True, True, True]
+    )
     with pytest.raises(FileError, match=r"did you mean 'rig/poti'"):
         read_channel(path, "rig/pot")
 

@@ -12,8 +12,7 @@ from kilter_files.formats.logs.inclinometer import TIME
 from kilter_files.formats.tracker_header import canonical_column_name
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import FileError, fault
 from kilter_files.ground.later import np
 from kilter_files.ground.text_blocks import cut_remark, numbered_lines
 from kilter_files.ground.text_layout import UNITS, TextLayout, sniff

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from kilter_files.formats.tracker_header import canonical_column_name
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import FileError, fault
 from kilter_files.ground.later import np
 from kilter_files.ground.text_blocks import blocks, count_rows, line_number_of_row
 from kilter_files.ground.text_layout import TextLayout, sniff

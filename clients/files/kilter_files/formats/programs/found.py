@@ -12,7 +12,7 @@ from itertools import islice
 from pathlib import Path
 
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, replace_spans
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 
 # every repeat is bounded: a damaged file must not make the search slow
 NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"

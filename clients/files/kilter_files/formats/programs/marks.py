@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from kilter_files.formats.programs.dialects import DIALECTS
 from kilter_files.formats.programs.found import Program, split_lines
 from kilter_files.formats.programs.table import CELL
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 
 SAID = re.compile(r"^\s{0,9}(?:\d{0,6}\s{0,9}:\s{0,9})?[;!#]\s{0,9}Kilter corrected (\w{1,64})\s{0,9};?\s*+$", re.I)
 NUMBERED = re.compile(r"\s{0,9}(\d{1,6})\s{0,9}:")

@@ -12,7 +12,7 @@ from kilter_files.formats.programs.dialects import DIALECTS
 from kilter_files.formats.programs.found import MOST_LINES, Dialect, Program, Stated, line_number
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget
 from kilter_files.formats.programs.remedies import remedies
-from kilter_files.ground.faults import fault, read_head
+from kilter_files.ground.errors import fault, read_head
 
 MOST_BYTES = 16 << 20
 MOST_IN_LINE = 1 << 16  # characters: no controller writes as many

@@ -9,7 +9,7 @@ from pathlib import Path
 from kilter_files.formats.programs.dialects import DIALECTS
 from kilter_files.formats.programs.found import Dialect, Program
 from kilter_files.formats.programs.one_target import JointTarget
-from kilter_files.ground.faults import fault, read_head
+from kilter_files.ground.errors import fault, read_head
 from kilter_files.ground.text_layout import detect_encoding
 
 MOST_BYTES = 16 << 20

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from kilter_files.formats.reader import NO_HINTS, UPLOAD, Document, Head, Hints, Reader
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.ground.units import column_unit
 from kilter_files.tables.table import JSON_TYPE, Prepared
 

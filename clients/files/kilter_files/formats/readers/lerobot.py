@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from kilter_files.formats.joints.described import describe_dataset
 from kilter_files.formats.joints.lerobot.log import log_of_dataset
-from kilter_files.formats.joints.lerobot_described import describe_dataset
 from kilter_files.formats.reader import MATCH, NO_HINTS, Document, Head, Hints, Reader
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.formats.tables.tdms import Channel, channels, read_channel
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.tables.source import Source
 
 

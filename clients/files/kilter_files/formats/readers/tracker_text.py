@@ -15,7 +15,7 @@ from kilter_files.formats.recordings.marker_header import unit_above
 from kilter_files.formats.tracker_header import PRESETS, Preset, meaning
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.ground.later import np
 from kilter_files.ground.orientation import from_euler, is_sequence
 from kilter_files.ground.text_blocks import blocks, count_rows, line_number_of_row, numbered_lines

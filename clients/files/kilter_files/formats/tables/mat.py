@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault, read_head
+from kilter_files.ground.errors import FileError, fault, read_head
 from kilter_files.ground.later import need, np
 
 HEAD_BYTES = 128

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kilter_files.ground.faults import fault, read_head
+from kilter_files.ground.errors import fault, read_head
 from kilter_files.ground.later import need
 from kilter_files.tables.source import Layout
 from kilter_files.tables.text_source import TextSource

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.ground.later import need, np
 from kilter_files.ground.names import did_you_mean
 
@@ -61,11 +61,11 @@ def channels(path: Path) -> list[Channel]:
         return [_describe_channel(channel) for channel in found]
 
 
-def read_channel(path: Path, name: str, calibration: Calibration | None = None) -> tuple[Floats, Floats]:
-    """Return time [s] and the scaled values of a channel; mm when calibrated.
+def read_channel(path: Path, name: str) -> tuple[Floats, Floats]:
+    """Return time [s] and the scaled values of a channel.
 
     Raises:
-        FileError: no such channel, text in it, or volts far outside the calibration.
+        FileError: no such channel, or text in it.
 
     """
     with _open_channels(path) as found:
@@ -78,18 +78,7 @@ def read_channel(path: Path, name: str, calibration: Calibration | None = None) 
     if raw.dtype.kind not in "iufb":
         raise fault(path, f"holds {raw.dtype}, not numbers", "Choose a channel of voltages.", column=name)
     values = np.asarray(raw, dtype=np.float64)
-    if calibration is not None:
-        values = _volts_to_mm(path, name, values, calibration)
     return np.arange(len(values), dtype=np.float64) * float(step or 1.0), values
-
-
-def _volts_to_mm(path: Path, name: str, volts: Floats, calibration: Calibration) -> Floats:
-    out = calibration.to_mm(volts)
-    if np.isnan(out).any():
-        row = int(np.argmax(np.isnan(out)))
-        what = f"{volts[row]:.6g} V is far outside the calibration"
-        raise fault(path, what, "Calibrate over the whole range, or choose another channel.", line=row + 1, column=name)
-    return out
 
 
 @contextmanager

@@ -10,8 +10,7 @@ from typing import Any, TypeVar
 
 from kilter_files.ground.archives import unpacked_bytes
 from kilter_files.ground.cell_numbers import parse_number
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import FileError, fault
 from kilter_files.ground.later import need
 from kilter_files.ground.names import did_you_mean
 from kilter_files.ground.workbook_formulas import REMEDY, Cell, describe_cells, formulas_without_value, letters

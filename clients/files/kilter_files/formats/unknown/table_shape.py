@@ -11,10 +11,8 @@ from pathlib import Path
 
 from kilter_files.formats.opening import endings, open_source
 from kilter_files.formats.tables.workbook import read_xlsx, sheet_names
-from kilter_files.ground.cell_lists import parse_list
-from kilter_files.ground.cell_numbers import parse_number
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault, read_head
+from kilter_files.ground.cell_numbers import parse_list, parse_number
+from kilter_files.ground.errors import FileError, fault, read_head
 from kilter_files.ground.text_layout import COMMENTS, UNITS, detect_encoding, name_and_unit, unknown_unit
 from kilter_files.ground.time_stamps import parse_stamp
 from kilter_files.tables.source import Layout, Source

@@ -9,8 +9,7 @@ from pathlib import Path, PurePath
 import numpy as np
 
 from kilter_files.formats.joints.joint_log import read_joint_log
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import FileError, fault
 from kilter_files.ground.units import column_unit
 from kilter_files.rig.see.sources import Frame
 from kilter_files.tables.joint_log import JointLog, checked_log

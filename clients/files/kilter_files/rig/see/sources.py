@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from kilter_files.ground.errors import FileError, UsageError
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import FileError, UsageError, fault
 from kilter_files.rig.board.opencv import opencv
 from kilter_files.rig.see.pictures import ENDINGS, Grey, RefusedError, check_size, read_grey
 from kilter_files.rig.see.refusals import Refusal

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.errors import UsageError
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import UsageError, fault
 from kilter_files.rig.board.layout import Board, Point, check_board, marker_family
 
 MOST_BYTES = 1 << 24

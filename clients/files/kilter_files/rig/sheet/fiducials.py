@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.rig.sheet.camera import Camera, fit_camera
 from kilter_files.rig.sheet.layout import CORNER_IDS, TARGET_MM, Sheet, radius_from_marker
 from kilter_files.rig.sheet.picture import Picture, Pixels

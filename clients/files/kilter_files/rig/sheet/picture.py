@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault, read_head
+from kilter_files.ground.errors import FileError, fault, read_head
 from kilter_files.ground.later import Image, ImageOps, need, pypdfium2
 from kilter_files.rig.whole_picture import whole_picture
 

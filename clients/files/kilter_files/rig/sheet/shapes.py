@@ -1,15 +1,25 @@
-"""What is printed, as plain shapes: nothing here knows PDF or SVG."""
+"""What is printed of a sheet: plain shapes, and the page in true mm that they make."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.later import need
 from kilter_files.rig.markers import marker_shapes
-from kilter_files.rig.printed import WHITE, Colour, Disc, Shape, Stroke, Text
-from kilter_files.rig.sheet.layout import LINE_MM, MARKER_CELLS, MARKER_MM, RING_MM, STROKE_MM, TARGET_MM, Sheet
+from kilter_files.rig.printed import WHITE, Colour, Disc, Printed, Shape, Stroke, Text, save_page
+from kilter_files.rig.sheet.layout import (
+    LINE_MM,
+    MARKER_CELLS,
+    MARKER_MM,
+    PAGES_MM,
+    RING_MM,
+    STROKE_MM,
+    TARGET_MM,
+    Sheet,
+)
 
 PALE: Colour = (0.35, 0.75, 0.88)  # cyan: the red of a colour scan sees it, its blue hardly does
 GREY: Colour = (0.35, 0.35, 0.35)
@@ -85,3 +95,20 @@ def _words(sheet: Sheet) -> Iterator[Shape]:
     for number, (x, y) in enumerate(sheet.targets(), 1):
         turned = math.hypot(x, y) / 5.0
         yield Text(x - y / turned, y + x / turned - 0.9, str(number))
+
+
+def save_sheet(sheet: Sheet, path: Path) -> int:
+    """Write the sheet as the file's ending says, ``.pdf`` or ``.svg``; returns the bytes written.
+
+    Raises:
+        UsageError: another ending.
+        FileError: the file cannot be written.
+        MissingPackageError: OpenCV, or for PDF reportlab, is not installed.
+
+    """
+    return save_page(sheet_page(sheet), path)
+
+
+def sheet_page(sheet: Sheet) -> Printed:
+    """Return the page of the sheet; the same sheet gives the same bytes."""
+    return Printed(f"Kilter sheet, radius {sheet.radius_mm:g} mm", PAGES_MM[sheet.page], tuple(shapes(sheet)))

@@ -18,8 +18,7 @@ from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Details, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
 from kilter_client.cli.terminal.flags import with_flags
 from kilter_client.cli.terminal.interrupt import job_goes_on, job_name, on_interrupt
-from kilter_client.cli.terminal.output import emit, note, print_line
-from kilter_client.cli.terminal.progress import job_bar
+from kilter_client.cli.terminal.output import emit, job_bar, note, print_line
 from kilter_client.cli.terminal.references import resolve_reference, resolved_options
 from kilter_client.errors import UsageError
 from kilter_client.requests.calls import robots as calls

@@ -13,8 +13,7 @@ from kilter_client.cli.reports.next_step import suggest_after_job
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.terminal.arguments import Details, Json
 from kilter_client.cli.terminal.interrupt import job_goes_on, job_name, on_interrupt
-from kilter_client.cli.terminal.output import emit, note
-from kilter_client.cli.terminal.progress import job_bar
+from kilter_client.cli.terminal.output import emit, job_bar, note
 from kilter_client.cli.terminal.references import OfRobot, looked_up, resolve_reference
 from kilter_client.cli.terminal.tables import show_list
 

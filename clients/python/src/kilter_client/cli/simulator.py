@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import split_names
-from kilter_client.cli.terminal.output import emit, print_line
-from kilter_client.cli.terminal.progress import job_bar
+from kilter_client.cli.terminal.output import emit, job_bar, print_line
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import MissingPackageError, UsageError
 from kilter_files.formats import LogHints

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from kilter_client.requests.calls import kept, references
+from kilter_client.requests.calls import references
 from kilter_client.requests.calls.references import Found, Kind, is_full
 from kilter_client.requests.connection import Connection
 from kilter_client.requests.steps import Document
@@ -32,16 +32,16 @@ class Kept(Resource):
         self, reference: str, *, name: str | None = None, notes: str | None = None, robot: str | None = None
     ) -> Document:
         """Name it, or note something on it; what is left out stays."""
-        return self._run(kept.change(self.kind, reference, name, notes, robot))
+        return self._run(references.change(self.kind, reference, name, notes, robot))
 
     def retire(self, reference: str, robot: str | None = None) -> Document:
         """Take it out of use; what cites it does not change."""
-        return self._run(kept.do(self.kind, reference, "retire", robot))
+        return self._run(references.do(self.kind, reference, "retire", robot))
 
     def restore(self, reference: str, robot: str | None = None) -> Document:
         """Bring it back into use."""
-        return self._run(kept.do(self.kind, reference, "restore", robot))
+        return self._run(references.do(self.kind, reference, "restore", robot))
 
     def purge(self, full_id: str) -> Document:
         """Delete it for good, by its full id, if nothing cites it; returns what is left: its hash, who and when."""
-        return self._run(kept.purge(self.kind, full_id))
+        return self._run(references.purge(self.kind, full_id))

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import UsageError
-from kilter_client.results.rows import Rows, write_file
-from kilter_client.results.tables import html_table
+from kilter_client.results.rows import Rows, html_table, write_file
 from kilter_files.ground.later import need
 from kilter_files.tables import CSV_TYPE, JSON_TYPE, PARQUET_TYPE
 

@@ -20,7 +20,7 @@ from typing import (
 
 from kilter_client.errors import UsageError
 from kilter_client.requests.steps import Steps
-from kilter_client.results.tables import Tabular
+from kilter_client.results.rows import Tabular
 from kilter_files.ground import did_you_mean
 
 T = TypeVar("T", bound="Record")

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 from kilter_client.errors import MissingPackageError, UsageError
 from kilter_client.requests.calls import versions
 from kilter_client.results.plots import draw
-from kilter_client.results.rows import Rows
-from kilter_client.results.tables import Tabular
+from kilter_client.results.rows import Rows, Tabular
 
 if TYPE_CHECKING:
     from kilter_client.results.record import Record

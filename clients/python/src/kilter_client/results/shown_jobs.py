@@ -7,9 +7,8 @@ from html import escape
 from typing import Any
 
 from kilter_client.results.digits import decimals, ends, estimate
-from kilter_client.results.rows import Rows
+from kilter_client.results.rows import Rows, html_table, number
 from kilter_client.results.shown import Asking, Shown
-from kilter_client.results.tables import html_table, number
 
 
 def parameter_table(parameters: Sequence[Any]) -> str:

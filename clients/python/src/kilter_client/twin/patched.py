@@ -12,7 +12,7 @@ from typing import Any
 from kilter_client.errors import MissingPackageError
 from kilter_client.twin.motion_step import FORMAT, TABLE
 from kilter_client.twin.servo_model import ServoModel
-from kilter_core.rollout import GEAR_DAMPING, Fit, JointRecord
+from kilter_core.motion import GEAR_DAMPING, JointFit, JointRecord
 from kilter_files.ground.later import mujoco
 
 HARD_FRICTION = ((0.01, 1.0), (0.9999, 0.9999, 1e-6, 0.5, 2.0))  # holds to the micrometre, see the exported twin
@@ -35,7 +35,7 @@ class Patched:
     notes: tuple[str, ...]
 
 
-def patch_model(arm: ServoModel, records: Sequence[JointRecord], fits: Mapping[str, Fit]) -> Patched:
+def patch_model(arm: ServoModel, records: Sequence[JointRecord], fits: Mapping[str, JointFit]) -> Patched:
     """Write a copy of a model with the servos of some joints as they were ``fits``, by name, and what these lack.
 
     Raises:
@@ -73,7 +73,7 @@ class _Patch:
     notes: list[str] = field(default_factory=list)
     joints_added: int = 0
 
-    def set_joint(self, record: JointRecord, fit: Fit) -> None:
+    def set_joint(self, record: JointRecord, fit: JointFit) -> None:
         """Set the servo of a joint, and add the effects of its fit."""
         joint = _JointPatch(self, self.arm.joints.index(record.name), record, fit)
         joint.set_servo()
@@ -91,7 +91,7 @@ class _JointPatch:
     patch: _Patch
     place: int
     record: JointRecord
-    fit: Fit
+    fit: JointFit
     row: dict[str, Any] = field(default_factory=dict)
 
     @cached_property

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import FileError
 from kilter_client.twin.settled import HINGE, JOINT, SLIDE, find_element_id, load_model, silence_warnings
-from kilter_core.rollout import JointEpisode, JointRecord, Servo, smooth_motion
+from kilter_core.motion import JointEpisode, JointRecord, Servo, smooth_motion
 from kilter_files.ground.later import mujoco, np
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 from kilter_client import typed
 from kilter_client.errors import UsageError
-from kilter_client.requests.calls import kept
+from kilter_client.requests.calls import references
 from kilter_client.requests.calls import robots as robot_calls
 from kilter_client.requests.calls.references import Kind
 from kilter_client.requests.steps import Document, Steps
@@ -32,7 +32,7 @@ def change(
     what = infer_kind(thing, kind)
     called = reference(what, thing)
     if what != "robot":
-        return _read(what, (yield from kept.change(_require_keepable(what), called, name, notes, robot)))
+        return _read(what, (yield from references.change(_require_keepable(what), called, name, notes, robot)))
     if name is not None:
         raise UsageError("A robot keeps the name it was added with: give notes= only.")
     return _read(what, (yield from robot_calls.note(called, notes or "")))
@@ -69,7 +69,9 @@ def purge(thing: ResourceReference, *, kind: What | None = None) -> Steps[typed.
     what = infer_kind(thing, kind)
     called = reference(what, thing)
     found = (
-        yield from robot_calls.do(called, "purge") if what == "robot" else kept.purge(_require_keepable(what), called)
+        yield from robot_calls.do(called, "purge")
+        if what == "robot"
+        else references.purge(_require_keepable(what), called)
     )
     return typed.comparisons.Tombstone.read(found)
 
@@ -79,7 +81,7 @@ def _do(doing: str, thing: ResourceReference, kind: What | None, robot: str | No
     called = reference(what, thing)
     if what == "robot":
         return _read(what, (yield from robot_calls.do(called, doing)))
-    return _read(what, (yield from kept.do(_require_keepable(what), called, doing, robot)))
+    return _read(what, (yield from references.do(_require_keepable(what), called, doing, robot)))
 
 
 def _require_keepable(what: What) -> Kind:

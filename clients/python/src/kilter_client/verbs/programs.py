@@ -16,7 +16,6 @@ from kilter_client.requests.calls import robots, versions
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.program import FilteredProgram
 from kilter_client.verbs.inputs import parse_signs
-from kilter_client.verbs.program_limits import at_limits
 from kilter_client.verbs.program_poses import ProgramJoints, Understood, not_kept, rewritten, understand
 from kilter_client.verbs.references import ResourceReference, reference
 from kilter_client.verbs.versions import correct
@@ -24,6 +23,28 @@ from kilter_client.verbs.versions import correct
 if TYPE_CHECKING:
     from kilter_client.results.program import FilteredProgram
     from kilter_files.formats import JointTarget, PoseTarget, Program, Stated, Track
+
+AT_LIMIT_DEG = 1e-6  # what is held stands at the limit, but for the last digits
+
+
+def at_limits(robot: Document, taught_deg: Sequence[float], new_deg: Sequence[float]) -> str:
+    """Name each joint with its angle and the limit, by the robot's joints; empty: none is at one.
+
+    ``taught_deg`` are the joints of the target, ``new_deg`` the corrected ones, NaN where it was refused.
+    """
+    said = []
+    for k, (joint, taught, new) in enumerate(zip(robot["joints"], taught_deg, new_deg, strict=True), 1):
+        name = joint.get("name") or f"joint {k}"
+        lower, upper = joint.get("limits_deg") or (None, None)
+        for limit, side in ((lower, -1.0), (upper, 1.0)):
+            if limit is None:
+                continue
+            if side * (taught - limit) > 0.0:
+                said.append(f"{name} at {taught:.6g} deg is beyond its limit of {limit:g} deg")
+            elif side * (new - limit) > -AT_LIMIT_DEG:
+                said.append(f"{name} at {taught:.6g} deg is held at its limit of {limit:g} deg")
+    return ", ".join(said)
+
 
 Frames: TypeAlias = "Mapping[str, Sequence[float] | str] | Sequence[float] | str"
 

@@ -16,7 +16,7 @@ from kilter_client.verbs.inputs import Data, prepare_rows
 from kilter_client.verbs.references import ResourceReference, reference, references
 
 if TYPE_CHECKING:
-    from kilter_client.requests.exported import Exported
+    from kilter_client.requests.calls.versions import Exported
     from kilter_client.results.corrected import Corrected
     from kilter_client.results.rows import Rows
 

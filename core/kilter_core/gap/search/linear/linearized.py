@@ -14,13 +14,17 @@ from functools import cached_property
 import numpy as np
 
 from kilter_core.effects import Batch
-from kilter_core.gap.search.linear.bases import lengths, orthonormal, split_geometry_directions
-from kilter_core.gap.search.linear.derivatives import Derivatives
 from kilter_core.gap.search.linear.gram import Gram
-from kilter_core.gap.search.linear.projection import Projection, Stacked
+from kilter_core.gap.search.linear.projection import (
+    Projection,
+    Soft,
+    Stacked,
+    lengths,
+    orthonormal,
+    split_geometry_directions,
+)
 from kilter_core.gap.search.linear.ranges import ends, exactly_within
-from kilter_core.gap.search.linear.settings import ProblemSettings
-from kilter_core.gap.search.linear.soft import Soft
+from kilter_core.gap.search.linear.settings import Derivatives, ProblemSettings
 from kilter_core.identify.fit.problem import ByCovariance, LeastSquares, Whitened
 from kilter_core.identify.fit.solver import minimise
 from kilter_core.parameters import Prior
@@ -124,7 +128,7 @@ class LinearizedProblem:
     def of_unit(self, columns: Sequence[int]) -> Floats:
         """Whitened derivatives (R, P + d) by geometry and library ``columns``, of a unit each; at rest it makes no others."""
         if self.derivatives.kept is None:
-            return np.hstack(self.settings.linearise(self.values, self.derivatives.batch, columns)[1:])
+            return np.hstack(self.settings.linearise(self.values, columns)[1:])
         return np.hstack([self.G, self.W_raw[:, list(columns)] * self.size[list(columns)]])
 
     def resting(self) -> None:
@@ -199,17 +203,11 @@ class LinearizedProblem:
         return np.hstack([self.U, orthonormal(self.projected_columns(list(columns)))])
 
 
-def linearise_problem(
-    settings: ProblemSettings, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None
-) -> LinearizedProblem:
-    """Linearise at ``values``: whiten, project off geometry, take the library's own part back into the data.
-
-    ``only`` keeps these library columns, in this order, and holds the rest of the library at its values.
-    """
-    made, r, norm = Derivatives.evaluate_at_values(settings, values, batch, only)
+def linearise_problem(settings: ProblemSettings, values: Floats) -> LinearizedProblem:
+    """Linearise at ``values``: whiten, project off geometry, take the library's own part back into the data."""
+    made, r, norm = Derivatives.evaluate_at_values(settings, values)
     G, W, (unit, scale) = made.G, made.W, _units(norm)
-    library = settings.source.library(values)
-    y = r + W @ ((library if only is None else library[list(only)]) * unit)
+    y = r + W @ (settings.source.library(values) * unit)
     soft, U, y = less_geometry(settings, values, G, y, settings.source.soft)
     # Correlated samples carry less freedom than their number: whitening took the same factor off chi-square.
     nu = float(settings.numbers / settings.inflation - U.shape[1])
@@ -229,7 +227,7 @@ def with_columns_of(problem: LinearizedProblem, settings: ProblemSettings, colum
     problem.resting()
     if problem.derivatives.kept is not None:  # else nobody else has them
         W = W.copy()
-    W[:, index], scale[index] = whitened_unit_columns(settings, problem.values, problem.derivatives.batch, index)
+    W[:, index], scale[index] = whitened_unit_columns(settings, problem.values, None, index)
     made = replace(problem.derivatives, settings=settings, kept=(G, W))
     A, c = Projection.from_columns(problem.soft, problem.U, W).products(problem.y)
     return replace(problem, settings=settings, scale=scale, A=A, c=c, derivatives=made)
@@ -396,7 +394,7 @@ class SearchProblem(LeastSquares[Whitened]):
 
     def evaluate(self, values: Floats) -> Whitened:
         """Linearise there."""
-        r, G, W = self.settings.linearise(values, None, self.free)
+        r, G, W = self.settings.linearise(values, self.free)
         J, split = np.empty((len(r), G.shape[1] + W.shape[1])), G.shape[1]
         np.multiply(G, self._sigma[:split], out=J[:, :split])
         np.multiply(W, self._sigma[split:], out=J[:, split:])

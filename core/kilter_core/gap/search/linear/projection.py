@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.gap.search.linear.bases import UNFELT
-from kilter_core.gap.search.linear.soft import Soft
+from kilter_core.gap.search.linear.gram import VISIBLE
 from kilter_core.types import Floats
 
 AT_ONCE = 400_000  # numbers of the columns that are made at a time: 3 MB, which the processor's cache holds
 MOST_AT_ONCE = 4_000_000  # the same of columns that are kept: 32 MB
+
+FIRM = 30.0  # data sigmas that one prior sigma of a geometric direction moves, from which its prior adds nothing to the data
+UNFELT = 1e-3  # the same, below which nothing shows it
 
 
 @dataclass(frozen=True)
@@ -117,3 +119,57 @@ def row_slices(rows: int, columns: int, size: int = 1) -> Iterator[slice]:
     """Slices of the rows, multiples of ``size`` each."""
     count = max(1, AT_ONCE // max(1, columns) // size) * size
     yield from (slice(k, k + count) for k in range(0, rows, count))
+
+
+@dataclass(frozen=True)
+class Soft:
+    """Whitening by (I + B B')^(-1/2), B (R, L) the columns of one prior sigma of each load error.
+
+    Projected off, masses 10 % larger would take a compliance's own signature with them; so they count as noise that the
+    priors state. ``Q (R, L)`` is an orthonormal basis of B, ``shrink (L,)`` what is left along it less 1.
+    """
+
+    Q: Floats
+    shrink: Floats
+
+    @staticmethod
+    def from_columns(B: Floats) -> Soft:
+        """Whitening by these columns; those that are all zero cost nothing."""
+        B = B[:, np.any(B != 0.0, axis=0)]
+        if not B.size:
+            return Soft(np.zeros((len(B), 0)), np.zeros(0))
+        Q, R = np.linalg.qr(B)
+        u, s, _ = np.linalg.svd(R)
+        return Soft(Q @ u[:, : len(s)], 1.0 / np.sqrt(1.0 + s**2) - 1.0)
+
+    def __call__(self, X: Floats) -> Floats:
+        """Whiten rows (R,) or (R, K)."""
+        if not len(self.shrink):
+            return X
+        along = self.Q.T @ X
+        return np.asarray(X + self.Q @ (along * (self.shrink if X.ndim == 1 else self.shrink[:, None])))
+
+
+def split_geometry_directions(scaled: Floats) -> tuple[Floats, Floats]:
+    """Directions (P, f) of geometry, columns ``scaled (R, P)`` by prior sigmas, that the data know by themselves, and those
+    (P, w) that their priors know as well, whatever else is fitted: freed of them, they would follow an effect that nearly
+    imitates them to many prior sigmas.
+    """
+    if scaled.shape[1] == 0 or len(scaled) == 0:
+        return np.zeros((scaled.shape[1], 0)), np.zeros((scaled.shape[1], 0))
+    _, s, vt = np.linalg.svd(np.linalg.qr(scaled, mode="r"))
+    size = np.zeros(len(vt))
+    size[: len(s)] = s
+    firm = size > max(FIRM, 1e-10 * float(s[0]))
+    return vt[firm].T, vt[~firm & (size > UNFELT)].T
+
+
+def orthonormal(W: Floats) -> Floats:
+    """Orthonormal basis of columns (R, Q)."""
+    u, s, _ = np.linalg.svd(W, full_matrices=False)
+    return np.asarray(u[:, s > np.sqrt(VISIBLE)])
+
+
+def lengths(W: Floats) -> Floats:
+    """Norms (Q,) of columns, without a copy of them squared."""
+    return np.asarray(np.sqrt(np.einsum("rq,rq->q", W, W)))

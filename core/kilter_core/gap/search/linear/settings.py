@@ -1,4 +1,4 @@
-"""What stays the same through a search: rows, noise and everything beside it that whitens, and which visits count."""
+"""What stays the same through a search: rows, noise and what whitens; and the whitened derivatives at a fit."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from kilter_core.effects import Batch
 from kilter_core.gap.noise.from_repeats import Noise
+from kilter_core.gap.search.linear.projection import lengths
 from kilter_core.gap.search.sources.rounding import Rounding
 from kilter_core.gap.search.sources.source import Source
-from kilter_core.identify.fit.problem import ByCovariance
-from kilter_core.identify.fit.shared_errors import SharedErrors
+from kilter_core.identify.fit.problem import ByCovariance, SharedErrors
 from kilter_core.types import Bools, Floats, Ints
+
+MOST_BYTES = 16 << 20  # of derivatives that are kept in any case
 
 
 @dataclass(frozen=True)
@@ -88,9 +89,54 @@ class ProblemSettings:
         """Whitened residuals (V, m), zero where nothing was seen or the visit does not count."""
         return self.whitening.residual(self.source.residual(values))
 
-    def linearise(
-        self, values: Floats, batch: Batch | None = None, only: Sequence[int] | None = None
-    ) -> tuple[Floats, Floats, Floats]:
+    def linearise(self, values: Floats, only: Sequence[int] | None = None) -> tuple[Floats, Floats, Floats]:
         """Whitened residuals (R,), and derivatives by geometry (R, P) and library (R, Q): the columns ``only``, or all."""
-        linear, by = self.source.linear(values, batch, only), self.whitening
+        linear, by = self.source.linear(values, None, only), self.whitening
         return by.residual(linear.r).reshape(-1), by.columns(linear.G), by.columns(linear.W)
+
+
+@dataclass
+class Derivatives:
+    """Geometric columns ``G (R, P)`` and unit library columns ``W (R, Q)``, with the lengths (Q,) that these had.
+
+    Made at ``values`` and again, to the last bit, where they are asked for after :meth:`release_memory`.
+    """
+
+    settings: ProblemSettings
+    values: Floats
+    kept: tuple[Floats, Floats] | None = None
+
+    @staticmethod
+    def evaluate_at_values(settings: ProblemSettings, values: Floats) -> tuple[Derivatives, Floats, Floats]:
+        """With the whitened residual (R,) and the lengths of the library's columns (Q,)."""
+        made = Derivatives(settings, values)
+        r, norm = made._make()
+        return made, r, norm
+
+    @property
+    def G(self) -> Floats:
+        """Whitened geometric columns."""
+        return self._geometry_and_library_columns()[0]
+
+    @property
+    def W(self) -> Floats:
+        """Whitened library columns, each of length 1; those that move nothing are zero."""
+        return self._geometry_and_library_columns()[1]
+
+    def release_memory(self) -> None:
+        """Keep nothing until it is asked for again; a few hundred poses are not worth the time."""
+        if self.kept is not None and sum(part.nbytes for part in self.kept) > MOST_BYTES:
+            self.kept = None
+
+    def _geometry_and_library_columns(self) -> tuple[Floats, Floats]:
+        if self.kept is None:
+            self._make()
+        assert self.kept is not None
+        return self.kept
+
+    def _make(self) -> tuple[Floats, Floats]:
+        r, G, W = self.settings.linearise(self.values)
+        norm = lengths(W)
+        W /= np.where(norm > 0.0, norm, 1.0)
+        self.kept = (G, W)
+        return r, norm

@@ -14,7 +14,7 @@ import numpy as np
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.noise.visits import Visits
 from kilter_core.gap.search.sources.source import Source
-from kilter_core.identify.fit.shared_errors import SharedErrors
+from kilter_core.identify.fit.problem import SharedErrors
 from kilter_core.observations import Observations
 from kilter_core.observations.repeats import numbered_rows
 from kilter_core.observations.rounding import reading_steps

@@ -248,7 +248,7 @@ def test_the_bar_says_that_pictures_are_looked_through(
 ) -> None:
     bar = Bar()
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    monkeypatch.setattr("kilter_client.cli.terminal.progress.bars", lambda **_: nullcontext(bar))
+    monkeypatch.setattr("kilter_client.cli.terminal.output.bars", lambda **_: nullcontext(bar))
     assert run(["see", str(pictures), "--board", own_board(), "-o", str(tmp_path / "views.csv")]) == 0
     assert bar.titles == ["looking through 3 pictures"]
     assert bar.done == [(1, 3), (2, 3), (3, 3)]

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageFilter
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from kilter_files.rig.sheet.drawing import to_pdf
+from kilter_files.rig.printed import page_pdf
 from kilter_files.rig.sheet.layout import PAGES_MM, Sheet
+from kilter_files.rig.sheet.shapes import sheet_page
 
 Floats = NDArray[np.float64]
 Along = Callable[[Floats], Floats]
@@ -80,7 +81,7 @@ def drawn(
 
 
 def _printed(sheet: Sheet, dpi: int, width: float, height: float) -> Floats:
-    document = pypdfium2.PdfDocument(to_pdf(sheet))
+    document = pypdfium2.PdfDocument(page_pdf(sheet_page(sheet)))
     page = document[0].render(scale=dpi / 72, rev_byteorder=True).to_numpy()[:, :, :3] / 255.0
     document.close()
     cut = [

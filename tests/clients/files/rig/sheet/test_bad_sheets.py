@@ -23,11 +23,11 @@ from reportlab.pdfgen.canvas import Canvas
 
 from kilter_client.cli import run
 from kilter_client.errors import FileError
+from kilter_files.rig.printed import page_pdf
 from kilter_files.rig.sheet import picture
-from kilter_files.rig.sheet.drawing import to_pdf
 from kilter_files.rig.sheet.layout import sheet_for
 from kilter_files.rig.sheet.reading import Options, read_sheet
-from kilter_files.rig.sheet.shapes import aruco
+from kilter_files.rig.sheet.shapes import aruco, sheet_page
 
 Paper = tuple[NDArray[np.float64], float]
 DPI = 160.0
@@ -72,7 +72,7 @@ def test_files_that_are_no_pictures(name: str, content: bytes, message: str, tmp
 
 def test_pdfs_of_other_pages(tmp_path: Path) -> None:
     path = tmp_path / "a.pdf"
-    path.write_bytes(to_pdf(sheet_for(15)))
+    path.write_bytes(page_pdf(sheet_page(sheet_for(15))))
     refused(path, "page 3: has 1 pages. Choose a page from 1 to 1", Options(page=3))
     refused(path, "no drawn line within 4.4 mm")
     huge = Canvas(str(path), pagesize=(20_000, 14_000))
@@ -175,8 +175,8 @@ def small(form: str) -> bytes:
     """A blank sheet of radius 15 at 30 dpi."""
     out = io.BytesIO()
     if form == "PDF":
-        return to_pdf(sheet_for(15))
-    document = pypdfium2.PdfDocument(to_pdf(sheet_for(15)))
+        return page_pdf(sheet_page(sheet_for(15)))
+    document = pypdfium2.PdfDocument(page_pdf(sheet_page(sheet_for(15))))
     image = document[0].render(scale=30 / 72).to_pil()
     document.close()
     image.save(out, form)

@@ -18,7 +18,7 @@ from kilter_client.cli import run
 from kilter_client.errors import FileError
 from kilter_core.evaluate import evaluate
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.model.inverse_kinematics import reach
+from kilter_core.model.general_inverse import reach
 from kilter_core.observations import Observations
 from kilter_core.twin import thesis_katana
 from kilter_files.rig.drawn_circle import Circle, Frame, JoinOptions, join, register
@@ -233,6 +233,8 @@ def test_heights_of_text_and_what_is_wrong_with_them(tmp_path: Path) -> None:
     path.write_text("t_s,poti_v\n" + "\n".join(f"{k / 100},{k / 100}" for k in range(100)))
     with pytest.raises(FileError, match=r"not in mm.*calibration"):
         read_heights(path)
+    with pytest.raises(FileError, match="V, is far outside the calibration"):
+        read_heights(path, "poti_v", read_calibration("0:0,0.001:10"))
     found = read_heights(path, "poti_v", read_calibration("0:-10,5:35"))
     mean, scatter = found.around(np.array([0.5, 3.0]), 0.1)
     assert mean[0] == pytest.approx(-5.5, abs=1e-6)

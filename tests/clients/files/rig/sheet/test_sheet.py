@@ -12,8 +12,9 @@ from scipy.ndimage import center_of_mass, label
 
 from kilter_client.cli import run
 from kilter_client.errors import UsageError
-from kilter_files.rig.sheet.drawing import save_sheet, to_pdf, to_svg
+from kilter_files.rig.printed import page_pdf, page_svg
 from kilter_files.rig.sheet.layout import PAGES_MM, Sheet, largest_radius, sheet_for
+from kilter_files.rig.sheet.shapes import save_sheet, sheet_page
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -23,7 +24,7 @@ def test_marks_of_the_pdf_are_where_the_layout_says(radius: float, page: str) ->
     sheet = sheet_for(radius, None if page in ("a4", "a3") else "letter")
     assert sheet.page == page
     dpi = 150
-    document = pypdfium2.PdfDocument(to_pdf(sheet))
+    document = pypdfium2.PdfDocument(page_pdf(sheet_page(sheet)))
     assert document[0].get_size() == pytest.approx(np.array(PAGES_MM[page]) * 72 / 25.4, abs=1e-3)
     grey = document[0].render(scale=dpi / 72, grayscale=True).to_numpy().squeeze()
     document.close()
@@ -40,7 +41,7 @@ def test_marks_of_the_pdf_are_where_the_layout_says(radius: float, page: str) ->
 
 def test_svg_is_in_mm() -> None:
     sheet = sheet_for(80)
-    root = ET.fromstring(to_svg(sheet))
+    root = ET.fromstring(page_svg(sheet_page(sheet)))
     assert (root.get("width"), root.get("viewBox")) == ("210mm", "0 0 210 297")
     discs = {(float(c.get("cx", "")), -float(c.get("cy", ""))) for c in root.iter(f"{SVG}circle")}
     assert discs == set(sheet.targets())
@@ -59,7 +60,7 @@ def _length(points: list[str]) -> float:
 
 
 def test_the_same_sheet_gives_the_same_bytes() -> None:
-    assert to_pdf(Sheet(30)) == to_pdf(Sheet(30))
+    assert page_pdf(sheet_page(Sheet(30))) == page_pdf(sheet_page(Sheet(30)))
 
 
 def test_quarter_points_are_free_of_print() -> None:
@@ -88,7 +89,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_bars_can_be_read_off_the_picture_of_the_manual() -> None:
     """The picture in the documentation is the sheet itself."""
     picture = Path(__file__).resolve().parents[5] / "docs/images/pencil-sheet.svg"
-    assert picture.read_text() == to_svg(sheet_for(80))
+    assert picture.read_text() == page_svg(sheet_page(sheet_for(80)))
 
 
 def test_save_sheet_returns_its_size(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from kilter_files.formats.joints.lerobot.calibration import (
     refuse_outside,
     servo_name_for_joint,
 )
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.ground.later import need, np
 
 FOLLOWER = "Give the calibration of the follower, in .../calibration/robots/."

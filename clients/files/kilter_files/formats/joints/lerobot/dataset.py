@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from kilter_files.formats.zipped import ZIP, of_zip
-from kilter_files.ground.faults import fault, read_head
+from kilter_files.ground.errors import fault, read_head
 from kilter_files.ground.later import need, pa, parquet
 
 INSIDE = (b"moov", b"trak", b"mdia", b"minf", b"stbl")

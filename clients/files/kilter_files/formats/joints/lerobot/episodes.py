@@ -25,7 +25,7 @@ from kilter_files.formats.joints.lerobot.log import (
 )
 from kilter_files.formats.reader import LogHints
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 
 ACTION = "action"
 ENDS = 10  # rows from which a beginning and an end are taken

@@ -26,7 +26,7 @@ from kilter_files.formats.joints.lerobot.dataset import (
 )
 from kilter_files.formats.reader import LogHints
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import fault
 from kilter_files.ground.later import np
 from kilter_files.tables.joint_log import JointLog, checked_log
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_files.formats.reader import NO_HINTS, Head, Hints, RecordingReader
-from kilter_files.ground.faults import CUT, fault, read_head
+from kilter_files.ground.errors import CUT, fault, read_head
 from kilter_files.ground.later import np
 from kilter_files.ground.units import SIZES
 from kilter_files.tables.gaps import without_gaps

@@ -22,8 +22,7 @@ from kilter_files.formats.recordings.marker_header import (
 from kilter_files.formats.tracker_header import canonical_column_name
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import CUT, fault
+from kilter_files.ground.errors import CUT, FileError, fault
 from kilter_files.ground.later import np
 from kilter_files.ground.text_blocks import MISSING, blocks, count_rows, line_number_of_row, numbered_lines
 from kilter_files.ground.text_layout import TextLayout, sniff

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.faults import fault
+from kilter_files.ground.errors import FileError, fault
 from kilter_files.ground.later import need, yaml
 from kilter_files.rig.see.optics.camera import FOCAL, REMEDY, Camera, checked_camera, read_own
 

@@ -10,8 +10,7 @@ import typer
 
 from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import emit, print_line
-from kilter_client.cli.terminal.progress import upload_bar
+from kilter_client.cli.terminal.output import emit, print_line, upload_bar
 from kilter_client.errors import FileError, UsageError
 from kilter_client.files import files_formats, files_rig
 from kilter_client.results.rows import write_file

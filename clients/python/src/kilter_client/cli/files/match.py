@@ -25,8 +25,7 @@ from kilter_client.cli.files.joint_names import fetch_joint_names
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.interrupt import on_interrupt
-from kilter_client.cli.terminal.output import emit, note, print_line
-from kilter_client.cli.terminal.progress import upload_bar
+from kilter_client.cli.terminal.output import emit, note, print_line, upload_bar
 from kilter_client.errors import UsageError
 from kilter_client.files import files_match, files_tables
 from kilter_files import read_joints

@@ -8,8 +8,7 @@ from typing import Any
 
 from kilter_client import Kilter
 from kilter_client.cli.terminal.interrupt import on_interrupt
-from kilter_client.cli.terminal.output import REMEDY_FOR_COLUMNS
-from kilter_client.cli.terminal.progress import upload_bar
+from kilter_client.cli.terminal.output import REMEDY_FOR_COLUMNS, upload_bar
 from kilter_client.cli.terminal.references import resolve_reference
 from kilter_client.errors import ConflictError, KilterError, ObservationError
 from kilter_client.verbs.campaigns import send_rows

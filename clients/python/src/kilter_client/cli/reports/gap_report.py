@@ -7,7 +7,6 @@ from typing import Any
 
 from kilter_client.cli.reports.identify_report import describe_correction_frames
 from kilter_client.cli.reports.load_model_report import show_load_model
-from kilter_client.cli.reports.unobservable_report import show_unobservable
 from kilter_client.cli.terminal.output import print_line
 from kilter_client.cli.terminal.tables import number, show_rows
 
@@ -318,3 +317,18 @@ def _name(effect: Mapping[str, Any]) -> str:
 
 def _joints(effect: Mapping[str, Any]) -> str:
     return ",".join(str(joint) for joint in effect.get("joints") or ())
+
+
+def show_unobservable(directions: list[Any]) -> None:
+    """Print each combination of parameters that changes nothing that was measured."""
+    if not directions:
+        return
+    print_line("What these data cannot distinguish:")
+    for direction in directions:
+        sentence = direction.get("sentence") if isinstance(direction, Mapping) else direction
+        print_line(f"  - {sentence or _combination(direction)}")
+
+
+def _combination(direction: Mapping[str, Any]) -> str:
+    parts = direction.get("parameters") or ()
+    return " ".join(f"{part['weight']:+.2f} {part['name']}" for part in parts) + " changes nothing that was measured."

@@ -7,10 +7,9 @@ from typing import Any
 
 from kilter_client.cli.reports.answer import show_answer
 from kilter_client.cli.reports.drift_report import show_drift, show_smallest
-from kilter_client.cli.reports.gap_report import show_gap
+from kilter_client.cli.reports.gap_report import show_gap, show_unobservable
 from kilter_client.cli.reports.identify_report import show_identification, show_parameters
 from kilter_client.cli.reports.next_step import suggest_for_version
-from kilter_client.cli.reports.unobservable_report import show_unobservable
 from kilter_client.cli.terminal.output import print_line, print_lines
 from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.results.shown import MODELS, nominal_words

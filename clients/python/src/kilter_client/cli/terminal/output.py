@@ -1,4 +1,4 @@
-"""What goes to stdout and stderr: one JSON document, or text for people."""
+"""What goes to stdout and stderr: one JSON document, text for people, and progress bars."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import typer
@@ -14,6 +15,8 @@ import typer
 from kilter_client.cli.terminal.name_words import name_ids, remember_names
 from kilter_client.cli.terminal.tables import screen_columns, wrap_line
 from kilter_client.errors import KilterError, UsageError
+from kilter_client.requests.calls.jobs import AWAY
+from kilter_client.verbs.progress import bars
 
 Document = dict[str, Any]
 
@@ -87,3 +90,36 @@ def report_usage(error: typer.TyperException, as_json: bool) -> None:
     said = re.sub(INVALID, lambda found: found[1].replace("'", "") + ": ", error.format_message())
     said = said.replace(": Input should", ": it should")
     report_error(UsageError(said + ("" if said.endswith((".", "?", "!")) else ".") + hint), as_json)
+
+
+@contextmanager
+def upload_bar(name: str, as_json: bool, doing: str = "sending") -> Iterator[Callable[[int, int], None]]:
+    """Show how much is done of the total: bytes sent, or what else is being done."""
+    if as_json or not sys.stderr.isatty():
+        yield lambda sent, total: None
+        return
+    with bars(stderr=True) as bar:
+        task = bar.add_task(f"{doing} {name}", total=None)
+        yield lambda sent, total: bar.update(task, completed=sent, total=total)
+
+
+@contextmanager
+def job_bar(name: str, as_json: bool) -> Iterator[Callable[[float, str], None]]:
+    """Show the fraction and the stage of a job; where nobody watches a bar, say once that the server is away."""
+    if as_json or not sys.stderr.isatty():
+        yield _said_once(name, as_json)
+        return
+    with bars(stderr=True) as bar:
+        task = bar.add_task(name, total=1.0)
+        yield lambda fraction, stage: bar.update(task, completed=fraction, description=f"{name}: {stage}")
+
+
+def _said_once(name: str, as_json: bool) -> Callable[[float, str], None]:
+    said: set[str] = set()
+
+    def note_stage_once(_: float, stage: str) -> None:
+        if stage == AWAY and stage not in said:
+            said.add(stage)
+            note(f"{name}: {stage}", as_json)
+
+    return note_stage_once

@@ -9,8 +9,7 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from kilter_client.requests.calls.kept import place
-from kilter_client.requests.calls.references import resolve_id
+from kilter_client.requests.calls.references import place, resolve_id
 from kilter_client.requests.steps import (
     Document,
     Request,

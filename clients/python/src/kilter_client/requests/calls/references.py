@@ -1,4 +1,4 @@
-"""Calls that find what a reference stands for."""
+"""Calls that find what a reference stands for, and those that campaigns and versions have in common."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from kilter_client.requests.steps import Document, Steps, get
+from kilter_client.requests.steps import Document, Steps, address, get, patch, post
 
 Kind = Literal["campaign", "version", "job"]
 
@@ -66,3 +66,27 @@ def resolved_request(robot: str, request: Mapping[str, Any]) -> Steps[Document]:
         if isinstance(options.get(key), str):
             options[key] = yield from resolve_id("version", options[key], robot)
     return out | {"options": options}
+
+
+def place(kind: Kind, reference: str, robot: str | None = None, *more: str) -> Steps[str]:
+    """Return the path of what a reference stands for."""
+    found = yield from resolve_id(kind, reference, robot)
+    return address(f"{kind}s", found, *more)
+
+
+def change(kind: Kind, reference: str, name: str | None, notes: str | None, robot: str | None) -> Steps[Document]:
+    """Name it, or note something on it; what is None stays."""
+    body = {key: value for key, value in (("name", name), ("notes", notes)) if value is not None}
+    path = yield from place(kind, reference, robot)
+    return (yield from patch(path, body))
+
+
+def do(kind: Kind, reference: str, what: str, robot: str | None) -> Steps[Document]:
+    """Retire or restore it."""
+    path = yield from place(kind, reference, robot, what)
+    return (yield from post(path))
+
+
+def purge(kind: Kind, full_id: str) -> Steps[Document]:
+    """Delete it for good."""
+    return post(address(f"{kind}s", full_id, "purge"))

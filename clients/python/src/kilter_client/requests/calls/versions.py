@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
-from kilter_client.requests.calls.kept import place
-from kilter_client.requests.calls.references import resolve_id
-from kilter_client.requests.exported import Exported
+from kilter_client.requests.calls.references import place, resolve_id
 from kilter_client.requests.steps import Answer, Document, Request, Steps, address, get, post, send_with_retries
 
 if TYPE_CHECKING:
@@ -151,3 +149,9 @@ def _send_path(
 
 def _kind(reference: str) -> Literal["job", "version"]:
     return "job" if reference.startswith("job_") else "version"
+
+
+class Exported(bytes):
+    """A version as bytes of a file; ``notes`` are what the file leaves out, and what else the server says of it."""
+
+    notes: tuple[str, ...] = ()

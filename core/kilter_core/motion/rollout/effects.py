@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kilter_core.effects.physical import PhysicalClass
-from kilter_core.rollout.kernels import joint as place
+from kilter_core.motion.effects import LOAD, JointEffect
+from kilter_core.motion.kernels import joint as place
 
 
 @dataclass(frozen=True)
@@ -30,15 +31,12 @@ class Number:
 
 
 @dataclass(frozen=True)
-class RolloutEffect:
+class RolloutEffect(JointEffect):
     """An effect of one joint: ``number`` is fitted, ``settings`` are places that its variant sets; ``least`` is worth a name.
 
     ``element`` says what a simulator needs for it.
     """
 
-    id: str
-    label: str
-    physical: PhysicalClass
     number: Number
     least: float
     variants: tuple[dict[int, float], ...] = ({},)
@@ -49,7 +47,6 @@ class RolloutEffect:
 DELAY = PhysicalClass("delay", "delay of {joint}", ("bus", "control loop", "logger's clock"))
 PLAY = PhysicalClass("gear_backlash", "backlash of the gear of {joint}", ("gear", "spline", "horn of the servo"))
 SOFT = PhysicalClass("gear_twist", "twist of the gear of {joint}", ("belt", "harmonic drive", "soft link"))
-LOAD = PhysicalClass("friction_by_load", "friction of {joint} that follows its load", ("gear", "bearing"))
 BREAKAWAY = PhysicalClass("breakaway", "stick of {joint} at rest", ("seal", "grease", "dead band of the servo"))
 LIMIT = PhysicalClass("torque_limit", "torque limit of {joint}", ("current limit", "supply voltage"))
 ZERO = PhysicalClass("zero", "zero of {joint}", ("horn set one tooth off", "offset of the logger"))

@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.rollout.effects import BY_ID, ROLLOUT_EFFECTS, RolloutEffect
-from kilter_core.rollout.fit import BASE, EVALUATIONS, Fit, Term, fit_base, fit_joint, fit_with, simulate
-from kilter_core.rollout.record import JointRecord
+from kilter_core.motion.rollout.effects import BY_ID, ROLLOUT_EFFECTS, RolloutEffect
+from kilter_core.motion.rollout.fit import BASE, EVALUATIONS, JointFit, Term, fit_base, fit_joint, fit_with, simulate
+from kilter_core.motion.rollout.record import JointRecord
 from kilter_core.types import QUANTILE, Bools, Floats
 
 FOLDS = 4
@@ -54,7 +54,7 @@ class JudgedEffect:
     rivals: tuple[RolloutEffect, ...]
     each_log: bool
     verdict: str
-    without: Fit
+    without: JointFit
 
 
 @dataclass(frozen=True)
@@ -66,14 +66,14 @@ class JointFindings:
 
     record: JointRecord
     split: Split
-    base: Fit
-    fit: Fit
+    base: JointFit
+    fit: JointFit
     judged: tuple[JudgedEffect, ...]
     excluded: tuple[tuple[RolloutEffect, float], ...]
     pushed_s: tuple[tuple[int, float], ...]
 
     @property
-    def believed(self) -> Fit:
+    def believed(self) -> JointFit:
         """The fit with what was found, or of the servo alone."""
         return self.fit if self.judged else self.base
 
@@ -82,7 +82,7 @@ class JointFindings:
         """What the model as it is stated leaves of the readings (R,), rad."""
         return self.record.reading - simulate(self.record, self.record.stated)
 
-    def rms(self, fit: Fit, rows: Bools | None = None) -> float:
+    def rms(self, fit: JointFit, rows: Bools | None = None) -> float:
         """Root mean square (rad) of what a fit leaves on ``rows``, by default those that no choice saw."""
         rows = (self.split.held if rows is None else rows) & self.record.used
         return float(np.sqrt(np.mean(fit.left[rows] ** 2)))
@@ -158,11 +158,13 @@ def gain_on(record: JointRecord, held: Bools, before: Floats, after: Floats) -> 
     return _standard_errors(*squares)
 
 
-def _choose(record: JointRecord, split: Split) -> tuple[Fit, Fit, dict[str, tuple[RolloutEffect, ...]], list[Fit]]:
+def _choose(
+    record: JointRecord, split: Split
+) -> tuple[JointFit, JointFit, dict[str, tuple[RolloutEffect, ...]], list[JointFit]]:
     """Return the fit of the servo alone, that with the effects that enter, the rivals of each, and the last that were tried."""
     base = fit = fit_base(record, split.train)
     rivals: dict[str, tuple[RolloutEffect, ...]] = {}
-    tried: list[Fit] = []
+    tried: list[JointFit] = []
     without = _fold_losses(record, fit, split.train)
     for _ in range(MOST_TERMS):
         tried = _fit_candidates(record, fit, split.train)
@@ -182,11 +184,11 @@ def _choose(record: JointRecord, split: Split) -> tuple[Fit, Fit, dict[str, tupl
     return base, fit, rivals, tried
 
 
-def _fit_candidates(record: JointRecord, fit: Fit, train: Bools) -> list[Fit]:
+def _fit_candidates(record: JointRecord, fit: JointFit, train: Bools) -> list[JointFit]:
     """Fits with one effect more, each in its best variant, that which leaves least first."""
     sigma = _rms(record, fit, train)
     have = {term.effect.id for term in fit.terms}
-    best: dict[str, Fit] = {}
+    best: dict[str, JointFit] = {}
     for effect in ROLLOUT_EFFECTS:
         if effect.id in have:
             continue
@@ -195,7 +197,7 @@ def _fit_candidates(record: JointRecord, fit: Fit, train: Bools) -> list[Fit]:
     return sorted(best.values(), key=lambda one: one.cost)
 
 
-def _drop_idle_terms(record: JointRecord, fit: Fit, losses: Floats, train: Bools) -> tuple[Fit, Floats]:
+def _drop_idle_terms(record: JointRecord, fit: JointFit, losses: Floats, train: Bools) -> tuple[JointFit, Floats]:
     """Take out earlier terms that the last one has made needless; return the fit and what it leaves of each second."""
     for term in fit.terms[:-1]:
         fewer = _refit(record, fit, [one for one in fit.terms if one is not term], train)
@@ -205,7 +207,9 @@ def _drop_idle_terms(record: JointRecord, fit: Fit, losses: Floats, train: Bools
     return fit, losses
 
 
-def _refit(record: JointRecord, fit: Fit, terms: Sequence[Term], rows: Bools, evaluations: int = 2 * REFITS) -> Fit:
+def _refit(
+    record: JointRecord, fit: JointFit, terms: Sequence[Term], rows: Bools, evaluations: int = 2 * REFITS
+) -> JointFit:
     begin = fit.p.copy()
     for term in fit.terms:
         if term not in terms:
@@ -213,7 +217,7 @@ def _refit(record: JointRecord, fit: Fit, terms: Sequence[Term], rows: Bools, ev
     return fit_joint(record, terms, rows, _rms(record, fit, rows), begin, evaluations)
 
 
-def _fold_losses(record: JointRecord, fit: Fit, train: Bools) -> Floats:
+def _fold_losses(record: JointRecord, fit: JointFit, train: Bools) -> Floats:
     """Squares (B,) that each second of ``train`` leaves, from fits to the other stretches."""
     blocks = np.unique(record.block[train & record.used])
     fold = np.full(int(record.block.max()) + 1, -1)
@@ -240,15 +244,15 @@ def _standard_errors(before: Floats, after: Floats) -> float:
     return float(max(errors) if gains[0].sum() > 0.0 else min(errors))
 
 
-def _is_worth_a_name(fit: Fit, term: Term) -> bool:
+def _is_worth_a_name(fit: JointFit, term: Term) -> bool:
     return bool(abs(fit.p[term.effect.number.place]) > term.effect.least)
 
 
-def _rms(record: JointRecord, fit: Fit, rows: Bools) -> float:
+def _rms(record: JointRecord, fit: JointFit, rows: Bools) -> float:
     return max(float(np.sqrt(np.mean(fit.left[rows & record.used] ** 2))), 1e-9)
 
 
-def _find_pushed_blocks(record: JointRecord, fit: Fit, split: Split) -> Bools:
+def _find_pushed_blocks(record: JointRecord, fit: JointFit, split: Split) -> Bools:
     """Seconds (B,) in which something leant on the arm: far beyond what is left of all others."""
     count = int(record.block.max()) + 1
     rows = record.used
@@ -259,7 +263,7 @@ def _find_pushed_blocks(record: JointRecord, fit: Fit, split: Split) -> Bools:
     return pushed if pushed.mean() <= MOST_PUSHED else np.zeros(count, dtype=bool)
 
 
-def covariance(record: JointRecord, fit: Fit, rows: Bools) -> Floats:
+def covariance(record: JointRecord, fit: JointFit, rows: Bools) -> Floats:
     """Covariance (k, k) of what was fitted, each second one observation (Liang and Zeger 1986)."""
     rows = rows & record.used
     count = int(rows.sum())
@@ -271,18 +275,18 @@ def covariance(record: JointRecord, fit: Fit, rows: Bools) -> Floats:
     return np.asarray(inverse @ (scores.T @ scores) @ inverse)
 
 
-def servo_sigmas(record: JointRecord, fit: Fit, rows: Bools) -> dict[str, float]:
+def servo_sigmas(record: JointRecord, fit: JointFit, rows: Bools) -> dict[str, float]:
     """Standard errors of the numbers of the servo, by name."""
     spread = np.sqrt(np.maximum(np.diag(covariance(record, fit, rows)), 0.0)) * fit.scales
     return {number.name: float(s) for number, s in zip(BASE, spread, strict=False)}
 
 
-def _sigma_of(record: JointRecord, fit: Fit, term: Term, rows: Bools) -> float:
+def _sigma_of(record: JointRecord, fit: JointFit, term: Term, rows: Bools) -> float:
     at = [number.place for number in fit.fitted].index(term.effect.number.place)
     return float(np.sqrt(max(covariance(record, fit, rows)[at, at], 0.0)) * fit.scales[at])
 
 
-def _upper_limit(record: JointRecord, fit: Fit, rows: Bools) -> float:
+def _upper_limit(record: JointRecord, fit: JointFit, rows: Bools) -> float:
     term = fit.terms[-1]
     value = float(fit.p[term.effect.number.place])
     return abs(value) + QUANTILE * _sigma_of(record, fit, term, rows)
@@ -291,7 +295,7 @@ def _upper_limit(record: JointRecord, fit: Fit, rows: Bools) -> float:
 def _judge(
     record: JointRecord,
     split: Split,
-    fit: Fit,
+    fit: JointFit,
     term: Term,
     rivals: tuple[RolloutEffect, ...],
     logs: Sequence[int],
@@ -318,7 +322,7 @@ def _verdict(split: Split, unseen: float, term: Term, rivals: tuple[RolloutEffec
     return "replicated" if each else "confirmed"
 
 
-def _shows_in_each_log(record: JointRecord, whole: Fit, term: Term, every: Bools, logs: Sequence[int]) -> bool:
+def _shows_in_each_log(record: JointRecord, whole: JointFit, term: Term, every: Bools, logs: Sequence[int]) -> bool:
     """Whether each of several logs, fitted by itself, has the effect with the same value."""
     kinds = np.asarray(logs)[record.episode]
     names = np.unique(kinds)

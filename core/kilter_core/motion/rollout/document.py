@@ -1,14 +1,16 @@
-"""What a search in commands and readings found as a document: a headline, the effects, and what had absorbed them."""
+"""What a search in commands and readings found: a document with a headline, and the ranges of all numbers."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from kilter_core.rollout.effects import ROLLOUT_EFFECTS, RolloutEffect
-from kilter_core.rollout.find import Absorbed, RolloutReport, list_absorbed
-from kilter_core.rollout.search import JointFindings, JudgedEffect, servo_sigmas
+from kilter_core.motion.effects import prismatic_unit
+from kilter_core.motion.rollout.effects import ROLLOUT_EFFECTS, RolloutEffect
+from kilter_core.motion.rollout.find import Absorbed, RolloutReport, list_absorbed
+from kilter_core.motion.rollout.search import JointFindings, JudgedEffect, covariance, servo_sigmas
 from kilter_core.types import QUANTILE
 
 EDGE = {  # SI -> factor and unit at the edge
@@ -21,10 +23,11 @@ EDGE = {  # SI -> factor and unit at the edge
 OF_SLIDES = {"rad": (1e3, "mm"), "N m": (1.0, "N"), "rad/(N m)": (1e3, "mm/N")}
 SURE = {"replicated": "certain", "confirmed": "certain", "class_confirmed": "certain", "provisional": "probable"}
 LOOSE = 0.3  # of a number of the servo, that its standard error may be
+LEVEL = 0.95  # to which QUANTILE belongs
 MUCH = 1.2  # times, from which a number that had absorbed an effect is worth saying
 
 
-def to_document(report: RolloutReport) -> dict[str, Any]:
+def describe_rollouts(report: RolloutReport) -> dict[str, Any]:
     """Return the document; angles in deg, delays in ms, shares in %, numbers of the servo in SI as MJCF has them."""
     effects = [_describe_effect(found, one) for found in report.joints for one in found.judged]
     return {
@@ -134,7 +137,7 @@ def _describe_absorbed(found: JointFindings, one: Absorbed, sigma: float) -> dic
     unit = one.number.unit
     return {
         "name": one.number.name,
-        "unit": unit.replace("N m", "N").replace("rad", "m").replace("kg m2", "kg") if found.record.slides else unit,
+        "unit": prismatic_unit(unit) if found.record.slides else unit,
         "stated": float(found.record.stated[one.number.place]),
         "without_effects": one.without,
         "found": one.found,
@@ -148,7 +151,6 @@ def _describe_effect(found: JointFindings, one: JudgedEffect) -> dict[str, Any]:
     effect = one.term.effect
     value, unit = _edge(found, effect, one.value)
     sigma = abs(_edge(found, effect, one.sigma)[0])
-    members = [other.id for other in ROLLOUT_EFFECTS if other.physical.id == effect.physical.id]
     return {
         "id": effect.id,
         "joint": found.record.name,
@@ -156,12 +158,7 @@ def _describe_effect(found: JointFindings, one: JudgedEffect) -> dict[str, Any]:
         "verdict": one.verdict,
         "sure": SURE.get(one.verdict),
         "variant": one.term.variant,
-        "physical_class": {
-            "id": effect.physical.id,
-            "label": effect.physical.label.format(joint=found.record.name),
-            "members": members,
-            "outside": list(effect.physical.outside),
-        },
+        "physical_class": effect.describe_class(effect.physical.label.format(joint=found.record.name), ROLLOUT_EFFECTS),
         "alias_set": [rival.id for rival in one.rivals],
         "parameters": [
             {
@@ -207,3 +204,36 @@ def _list_warnings(report: RolloutReport) -> list[dict[str, Any]]:
         )
         found.append({"code": "log_pushed", "message": message})
     return found
+
+
+def draw_ranges(joints: Sequence[JointFindings], draws: int = 100, seed: int = 0) -> dict[str, Any]:
+    """Return ranges of each number of each joint, and ``draws`` of all of them, in SI as MJCF has them.
+
+    Numbers of one joint are drawn together, from the covariance of their fit with each second as one observation; numbers
+    that cannot be negative are drawn as their logarithms.
+    """
+    rng = np.random.default_rng(seed)
+    parameters: list[dict[str, Any]] = []
+    drawn: list[dict[str, float]] = [{} for _ in range(draws)]
+    for found in joints:
+        fit, record = found.believed, found.record
+        spread = covariance(record, fit, found.split.train)
+        logs = np.array([number.scale == "log" for number in fit.fitted])
+        values = np.array([fit.p[number.place] for number in fit.fitted])
+        centre = np.where(logs, np.log(np.maximum(values, 1e-300)), values / fit.scales)
+        sigma = np.sqrt(np.diag(spread))
+        samples = rng.multivariate_normal(centre, spread, draws, method="svd")
+        keys = [f"{record.name}.{key}" for key in fit.names]
+        for k, (number, key) in enumerate(zip(fit.fitted, keys, strict=True)):
+            low, high = (
+                _from_fit(centre[k] + sign * QUANTILE * sigma[k], logs[k], fit.scales[k]) for sign in (-1.0, 1.0)
+            )
+            low, high = max(low, number.low), min(high, number.high)
+            parameters.append({"name": key, "unit": number.unit, "value": float(values[k]), "low": low, "high": high})
+            for one, x in zip(drawn, samples[:, k], strict=True):
+                one[key] = float(np.clip(_from_fit(x, logs[k], fit.scales[k]), number.low, number.high))
+    return {"level": LEVEL, "parameters": parameters, "draws": drawn}
+
+
+def _from_fit(x: float, log: bool, scale: float) -> float:
+    return float(np.exp(x)) if log else float(x * scale)

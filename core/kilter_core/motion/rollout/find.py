@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.rollout.effects import Number
-from kilter_core.rollout.fit import BASE, Fit, simulate
-from kilter_core.rollout.record import JointRecord
-from kilter_core.rollout.search import (
+from kilter_core.motion.rollout.effects import Number
+from kilter_core.motion.rollout.fit import BASE, JointFit, simulate
+from kilter_core.motion.rollout.record import JointRecord
+from kilter_core.motion.rollout.search import (
     FEWEST_BLOCKS,
     GAIN,
     JointFindings,
@@ -29,7 +29,7 @@ from kilter_core.types import Floats, Progress, unheard
 FOLLOWS = 0.6  # correlation of a reading with its command, below which it follows another or none
 SCALE = 3.0  # of a reading over its command, beyond which one of them has another unit
 LEAST_MOTION_RAD = 0.01
-Replay = Callable[[Mapping[str, Fit]], Mapping[str, Floats]]
+Replay = Callable[[Mapping[str, JointFit]], Mapping[str, Floats]]
 LATEST_S = 0.4  # that a reading may come after its command
 
 
@@ -71,7 +71,7 @@ def find_missing_motion(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> RolloutReport:
-    """Fit the servo of each joint by simulation, find what it lacks, and judge that on episodes that were never used.
+    """JointFit the servo of each joint by simulation, find what it lacks, and judge that on episodes that were never used.
 
     ``logs (E,)`` says from which file each episode comes: what each of several shows is replicated. Those of ``held_logs``
     are held out; where none is named, ``seed`` chooses a third of the episodes. ``replay`` simulates the whole arm with
@@ -157,7 +157,7 @@ def _find_most_certain(joints: Sequence[JointFindings], believed: set[str], spli
     return None
 
 
-def _fits_of(joints: Sequence[JointFindings], believed: set[str]) -> list[Fit]:
+def _fits_of(joints: Sequence[JointFindings], believed: set[str]) -> list[JointFit]:
     return [one.believed if one.record.name in believed else one.base for one in joints]
 
 
@@ -189,7 +189,7 @@ def _renew(
     return [found.get(one.record.name, one) for one in joints]
 
 
-def _correct(records: Sequence[JointRecord], fits: Sequence[Fit], replay: Replay) -> list[JointRecord]:
+def _correct(records: Sequence[JointRecord], fits: Sequence[JointFit], replay: Replay) -> list[JointRecord]:
     """Give each joint what the whole arm reads beyond it."""
     whole = replay({record.name: fit for record, fit in zip(records, fits, strict=True)})
     found = []

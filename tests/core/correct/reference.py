@@ -1,6 +1,6 @@
 """The stated reference of the correction: the inverse of the whole model, iterated to convergence (thesis eq. 5.22).
 
-Readable and slow, and used by tests and tools only: what the compiled program of :mod:`kilter_core.correct.program`
+Readable and slow: what the compiled program of :mod:`kilter_core.correct.program`
 answers is held against it.
 """
 

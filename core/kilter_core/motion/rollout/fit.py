@@ -9,9 +9,9 @@ from itertools import product
 import numpy as np
 from scipy.optimize import least_squares
 
-from kilter_core.rollout.effects import Number, RolloutEffect
-from kilter_core.rollout.kernels import joint as place
-from kilter_core.rollout.record import JointRecord
+from kilter_core.motion.kernels import joint as place
+from kilter_core.motion.rollout.effects import Number, RolloutEffect
+from kilter_core.motion.rollout.record import JointRecord
 from kilter_core.types import Bools, Floats
 
 PRIOR_LOG = 2.3  # a number of the user's model may be wrong by a factor of ten
@@ -38,7 +38,7 @@ class Term:
 
 
 @dataclass(frozen=True)
-class Fit:
+class JointFit:
     """Numbers ``p (COUNT,)`` of the joint and what they ``left (R,)`` of the readings, rad.
 
     ``cost`` is the mean square (rad2) on the rows that were fitted; ``jacobian`` is by the ``fitted`` numbers over their
@@ -105,8 +105,8 @@ def simulate(record: JointRecord, p: Floats, episodes: Iterable[int] | None = No
 
 def fit_joint(
     record: JointRecord, terms: Sequence[Term], rows: Bools, sigma: float, begin: Floats, evaluations: int = EVALUATIONS
-) -> Fit:
-    """Fit the servo, and ``terms`` beside it, to some ``rows (R,)``, from the values ``begin (COUNT,)``.
+) -> JointFit:
+    """JointFit the servo, and ``terms`` beside it, to some ``rows (R,)``, from the values ``begin (COUNT,)``.
 
     ``sigma`` (rad) is what a reading is expected to be off; where far less is left, the fit goes on with that.
     """
@@ -121,7 +121,7 @@ def fit_joint(
 
 def _fit_at_noise(
     record: JointRecord, terms: Sequence[Term], rows: Bools, sigma: float, begin: Floats, evaluations: int
-) -> Fit:
+) -> JointFit:
     numbers = [*BASE, *(term.effect.number for term in terms)]
     scales = np.array([_scale(record, number) for number in numbers])
     logs = np.array([number.scale == "log" for number in numbers])
@@ -162,7 +162,7 @@ def _fit_at_noise(
     p = numbers_at(found.x)
     units = np.where(logs, p[places], scales)
     left = record.reading - simulate(record, p)
-    return Fit(
+    return JointFit(
         tuple(terms), p, left, 2.0 * float(found.cost) * sigma**2, np.asarray(found.jac), tuple(numbers), units, sigma
     )
 
@@ -178,8 +178,8 @@ def _scale(record: JointRecord, number: Number) -> float:
     }[number.scale]
 
 
-def fit_base(record: JointRecord, rows: Bools) -> Fit:
-    """Fit what every servo has, from several starts: gain and inertia may be wrong by a large factor."""
+def fit_base(record: JointRecord, rows: Bools) -> JointFit:
+    """JointFit what every servo has, from several starts: gain and inertia may be wrong by a large factor."""
     start = start_values(record)
     tries = []
     for armature in BASE[0].starts:
@@ -197,8 +197,8 @@ def fit_base(record: JointRecord, rows: Bools) -> Fit:
     return min(fits, key=lambda one: one.cost)
 
 
-def fit_with(record: JointRecord, fit: Fit, term: Term, rows: Bools, sigma: float) -> Fit:
-    """Fit one more term beside those of ``fit``, from the best of its starting values."""
+def fit_with(record: JointRecord, fit: JointFit, term: Term, rows: Bools, sigma: float) -> JointFit:
+    """JointFit one more term beside those of ``fit``, from the best of its starting values."""
     number = term.effect.number
     scale = _scale(record, number)
     tries = []
