@@ -287,8 +287,18 @@ def test_no_table_of_options_is_written_by_hand() -> None:
     page = text_of("reference/cli.md")
     by_hand = re.sub(r"<!-- make contract: .+? -->\n.*?<!-- end -->", "", page, flags=re.DOTALL)
     assert not re.findall(r"^\|.*", by_hand, re.MULTILINE)
+
+
+def test_every_command_has_one_section_with_its_help_and_its_options() -> None:
     from kilter_client.cli import app
 
+    page = text_of("reference/cli.md")
     for name, command in commands(typer.main.get_command(app), "kilter"):
+        sections = re.findall(
+            rf"^### `{re.escape(name)}(?: [\[A-Z][^`]*| [a-z]+\|[^`]*)?`\n(.*?)(?=^##|\Z)", page, re.M | re.S
+        )
+        assert len(sections) == 1, name
+        help_text = " ".join(command.help.split("\n\n")[0].split())
+        assert help_text[:60].replace("...", "…") in " ".join(sections[0].split()), name
         options = [p for p in command.params if p.param_type_name == "option" and p.opts[0] not in ("--json", "--help")]
-        assert (f"<!-- make contract: {name} -->" in page) == bool(options), name
+        assert ("| option | meaning |" in sections[0]) == bool(options), name
