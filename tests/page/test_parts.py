@@ -141,7 +141,7 @@ def test_the_settings_hold_what_is_rarely_changed(server: httpx.Client, there: M
     text = server.get(f"/robots/{there.robot}/settings").raise_for_status().text
     for part in ('id="goals"', 'id="controller"', 'id="remarks"', 'id="description"', 'id="shapes"'):
         assert part in text
-    assert "Whether the controller of katana corrects by itself is not known" in text
+    assert "Check once whether katana's controller corrects by itself" in text
 
 
 def test_a_part_that_is_opened_alone_is_a_page(server: httpx.Client, there: Made) -> None:

@@ -92,4 +92,6 @@ def number(value: Any, digits: int = 4) -> str:
     """Write a number shortly, nothing for None."""
     if value is None:
         return ""
-    return f"{value:.{digits}g}" if isinstance(value, int | float) else str(value)
+    if not isinstance(value, int | float):
+        return str(value)
+    return f"{value:.0f}" if 10**digits <= abs(value) < 1e9 else f"{value:.{digits}g}"
