@@ -94,4 +94,5 @@ def number(value: Any, digits: int = 4) -> str:
         return ""
     if not isinstance(value, int | float):
         return str(value)
-    return f"{value:.0f}" if 10**digits <= abs(value) < 1e9 else f"{value:.{digits}g}"
+    text = f"{value:.{digits}g}"
+    return f"{value:.0f}" if "e+" in text and abs(value) < 1e9 else text
