@@ -170,10 +170,10 @@ def _effects(ids: list[str]) -> str:
 
 def _held_out(metrics: dict[str, Any]) -> str:
     """The mean error of the identified model, on held-out rows where there were some."""
-    for name in ("validation", "train"):
+    for name, words in (("validation", "unseen"), ("train", "fitted")):
         stage = (metrics.get(name) or {}).get("identified")
         if stage:
-            return f"{number(stage.get('mean_mm'))} {name}"
+            return f"{number(stage.get('mean_mm'), 2)} {words}"
     return ""
 
 
