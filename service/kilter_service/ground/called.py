@@ -21,10 +21,7 @@ class Made(Protocol):
 
 
 def display_name(made: Made) -> str:
-    """Return what people call it: its name, a version's number, else when it was made.
-
-    To the second, so that two of a minute differ.
-    """
+    """Return what people call it: its name, a version's number, else when it was made, to the second."""
     if made.name:
         return made.name
     if number := getattr(made, "number", 0):

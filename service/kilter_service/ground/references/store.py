@@ -71,12 +71,13 @@ def find_by_name(session: Session, kind: Kind, robot_id: int | None, name: str) 
     if not name:
         return []
     query, table = _select_references(kind, robot_id), TABLES[kind]
-    found = _fetch_references(session, query.where(table.name == name))
-    if not found and kind == "job" and (when := UNNAMED.search(name)) is not None:
-        at = datetime.fromisoformat(f"{when[1]}+00:00")
-        within = and_(table.name == "", table.created_at >= at, table.created_at < at + timedelta(seconds=1))
-        found = [one for one in _fetch_references(session, query.where(within)) if one.name == name]
-    return found
+    if (found := _fetch_references(session, query.where(table.name == name))) or kind != "job":
+        return found
+    if (when := UNNAMED.search(name)) is None:
+        return []
+    at = datetime.fromisoformat(f"{when[1]}+00:00")
+    within = and_(table.name == "", table.created_at >= at, table.created_at < at + timedelta(seconds=1))
+    return [one for one in _fetch_references(session, query.where(within)) if one.name == name]
 
 
 def newest(session: Session, kind: Kind, robot_id: int | None, most: int = 1) -> list[Found]:
@@ -119,11 +120,10 @@ def _in_use(kind: Kind) -> ColumnElement[bool]:
 
 
 def _fetch_references(session: Session, query: Select[str, str, str, datetime, bool, int, str]) -> list[Found]:
-    found = []
-    for key, robot, name, at, in_use, number, kind in session.execute(query):
-        called = name_unnamed_job(kind, robot, at) if kind and not name else name
-        found.append(Found(key, robot, called, at, in_use, number))
-    return found
+    return [
+        Found(key, robot, name or (name_unnamed_job(kind, robot, at) if kind else ""), at, in_use, number)
+        for key, robot, name, at, in_use, number, kind in session.execute(query)
+    ]
 
 
 def check_name(session: Session, kind: Kind, robot_id: int, name: str, own_id: str | None = None) -> None:
