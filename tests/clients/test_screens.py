@@ -9,6 +9,7 @@ import json
 import re
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from kilter_client.cli import run
 from kilter_client.cli.reports.activation_report import show_today
 from kilter_client.cli.reports.answer import fit_messages, format_answer
 from kilter_client.cli.reports.results import show_job
+from kilter_client.cli.stored.versions import _show_diff
 from kilter_client.cli.terminal import tables
 from kilter_client.cli.terminal.session_notes import is_note_due
 from tests.clients.arms_with_play import ArmWithPlay
@@ -162,6 +164,20 @@ def test_a_table_has_no_empty_column_and_large_numbers_no_exponent() -> None:
     assert "moves tool by" not in " ".join(lines)
     assert "spring" in " ".join(lines)
     assert [tables.number(value, 3) for value in (1746.2, 0.03278, 12.34, 999.7)] == ["1746", "0.0328", "12.3", "1000"]
+
+
+def test_a_comparison_of_versions_fits_a_screen_and_masses_that_were_carried_come_last(capsys: Capture) -> None:
+    def changed(name: str) -> dict[str, Any]:
+        return {"name": name, "a": 0.0, "b": 1.0, "change": 1.0, "unit": "mm", "moved": True}
+
+    masses = [changed(f"link_mass_{k}") for k in range(20)]
+    document = {"a": "ver_1", "b": "ver_2", "effects_added": ["load_error"], "effects_removed": []}
+    _show_diff(document | {"parameters": [*masses, changed("backlash_4"), changed("d_2") | {"moved": False}]})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= LINES
+    rows = [line.split()[0] for line in lines if line.startswith((" backlash", " link_mass"))]
+    assert rows == ["backlash_4", *(f"link_mass_{k}" for k in range(11))]
+    assert lines[-1] == "9 more differ, and 1 differ by less than their uncertainty or not at all; --json has them."
 
 
 def test_details_of_a_check_draw_the_arm(server: Path, capsys: Capture, tmp_path: Path) -> None:
