@@ -180,6 +180,14 @@ def test_a_comparison_of_versions_fits_a_screen_and_masses_that_were_carried_com
     assert lines[-1] == "9 more differ, and 1 differ by less than their uncertainty or not at all; --json has them."
 
 
+def test_a_refusal_fits_the_columns_of_a_screen(server: Path, capsys: Capture) -> None:
+    assert run(["gap", "arm", "-c", "x", "--option", f"effects={'y' * 90}", "--option", f"{'z ' * 60}"]) != 0
+    assert run(["robot", "show", "an arm with a name of many words, each of which is short " * 3]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-1].strip()
+    assert max(map(len, [line for line in lines if "y" * 90 not in line])) <= COLUMNS
+
+
 def test_details_of_a_check_draw_the_arm(server: Path, capsys: Capture, tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(ARMS["twelve"].urdf())
     command = ["robot", "check", str(tmp_path / "arm.urdf"), "--base-link", "link_0", "--tip-link", "ball"]
