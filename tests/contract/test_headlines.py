@@ -157,8 +157,17 @@ def test_results_of_earlier_releases_have_a_headline_too() -> None:
 
 def test_without_noise_nothing_is_said_to_be_closed() -> None:
     said = str(search([], "not_known", noise={"absolute": False}).headline)
-    assert said.startswith("Whether something is missing is open")
-    assert "The noise is not known apart from the fit." in said
+    assert said.startswith("Nothing was found. Whether something is missing is open: the noise is not known")
+    assert said.count("not known") == 1
+
+
+def test_what_no_effect_explains_is_said_once() -> None:
+    adequacy = {"held_out": {"poses": 28, "refuted": True, "left_mm": 0.19}}
+    said = str(search([], "unexplained", adequacy=adequacy).headline)
+    assert said.splitlines()[0] == "Something is missing (0.19 mm rms), and no known effect explains it."
+    assert said.count("explain") == 1
+    beside = str(search([TWIST], "unexplained", adequacy=adequacy).headline)
+    assert "Open: something else remains (0.19 mm rms) that no known effect explains." in beside
 
 
 def fit(mean_mm: float, noise_mm: float | None = 0.01, **more: Any) -> str:

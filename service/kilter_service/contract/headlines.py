@@ -227,8 +227,8 @@ def describe_search(
     rows = _rows(effects)
     by_sure = {sure: [row for row in rows if row.sure == sure] for sure in ORDER}
     lines = [
-        _describe_certain(verdict, by_sure["certain"], bool(rows)),
-        _describe_gap(gap, adequacy, noise),
+        _describe_certain(verdict, by_sure["certain"], bool(rows), adequacy),
+        _describe_gap(gap, adequacy, noise, verdict),
         " ".join(_describe_undecided(verdict, by_sure, adequacy, effects, poses, told_apart)),
     ]
     return "\n".join(line for line in lines if line)
@@ -261,15 +261,17 @@ def describe_motion(effects: Sequence[NamedEffect], motion: MotionFound) -> str:
     return "\n".join(lines)
 
 
-def _describe_certain(verdict: str | None, certain: Sequence[_Row], named: bool) -> str:
+def _describe_certain(verdict: str | None, certain: Sequence[_Row], named: bool, adequacy: Adequacy | None) -> str:
     if certain:
         rest = " Nothing else is significant." if verdict in CERTAIN_VERDICTS else ""
         return f"Found: {_join(certain)}.{rest}"
     if verdict in CERTAIN_VERDICTS:
         return "Nothing that matters is missing: the model agrees with the measurements within their noise."
     if verdict == "not_known":
-        return "Whether something is missing is open: no noise is known apart from the fit."
-    return "Nothing is certain yet." if named else "Something is missing, and no known effect explains it."
+        return "Nothing was found. Whether something is missing is open: the noise is not known apart from the fit."
+    if named:
+        return "Nothing is certain yet."
+    return f"Something is missing{_describe_remainder(adequacy)}, and no known effect explains it."
 
 
 def _join(rows: Sequence[_Row]) -> str:
@@ -278,7 +280,7 @@ def _join(rows: Sequence[_Row]) -> str:
     return said[0] if len(said) == 1 else f"{'; '.join(said[:-1])}; and {said[-1]}"
 
 
-def _describe_gap(gap: GapSize | None, adequacy: Adequacy | None, noise: GapNoise | None) -> str:
+def _describe_gap(gap: GapSize | None, adequacy: Adequacy | None, noise: GapNoise | None, verdict: str | None) -> str:
     if gap is None:
         return ""
     unit = "mm" if gap.before_deg is None else "deg"
@@ -297,7 +299,7 @@ def _describe_gap(gap: GapSize | None, adequacy: Adequacy | None, noise: GapNois
     said = f"Error on {where}: {number(before)} -> {number(after)} {shown} rms{aside}."
     floor = size.get(f"noise_rms_{unit}")
     if floor is None or noise is None or noise.absolute is False:
-        return f"{said} The noise is not known apart from the fit."
+        return said if verdict == "not_known" else f"{said} The noise is not known apart from the fit."
     return f"{said} Measurement noise: {number(floor)} {shown}."
 
 
@@ -313,7 +315,7 @@ def _describe_undecided(
         yield f"Probable, not proven: {_join(by_sure['probable'])}."
     if by_sure["open"]:
         yield f"Open: {_join(by_sure['open'])}."
-    if verdict == "unexplained":
+    if verdict == "unexplained" and any(by_sure.values()):
         yield f"Open: something else remains{_describe_remainder(adequacy)} that no known effect explains."
     weak = [one for one in effects if SURE.get(one.verdict) != "certain"]
     if told_apart is not None and told_apart.instead and not told_apart.enough:

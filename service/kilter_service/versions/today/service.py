@@ -98,7 +98,8 @@ def _sentence(found: Searched, result: GapResult, named: Sequence[NamedMissing],
     there = name_effects(effect for effect, one in effects if one.corrected)
     beyond = " Something is left that no known effect explains." if result.verdict == "unexplained" else ""
     if not named:
-        return (result.sentence or "Nothing was named.") + f" So said {when}."
+        said = (result.headline or result.sentence or "Nothing was named.").splitlines()[0]
+        return f"{said} So said {when}."
     if active is None:
         return f"Nothing corrects yet what {when} named: {', '.join(lacking)}.{beyond}"
     has = f"The active version corrects {', '.join(there)}, which {when} named." if there else ""
