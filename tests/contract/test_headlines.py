@@ -111,6 +111,8 @@ def test_names_and_units_are_those_of_a_person() -> None:
         "eccentricity", [3], "confirmed", claim={"said": "member", "words": "x", "joints": [3]}, moves_mm=0.14
     )
     assert "eccentricity of joint 3 (0.14 mm at the tool)" in str(search([curve]).headline)
+    bump = effect("base_step", None, "confirmed", moves_mm=0.35, **member)
+    assert "Found: a move of base or instrument (0.35 mm at the tool)." in str(search([bump]).headline)
     ripple = effect("stribeck", [2], "confirmed", claim={"said": "member", "words": "x", "joints": [2]}, moves_mm=None)
     assert "Found: Stribeck friction of joint 2." in str(search([ripple]).headline)
 

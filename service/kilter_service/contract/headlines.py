@@ -39,6 +39,8 @@ MILLIONTHS = {"1": "ppm", "1/K": "ppm/K"}  # units of small shares, as people wr
 SMALL = 1e-3  # share below which they do
 PLAIN = {
     "friction_windup": "friction wind-up",
+    "base_step": "a move of base or instrument",
+    "tool_step": "a move of tool or marker",
     "stribeck": "Stribeck friction",
     "root_speed": "friction by the root of the speed",
     "quadratic_speed": "friction by the square of the speed",
