@@ -75,6 +75,9 @@ def test_a_check_says_what_moved_and_its_exit_code_says_so_too(
     assert "activated" in said
     told = command.json("drift")["robots"]
     assert [one["state"] for one in told if one["robot"] == calibrated] == ["moved"]
+    listed = command("drift")  # of all robots: what happened, not what that rests on
+    assert "moved: zero of joint 3 by 0.2" in listed
+    assert "false alarm" not in listed
     (cause,) = job["result"]["causes"]
     (number,) = cause["numbers"]
     assert (cause["name"], cause["joint"], number["unit"]) == ("zero_3", 3, "deg")

@@ -102,7 +102,7 @@ def test_a_controller_that_compensates_is_named(
 ) -> None:
     path, output = tmp_path / "weld.dat", tmp_path / "out.dat"
     path.write_bytes(krl(TAUGHT))
-    for value, said in (("factory", "corrected twice"), ("unknown", "is not known"), ("none", "")):
+    for value, said in (("factory", "corrected twice"), ("unknown", "Check once whether"), ("none", "")):
         kilter.set_controller_compensation(arm, value)
         told = document(capsys, "filter", path, "--robot", arm, "-o", output)
         about = [note for note in told["notes"] if "controller" in note]

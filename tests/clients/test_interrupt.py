@@ -60,7 +60,7 @@ def test_while_a_job_runs(robot: str, kilter: Kilter, write_campaign: Write, com
         process = started("gap", robot, "--campaign", "monday", "--option", f"bootstraps={MANY}")
         assert process.stderr is not None
         job = kilter.resolve("job", process.stderr.readline().removeprefix("job: ").strip()).id
-    _, err = interrupted(process)
+    err = " ".join(interrupted(process)[1].split())
     named = shlex.quote(kilter.jobs.get(job)["name"]) if command != "watch" else job
     assert re.search(rf"job ({re.escape(named)}|'[^']*') continues at the server", err)
     assert re.search(r"`kilter server jobs watch [^`]+` follows it, `kilter server jobs cancel [^`]+` stops it\.", err)

@@ -85,7 +85,7 @@ def test_a_person_who_types_what_each_answer_names_calibrates_an_arm(
     assert float(after) < 0.2 * float(before)
     step = person.follow(step, "correct next FILE -o corrected.csv", "path.csv")
     assert re.search(r"corrected.csv: 6 rows, largest change \S+ mm.*; corrected with next v2\.", person.said)
-    person.follow(step, "plan check next", more=("--poses", "6"))
+    assert person.follow(step, "plan check next", more=("--poses", "6")) == ["check", "next", "FILE"]
     evaluate = person("upload", "next", "unseen.csv", "--name", "unseen", "--role", "validation")
     today = person.follow(evaluate, "version evaluate next --campaign unseen")
     assert person("version", "show", "next", "v2") == today

@@ -9,13 +9,16 @@ import json
 import re
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from kilter_client.cli import run
 from kilter_client.cli.reports.activation_report import show_today
-from kilter_client.cli.reports.answer import fit_messages
+from kilter_client.cli.reports.answer import fit_messages, format_answer
+from kilter_client.cli.reports.results import show_job
+from kilter_client.cli.stored.versions import _show_diff
 from kilter_client.cli.terminal import tables
 from kilter_client.cli.terminal.session_notes import is_note_due
 from tests.clients.arms_with_play import ArmWithPlay
@@ -67,7 +70,7 @@ def test_every_answer_fits_on_a_screen_and_its_headline_is_true(
     described = ("arm.urdf", "--name", name, "--base-link", "link_0", "--tip-link", "ball")
     assert screen("robot", "check", *described).startswith(f"{name}: {arm.axes} axes, reach ")
     added = screen("robot", "add", *described)
-    assert "is not known. If it does" in added
+    assert f"Check once whether {name}'s controller corrects by itself" in added
     screen("inspect", "measured.csv", "--robot", name)
     screen("upload", name, "measured.csv", "--dry-run")
     screen("upload", name, "measured.csv", "--name", "measured")
@@ -84,7 +87,7 @@ def test_every_answer_fits_on_a_screen_and_its_headline_is_true(
     assert after < 0.5 * before
     activated = screen("activate", "latest", "--robot", name)
     assert activated.startswith(f"{name} v2 is active.")
-    assert "whether the controller" not in activated.lower()  # said as the robot was added
+    assert f"whether {name}'s controller" not in activated  # said as the robot was added
     for arguments in (
         ("version", "latest", "--robot", name),
         ("versions", name),
@@ -126,6 +129,63 @@ def test_the_remedy_of_a_warning_is_never_cut(room: int) -> None:
     shown = " ".join(line.strip() for line in lines)
     assert REMEDY in shown
     assert shown.count(REMEDY) == 2 or "and 1 more (--details)" in shown
+
+
+def test_a_note_on_how_rows_were_sent_is_shown_once_and_a_finding_each_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    warnings = [{"code": "directions_derived", "message": "a note"}, {"code": "repeats_drift", "message": "a finding"}]
+    job = {"kind": "gap", "robot": "arm", "state": "succeeded", "result": {"headline": "x", "warnings": warnings}}
+    said = []
+    for robot, server in (("arm", "one"), ("arm", "one"), ("other", "one"), ("arm", "")):
+        show_job(job | {"robot": robot}, details=False, head=False, server=server)
+        said.append(capsys.readouterr().out)
+    assert ["a note" in one for one in said] == [True, False, True, True]  # asked for again, it is told again
+    assert all("a finding" in one for one in said)
+
+
+def test_a_cause_that_the_headline_names_is_not_said_again_in_a_table() -> None:
+    cause = {"words": "zero of joint 3", "refuted": False, "numbers": [{"u95": 0.01, "change": 0.1, "unit": "deg"}]}
+    other = cause | {"words": "base"}
+    refuted = cause | {"words": "tool", "refuted": True}
+    alone = format_answer({"headline": "moved", "verdict": "moved", "looked_at": [cause, refuted]}, [], COLUMNS)
+    assert alone == ["moved"]
+    both = {"headline": "cannot tell", "verdict": "cannot_tell", "looked_at": [cause, other, refuted]}
+    lines = format_answer(both, [], COLUMNS)
+    assert ["zero of joint 3" in " ".join(lines), "base" in " ".join(lines), "tool" in " ".join(lines)] == [
+        True, True, False,
+    ]  # fmt: skip
+
+
+def test_a_table_has_no_empty_column_and_large_numbers_no_exponent() -> None:
+    found = [{"effect": "spring", "joints": [2], "size": "3 N m", "moves_mm": None, "sure": "certain"}]
+    lines = format_answer({"headline": "Found", "found": found}, [], COLUMNS)
+    assert "moves tool by" not in " ".join(lines)
+    assert "spring" in " ".join(lines)
+    assert [tables.number(value, 3) for value in (1746.2, 0.03278, 12.34, 999.7)] == ["1746", "0.0328", "12.3", "1000"]
+
+
+def test_a_comparison_of_versions_fits_a_screen_and_masses_that_were_carried_come_last(capsys: Capture) -> None:
+    def changed(name: str) -> dict[str, Any]:
+        return {"name": name, "a": 0.0, "b": 1.0, "change": 1.0, "unit": "mm", "moved": True}
+
+    masses = [changed(f"link_mass_{k}") for k in range(20)]
+    document = {"a": "ver_1", "b": "ver_2", "effects_added": ["load_error"], "effects_removed": []}
+    _show_diff(document | {"parameters": [*masses, changed("backlash_4"), changed("d_2") | {"moved": False}]})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= LINES
+    rows = [line.split()[0] for line in lines if line.startswith((" backlash", " link_mass"))]
+    assert rows == ["backlash_4", *(f"link_mass_{k}" for k in range(11))]
+    assert lines[-1] == "9 more differ, and 1 differ by less than their uncertainty or not at all; --json has them."
+
+
+def test_a_refusal_fits_the_columns_of_a_screen(server: Path, capsys: Capture) -> None:
+    assert run(["gap", "arm", "-c", "x", "--option", f"effects={'y' * 90}", "--option", f"{'z ' * 60}"]) != 0
+    assert run(["robot", "show", "an arm with a name of many words, each of which is short " * 3]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-1].strip()
+    assert max(map(len, [line for line in lines if "y" * 90 not in line])) <= COLUMNS
 
 
 def test_details_of_a_check_draw_the_arm(server: Path, capsys: Capture, tmp_path: Path) -> None:

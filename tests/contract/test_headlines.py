@@ -80,13 +80,41 @@ def test_three_words_say_how_sure_it_is(verdict: str, sure: str, said: str) -> N
 def test_a_shape_without_a_cause_is_open_whatever_its_verdict_says() -> None:
     found = search([effect("unknown_joint_curve", [3], "confirmed", empirical=True)], "unexplained")
     assert str(found.headline).startswith("Nothing is certain yet.")
-    assert "Open: unknown joint curve of joint 3. Open: something else remains" in str(found.headline)
+    assert "Open: unknown joint curve of joint 3 (0.10 mm at the tool). Open: something else remains" in str(
+        found.headline
+    )
 
 
 def test_joints_that_the_rows_do_not_show_are_open() -> None:
     claim = {"claim": {"said": "member", "words": "backlash all", "joints": [1, 2, 3]}, "seen_joints": [2, 3]}
     found = search([effect("backlash", [1, 2, 3], "confirmed", **claim)])
     assert [(row.joints, row.sure) for row in found.found or ()] == [([2, 3], "certain"), ([1], "open")]
+
+
+def test_names_and_units_are_those_of_a_person() -> None:
+    label = class_claim("reversal error of joint 2", [2], "joint_reversal")
+    alike = [{"id": "friction_windup", "joints": [2]}]
+    lag = effect(
+        "backlash", [2], "class_confirmed", alias_set=alike, parameters=[amount("backlash_2", 0.03, 0.04)], **label
+    )
+    assert str(search([lag]).headline).startswith(
+        "Found: reversal error of joint 2, like backlash or friction wind-up (0.030-0.040 deg)."
+    )
+    several = lag | {"alias_set": [*alike, {"id": "hardening", "joints": [2]}, {"id": "zero_step", "joints": [2]}]}
+    assert "like backlash or friction wind-up or 2 others (" in str(search([several]).headline)
+    member = {"claim": {"said": "member", "words": "x", "joints": None}}
+    warm = effect(
+        "thermal_growth", None, "confirmed", parameters=[amount("expansion", 5.5e-5, 6.1e-5, "1/K")], **member
+    )
+    assert "thermal growth (55-61 ppm/K)" in str(search([warm]).headline)
+    curve = effect(
+        "eccentricity", [3], "confirmed", claim={"said": "member", "words": "x", "joints": [3]}, moves_mm=0.14
+    )
+    assert "eccentricity of joint 3 (0.14 mm at the tool)" in str(search([curve]).headline)
+    bump = effect("base_step", None, "confirmed", moves_mm=0.35, **member)
+    assert "Found: a move of base or instrument (0.35 mm at the tool)." in str(search([bump]).headline)
+    ripple = effect("stribeck", [2], "confirmed", claim={"said": "member", "words": "x", "joints": [2]}, moves_mm=None)
+    assert "Found: Stribeck friction of joint 2." in str(search([ripple]).headline)
 
 
 def test_rivals_that_do_as_well_are_named_and_too_many_say_nothing() -> None:
@@ -131,8 +159,17 @@ def test_results_of_earlier_releases_have_a_headline_too() -> None:
 
 def test_without_noise_nothing_is_said_to_be_closed() -> None:
     said = str(search([], "not_known", noise={"absolute": False}).headline)
-    assert said.startswith("Whether something is missing is open")
-    assert "The noise is not known apart from the fit." in said
+    assert said.startswith("Nothing was found. Whether something is missing is open: the noise is not known")
+    assert said.count("not known") == 1
+
+
+def test_what_no_effect_explains_is_said_once() -> None:
+    adequacy = {"held_out": {"poses": 28, "refuted": True, "left_mm": 0.19}}
+    said = str(search([], "unexplained", adequacy=adequacy).headline)
+    assert said.splitlines()[0] == "Something is missing (0.19 mm rms), and no known effect explains it."
+    assert said.count("explain") == 1
+    beside = str(search([TWIST], "unexplained", adequacy=adequacy).headline)
+    assert "Open: something else remains (0.19 mm rms) that no known effect explains." in beside
 
 
 def fit(mean_mm: float, noise_mm: float | None = 0.01, **more: Any) -> str:

@@ -141,7 +141,7 @@ def test_the_settings_hold_what_is_rarely_changed(server: httpx.Client, there: M
     text = server.get(f"/robots/{there.robot}/settings").raise_for_status().text
     for part in ('id="goals"', 'id="controller"', 'id="remarks"', 'id="description"', 'id="shapes"'):
         assert part in text
-    assert "Whether the controller of katana corrects by itself is not known" in text
+    assert "controller corrects by itself (absolute accuracy, factory calibration)" in text
 
 
 def test_a_part_that_is_opened_alone_is_a_page(server: httpx.Client, there: Made) -> None:
@@ -164,7 +164,7 @@ def test_what_has_no_name_is_called_by_what_it_is_and_when_it_was_made(there: Ma
         ),
     ]  # fmt: skip
     numbered = f"{there.robot} v{version['number']}"
-    assert [display_name(one) for one in unnamed] == [numbered, "search of 2026-11-02 14:05:09"]
+    assert [display_name(one) for one in unnamed] == [numbered, "gap search of arm, 2026-11-02 14:05:09"]
     assert display_name(unnamed[0].model_copy(update={"name": "spring"})) == "spring"
 
 

@@ -191,7 +191,7 @@ def test_the_report_of_a_job_is_that_of_what_it_found(server: httpx.Client, vers
     text = plain(server.get(f"/jobs/{EVALUATION}/report").raise_for_status().text)
     assert "ISO 9283:1998" in text
     assert f"of version {version}" in text  # where it comes from
-    assert re.search(r"evaluation of [-0-9]+ [0-9:]+, [^,]+, katana v[0-9]+\.", text)
+    assert re.search(r"evaluation of katana, [-0-9]+ [0-9:]+, [^,]+, katana v[0-9]+\.", text)
     refused = server.get("/jobs/job_00000000000000b3/report")
     assert refused.status_code == 422
     assert "when it has succeeded" in refused.text

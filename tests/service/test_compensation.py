@@ -226,7 +226,7 @@ def test_the_command_asks_and_takes_the_answer(
         return re.sub(r"\s+", " ", capsys.readouterr().out)
 
     said = kilter("robot", "add", "--preset", "ur5e", "--name", "left")
-    assert "Whether the controller of left corrects by itself is not known." in said
+    assert "Check once whether left's controller corrects by itself" in said
     assert "corrects by its maker's calibration" in kilter("robot", "compensation", "left", "factory")
     said = kilter("robot", "add", "--preset", "ur5e", "--name", "right", "--controller-compensation", "none")
     assert "does not correct by itself" in said

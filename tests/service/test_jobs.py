@@ -10,6 +10,7 @@ import httpx
 import pytest
 
 from kilter_service.ground.db import Database
+from kilter_service.ground.db.tables import JobRow
 from kilter_service.versions import store as versions
 from tests.service.stored_results import same_as_stored
 
@@ -280,3 +281,20 @@ def test_a_job_without_a_name_is_called_by_its_kind_its_robot_and_a_number(clien
     ]
     asked_for = {"kind": "job", "reference": "identification of katana 2"}
     assert client.get("/v1/resolve", params=asked_for).raise_for_status().json()["id"] == second["id"]
+
+
+def test_a_job_of_an_earlier_release_is_called_by_its_kind_its_robot_and_its_time(
+    client: httpx.Client, database: Database, katana: Any
+) -> None:
+    campaign = katana.campaign(client, 20)
+    body = {"kind": "gap", "robot": "katana", "campaigns": [campaign]}
+    job = client.post("/v1/jobs", json=body).raise_for_status().json()
+    with database.transaction() as session:
+        session.get_one(JobRow, job["id"]).name = ""  # as stored before jobs had names
+    found = client.get(f"/v1/jobs/{job['id']}").json()
+    assert found["name"] == f"gap search of katana, {found['created_at'][:19].replace('T', ' ')}"
+    assert client.get("/v1/jobs").json()["jobs"][0]["name"] == found["name"]
+    resolved = client.get("/v1/resolve", params={"kind": "job", "reference": found["name"]}).raise_for_status().json()
+    assert (resolved["id"], resolved["name"], resolved["by"]) == (job["id"], found["name"], "name")
+    other = found["name"].replace("gap search", "identification")
+    assert client.get("/v1/resolve", params={"kind": "job", "reference": other}).status_code == 404

@@ -1,30 +1,50 @@
-"""Tables of the options of `kilter` and `kilterd`, from the commands themselves."""
+"""Sections on the commands of `kilter` and `kilterd`, from the commands themselves."""
 
 from __future__ import annotations
 
 import argparse
 import re
+import textwrap
 from collections.abc import Iterator
 from typing import Any
 
+from kilter_client.cli.catalogue import GROUPS, SUMMARIES
 from kilter_client.cli.groups import command
 
+WIDTH = 120
 EVERYWHERE = ("--help", "--json")  # said once, at the top of the page
 
 
-def table_of_command(name: str) -> str:
-    """Return the table of the options of a command, `kilter robot add`; empty for one without."""
-    rows = [row for row in map(_row, command_named(name).params) if row]
-    return "\n".join(["| option | meaning |", "|---|---|", *rows]) + "\n" if rows else ""
+def sections_of_commands(group: str) -> str:
+    """Return a section for each command of a group of the first level; of `kilter`, for those that are in no group."""
+    names = [name for name in SUMMARIES if name not in GROUPS] if group == "kilter" else [group]
+    return "\n".join(section for name in names for section in _sections(command(name), f"kilter {name}"))
 
 
-def command_named(name: str) -> Any:
-    """Return a command by its words."""
-    _, first, *more = name.split()
-    found = command(first)
-    for word in more:
-        found = found.commands[word]
-    return found
+def _sections(found: Any, words: str) -> Iterator[str]:
+    commands = getattr(found, "commands", None)
+    if commands is None:
+        usage = " ".join([words, *(_argument(one) for one in found.params if one.param_type_name == "argument")])
+        rows = [row for row in map(_row, found.params) if row]
+        table = ["", "| option | meaning |", "|---|---|", *rows] if rows else []
+        yield "\n".join([f"### `{usage}`", _paragraphs(found.help or ""), *table, ""])
+        return
+    for name, inner in commands.items():
+        yield from _sections(inner, f"{words} {name}")
+    if by_default := getattr(found, "by_default", ""):
+        yield f"`{words}` alone is `{words} {by_default}`.\n"
+
+
+def _argument(parameter: Any) -> str:
+    choices = parameter.type_descriptor.choices or ()
+    word = "|".join(map(str, choices)) or str(parameter.metavar or parameter.name).strip("[].").upper()
+    word += "..." if parameter.nargs < 0 else ""
+    return word if parameter.required else f"[{word}]"
+
+
+def _paragraphs(text: str) -> str:
+    kept = [" ".join(one.split()).replace("...", "…").replace("<", "\\<") for one in text.split("\n\n")]
+    return "\n\n".join(textwrap.fill(one, WIDTH, break_long_words=False, break_on_hyphens=False) for one in kept)
 
 
 def _row(parameter: Any) -> str:

@@ -14,6 +14,7 @@ from kilter_files.formats.registry import list_formats
 from kilter_service.contract.jobs.registry import KINDS
 from kilter_service.contract.words import describe_schema
 from tools.contract.client import plain_text
+from tools.contract.interface import REFERENCE, Document, promised_interface
 
 MARK = re.compile(r"(<!-- make contract: (?P<name>[\w -]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -30,7 +31,7 @@ def made_page(source: str, text: str) -> str:
 
 
 def _table(name: str) -> str:
-    from tools.contract.commands import table_of_command, table_of_server  # the commands as they were just written
+    from tools.contract.commands import sections_of_commands, table_of_server  # the commands as they were just written
 
     if name == "effects":
         return "\n".join(_effect_rows()) + "\n"
@@ -40,8 +41,10 @@ def _table(name: str) -> str:
         return "\n".join(_format_rows()) + "\n"
     if name == "kilterd":
         return table_of_server()
-    if name.startswith("kilter "):
-        return table_of_command(name)
+    if name.startswith("commands of "):
+        return sections_of_commands(name.removeprefix("commands of "))
+    if name.startswith("routes of "):
+        return "\n".join(_route_rows(name.removeprefix("routes of "))) + "\n"
     return "\n".join(_option_rows(name.removeprefix("options of "))) + "\n"
 
 
@@ -50,6 +53,28 @@ def _format_rows() -> Iterator[str]:
     yield "|---|---|---|---|"
     for use, name, endings, title in list_formats():
         yield f"| `{use}` | `{name}` | {', '.join(f'`{ending}`' for ending in endings)} | {_cell(title)} |"
+
+
+def _route_rows(tag: str) -> Iterator[str]:
+    document = promised_interface()
+    yield "| route | role | does | query and body |"
+    yield "|---|---|---|---|"
+    for path, methods in document["paths"].items():
+        for method, operation in methods.items():
+            if tag in operation["tags"]:
+                does = " ".join(operation["description"].replace("``", "`").split())
+                takes = ", ".join(_taken(operation, document["components"]["schemas"]))
+                yield f"| `{method.upper()} {path}` | {operation.get('x-kilter-role', 'none')} | {_cell(does)} | {takes} |"
+
+
+def _taken(operation: Document, schemas: Document) -> Iterator[str]:
+    for one in operation.get("parameters", []):
+        if one["in"] == "query":
+            choices = ", ".join(f"`{value}`" for value in one["schema"].get("enum", []))
+            yield f"`?{one['name']}=`" + (f" ({choices})" if choices else "")
+    for media, body in operation.get("requestBody", {}).get("content", {}).items():
+        model = body["schema"].get("$ref", "").removeprefix(REFERENCE)
+        yield from (f"`{name}`" for name in (schemas[model].get("properties", {}) if model else [media]))
 
 
 def properties(kind: str) -> dict[str, Any]:

@@ -35,6 +35,16 @@ UNNAMED = 20  # rivals that do as well, from which none of them says anything, a
 MOST_NAMED = 3  # of one degree in a headline
 AT_JOINTS = re.compile(r"joints? \d+(?:, \d+)*")
 JOINT = re.compile(r"_(\d+)$")
+MILLIONTHS = {"1": "ppm", "1/K": "ppm/K"}  # units of small shares, as people write them
+SMALL = 1e-3  # share below which they do
+PLAIN = {
+    "friction_windup": "friction wind-up",
+    "base_step": "a move of base or instrument",
+    "tool_step": "a move of tool or marker",
+    "stribeck": "Stribeck friction",
+    "root_speed": "friction by the root of the speed",
+    "quadratic_speed": "friction by the square of the speed",
+}  # names that a person would not use with spaces alone
 MEAN_LENGTH = math.sqrt(8.0 / math.pi)  # of noise in space, in standard deviations of a coordinate (Maxwell)
 NEAR, FAR = 1.5, 2.0  # times the noise: what is left is noise; or something is missing
 
@@ -65,6 +75,8 @@ class _Row:
     def size(self) -> str:
         if not (math.isfinite(self.low) and math.isfinite(self.high)):
             return ""
+        if self.unit in MILLIONTHS and max(abs(self.low), abs(self.high)) < SMALL:
+            return f"{format_range(1e6 * self.low, 1e6 * self.high)} {MILLIONTHS[self.unit]}"
         return f"{format_range(self.low, self.high)} {'' if self.unit == '1' else self.unit}".strip()
 
     @property
@@ -74,10 +86,15 @@ class _Row:
         return words.format("the joint")
 
     @property
+    def name(self) -> str:
+        """The effect with its joints."""
+        return self.words.format(format_joints(self.joints))
+
+    @property
     def phrase(self) -> str:
         """The effect with joints and size, as a part of a sentence."""
-        named = self.words.format(format_joints(self.joints))
-        return f"{named} ({self.size})" if self.size else named
+        size = self.size or (f"{number(self.moves)} mm at the tool" if self.moves else "")
+        return f"{self.name} ({size})" if size else self.name
 
 
 def format_joints(joints: Sequence[int]) -> str:
@@ -112,6 +129,11 @@ def list_found(effects: Iterable[NamedEffect]) -> list[Found]:
         )
         for row in _rows(effects)
     ]
+
+
+def name_effects(effects: Iterable[NamedEffect]) -> list[str]:
+    """Return the names of effects with their joints, as a headline has them; the same at several joints is one."""
+    return [row.name for row in _rows(effects)]
 
 
 def _rows(effects: Iterable[NamedEffect]) -> list[_Row]:
@@ -168,8 +190,8 @@ def _joint(amount: Amplitude) -> int | None:
 
 def _words(effect: NamedEffect) -> str:
     """The narrowest set that the data single out, with {} for the joints: never a member where only its class is settled."""
-    own, claim = effect.id.replace("_", " "), effect.claim
-    rivals = [one for one in dict.fromkeys(a.id.replace("_", " ") for a in effect.alias_set or ()) if one != own]
+    own, claim = _plain(effect.id), effect.claim
+    rivals = [one for one in dict.fromkeys(_plain(a.id) for a in effect.alias_set or ()) if one != own]
     at = " of {}" if effect.joints else ""
     if effect.empirical or (claim is not None and claim.said == "member") or (claim is None and not rivals):
         return own + at
@@ -180,9 +202,18 @@ def _words(effect: NamedEffect) -> str:
         label = AT_JOINTS.sub("{}", about.label.replace("{", "").replace("}", ""), count=1)
         if about.id in SHAPELESS:
             return label
-        return f"{label}, like {own}{' or others' if rivals else ''}"
+        return f"{label}, like {_list_alternatives(own, rivals)}"
+    return _list_alternatives(own, rivals) + at
+
+
+def _list_alternatives(own: str, rivals: Sequence[str]) -> str:
     more = f" or {len(rivals) - 1} others" if len(rivals) > 2 else ""
-    return " or ".join([own, *rivals[: 1 if more else 2]]) + more + at
+    return " or ".join([own, *rivals[: 1 if more else 2]]) + more
+
+
+def _plain(effect: str) -> str:
+    """The name of an effect as a person says it."""
+    return PLAIN.get(effect, effect.replace("_", " "))
 
 
 def describe_search(
@@ -198,8 +229,8 @@ def describe_search(
     rows = _rows(effects)
     by_sure = {sure: [row for row in rows if row.sure == sure] for sure in ORDER}
     lines = [
-        _describe_certain(verdict, by_sure["certain"], bool(rows)),
-        _describe_gap(gap, adequacy, noise),
+        _describe_certain(verdict, by_sure["certain"], bool(rows), adequacy),
+        _describe_gap(gap, adequacy, noise, verdict),
         " ".join(_describe_undecided(verdict, by_sure, adequacy, effects, poses, told_apart)),
     ]
     return "\n".join(line for line in lines if line)
@@ -232,15 +263,17 @@ def describe_motion(effects: Sequence[NamedEffect], motion: MotionFound) -> str:
     return "\n".join(lines)
 
 
-def _describe_certain(verdict: str | None, certain: Sequence[_Row], named: bool) -> str:
+def _describe_certain(verdict: str | None, certain: Sequence[_Row], named: bool, adequacy: Adequacy | None) -> str:
     if certain:
         rest = " Nothing else is significant." if verdict in CERTAIN_VERDICTS else ""
         return f"Found: {_join(certain)}.{rest}"
     if verdict in CERTAIN_VERDICTS:
         return "Nothing that matters is missing: the model agrees with the measurements within their noise."
     if verdict == "not_known":
-        return "Whether something is missing is open: no noise is known apart from the fit."
-    return "Nothing is certain yet." if named else "Something is missing, and no known effect explains it."
+        return "Nothing was found. Whether something is missing is open: the noise is not known apart from the fit."
+    if named:
+        return "Nothing is certain yet."
+    return f"Something is missing{_describe_remainder(adequacy)}, and no known effect explains it."
 
 
 def _join(rows: Sequence[_Row]) -> str:
@@ -249,7 +282,7 @@ def _join(rows: Sequence[_Row]) -> str:
     return said[0] if len(said) == 1 else f"{'; '.join(said[:-1])}; and {said[-1]}"
 
 
-def _describe_gap(gap: GapSize | None, adequacy: Adequacy | None, noise: GapNoise | None) -> str:
+def _describe_gap(gap: GapSize | None, adequacy: Adequacy | None, noise: GapNoise | None, verdict: str | None) -> str:
     if gap is None:
         return ""
     unit = "mm" if gap.before_deg is None else "deg"
@@ -268,7 +301,7 @@ def _describe_gap(gap: GapSize | None, adequacy: Adequacy | None, noise: GapNois
     said = f"Error on {where}: {number(before)} -> {number(after)} {shown} rms{aside}."
     floor = size.get(f"noise_rms_{unit}")
     if floor is None or noise is None or noise.absolute is False:
-        return f"{said} The noise is not known apart from the fit."
+        return said if verdict == "not_known" else f"{said} The noise is not known apart from the fit."
     return f"{said} Measurement noise: {number(floor)} {shown}."
 
 
@@ -284,7 +317,7 @@ def _describe_undecided(
         yield f"Probable, not proven: {_join(by_sure['probable'])}."
     if by_sure["open"]:
         yield f"Open: {_join(by_sure['open'])}."
-    if verdict == "unexplained":
+    if verdict == "unexplained" and any(by_sure.values()):
         yield f"Open: something else remains{_describe_remainder(adequacy)} that no known effect explains."
     weak = [one for one in effects if SURE.get(one.verdict) != "certain"]
     if told_apart is not None and told_apart.instead and not told_apart.enough:

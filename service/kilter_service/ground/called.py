@@ -11,22 +11,34 @@ from kilter_service.contract.jobs.registry import KINDS
 class Made(Protocol):
     """What was made some time, and may have a name."""
 
-    name: str
-    created_at: datetime
+    @property
+    def name(self) -> str:
+        """The name that somebody gave it, or none."""
+
+    @property
+    def created_at(self) -> datetime:
+        """When it was made."""
 
 
 def display_name(made: Made) -> str:
-    """Return what people call it: its name, a version's number, else when it was made.
-
-    To the second, so that two of a minute differ.
-    """
+    """Return what people call it: its name, a version's number, else when it was made, to the second."""
     if made.name:
         return made.name
     if number := getattr(made, "number", 0):
         return f"{getattr(made, 'robot', '')} v{number}"
     # Of a job by its kind, of a version none: whoever reads need not know what an id stands for.
-    kind = KINDS.get(getattr(made, "kind", ""))
+    if (kind := getattr(made, "kind", "")) in KINDS:
+        return name_unnamed_job(kind, getattr(made, "robot", ""), made.created_at)
     what = "version" if hasattr(made, "job_id") else "campaign"
-    if kind is not None:
-        what = kind.called or kind.noun
     return f"{what} of {made.created_at:%Y-%m-%d %H:%M:%S}"
+
+
+def job_noun(kind: str) -> str:
+    """Return what people call a job of a kind: "gap search"."""
+    known = KINDS.get(kind)
+    return "job" if known is None else known.noun.partition(" of ")[0]
+
+
+def name_unnamed_job(kind: str, robot: str, created_at: datetime) -> str:
+    """Return what a job of an earlier release is called that nobody named: "gap search of tour, 2026-11-02 14:05:09"."""
+    return f"{job_noun(kind)} of {robot}, {created_at:%Y-%m-%d %H:%M:%S}"

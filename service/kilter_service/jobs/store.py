@@ -14,6 +14,7 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.contract.versions import Objection
+from kilter_service.ground.called import job_noun
 from kilter_service.ground.caller import allowed_robots, as_document
 from kilter_service.ground.core import core_identify
 from kilter_service.ground.db import Session
@@ -73,8 +74,7 @@ def add(session: Session, robot_id: int, job: NewJob, asked: Asked = NOBODY) -> 
 
 def _next_name(session: Session, robot_id: int, job: NewJob) -> str:
     """Return the name of a job that nobody gave one: "gap search of tour 3"."""
-    noun = get_job_kind(job.kind).contract.noun.partition(" of ")[0]
-    start = f"{noun} of {job.robot} "
+    start = f"{job_noun(job.kind)} of {job.robot} "
     query = select(JobRow.name).where(JobRow.robot_id == robot_id, JobRow.name.startswith(start, autoescape=True))
     numbers = [name.removeprefix(start) for name in session.execute(query).scalars()]
     return f"{start}{max((int(number) for number in numbers if number.isdecimal()), default=0) + 1}"

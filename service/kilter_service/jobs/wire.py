@@ -8,6 +8,7 @@ from kilter_service.contract.jobs.check import CheckedCampaign, Duration, HeldOu
 from kilter_service.contract.jobs.job import JobError, JobSummary, Progress
 from kilter_service.contract.jobs.registry import Job, JobCheck
 from kilter_service.contract.written import as_written
+from kilter_service.ground.called import display_name
 from kilter_service.jobs.job_preview import JobPreview
 from kilter_service.jobs.records import JobRecord, ListedJob, ProgressRecord
 from kilter_service.jobs.registry import get_job_kind
@@ -43,7 +44,7 @@ def _summary_fields(record: ListedJob) -> dict[str, Any]:
         "id": record.id,
         "kind": record.kind,
         "robot": record.robot,
-        "name": record.name,
+        "name": display_name(record),
         "state": record.state,
         "progress": Progress(fraction=record.fraction, stage=record.stage),
         "error": None if record.error is None else JobError(**record.error),

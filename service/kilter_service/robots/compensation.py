@@ -61,9 +61,8 @@ def remark(robot: str, compensation: str) -> Objection | None:
     if compensation != "unknown":
         return None
     message = (
-        f"Whether the controller of {robot} corrects by itself is not known. If it does (an absolute-accuracy option that is "
-        "switched on, a factory calibration), the arm would be corrected twice. Look it up, and say "
-        f"`kilter robot compensation {robot} none`, factory or kilter."
+        f"Check once whether {robot}'s controller corrects by itself (absolute accuracy, factory calibration); then the arm "
+        f"would be corrected twice. Say it: `kilter robot compensation {robot} none`, factory or kilter."
     )
     return Objection(code=UNKNOWN, message=message)
 

@@ -119,8 +119,9 @@ def _readings(found: Understood) -> str:
 
 def _span(words: str, entries: Sequence[Entry]) -> str:
     sources = list(dict.fromkeys((entries[0].source, entries[-1].source))) if entries else []
-    units = "/".join(dict.fromkeys(str(entry.unit) for entry in entries))
-    return f"{words} {' ... '.join(sources)} [{units}]" if sources else ""
+    named = " ... ".join(sources)
+    units = f"[{'/'.join(dict.fromkeys(str(entry.unit) for entry in entries))}]"
+    return "" if not sources else f"{words} {named}" if named.endswith(units) else f"{words} {named} {units}"
 
 
 def _least_reach(found: Understood) -> float | None:

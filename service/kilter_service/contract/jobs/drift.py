@@ -168,7 +168,6 @@ class DriftResult(Stored):
 DRIFT = JobContract(
     "drift",
     noun="check of an arm",
-    called="check",
     title="Check for drift",
     summary="Check whether an arm has moved since its version was made; names one campaign.",
     options=DriftOptions,

@@ -124,7 +124,6 @@ class GapResult(MadeVersion):
 GAP = JobContract(
     "gap",
     noun="gap search",
-    called="search",
     title="Search for what is missing",
     summary="Find where the model is wrong and name what is missing; the result is a new version.",
     options=GapOptions,

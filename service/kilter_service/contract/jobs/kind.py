@@ -19,9 +19,8 @@ Use = Literal["train", "validation", "confirmation"]
 class JobContract(Generic[OptionsT, ResultT]):
     """The declaration of a kind of job, beside its options and its result.
 
-    ``noun`` is what such a job is in a sentence ("an identification"), ``called`` the same before a date where that is
-    shorter, ``title`` what the page names it, and ``summary`` what it does. ``seconds`` are those of a job of some hundred
-    poses on a machine of 2024: expected, low, high.
+    ``noun`` is what such a job is in a sentence ("an identification"), ``title`` what the page names it, and ``summary``
+    what it does. ``seconds`` are those of a job of some hundred poses on a machine of 2024: expected, low, high.
 
     ``version_option`` names the option that holds a version; ``needs_campaigns``, ``takes_folds`` and
     ``takes_confirmation`` say what a request must and may have, ``instead_of_campaigns`` which options replace campaigns,
@@ -41,7 +40,6 @@ class JobContract(Generic[OptionsT, ResultT]):
     options: type[OptionsT]
     result: type[ResultT]
     seconds: tuple[float, float, float] = (5.0, 0.5, 120.0)
-    called: str = ""
     version_option: str | None = None
     needs_campaigns: bool = True
     takes_folds: bool = False

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any, Literal, NamedTuple
 
 from sqlalchemy import ColumnElement, Select, and_, literal, or_, select
 
 from kilter_service.contract.references import Kind
+from kilter_service.ground.called import name_unnamed_job
 from kilter_service.ground.caller import allowed_robots, may_see
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
@@ -25,6 +26,7 @@ TABLES: Mapping[Kind, Table] = {"campaign": CampaignRow, "version": VersionRow, 
 PREFIXES: Mapping[Kind, str] = {"campaign": "cmp_", "version": "ver_", "job": "job_"}
 KEPT: Mapping[Whose, type[Any]] = {"campaign": CampaignRow, "version": VersionRow, "robot": RobotRow}
 LATEST = "latest"
+UNNAMED = re.compile(r", (\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)$")
 NUMBERED = re.compile(r"(?:(?P<robot>.+) )?v(?P<number>[1-9][0-9]{0,8})")
 NOMINAL = "nominal"  # of versions: the nominal robot, which a comparison may name
 
@@ -65,10 +67,17 @@ def find_by_id_prefix(session: Session, kind: Kind, robot_id: int | None, text: 
 
 
 def find_by_name(session: Session, kind: Kind, robot_id: int | None, name: str) -> list[Found]:
-    """Return what has a name, newest first."""
-    return (
-        _fetch_references(session, _select_references(kind, robot_id).where(TABLES[kind].name == name)) if name else []
-    )
+    """Return what has a name, newest first; a job of an earlier release that has none also by what it is called."""
+    if not name:
+        return []
+    query, table = _select_references(kind, robot_id), TABLES[kind]
+    if (found := _fetch_references(session, query.where(table.name == name))) or kind != "job":
+        return found
+    if (when := UNNAMED.search(name)) is None:
+        return []
+    at = datetime.fromisoformat(f"{when[1]}+00:00")
+    within = and_(table.name == "", table.created_at >= at, table.created_at < at + timedelta(seconds=1))
+    return [one for one in _fetch_references(session, query.where(within)) if one.name == name]
 
 
 def newest(session: Session, kind: Kind, robot_id: int | None, most: int = 1) -> list[Found]:
@@ -80,7 +89,7 @@ def newest(session: Session, kind: Kind, robot_id: int | None, most: int = 1) ->
     return [found for one in everywhere for found in newest(session, kind, one, most)]
 
 
-def _select_references(kind: Kind, robot_id: int | None) -> Select[str, str, str, datetime, bool, int]:
+def _select_references(kind: Kind, robot_id: int | None) -> Select[str, str, str, datetime, bool, int, str]:
     table = TABLES[kind]
     number = VersionRow.number if kind == "version" else literal(0)
     query = select(
@@ -90,6 +99,7 @@ def _select_references(kind: Kind, robot_id: int | None) -> Select[str, str, str
         table.created_at,
         _in_use(kind).label("in_use"),
         number.label("number"),
+        (JobRow.kind if kind == "job" else literal("")).label("kind"),
     )
     query = query.join(RobotRow, RobotRow.id == table.robot_id)
     if kind == "campaign":
@@ -109,8 +119,11 @@ def _in_use(kind: Kind) -> ColumnElement[bool]:
     return JobRow.state.not_in(("failed", "cancelled"))
 
 
-def _fetch_references(session: Session, query: Select[str, str, str, datetime, bool, int]) -> list[Found]:
-    return [Found(*row) for row in session.execute(query)]
+def _fetch_references(session: Session, query: Select[str, str, str, datetime, bool, int, str]) -> list[Found]:
+    return [
+        Found(key, robot, name or (name_unnamed_job(kind, robot, at) if kind else ""), at, in_use, number)
+        for key, robot, name, at, in_use, number, kind in session.execute(query)
+    ]
 
 
 def check_name(session: Session, kind: Kind, robot_id: int, name: str, own_id: str | None = None) -> None:

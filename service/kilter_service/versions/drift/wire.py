@@ -149,14 +149,9 @@ def _verdict(found: Check, agreed_at: datetime | None) -> str:
     unit = "mm by views" if found.by_views else "mm"
     apart = f"measured and predicted are {to_mm(found.misfit):.3g} {unit} apart (rms)."
     if found.verdict == "ok":
-        return (
-            f"ok: {found.poses} poses agree with the version; {apart} An arm that has not moved shows as much with a chance "
-            f"of {chance_words(found.p_value, 2)}."
-        )
+        return f"ok: {found.poses} poses agree with the version; {apart}"
     after = "" if agreed_at is None else f" since {agreed_at:%Y-%m-%d}"
-    chance = (
-        f" An arm that has not moved shows as much with a chance of {chance_words(found.p_value)}. {apart.capitalize()}"
-    )
+    chance = f" Chance of a false alarm: {chance_words(found.p_value)}. {apart.capitalize()}"
     if found.verdict == "moved":
         return f"moved: {by_how_much(found.causes[0])}{after}.{chance}"
     if not found.causes:

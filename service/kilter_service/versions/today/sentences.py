@@ -80,14 +80,14 @@ def describe_change(
     mean, day = said_of_error(own.errors.identified.mean_mm, most), f"{own.at:%Y-%m-%d}"
     alarm = newest.alarm
     if larger_by_mm is None and alarm is not None:
-        return f"Its own job said {mean} ({day}), not more than chance explains, but the check says {alarm}"
+        return f"Its own job said {mean} ({day}), not more than chance explains, but the check says {alarm.partition('. ')[0]}."
     if larger_by_mm is None:
         return f"Its own job said {mean} ({day}); the difference is not more than chance explains."
     command = f"`kilter version evaluate {robot} --campaign {newest.campaigns[0].id} --refit base`"
     anew = f" Where the instrument was set up anew, evaluate with `--refit base` first: {command}."
     if alarm is not None:
         command = f"`kilter check {robot} --campaign {newest.campaigns[0].id} --new-setup base`"
-        anew = f" The check says {alarm} Where the instrument was set up anew, say so: {command}."
+        anew = f" The check says so too. Where the instrument was set up anew: {command}."
     more = said_of_error(larger_by_mm, most)
     return (
         f"That is {more} more than the {mean} its own job said ({day}), more than chance explains: "
@@ -96,14 +96,14 @@ def describe_change(
 
 
 def left_out(rows: int | None) -> str:
-    """Say how many rows a number leaves out, after a comma; nothing where that is not known."""
-    return "" if rows is None else f", {rows or 'no'} row{'' if rows in (0, 1) else 's'} left out"
+    """Say how many rows a number leaves out, after a comma; nothing where it has all of them, or nobody knows."""
+    return f", {plural(rows, 'row')} left out" if rows else ""
 
 
 def describe_source_rows(found: ErrorsToday) -> str:
     """Say which rows, and from when."""
     named = "; ".join(f"campaign {one.name}, {one.when}" for one in found.campaigns) or "campaigns that are gone"
-    return f"{named}; computed {found.at:%Y-%m-%d}"
+    return named
 
 
 def ago(days: int) -> str:

@@ -9,6 +9,7 @@ from kilter_service.contract.drift import Repair
 from kilter_service.contract.error_words import interval
 from kilter_service.contract.fits import Metrics, StageErrors
 from kilter_service.contract.gap_details import AtJoints, NamedEffect
+from kilter_service.contract.headlines import name_effects
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.standing import ErrorAt
 from kilter_service.contract.today import ErrorsToday, MeasuredCampaign, NamedMissing, SearchToday, Today
@@ -92,13 +93,15 @@ def _open(result: GapResult) -> str:
 
 def _sentence(found: Searched, result: GapResult, named: Sequence[NamedMissing], active: Active | None) -> str:
     when = f"the search of {found.at:%Y-%m-%d}"
-    lacking = [one.words for one in named if not one.corrected]
-    there = [one.words for one in named if one.corrected]
+    effects = list(zip(result.effects or [], named, strict=True))
+    lacking = name_effects(effect for effect, one in effects if not one.corrected)
+    there = name_effects(effect for effect, one in effects if one.corrected)
     beyond = " Something is left that no known effect explains." if result.verdict == "unexplained" else ""
     if not named:
-        return (result.sentence or "Nothing was named.") + f" So said {when}."
+        said = (result.headline or result.sentence or "Nothing was named.").splitlines()[0]
+        return f"{said} So said {when}."
     if active is None:
-        return f"No version is active, so nothing is corrected of what {when} named: {', '.join(lacking)}.{beyond}"
+        return f"Nothing corrects yet what {when} named: {', '.join(lacking)}.{beyond}"
     has = f"The active version corrects {', '.join(there)}, which {when} named." if there else ""
     if not lacking:
         return f"{has} Nothing else is known to be missing.{beyond}" if not beyond else f"{has}{beyond}"

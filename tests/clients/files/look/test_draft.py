@@ -400,3 +400,19 @@ def test_cells_that_are_lists_in_a_file_without_a_header_are_columns(tmp_path: P
         assert [column["name"] for column in found["columns"]] == names
         assert found["columns"][0]["low"] == (1.5 if len(names) > 2 else 1.0)
         assert all(name in draft(path).text for name in names)
+
+
+@pytest.mark.parametrize(
+    ("header", "said"),
+    [
+        ("A1 [deg];A2 [deg];A3 [deg];X [mm];Y [mm];Z [mm]", "position X [mm] ... Z [mm]"),
+        ("A1;A2;A3;X [mm];Y [mm];Z [mm]", "joints A* [deg]"),
+    ],
+)
+def test_what_is_read_names_each_unit_once(tmp_path: Path, header: str, said: str) -> None:
+    rows = [f"{10 * k}.5;{7 * k}.25;{-5 * k}.75;{300 + k}.1;{20 * k}.2;{400 - k}.3" for k in range(1, 12)]
+    path = tmp_path / "lab.csv"
+    path.write_text("\n".join([header, *rows]) + "\n")
+    readings = draft(path).readings
+    assert said in readings
+    assert not re.search(r"\] \[", readings)

@@ -448,4 +448,4 @@ def run_job(
         suggested = [] if as_json else suggest_after_job(kilter, job)
     if files is not None and not no_wait:
         files(job)
-    emit(job, as_json, partial(show_job, details=details, head=False, suggested=suggested))
+    emit(job, as_json, partial(show_job, details=details, head=False, suggested=suggested, server=kilter.url))

@@ -97,7 +97,7 @@ def check(
                 note(f"job: {job_name(job)}", as_json)
                 job = dict(kilter.jobs.wait(job["id"], progress))
         suggested = [] if as_json else suggest_after_job(kilter, job)
-    emit(job, as_json, partial(show_job, details=details, head=False, suggested=suggested))
+    emit(job, as_json, partial(show_job, details=details, head=False, suggested=suggested, server=kilter.url))
     code = EXIT_CODES.get(_verdict(job), 0)
     if code:
         raise typer.Exit(code)

@@ -60,14 +60,16 @@ def try_files(
     options = [f"--{name}={value}" for name, value in stated.items() if value is not None]
     with _server_for_trial(as_json):
         given = [robot, "--name", ROBOT] if Path(robot).exists() else ["--preset", robot, "--name", ROBOT]
-        _step(["robot", "add", *given], as_json)
+        _step(["robot", "add", *given], as_json, quiet=True)
         for file in files:
             _step(["upload", ROBOT, str(file), *options], as_json)
         with Kilter() as kilter:
             named = ((one["id"], one["name"]) for one in kilter.campaigns.list(ROBOT))
             campaigns = ",".join(key if "," in name else name for key, name in named)
             for kind in ("identify", "gap"):
-                _step([kind, ROBOT, "--campaign", campaigns, "--validation", HELD_OUT], as_json)
+                _step(
+                    [kind, ROBOT, "--campaign", campaigns, "--validation", HELD_OUT], as_json, quiet=kind == "identify"
+                )
             found = {job["kind"]: kilter.jobs.get(job["id"]) for job in kilter.jobs.list(ROBOT)}
             write_file(kilter.run(report_page(found["gap"]["id"])), output)
     emit({"report": str(output), **found}, as_json, _show)
@@ -112,11 +114,11 @@ def _server_for_trial(as_json: bool) -> Iterator[None]:
             os.environ.update(before)
 
 
-def _step(arguments: Sequence[str], as_json: bool) -> None:
-    """Run a command as a person would, and say which."""
-    note(f"\n$ kilter {shlex.join(arguments)}", as_json)
+def _step(arguments: Sequence[str], as_json: bool, quiet: bool = False) -> None:
+    """Run a command as a person would, and say which; ``quiet`` leaves out what it prints."""
+    note(f"$ kilter {shlex.join(arguments)}", as_json)
     said = io.StringIO()
-    with redirect_stdout(said) if as_json else nullcontext():
+    with redirect_stdout(said) if as_json or quiet else nullcontext():
         code = run([*arguments, *(["--json"] if as_json else [])])
     if code:
         if as_json:

@@ -42,18 +42,17 @@ def _show_preview(preview: Mapping[str, Any] | None) -> None:
     """Print what the version does with the robot's poses."""
     if not preview:
         return
-    where = "that the robot was driven to" if preview["within"] == "campaigns" else "within the joint limits"
-    held = (
-        f"{preview['damped']} damped, {preview['limited']} held at a limit, {sum(preview['refused'].values())} refused"
-    )
-    largest = (
-        "" if preview["largest_mm"] is None else f"; it moves the tool by {number(preview['largest_mm'], 3)} mm at most"
-    )
-    print_line(f"Of {preview['poses']} poses {where} it corrects {preview['corrected']} ({held}){largest}.")
+    poses = "measured poses" if preview["within"] == "campaigns" else "poses within the joint limits"
+    every = "all" if preview["corrected"] == preview["poses"] else f"{preview['corrected']} of"
+    refused = sum(preview["refused"].values())
+    held = ((preview["damped"], "near a singularity"), (preview["limited"], "held at a limit"), (refused, "refused"))
+    said = "".join(f", {count} {words}" for count, words in held if count)
+    largest = "" if preview["largest_mm"] is None else f" Largest correction: {number(preview['largest_mm'], 3)} mm."
+    print_line(f"Corrects {every} {preview['poses']} {poses}{said}.{largest}")
 
 
 def _show_comparison(version: str, compared: Mapping[str, Any] | None) -> None:
-    if not compared:
+    if not compared or not compared["active"]:  # else the headline has all of it
         return
     where = ", ".join(compared.get("campaign_names") or compared["campaigns"])
     print_line(
@@ -89,5 +88,6 @@ def show_today(document: Mapping[str, Any]) -> None:
     standing = document["standing"]
     suggested = suggest_after_today(document)
     print_line(f"{standing['words']}. {standing['sentence']}")
-    print_lines(fit_messages(document["sentences"], screen_columns(), LINES - 1 - len(suggested), IN_JSON))
+    sentences = [one for one in document["sentences"] if one != standing["sentence"]]
+    print_lines(fit_messages(sentences, screen_columns(), LINES - 1 - len(suggested), IN_JSON))
     print_lines(suggested)

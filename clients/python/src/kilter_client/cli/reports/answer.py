@@ -72,12 +72,15 @@ def _format_table(result: Mapping[str, Any], columns: int) -> list[str]:
             [_effect_row(one) for one in result["found"]],
         )
     elif result.get("looked_at"):
-        head = ("cause", "", "change")
-        rows = [_cause(one) for one in result["looked_at"]] if result.get("verdict") != "ok" else []
+        head = ("what may have moved", "change")
+        alike = [one for one in result["looked_at"] if not one.get("refuted")]
+        rows = [_cause(one) for one in alike] if len(alike) > 1 and result.get("verdict") != "ok" else []
     else:
         head, rows = ("rows", "model", *(words for _, words in ERRORS)), list(_errors(result.get("metrics") or {}))
     if not rows:
         return []
+    filled = [k for k in range(len(head)) if any(row[k] for row in rows)]
+    head, rows = tuple(head[k] for k in filled), [tuple(row[k] for k in filled) for row in rows]
     lines = table(head, rows[:MOST_ROWS], columns).splitlines()
     more = len(rows) - MOST_ROWS
     return [*lines, *([f" and {more} more {DETAILS}"] if more > 0 else []), ""]
@@ -91,7 +94,7 @@ def _effect_row(one: Mapping[str, Any]) -> tuple[str, ...]:
 def _cause(one: Mapping[str, Any]) -> tuple[str, ...]:
     seen = [n for n in one.get("numbers") or () if n.get("u95") is not None]
     changes = ", ".join(f"{number(n['change'], 2)} {n['unit']}" for n in seen)
-    return one["words"], "refuted" if one.get("refuted") else "may be", changes
+    return one["words"], changes
 
 
 def _errors(metrics: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:

@@ -99,7 +99,7 @@ def show_robots(found: Mapping[str, Any]) -> None:
             one["state"].replace("_", " "),
             str(one["checks"]),
             "" if one["age_days"] is None else f"{one['age_days']} days ago",
-            one["sentence"],
+            FIRST.split(one["sentence"], maxsplit=1)[0],
         )
         for one in found["robots"]
     ]

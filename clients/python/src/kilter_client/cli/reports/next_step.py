@@ -26,6 +26,8 @@ def suggest_after_job(kilter: Kilter, job: Document) -> list[str]:
         if result["verdict"] == "ok":
             return format_next("today", job["robot"])
         return suggest_after_today(kilter.robots.today(job["robot"]))
+    if job["kind"] == "plan" and result:
+        return format_next("check" if result["purpose"] == "check" else "upload", job["robot"], PLACEHOLDER)
     return suggest_for_version(kilter.versions.get(result["version_id"])) if result.get("version_id") else []
 
 

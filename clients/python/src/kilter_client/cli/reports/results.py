@@ -11,6 +11,7 @@ from kilter_client.cli.reports.gap_report import show_gap, show_unobservable
 from kilter_client.cli.reports.identify_report import show_identification, show_parameters
 from kilter_client.cli.reports.next_step import suggest_for_version
 from kilter_client.cli.terminal.output import print_line, print_lines
+from kilter_client.cli.terminal.session_notes import is_note_due
 from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.results.shown import MODELS, nominal_words
 
@@ -27,10 +28,19 @@ MASSES = "load_error"  # carried beside effects that follow loads: nobody asks f
 MOST_CHANGES = 8  # that planned poses show, of a table
 
 
-def show_job(job: dict[str, Any], details: bool = True, head: bool = True, suggested: Sequence[str] = ()) -> None:
+ONCE = {
+    "directions_derived",
+    "load_not_stated",
+    "default_load_used",
+}  # notes on how rows were sent, not on what was found
+
+
+def show_job(
+    job: dict[str, Any], details: bool = True, head: bool = True, suggested: Sequence[str] = (), server: str = ""
+) -> None:
     """Print a job: how it stands (``head``), what is in its result, and what is ``suggested`` to do next.
 
-    Without ``details`` its answer is on one screen.
+    Without ``details`` its answer is on one screen, without notes that were shown for this robot of the ``server`` lately.
     """
     result = job.get("result") or {}
     version = result.get("version_id")
@@ -41,6 +51,8 @@ def show_job(job: dict[str, Any], details: bool = True, head: bool = True, sugge
         print_line(f"{job.get('name') or job['id']}: {job['state']}{_stage(job)}")
     long = job["kind"] in ("plan", "joint_parameters", "fleet") or result.get("iso9283")
     if result and not details and not long:
+        if server:
+            result = {**result, "warnings": [one for one in result.get("warnings") or () if _is_due(one, job, server)]}
         show_answer({"headline": result.get("sentence"), **result}, stored)
         return
     error = job.get("error")
@@ -58,6 +70,11 @@ def show_job(job: dict[str, Any], details: bool = True, head: bool = True, sugge
     else:
         show_result(result)
     print_lines(stored)
+
+
+def _is_due(warning: Mapping[str, Any], job: Mapping[str, Any], server: str) -> bool:
+    code = warning.get("code")
+    return code not in ONCE or is_note_due(server, f"{code} {job.get('robot')}")
 
 
 def describe_stored(version: str, result: Mapping[str, Any], suggested: Sequence[str]) -> list[str]:

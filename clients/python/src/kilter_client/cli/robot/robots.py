@@ -419,7 +419,8 @@ def _show(server: str, document: dict[str, Any]) -> None:
         print_line(document["controller_sentence"])
     else:
         print_line("controller: unknown (`kilter robot compensation` says what it does)")
-    print_line(_goals(document))
+    if document["tolerance_mm"] is not None or document["check_interval_days"] is not None:
+        print_line(_goals(document))
     names = list(document.get("parameters", ()))
     more = f" and {len(names) - MOST_NAMES} more (--json)" if len(names) > MOST_NAMES else ""
     print_line(f"{len(names)} parameters: {', '.join(names[:MOST_NAMES]) or 'none'}{more}")

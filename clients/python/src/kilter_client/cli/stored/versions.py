@@ -22,6 +22,9 @@ from kilter_client.requests.calls.versions import NOMINAL
 from kilter_client.results.digits import decimals, estimate
 from kilter_client.results.rows import write_file
 
+MOST_CHANGES = 12  # of a comparison on a screen
+CARRIED = ("link_mass_", "link_moment_", "load_payload_")  # parameters that nobody asked for
+
 group = typer.Typer(
     help="List, name, retire and purge versions; without a command, list those of a robot.",
     rich_markup_mode=None,
@@ -170,10 +173,10 @@ def _effects(ids: list[str]) -> str:
 
 def _held_out(metrics: dict[str, Any]) -> str:
     """The mean error of the identified model, on held-out rows where there were some."""
-    for name in ("validation", "train"):
+    for name, words in (("validation", "unseen"), ("train", "fitted")):
         stage = (metrics.get(name) or {}).get("identified")
         if stage:
-            return f"{number(stage.get('mean_mm'))} {name}"
+            return f"{number(stage.get('mean_mm'), 2)} {words}"
     return ""
 
 
@@ -190,12 +193,16 @@ def _show_diff(document: dict[str, Any]) -> None:
         if document[f"effects_{word}"]:
             print_line(f"effects {word}: {', '.join(document[f'effects_{word}'])}")
     sides = [NOMINAL if document[key] == NOMINAL else word for key, word in (("a", "first"), ("b", "second"))]
-    moved = [p for p in document["parameters"] if p.get("moved", True)]
+    moved = sorted(
+        (p for p in document["parameters"] if p.get("moved", True)), key=lambda p: p["name"].startswith(CARRIED)
+    )
     if moved:
-        show_rows(("parameter", *sides, "change", "unit"), [_comparison_row(p) for p in moved])
-    rest = len(document["parameters"]) - len(moved)
-    if rest:
-        print_line(f"{rest} more differ by less than their uncertainty or not at all; --json has them.")
+        show_rows(("parameter", *sides, "change", "unit"), [_comparison_row(p) for p in moved[:MOST_CHANGES]])
+    rest, hidden = len(document["parameters"]) - len(moved), len(moved) - MOST_CHANGES
+    said = [f"{hidden} more differ"] if hidden > 0 else []
+    said += [f"{rest} differ by less than their uncertainty or not at all"] if rest else []
+    if said:
+        print_line(f"{', and '.join(said)}; --json has them.")
 
 
 def _comparison_row(p: dict[str, Any]) -> tuple[str, ...]:

@@ -47,7 +47,7 @@ def job_goes_on(job: Mapping[str, Any] | str) -> str:
 
 
 def job_name(job: Mapping[str, Any]) -> str:
-    """Return what a job is called; one of an earlier release that nobody named has its id alone."""
+    """Return what a job is called; where a server of an earlier release says nothing, its id."""
     return str(job.get("name") or job["id"])
 
 

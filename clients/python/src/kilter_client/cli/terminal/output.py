@@ -75,7 +75,7 @@ def report_error(error: KilterError, as_json: bool) -> None:
     if as_json:
         print(json.dumps(error.to_document(), indent=2, ensure_ascii=False, default=str))
         return
-    print(f"Error: {error.detail}", file=sys.stderr)
+    print("\n".join(wrap_line(f"Error: {error.detail}", screen_columns())), file=sys.stderr)
     if error.request_id and (error.status is None or error.status >= 500):
         print(f"Request {error.request_id}.", file=sys.stderr)
 

@@ -92,4 +92,7 @@ def number(value: Any, digits: int = 4) -> str:
     """Write a number shortly, nothing for None."""
     if value is None:
         return ""
-    return f"{value:.{digits}g}" if isinstance(value, int | float) else str(value)
+    if not isinstance(value, int | float):
+        return str(value)
+    text = f"{value:.{digits}g}"
+    return f"{value:.0f}" if "e+" in text and abs(value) < 1e9 else text
