@@ -105,7 +105,6 @@ def test_what_kilter_does_itself_breaks_no_seal(
     assert service.verify_stored(settings).damaged == []
 
 
-@pytest.mark.slow  # where a damaged row ends a check in the middle, its connection lives until it is collected
 def test_alterations_of_a_running_servers_postgresql_are_named(
     request: pytest.FixtureRequest, tmp_path: Path, katana: Katana
 ) -> None:

@@ -29,7 +29,7 @@ from numba.core import serialize
 from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 from numba.core.runtime import _nrt_python  # type: ignore[attr-defined]
-from numba.core.runtime.nrt import ll  # llvmlite, as numba names it
+from numba.core.runtime.nrt import ll  # type: ignore[attr-defined]  # llvmlite
 
 # UNCOUNTED: references to arrays are not counted, for functions that make none. Arrays outlive every call, and counting
 # those that are handed on takes a third of the time of a correction, and half of that of a load.
