@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 
-def _rotation() -> type[Rotation]:
+def scipy_rotation() -> type[Rotation]:
     """Return scipy's rotations, imported at their first use: 40 MB that a process which only corrects does without."""
     from scipy.spatial.transform import Rotation
 
@@ -22,7 +22,7 @@ def _rotation() -> type[Rotation]:
 def pose_from_xyz_rpy(xyz_m: Floats, rpy_rad: Floats) -> Floats:
     """T (4, 4) = Trans(xyz) Rz(rz) Ry(ry) Rx(rx), the convention of URDF; ``rpy_rad`` is (rx, ry, rz)."""
     T = np.eye(4)
-    T[:3, :3] = _rotation().from_euler("xyz", rpy_rad).as_matrix()
+    T[:3, :3] = scipy_rotation().from_euler("xyz", rpy_rad).as_matrix()
     T[:3, 3] = xyz_m
     return T
 
@@ -103,12 +103,12 @@ def rotations_about(axis: Floats, angles: Floats) -> Floats:
 
 def rotation_log(R: Floats) -> Floats:
     """Rotation vectors (N, 3) of rotations (N, 3, 3)."""
-    return np.asarray(_rotation().from_matrix(R).as_rotvec())
+    return np.asarray(scipy_rotation().from_matrix(R).as_rotvec())
 
 
 def rotation_exp(w: Floats) -> Floats:
     """Rotations (..., 3, 3) by rotation vectors (..., 3), of one dimension or two."""
-    return np.asarray(_rotation().from_rotvec(w).as_matrix())
+    return np.asarray(scipy_rotation().from_rotvec(w).as_matrix())
 
 
 def pose_from_twist(v: Floats, w: Floats) -> Floats:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import shutil
 import sqlite3
+import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -105,11 +108,11 @@ def test_what_kilter_does_itself_breaks_no_seal(
     assert service.verify_stored(settings).damaged == []
 
 
-@pytest.mark.slow  # where a damaged row ends a check in the middle, its connection lives until it is collected
-def test_alterations_of_a_running_servers_postgresql_are_named(
+@pytest.fixture
+def on_postgresql(
     request: pytest.FixtureRequest, tmp_path: Path, katana: Katana
-) -> None:
-    """A value in about a third of all columns, altered by hand and put back, one after another."""
+) -> Iterator[tuple[Settings, Database, httpx.Client]]:
+    """A server on PostgreSQL with something in every table."""
     template = request.getfixturevalue("postgresql_template")
     with database_of(request.getfixturevalue("postgresql"), template) as url:
         settings = Settings(
@@ -121,11 +124,36 @@ def test_alterations_of_a_running_servers_postgresql_are_named(
         with served(create_app(settings)) as client, closing(database):
             client.headers["Authorization"] = f"Bearer {admin_token(settings)}"
             used(client, database, katana)
-            assert service.verify_stored(settings).damaged == []
-            unseen = [*unnamed_alterations(settings, database)]
-            assert unseen == []
-            assert service.verify_stored(settings).damaged == []
-            client.get("/v1/robots/katana").raise_for_status()
+            yield settings, database, client
+
+
+def test_alterations_of_a_running_servers_postgresql_are_named(
+    on_postgresql: tuple[Settings, Database, httpx.Client],
+) -> None:
+    """A value in about a third of all columns, altered by hand and put back, one after another."""
+    settings, database, client = on_postgresql
+    assert service.verify_stored(settings).damaged == []
+    unseen = [*unnamed_alterations(settings, database)]
+    assert unseen == []
+    assert service.verify_stored(settings).damaged == []
+    client.get("/v1/robots/katana").raise_for_status()
+
+
+def test_a_check_that_ends_half_way_leaves_no_cursor_of_postgresql_open(
+    on_postgresql: tuple[Settings, Database, httpx.Client], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings, database, _ = on_postgresql
+    with database.engine.begin() as hand:
+        hand.execute(text("SET session_replication_role = replica"))
+        hand.execute(text("UPDATE audit SET content = '{}' WHERE number = 2"))
+    left: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", left.append)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ResourceWarning)
+        found = service.verify_stored(settings).sentences
+        gc.collect()
+    assert any("Entry 2 of the audit" in one for one in found)
+    assert left == []
 
 
 ALTERED = {  # by the type of the column, in PostgreSQL's words

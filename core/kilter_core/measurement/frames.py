@@ -12,9 +12,8 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from kilter_core.transforms import nearest_rotation, skew
+from kilter_core.transforms import nearest_rotation, scipy_rotation, skew
 from kilter_core.types import Floats
 
 RIDGE = 1e-4  # of a row's weight: poses that share an orientation cannot tell the tool from the base
@@ -118,4 +117,4 @@ def _rotations(w: Floats) -> Floats:
 @cache
 def _everywhere() -> Floats:
     """Rotations (60, 3, 3) evenly over SO(3), the icosahedron's: no rotation is farther than 45 degrees from one of them."""
-    return np.asarray(Rotation.create_group("I").as_matrix())
+    return np.asarray(scipy_rotation().create_group("I").as_matrix())

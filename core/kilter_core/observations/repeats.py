@@ -78,8 +78,6 @@ def group_means(values: Floats, group: Ints) -> Floats:
 
 def _group_near_rows(q: Floats) -> Ints:
     """Components (N,) of the rows linked to their neighbours; rows of one cell of a grid are linked without a search."""
-    from kilter_core.observations.kernels import neighbours  # compiled: not at the start of the API process
-
     cell = _number_equal_rows(np.floor(q / NEAR).astype(np.int64))
     count = np.bincount(cell)
     middle = np.stack([np.bincount(cell, weights=column) for column in q.T], axis=1) / count[:, None]
@@ -88,8 +86,36 @@ def _group_near_rows(q: Floats) -> Ints:
     order = np.argsort(middle @ along, kind="stable")
     ordered = np.ascontiguousarray(middle[order])
     group = np.empty(len(count), dtype=np.int64)
-    group[order] = neighbours.label_components(ordered, ordered @ along, NEAR, NEAR * float(np.abs(along).sum()))
+    group[order] = _label_components(ordered, ordered @ along, NEAR, NEAR * float(np.abs(along).sum()))
     return np.asarray(group[cell])
+
+
+def _label_components(points: Floats, along: Floats, near: float, window: float) -> Ints:
+    """Number (N,) of the component of each point (N, n): neighbours are within ``near`` in every coordinate.
+
+    ``along (N,)`` ascends, and neighbours differ in it by no more than ``window``.
+    """
+    columns = np.ascontiguousarray(points.T)
+    first, linked, step = np.arange(len(points)), [np.empty((2, 0), dtype=np.int64)], 0
+    while len(first):
+        step += 1
+        first = first[: np.searchsorted(first, len(points) - step)]
+        first = first[along[first + step] - along[first] <= window]
+        close = first
+        for column in columns:
+            close = close[np.abs(column[close + step] - column[close]) <= near]
+        linked.append(np.stack([close, close + step]))
+    one, other = np.concatenate(linked, axis=1)
+    # Each root hooks onto the least that a point of its own is linked to, and each point onto its root, until no link is open.
+    parent = np.arange(len(points))
+    while len(one):
+        below, above = np.sort(np.stack([parent[one], parent[other]]), axis=0)
+        np.minimum.at(parent, above, below)
+        while ((root := parent[parent]) != parent).any():
+            parent = root
+        still = parent[one] != parent[other]
+        one, other = one[still], other[still]
+    return np.asarray(np.unique(parent, return_inverse=True)[1].reshape(-1).astype(np.int64))
 
 
 def _number_equal_rows(keys: Ints) -> Ints:

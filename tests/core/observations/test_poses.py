@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from kilter_core.identify.holdout import fold_splits, split
 from kilter_core.observations import Observations
-from kilter_core.observations.repeats import numbered_poses, numbered_rows, rounded_poses
+from kilter_core.observations.repeats import _label_components, numbered_poses, numbered_rows, rounded_poses
 
 Floats = NDArray[np.float64]
 
@@ -63,3 +64,14 @@ def test_a_rest_in_a_motion_ends_at_its_noise() -> None:
     """Rows that rest long at one place are one pose, however many they are."""
     q, of = repeated(4, 3000, 2e-4)
     assert np.unique(of + 4 * numbered_poses(q)).size == 4
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_chain_of_near_points_is_one_component(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    width = int(rng.integers(1, 5))
+    points, along = np.cumsum(rng.normal(size=(300, width)) * 0.08, axis=0), rng.normal(size=width)
+    points = points[np.argsort(points @ along)]
+    near = (np.abs(points[:, None] - points[None]) <= 0.1).all(axis=2)
+    found = _label_components(points, points @ along, 0.1, 0.1 * np.abs(along).sum())
+    assert np.array_equal(found, connected_components(near)[1])  # both number by the first point

@@ -28,6 +28,8 @@ from numba import njit
 from numba.core import serialize
 from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
+from numba.core.runtime import _nrt_python  # type: ignore[attr-defined]
+from numba.core.runtime.nrt import ll  # type: ignore[attr-defined]  # llvmlite
 
 # UNCOUNTED: references to arrays are not counted, for functions that make none. Arrays outlive every call, and counting
 # those that are handed on takes a third of the time of a correction, and half of that of a load.
@@ -44,7 +46,7 @@ def compile_kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         dispatcher = njit(**options)(function)
         if isinstance(dispatcher, Dispatcher):  # else NUMBA_DISABLE_JIT is set
             # What numba's cache=True does, but that makes folders at import.
-            dispatcher._cache = KernelCache(function)  # type: ignore[attr-defined]
+            dispatcher._cache = KernelCache(function, options.get("_nrt", True))  # type: ignore[attr-defined]
         return dispatcher
 
     return decorate
@@ -83,8 +85,8 @@ class KernelCache(FunctionCache):
     index, and then a signature may lead to the code of another; here the name of the file says all that the index did.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._py_func = function
+    def __init__(self, function: Callable[..., Any], counts_references: bool) -> None:
+        self._py_func, self._counts_references = function, counts_references
         self._name = repr(function)
         self._source = function.__code__.co_filename
         self._folder_name = f"{Path(self._source).stem}-{_digest(self._source)}.kernels"
@@ -131,6 +133,12 @@ class KernelCache(FunctionCache):
         key = repr((numba.__version__, sys.version_info[:2], str(types), *rest))
         return f"{self._stem}-{hashlib.sha256(key.encode()).hexdigest()[:24]}.nbc"
 
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Load a compiled form without what only compiling needs: numba loads that first, 50 MB and half a second."""
+        if self._counts_references:
+            _register_runtime()
+        return self._load_overload(sig, target_context)
+
     def _load_overload(self, sig: Any, target_context: Any) -> Any:
         name = self._file_name(sig, target_context.codegen())
         for folder in (self._folder, self._pycache_folder) if self._enabled else ():
@@ -150,6 +158,13 @@ class KernelCache(FunctionCache):
         with contextlib.suppress(OSError):  # a full disk: the function works all the same
             _write(file, serialize.dumps(self._impl.reduce(data)))  # type: ignore[no-untyped-call]
             _remove_older(file.parent)
+
+
+@cache
+def _register_runtime() -> None:
+    """Tell LLVM where numba's functions for arrays are, which a kernel that makes arrays calls."""
+    for name, address in _nrt_python.c_helpers.items():
+        ll.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
 def _write(file: Path, content: bytes) -> None:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy.optimize
 
 from kilter_core.errors import NotConvergedError, OptionError
 from kilter_core.identify.estimate import estimate, prepare_problem
@@ -114,6 +113,8 @@ def _search(problem: Problem, values: Floats, options: IdentifyOptions) -> _Sear
 
 
 def _run_differential_evolution(search: _Search, seed: int, progress: Progress | None) -> Any:
+    import scipy.optimize  # 15 MB, which the API does without
+
     generation = 0
 
     def grown(intermediate_result: Any) -> None:

@@ -8,13 +8,11 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from kilter_core.arm.conversions.screws import chain_frames, screws_of_chain
 from kilter_core.identify.plausibility.placed import Sample, place
 from kilter_core.parameters import degrees, mm
-from kilter_core.transforms import inverse, left_jacobian, rotation_exp, rotation_log, skew
+from kilter_core.transforms import inverse, left_jacobian, rotation_exp, rotation_log, scipy_rotation, skew
 from kilter_core.types import Floats
 
 REFINED = 3  # starts of each link from which the transform is fitted
@@ -86,7 +84,7 @@ def _links(sample: Sample) -> Iterator[Link]:
 def _quarter_rotations() -> Floats:
     """The 24 rotations by quarter rotations as poses (24, 4, 4), the smallest first."""
     poses = np.tile(np.eye(4), (24, 1, 1))
-    group = Rotation.create_group("O")
+    group = scipy_rotation().create_group("O")
     poses[:, :3, :3] = group.as_matrix()[np.argsort(np.round(group.magnitude(), 6), kind="stable")]
     return poses
 
@@ -123,6 +121,8 @@ def _fit_transform(sample: Sample, link: Link, start: Floats) -> Floats:
         J[:, :, 9:12] = np.eye(3)
         J[:, :, 12:] = carried @ turned @ flange[:, :3, :3]
         return np.vstack([J.reshape(-1, 15), np.eye(6, 15) * RIDGE])
+
+    from scipy.optimize import least_squares  # 15 MB, which the API does without
 
     found = least_squares(residual_vector, begin, slopes, method="lm", ftol=SETTLED, max_nfev=EVALUATIONS)
     return np.asarray(start @ _pose(found.x[:6]))

@@ -9,12 +9,11 @@ from itertools import permutations
 from typing import Any, Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from kilter_core.identify.plausibility.mix_ups import mix_ups
 from kilter_core.identify.plausibility.placed import Sample
 from kilter_core.parameters import degrees
-from kilter_core.transforms import nearest_rotation, rotation_log
+from kilter_core.transforms import nearest_rotation, rotation_log, scipy_rotation
 from kilter_core.types import Floats
 
 NEAR_RAD = np.radians(5.0)  # scatter of the tool's rotation on the flange that real arms stay below
@@ -114,11 +113,11 @@ def _of_rotations(sample: Sample, flange: Floats) -> Iterator[Reading]:
         flange,
         rotations.transpose(0, 2, 1)[None],
     )
-    wxyz = Rotation.from_matrix(rotations).as_quat()[:, [3, 0, 1, 2]]
+    wxyz = scipy_rotation().from_matrix(rotations).as_quat()[:, [3, 0, 1, 2]]
     for order in permutations(range(4)):
         if order != (0, 1, 2, 3):
             meant = "".join("wxyz"[order.index(k)] for k in range(4))
-            again = Rotation.from_quat(wxyz[:, order][:, [1, 2, 3, 0]]).as_matrix()
+            again = scipy_rotation().from_quat(wxyz[:, order][:, [1, 2, 3, 0]]).as_matrix()
             yield Reading(f"The quaternion looks to be in the order {meant}, read as wxyz", what, flange, again[None])
     for read, meant, variants in _of_angles(rotations):
         yield Reading(f"The angles look to be {EULER[meant]}, read as {EULER[read]}", what, flange, variants)
@@ -126,7 +125,7 @@ def _of_rotations(sample: Sample, flange: Floats) -> Iterator[Reading]:
 
 
 def _of_angles(rotations: Floats) -> Iterator[tuple[Angles, Angles, Floats]]:
-    parsed = Rotation.from_matrix(rotations)
+    parsed = scipy_rotation().from_matrix(rotations)
     for read in EULER:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # at gimbal lock any of the angles do
@@ -135,7 +134,7 @@ def _of_angles(rotations: Floats) -> Iterator[tuple[Angles, Angles, Floats]]:
         other = np.stack([angles[:, 0] + np.pi, middle, angles[:, 2] + np.pi], axis=1)
         for meant in EULER:
             if meant != read:
-                both = [Rotation.from_euler(meant, a).as_matrix() for a in (angles, other)]
+                both = [scipy_rotation().from_euler(meant, a).as_matrix() for a in (angles, other)]
                 yield read, meant, np.stack(both)
 
 

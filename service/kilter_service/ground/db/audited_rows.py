@@ -110,9 +110,9 @@ def read_audited(
     found = {} if found is None else found
     mentioned = or_(*(AuditRow.content.contains(f'"{name}') for name in (*names, f"{RobotRow.__tablename__}/")))
     query = select(AuditRow.content).where(AuditRow.number > after, mentioned).order_by(AuditRow.number)
-    for text in session.execute(query.execution_options(yield_per=AT_ONCE)).scalars():
-        for change in json.loads(text)["changes"]:
-            thing, after_change = change["thing"], change["after"]
+    with session.execute(query.execution_options(yield_per=AT_ONCE)) as entries:
+        changes = (change for text in entries.scalars() for change in json.loads(text)["changes"])
+        for thing, after_change in ((change["thing"], change["after"]) for change in changes):
             if thing.startswith(f"{RobotRow.__tablename__}/") and not after_change:
                 _forget_repairs(found, thing.partition("/")[2])
             if not thing.startswith(names):

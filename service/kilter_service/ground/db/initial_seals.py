@@ -96,9 +96,10 @@ def stored(connection: Connection, table: Table) -> Iterator[tuple[str, dict[str
         yield from _of_sqlite(connection, table)
         return
     shown = [cast(c, Text).label(c.name) if isinstance(c.type, JSON) else c for c in columns]
-    for row in connection.execute(select(*shown).execution_options(yield_per=AT_ONCE_READ)).mappings():
-        values = {c.name: row[c.name] if isinstance(c.type, JSON) else seals.raw(c, row[c.name]) for c in columns}
-        yield seals.format_row_key(values[c.name] for c in table.primary_key.columns), values
+    with connection.execute(select(*shown).execution_options(yield_per=AT_ONCE_READ)) as rows:
+        for row in rows.mappings():
+            values = {c.name: row[c.name] if isinstance(c.type, JSON) else seals.raw(c, row[c.name]) for c in columns}
+            yield seals.format_row_key(values[c.name] for c in table.primary_key.columns), values
 
 
 def _of_sqlite(connection: Connection, table: Table) -> Iterator[tuple[str, dict[str, Any]]]:

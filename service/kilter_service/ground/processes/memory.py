@@ -24,7 +24,7 @@ def keep_small() -> None:
     """Let threads share their memory; to be called before they start. Does nothing where the system has no such setting."""
     # Arrow's own allocator keeps what it had for itself, beside malloc's.
     os.environ.setdefault(ARROW_POOL, "system")
-    sys.meta_path.insert(0, WithoutPandas())
+    sys.meta_path.insert(0, WithoutUnused())
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError):
@@ -33,24 +33,36 @@ def keep_small() -> None:
         mallopt(setting, value)
 
 
+def return_freed_memory() -> None:
+    """Give the memory of work that is over back to the system: the C library would keep it for the next."""
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if trim is not None:
+        trim(0)
+
+
 def end_before_others(score: int) -> None:
     """Have the kernel end this process before those with a lower score (0 to 1000) where memory is used up."""
     with suppress(OSError):  # another system than Linux
         Path("/proc/self/oom_score_adj").write_text(str(score), encoding="ascii")
 
 
-class WithoutPandas(MetaPathFinder):
-    """Hides pandas: where it is installed, Arrow imports it, 50 MB, to ask whether an array is one of its; here none is."""
+# Arrow imports pandas, 50 MB, where it is installed, to ask whether an array is one of its, and storages in clouds, 3 MB.
+UNUSED = frozenset({"coverage", "pandas", "pyarrow._azurefs", "pyarrow._gcsfs", "pyarrow._hdfs", "pyarrow._s3fs"})
+
+
+class WithoutUnused(MetaPathFinder):
+    """Hides what other packages import if it is there, and Kilter has no use for."""
 
     def find_spec(self, fullname: str, path: object = None, target: object = None) -> None:
-        """Refuse to find pandas, and leave the rest to others.
+        """Refuse to find them, and leave the rest to others.
 
         Raises:
-            ModuleNotFoundError: it is asked for.
+            ModuleNotFoundError: one of them is asked for.
 
         """
-        if fullname == "pandas":
-            raise ModuleNotFoundError("pandas is not used here", name=fullname)
+        if fullname in UNUSED:
+            raise ModuleNotFoundError(f"{fullname} is not used here", name=fullname)
 
 
 class ShortPauses:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import ctypes
-import gc
 import logging
-import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -25,6 +22,7 @@ from kilter_service.ground.db import Database, DatabaseAwayError, Session
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.failure_log import log_failure
+from kilter_service.ground.processes.memory import return_freed_memory
 from kilter_service.ground.webhook import Webhook
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs import store
@@ -283,7 +281,7 @@ class Runner:
         except CancelledError:
             log.info("job %s was cancelled or given to another worker", claim.job_id)
         finally:
-            give_back()
+            return_freed_memory()
 
     def _compute(self, claim: Claim) -> Outcome:
         report = ProgressReporter(self._database, claim)
@@ -402,11 +400,3 @@ class ProgressReporter:
             return
         if not held:
             raise CancelledError(f"Job {self._claim.job_id} was cancelled.")
-
-
-def give_back() -> None:
-    """Give the memory of a job that is over back to the system: the C library would keep it for the next one."""
-    gc.collect()
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
-    if trim is not None:
-        trim(0)

@@ -263,8 +263,9 @@ def _rows(session: Session, table: Table) -> Iterator[list[dict[str, object]]]:
         depths = first.union_all(select(table.c.id, first.c.depth + 1).where(table.c.parent_id == first.c.id))
         query = query.join(depths, depths.c.id == table.c.id).order_by(depths.c.depth)
     query = query.order_by(*table.primary_key.columns).execution_options(yield_per=AT_ONCE)
-    for part in session.execute(query).partitions():
-        yield [dict(row._mapping) for row in part]
+    with session.execute(query) as rows:
+        for part in rows.partitions():
+            yield [dict(row._mapping) for row in part]
 
 
 def _go_on_numbering(connection: Connection) -> None:

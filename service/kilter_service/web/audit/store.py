@@ -36,5 +36,7 @@ def everything(session: Session) -> Iterator[AuditRecord]:
     """Yield all entries, oldest first, few at a time."""
     row = AuditRow
     query = select(row.number, row.previous, row.sha256, row.content).order_by(row.number)
-    for found in session.execute(query.execution_options(yield_per=AT_ONCE)):
-        yield AuditRecord(*found)
+    with session.execute(
+        query.execution_options(yield_per=AT_ONCE)
+    ) as entries:  # ended also where a reader stops half-way
+        yield from (AuditRecord(*found) for found in entries)

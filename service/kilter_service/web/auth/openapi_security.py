@@ -11,6 +11,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import JSONResponse
 
+from kilter_service.ground.processes.memory import return_freed_memory
 from kilter_service.web.auth.policy import rule_for_route
 
 SCHEME = "token"
@@ -44,6 +45,7 @@ def serve_openapi(app: FastAPI) -> None:
     def text() -> bytes:
         made = bytes(JSONResponse(app.openapi()).body)
         app.openapi_schema = None
+        return_freed_memory()
         return made
 
     async def answer(request: Request) -> Response:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left, bisect_right
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
@@ -45,11 +46,15 @@ class Flow:
 
     def __init__(self, control: Sequence[Place], starts: Sequence[int], owners: Sequence[int] = ()) -> None:
         """Take the places, each list in the order of the text."""
-        self.starts, self._owners = starts, owners
+        self.starts, self._owners, self._control = starts, owners, control
         self._branches = [at for at, _ in control]
-        self._parts: dict[int, _Part] = {}
-        for at, way in control:
-            self._parts.setdefault(self.owner(at), _Part()).add(at, way)
+
+    @cached_property
+    def _parts(self) -> dict[int, _Part]:
+        parts: defaultdict[int, _Part] = defaultdict(_Part)
+        for at, way in self._control:
+            parts[self.owner(at)].add(at, way)
+        return parts
 
     def owner(self, place: int) -> int:
         """Return the number of the subprogram in which a place is."""

@@ -1,1 +1,0 @@
-"""Compiled search for rows that lie near each other."""
