@@ -48,7 +48,7 @@ QUESTIONS = (
         "Is the stream well, with which version?", ("^Stream$",), '.stream[data-name="main"]',
         r"corrected.*Version in use.*the active one", (OVERVIEW, "GET /robots/{robot}/stream"),
     ),
-    Question("Which rows look wrong?", (r"^\d+ rows$",), "#suspicious", r"rows looks? wrong\.", (OVERVIEW, VERSION)),
+    Question("Which rows look wrong?", (r"^\d+ rows?$",), "#suspicious", r"rows looks? wrong\.", (OVERVIEW, VERSION)),
     Question("Where is it worst?", ("the worst poses",), "main", r"at x -?\d+", (OVERVIEW, ROWS)),
     Question("How do I undo that?", ("^go back",), "main", r"Go back to .* on .*\?.*Go back now",
              (OVERVIEW, "GET /robots/{robot}/rollback")),

@@ -25,9 +25,11 @@ from kilter_service.page.drop.drafts import Draft, Drafts, plain_name
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import proposing
 from kilter_service.page.shared.measured import describe_facts
+from kilter_service.page.shared.take_step import take_step
 from kilter_service.page.shell import get_root_path, redirect, render
 from kilter_service.robots import service as robots
 from kilter_service.robots.instruments import service as instruments
+from kilter_service.versions.today import service as today
 from kilter_service.web.auth.access import get_caller
 from kilter_service.web.bodies import parse_json, read_document, spool_upload
 from kilter_service.web.concurrency import compute
@@ -242,8 +244,9 @@ async def store(
     measured_at: Short = "",
     instrument: Short = "",
     payload_com_mm: Short = "",
+    then: Short = "",
 ) -> Response:
-    """Store the rows as a campaign."""
+    """Store the rows as a campaign; ``then`` search in them, where that comes next."""
     found = _draft(request, robot, draft)
     conditions: dict[str, object] = {
         **found.rig,
@@ -262,6 +265,12 @@ async def store(
     }
     with _drafts(request).in_use(found):
         stored = await compute(request, service.store, database, found, campaign, sha256)
+    if then == "search":
+        try:
+            queued = await compute(request, take_step, database, robot, then, stored.id)
+        except ServiceError:  # it is stored; the robot's view says what comes next, and its button why not
+            return redirect(request, f"{get_root_path(request)}/robots/{robot}")
+        return redirect(request, f"{get_root_path(request)}/jobs/{queued}")
     return redirect(request, f"{get_root_path(request)}/campaigns/{stored.id}{_job_query(found)}")
 
 
@@ -304,6 +313,7 @@ def _render_draft(
         here=_place(request, draft),
         meant=service.meant_for(database, draft),
         rig=rig.describe_parts(draft.rig),
+        first=bool((standing := today.of_robot(database, draft.robot).standing) and standing.first),
         **service.column_map_form(draft, kinds),
     )
 

@@ -20,6 +20,7 @@ from kilter_service.page.robot import scene, service
 from kilter_service.page.robot import settings as settled
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared.goals import parse_goals
+from kilter_service.page.shared.take_step import take_step
 from kilter_service.page.shell import get_root_path, is_part, redirect, render
 from kilter_service.robots import service as robots
 from kilter_service.robots.meshes import service as meshes
@@ -93,7 +94,7 @@ def settings(robot: str, request: Request, database: DatabaseOfApp) -> HTMLRespo
 
 
 @router.post("/robots/{robot}/steps")
-def take_step(
+def queue_step(
     robot: str,
     request: Request,
     database: DatabaseOfApp,
@@ -102,7 +103,7 @@ def take_step(
     campaign: Annotated[str, Form(max_length=64)] = "",
 ) -> Response:
     """Queue the job that comes next, with campaign and cause filled in."""
-    job = service.take_step(database, robot, do, campaign)
+    job = take_step(database, robot, do, campaign)
     return redirect(request, f"{get_root_path(request)}/jobs/{job}")
 
 
