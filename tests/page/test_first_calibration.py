@@ -138,3 +138,43 @@ def test_the_strip_says_what_is_missing_and_goes_away(chromium: Browser, there: 
         assert (asked["kind"], asked["options"]["purpose"], asked["options"]["within"]) == (
             "plan", "identify", "limits",
         )  # fmt: skip
+        client.post(f"/v1/jobs/{asked['id']}/cancel").raise_for_status()
+
+
+@pytest.mark.short_path
+def test_planned_poses_are_stepped_through_and_judged_as_their_rows_arrive(chromium: Browser, there: Server) -> None:
+    client, database = there
+    client.post("/v1/robots", json={"name": "planned", "convention": "preset", "preset": PRESET}).raise_for_status()
+    asked = {"kind": "plan", "robot": "planned", "options": {"purpose": "identify", "within": "limits", "count": 12}}
+    job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+    work(database, "plan")
+    planned = client.get(f"/v1/jobs/{job}").json()["result"]["poses"]
+    twin = thesis_katana(PRESET)
+    q = np.radians([[pose[f"q{joint}_deg"] for joint in range(1, 6)] for pose in planned])
+    with opened(chromium, client) as page:
+        page.goto("/robots/planned")
+        stage(page, "Measure")
+        page.get_by_role("link", name="Measure 12 planned poses").click()
+        place = page.locator("[data-arm][data-ready]")
+        place.wait_for()
+        before = place.get_attribute("data-tool")
+        expect(page.locator("[data-said]")).to_contain_text("Pose 1 of 12, not measured yet")
+        page.get_by_role("button", name="Next pose").click()
+        expect(page.locator("[data-said]")).to_contain_text("Pose 2 of 12")
+        assert place.get_attribute("data-tool") != before
+        expect(page.locator("tr[data-turn] th")).to_have_text("2")
+
+        first = np.repeat(q[:6], 2, axis=0)
+        seen = twin.observe(first, noise_m=1e-5, seed=1)
+        assert seen.position is not None
+        points = 1e3 * seen.position
+        points[3] += (3.0, 0.0, 0.0)  # of the second pose: apart from its repeat
+        columns = {f"q{joint + 1}_deg": np.degrees(first[:, joint]).tolist() for joint in range(5)}
+        columns |= {f"{axis}_mm": points[:, k].tolist() for k, axis in enumerate("xyz")}
+        sent = client.post("/v1/robots/planned/campaigns", json={"name": "monday"}).raise_for_status().json()["id"]
+        client.post(f"/v1/campaigns/{sent}/observations", json=columns).raise_for_status()
+        expect(page.locator('tr[data-pose="good"]')).to_have_count(5, timeout=15_000)
+        expect(page.locator('tr[data-pose="bad"] th')).to_have_text("2")
+        expect(page.locator("#poses [role=status]")).to_have_text("6 of 12 have a row, 1 of them wrong.")
+        expect(page.locator("[data-said]")).to_contain_text("Pose 7 of 12")  # the one that was waited for has come
+        assert Axe().run(page).response["violations"] == []

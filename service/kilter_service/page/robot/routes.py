@@ -185,9 +185,11 @@ def pose(
 
 
 @router.get("/robots/{robot}/arm.json")
-def arm(robot: str, database: DatabaseOfApp) -> JSONResponse:
-    """Send the chain."""
-    return JSONResponse(scene.arm(database, robot))
+def arm(robot: str, database: DatabaseOfApp, version: ID = "") -> JSONResponse:
+    """Send the chain, nominal and as a version has it."""
+    if version:
+        scene.check(database, robot, version)
+    return JSONResponse(scene.arm(database, robot, version))
 
 
 @router.get("/robots/{robot}/places.json")

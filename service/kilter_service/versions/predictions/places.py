@@ -68,6 +68,13 @@ MOST_KEPT = 4
 _LATELY: dict[tuple[str, ...], Places] = {}
 
 
+def geometry(database: Database, version_id: str) -> dict[str, float]:
+    """Return the values that a version has for the elements of the chain, by name, m and rad."""
+    with database.reading() as session:
+        known = store.calibration(session, version_id)
+    return dict(zip(known.names, known.values.tolist(), strict=True))
+
+
 def places(database: Database, version: str, campaign: str) -> Places:
     """Return the errors of a campaign's rows with the nominal robot, with registration only, and with a version.
 

@@ -190,7 +190,8 @@ def _today_by_robot(
                 searched=bool(own),
                 active=version is not None,
                 # who checks how good it is, or activated another one before, is past the first calibration
-                corrected=version is not None and (version.id in streamed or bool(history) or _was_corrected(own, version)),
+                corrected=version is not None
+                and (version.id in streamed or bool(history) or _was_corrected(own, version)),
             ),
         )
         shown = history[-most:]

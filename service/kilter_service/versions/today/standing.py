@@ -194,7 +194,9 @@ def _first_steps(robot: str, known: Known) -> dict[FirstStage, list[NextStep]]:
         poses = [_step("plan", "Plan the poses", "plan", "poses", robot)]
     search = [] if known.fresh is None else [_search(robot, *known.fresh)]
     if known.searching is not None:
-        search = [_step("await_job", "See how far it is", "server", "jobs", "show", known.searching, job_id=known.searching)]
+        search = [
+            _step("await_job", "See how far it is", "server", "jobs", "show", known.searching, job_id=known.searching)
+        ]
     return {
         "correct": [_step("correct", "Correct a path", "correct", robot, "PATH")] if known.reached.active else [],
         "activate": [] if known.newest is None else [_activation(*known.newest)],
