@@ -105,6 +105,8 @@ def test_what_is_missing_beside_the_pictures_is_said(
 
 
 def test_a_board_that_cannot_be_is_refused(server: httpx.Client, robot: str) -> None:
-    answer = server.get(f"/robots/{robot}/campaigns/new/board.zip", params={"columns": 60, "rows": 60, "square_mm": 400})
+    answer = server.get(
+        f"/robots/{robot}/campaigns/new/board.zip", params={"columns": 60, "rows": 60, "square_mm": 400}
+    )
     assert answer.status_code == 422
     assert "page" in answer.text

@@ -59,7 +59,9 @@ class FirstStep(Strict):
     words: str = Field(description="The same as the strip of the page says it.")
     done: bool = Field(description="Whether it is done.")
     missing: str = Field(description="What is missing, in words; empty: it is done, or another comes first.")
-    steps: list[NextStep] = Field(description="How to do it, the best first; empty: it is done, or another comes first.")
+    steps: list[NextStep] = Field(
+        description="How to do it, the best first; empty: it is done, or another comes first."
+    )
 
 
 class Standing(Strict):

@@ -67,7 +67,11 @@ def understood(path: Path, read_as: str, joints: Sequence[str] = ()) -> Document
     if is_archive_of_pictures(path):
         views, said = find_corners(path, read_as)
         rows = _prepare_rows(views, None)
-        return rows | {"reader": "pictures"} | {key: [*said[key], *rows[key]] if key in rows else said[key] for key in said}
+        return (
+            rows
+            | {"reader": "pictures"}
+            | {key: [*said[key], *rows[key]] if key in rows else said[key] for key in said}
+        )
     if path.stat().st_size:
         refuse_stranger(Head(path))
     if read_as not in ("auto", "map"):

@@ -4,6 +4,7 @@ import { Asked } from "./arm/asked.js";
 import { key } from "./arm/key.js";
 import { Linked } from "./arm/linked.js";
 import { arrows, cloud, heat, points, ROWS } from "./arm/parts.js";
+import { Live } from "./arm/live.js";
 import { Poses } from "./arm/poses.js";
 import { rounded, Stage } from "./arm/stage.js";
 import { fill, length, mm, quantile } from "./arm/words.js";
@@ -200,7 +201,7 @@ class Picture extends Stage {
   }
 }
 
-const KINDS = { poses: Poses };
+const KINDS = { poses: Poses, live: Live };
 document.querySelectorAll("[data-arm]").forEach((place) => {
   const picture = new (KINDS[place.dataset.as] ?? Picture)(place);
   picture.start().catch((error) => {

@@ -12,6 +12,8 @@ const OFF = 0.25; // of the size of the arm that the ghost stands away at most
 export const rounded = (wanted) => ROUND.filter((one) => one <= wanted).pop() ?? 1;
 
 export class Stage {
+  shadows = true;
+
   constructor(place) {
     this.place = place;
     this.canvas = place.querySelector("canvas");
@@ -51,7 +53,7 @@ export class Stage {
     try {
       const renderer = new WebGLRenderer({ canvas: this.canvas, antialias: true, alpha: true });
       renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
-      renderer.shadowMap.enabled = true;
+      renderer.shadowMap.enabled = this.shadows;
       return renderer;
     } catch {
       this.canvas.hidden = true;
@@ -112,7 +114,7 @@ export class Stage {
   fit() {
     if (!this.renderer) return;
     const width = this.canvas.parentElement.clientWidth;
-    const height = Math.round(Math.min(0.85 * width, Math.max((this.place.dataset.as ? 0.5 : 0.3) * window.innerHeight, 270)));
+    const height = Math.round(Math.min(0.85 * width, Math.max((this.place.dataset.as === "poses" ? 0.5 : 0.3) * window.innerHeight, 270)));
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
