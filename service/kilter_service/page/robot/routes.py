@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse
+from pydantic import ValidationError
 
 from kilter_service.contract.drift import NewRepair
 from kilter_service.contract.meshes import MeshUnit
@@ -34,8 +35,8 @@ LONGEST = 200  # letters of what was done
 LONGEST_DATE = 40
 
 
-def parse_repair(what: str, at: str) -> NewRepair:
-    """Read what was done, and when, in UTC; an empty ``at`` is now.
+def parse_repair(what: str, at: str, **more: Any) -> NewRepair:
+    """Read what was done or noted, and when, in UTC; an empty ``at`` is now.
 
     Raises:
         ServiceError: it does not say what was done, or the date is none.
@@ -43,7 +44,11 @@ def parse_repair(what: str, at: str) -> NewRepair:
     """
     if not what.strip():
         raise ServiceError("Say what was done, as: gear of joint 3 replaced.", code="payload_invalid", field="what")
-    return NewRepair(what=what.strip(), at=_moment(at.strip()))
+    try:
+        return NewRepair(what=what.strip(), at=_moment(at.strip()), **more)
+    except ValidationError as error:
+        told = "; ".join(f"{one['loc'][0]}: {one['msg']}" for one in error.errors())
+        raise ServiceError(f"This cannot be noted: {told}.", code="payload_invalid") from error
 
 
 def _moment(text: str) -> datetime | None:
@@ -145,9 +150,12 @@ def add_repair(
     actor: Admin,
     what: Annotated[str, Form(max_length=LONGEST)] = "",
     at: Annotated[str, Form(max_length=LONGEST_DATE)] = "",
+    kind: Annotated[str, Form(max_length=8)] = "repair",
+    campaign: Annotated[str, Form(max_length=32)] = "",
+    rows: Annotated[str, Form(max_length=LONGEST)] = "",
 ) -> Response:
-    """Record what was done to an arm."""
-    repairs.add(database, robot, parse_repair(what, at), actor)
+    """Record what was done to an arm, or a note on a date, a campaign or its rows."""
+    repairs.add(database, robot, parse_repair(what, at, kind=kind, campaign_id=campaign or None, rows=rows), actor)
     return Response(status_code=204, headers=ANEW)
 
 

@@ -80,9 +80,7 @@ def prior_sigmas(database: Database, version_id: str) -> dict[str, float]:
     """Return the standard deviation that each parameter of a version had before the measurements, in its reported unit."""
     with database.reading() as session:
         known = store.calibration(session, version_id)
-    return {
-        one.name: one.prior_sigma * display_unit_and_scale(one.unit)[1] for one in known.model.parameters
-    }
+    return {one.name: one.prior_sigma * display_unit_and_scale(one.unit)[1] for one in known.model.parameters}
 
 
 def places(database: Database, version: str, campaign: str) -> Places:
