@@ -17,7 +17,10 @@ def places(drawn: str) -> tuple[float, float, float, float, float]:
     middle = re.search(r'class="decade" d="M([\d.]+) 0', drawn)
     whisker = re.search(r'class="whisker" d="M([\d.]+) [\d.]+H([\d.]+)"', drawn)
     dot, band = re.search(r'cx="([\d.]+)"', drawn), re.search(r'class="prior" x="[\d.]+" y="4" width="([\d.]+)"', drawn)
-    assert middle and whisker and dot and band
+    assert middle is not None
+    assert whisker is not None
+    assert dot is not None
+    assert band is not None
     return float(middle[1]), float(dot[1]), float(whisker[1]), float(whisker[2]), float(band[1])
 
 

@@ -53,6 +53,9 @@ def photographed(board: Path, folder: Path) -> list[Path]:
         files.append(folder / f"pose{k + 1}.png")
         assert cv2.imwrite(str(files[-1]), finished(clean(paper, document, shot), shot))
         rows.append([files[-1].name, *rng.uniform(-40, 40, 5).round(3)])
+    files.append(folder / "empty.png")  # of the wall, where the board was out of sight
+    assert cv2.imwrite(str(files[-1]), np.full((360, 480), 120, dtype=np.uint8))
+    rows.append([files[-1].name, 0.0, 0.0, 0.0, 0.0, 0.0])
     files.append(folder / "joints.csv")
     with files[-1].open("w", newline="", encoding="utf-8") as out:
         csv.writer(out).writerows([["picture", *(f"q{j}_deg" for j in range(1, 6))], *rows])
@@ -71,7 +74,8 @@ def test_pictures_become_a_campaign_without_a_command(
         page.locator("#file").set_input_files(files)
         page.wait_for_url("**/campaigns/new/*", timeout=60_000)
         expect(page.get_by_text("Understood.", exact=True)).to_be_visible()
-        expect(page.locator("#understood")).to_contain_text(f"{VIEWS} views of {VIEWS} pictures")
+        expect(page.locator("#understood")).to_contain_text(f"{VIEWS} views of {VIEWS + 1} pictures")
+        expect(page.locator("#understood")).to_contain_text("empty.png: no marker of")
         expect(page.locator("#understood")).to_contain_text("the camera stands in the room")  # a guess, and says so
         expect(page.locator("#rig")).to_contain_text("in the room, 480 × 360 px")
         page.get_by_label("Read it", exact=True).select_option("views-flange")

@@ -58,8 +58,8 @@ QUESTIONS = (
     Question("Has it moved since last week?", (), "#checks", r"(Not c|C)hecked", (OVERVIEW,)),
     Question("Is it within tolerance?", (), ".verdict", r"Tolerance 0\.3 mm: \d", (OVERVIEW,)),
     Question("How do the last two compare?", ("^compare$",), "main", r"differ|Parameters|errors", (OVERVIEW, COMPARE)),
-    Question("Which of twelve needs attention?", (), "main", r"11\s*not known.*1\s*good.*Not calibrated.*arm-\d.*Add measurements",
-             (FLEET,), "/"),
+    Question("Which of twelve needs attention?", (), "main",
+             r"11\s*not known.*1\s*good.*Not calibrated.*arm-\d.*Add measurements", (FLEET,), "/"),
     # that it takes eight clicks in all, test_first_calibration counts
     Question("How do I begin with a new arm?", ("^New robot$",), "main", "A robot that Kilter knows", (FLEET,), "/"),
 )  # fmt: skip

@@ -65,7 +65,8 @@ def test_an_alarm_leads_to_the_version_that_corrects_it(fleet: Fleet, monkeypatc
     assert [one["stage"] for one in stands(client, "hit")["first"] if not one["done"]] == ["correct"]
     robot.checked_here(database, arm, 100, 5)
     checked = stands(client, "hit")
-    assert (checked["state"], checked["look"], checked["first"]) == ("as_calibrated", "good", [])  # who checks is past it
+    # who checks is past the first calibration
+    assert (checked["state"], checked["look"], checked["first"]) == ("as_calibrated", "good", [])
 
     robot.checked_here(database, arm.after("zero_3", 4e-3), 200, 12)
     moved = stands(client, "hit")

@@ -11,7 +11,7 @@ from kilter_files.rig import USUAL, Board, check_board, save_board
 from kilter_service.ground.processes.sandbox import confine
 from kilter_service.page.drop.rig import BOARD, REFUSED
 
-KIND, MARKER = "charuco", 0.75  # side of a marker, of a square
+MARKER = 0.75  # side of a marker, of a square
 
 
 def main() -> None:
@@ -19,7 +19,8 @@ def main() -> None:
     confine()
     columns, rows, square = int(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
     try:
-        save_board(check_board(Board(KIND, columns, rows, square, MARKER * square, USUAL[KIND], 0)), Path("board.svg"))
+        made = Board("charuco", columns, rows, square, MARKER * square, USUAL["charuco"], 0)
+        save_board(check_board(made), Path("board.svg"))
     except KilterError as error:
         Path(REFUSED).write_text(error.detail, encoding="utf-8")
         return

@@ -62,7 +62,8 @@ def find_corners(path: Path, way: str) -> tuple[Path, dict[str, Any]]:
     mount = WAYS.get(way, "fixed")
     Path(RIG).write_text(json.dumps(_rig(looker, mount)), encoding="utf-8")
     told = [f"{len(seen.views)} views of {seen.pictures} pictures, {seen.corners} corners"]
-    refused = [f"{Path(one.picture).name}: {one.detail}. {one.remedy}" for one in seen.refused]
+    documents = [one.to_document() for one in seen.refused]
+    refused = [f"{Path(one['picture']).name}: {one['detail']}. {one['remedy']}" for one in documents]
     said = {"kind": "pictures of a board", "notes": told, "warnings": [*seen.warnings, *refused]}
     return Path(VIEWS), said | {"guessed": [] if way in WAYS else [GUESSED]}
 

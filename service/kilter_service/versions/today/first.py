@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from kilter_service.contract.standing import FirstStage, FirstStep, NextStep
@@ -36,7 +36,7 @@ class Reached:
     corrected: bool = False
 
 
-def first_calibration(reached: Reached, steps: dict[FirstStage, Sequence[NextStep]]) -> list[FirstStep]:
+def first_calibration(reached: Reached, steps: Mapping[FirstStage, Sequence[NextStep]]) -> list[FirstStep]:
     """Return the stages, of which the first that is not done has its ``steps``; none once all are done."""
     done: dict[FirstStage, bool] = {"describe": True}
     later: dict[FirstStage, bool] = {
