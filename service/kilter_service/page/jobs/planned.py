@@ -5,12 +5,17 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from kilter_core.errors import CoreError
+from kilter_core.types import Floats
+from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
+from kilter_service.campaigns.facts import display_unit_and_factor
+from kilter_service.campaigns.kept_facts import campaign_cache_key
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.jobs.gap import GAP
@@ -19,10 +24,11 @@ from kilter_service.contract.jobs.registry import Job
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.page.campaign.service import joint_columns
+from kilter_service.ground.recent import Recent
 
 NEAR = 0.5  # degrees or mm from a joint as planned: the pose was driven to
 MOST_CAMPAIGNS = Page(limit=20)
+_READ = Recent[Floats](20)  # a page that is open asks every few seconds
 
 
 @dataclass(frozen=True)
@@ -67,7 +73,7 @@ def result_context(database: Database, job: PlanJob) -> dict[str, Any]:
     }
 
 
-def _arrived_rows(database: Database, job: PlanJob, q: np.ndarray[Any, Any]) -> dict[int, tuple[str, str, str, int]]:
+def _arrived_rows(database: Database, job: PlanJob, q: Floats) -> dict[int, tuple[str, str, str, int]]:
     """State, reason, campaign and row of each pose whose row came after the plan, by the pose's place; the newest counts."""
     found: dict[int, tuple[str, str, str, int]] = {}
     for campaign in campaigns.list_campaigns(database, job.robot, MOST_CAMPAIGNS).campaigns:
@@ -76,11 +82,9 @@ def _arrived_rows(database: Database, job: PlanJob, q: np.ndarray[Any, Any]) -> 
     return found
 
 
-def _rows_at(
-    database: Database, campaign: Campaign, q: np.ndarray[Any, Any]
-) -> Iterator[tuple[int, tuple[str, str, str, int]]]:
+def _rows_at(database: Database, campaign: Campaign, q: Floats) -> Iterator[tuple[int, tuple[str, str, str, int]]]:
     try:
-        measured = np.stack(joint_columns(database, campaign), axis=1)
+        measured = _READ.get(campaign_cache_key(campaign), partial(_joints, database, campaign))
     except (CoreError, ValueError):  # rows that cannot be read, or that have no joints
         return
     if measured.shape[1:] != q.shape[1:]:
@@ -92,6 +96,14 @@ def _rows_at(
             bad = next((int(row) for row in rows if int(row) in wrong), None)
             state = ("good", "") if bad is None else ("bad", wrong[bad])
             yield place, (*state, campaign.id, int(rows[-1]) if bad is None else bad)
+
+
+def _joints(database: Database, campaign: Campaign) -> Floats:
+    """Readings (N, n) of a campaign, deg or mm."""
+    rows = looking.load_campaign_rows(database, campaign.id)
+    read = sorted((one for one in rows.columns if one.quantity == "q"), key=lambda one: one.number or 0)
+    columns = [rows.table.column(one.name).to_numpy() * display_unit_and_factor(one)[1] for one in read]
+    return np.stack(columns, axis=1).astype(np.float64)
 
 
 def _is_joint(name: str) -> bool:
