@@ -162,7 +162,7 @@ def test_planned_poses_are_stepped_through_and_judged_as_their_rows_arrive(chrom
         page.get_by_role("button", name="Next pose").click()
         expect(page.locator("[data-said]")).to_contain_text("Pose 2 of 12")
         assert place.get_attribute("data-tool") != before
-        expect(page.locator("tr[data-turn] th")).to_have_text("2")
+        expect(page.locator("tr[data-current] th")).to_have_text("2")
 
         first = np.repeat(q[:6], 2, axis=0)
         seen = twin.observe(first, noise_m=1e-5, seed=1)

@@ -1,4 +1,4 @@
-// Poses to measure, stepped through: the arm at the one in turn, a dot for the tool of each, in the colour of what became of it.
+// Poses to measure, stepped through: the arm at the current one, a dot for the tool of each, in the colour of what became of it.
 import { posed } from "./chain.js";
 import { points, ROWS } from "./parts.js";
 import { Stage } from "./stage.js";
@@ -11,7 +11,7 @@ export class Poses extends Stage {
     await this.open();
     this.poses = JSON.parse(this.place.dataset.poses);
     this.at = this.poses.map((one) => posed(this.chain, one).tool.toArray());
-    this.place.querySelectorAll("[data-step]").forEach((button) => button.addEventListener("click", () => this.go(this.turn + Number(button.dataset.step))));
+    this.place.querySelectorAll("[data-step]").forEach((button) => button.addEventListener("click", () => this.go(this.current + Number(button.dataset.step))));
     this.rows().forEach((row, k) => row.addEventListener("click", () => this.go(k)));
     document.addEventListener("htmx:afterSettle", () => this.news());
     this.go(Math.max(0, this.states().indexOf("open")));
@@ -32,20 +32,20 @@ export class Poses extends Stage {
     this.rows().forEach((row, k) => row.addEventListener("click", () => this.go(k)));
     const states = this.states();
     const next = states.indexOf("open");
-    this.go(this.waited && states[this.turn] !== "open" && next >= 0 ? next : this.turn);
+    this.go(this.waited && states[this.current] !== "open" && next >= 0 ? next : this.current);
   }
 
-  go(turn) {
-    this.turn = Math.min(Math.max(turn, 0), this.poses.length - 1);
+  go(place) {
+    this.current = Math.min(Math.max(place, 0), this.poses.length - 1);
     const states = this.states();
-    this.waited = states[this.turn] === "open";
-    this.readings = this.poses[this.turn];
+    this.waited = states[this.current] === "open";
+    this.readings = this.poses[this.current];
     this.drawArm();
-    for (const [state, colour] of Object.entries(STATES)) this.show(state, points(this.at, states.map((one, k) => one === state && k !== this.turn), colour, 8));
-    this.show("turn", points([this.at[this.turn]], [true], STATES[states[this.turn]], 18));
-    this.rows().forEach((row, k) => row.toggleAttribute("data-turn", k === this.turn));
+    for (const [state, colour] of Object.entries(STATES)) this.show(state, points(this.at, states.map((one, k) => one === state && k !== this.current), colour, 8));
+    this.show("current", points([this.at[this.current]], [true], STATES[states[this.current]], 18));
+    this.rows().forEach((row, k) => row.toggleAttribute("data-current", k === this.current));
     const joints = this.chain.joints.map(({ name, unit }, k) => `${name} ${this.readings[k].toFixed(2)}${unit === "deg" ? "°" : " mm"}`).join(", ");
-    this.say(`Pose ${this.turn + 1} of ${this.poses.length}, ${WORDS[states[this.turn]]}: ${joints}.`);
+    this.say(`Pose ${this.current + 1} of ${this.poses.length}, ${WORDS[states[this.current]]}: ${joints}.`);
     this.draw();
   }
 }
