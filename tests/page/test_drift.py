@@ -99,9 +99,9 @@ def test_the_page_of_a_check_says_what_it_found_and_what_helps(server: httpx.Cli
 
 
 def test_a_robot_that_was_never_checked_has_no_chart(server: httpx.Client) -> None:
-    text = section(server, "fresh")
-    assert "<svg" not in text
-    assert "It has no active version that could be checked." in words(text)
+    text = server.get("/robots/fresh").raise_for_status().text
+    assert 'class="card over-time"' not in text  # nor an empty card: the first calibration comes first
+    assert 'aria-label="First calibration"' in text
 
 
 def test_the_fleet_has_those_that_moved_first(server: httpx.Client) -> None:
@@ -201,11 +201,11 @@ def test_a_repair_is_recorded_and_taken_back_on_the_page(chromium: Browser, serv
         form = page.locator("#repairs")
         form.get_by_label("What was done").fill("gear of joint 3 replaced")
         form.get_by_label("When, UTC").fill("2999-01-01T00:00")
-        form.get_by_role("button", name="Record the repair").click()
+        form.get_by_role("button", name="Record it").click()
         form.get_by_text("say when it was done").wait_for()
         form.get_by_label("When, UTC").fill("2026-09-11T14:30")
         with page.expect_navigation():
-            form.get_by_role("button", name="Record the repair").click()
+            form.get_by_role("button", name="Record it").click()
         row = form.get_by_role("row", name="gear of joint 3 replaced")
         row.wait_for()  # the fold is open: nobody has checked since
         assert "2026-09-11 14:30" in row.inner_text()
@@ -247,3 +247,36 @@ def test_the_chart_can_be_read(chromium: Browser, server: httpx.Client, theme: s
         assert found.violations_count == 0, found.generate_report()
         page.goto("/")
         page.screenshot(path=folder / f"fleet-checks-{width}-{theme}.png", full_page=True)
+
+
+def test_a_note_is_a_mark_and_changes_no_check(chromium: Browser, server: httpx.Client) -> None:
+    before = server.get("/v1/robots/crashed/drift").json()
+    with opened(chromium, server) as page:
+        page.goto("/robots/crashed")
+        page.get_by_text("Repairs and notes").click()
+        form = page.locator("#repairs")
+        form.get_by_label("What was done").fill("crash into the fixture")
+        form.get_by_label("When, UTC").fill("2026-09-10T09:00")
+        form.get_by_label("It is").select_option("note")
+        with page.expect_navigation():
+            form.get_by_role("button", name="Record it").click()
+        marks = page.locator("#checks svg title").all_text_contents()
+        assert any(one.startswith("note") and one.endswith("crash into the fixture") for one in marks), marks
+    told = server.get("/v1/robots/crashed/drift").json()
+    (note,) = [one for one in told["marks"] if one["what"] == "note"]
+    assert {**told, "marks": before["marks"]} == before  # state, checks and sums are what they were
+    server.delete(f"/v1/robots/crashed/repairs/{note['repair_id']}").raise_for_status()
+
+
+def test_a_note_on_rows_is_shown_with_their_campaign(server: httpx.Client) -> None:
+    (campaign, *_) = server.get("/v1/robots/crashed/campaigns").json()["campaigns"]
+    asked = {"what": "the target slipped", "kind": "note", "campaign_id": campaign["id"], "rows": "2-3"}
+    note = server.post("/v1/robots/crashed/repairs", json=asked).raise_for_status().json()
+    assert (note["kind"], note["campaign_id"], note["rows"]) == ("note", campaign["id"], "2-3")
+    shown = words(server.get(f"/campaigns/{campaign['id']}").text)
+    assert "the target slipped on rows 2-3" in shown
+    form = server.get(f"/campaigns/{campaign['id']}/rows", params={"rows": "2-3"}).text
+    assert 'name="kind" value="note"' in form
+    other = server.post("/v1/robots/fresh/repairs", json=asked)
+    assert (other.status_code, other.json()["code"]) == (400, "option_invalid")
+    server.delete(f"/v1/robots/crashed/repairs/{note['id']}").raise_for_status()

@@ -248,7 +248,7 @@ def test_people_who_drop_a_zipped_data_set_read_what_to_do(
     told = page.get_by_role("alert")
     expect(told).to_contain_text("my-set.zip: is a ZIP archive of a LeRobot data set. Unpack it")
     expect(told).to_contain_text("kilter measure match RECORDING FOLDER --calibration JSON --norm-mode MODE")
-    assert page.get_by_role("button", name="Store").count() == 0
+    assert page.get_by_role("button", name="Store", exact=True).count() == 0
 
 
 def test_names_of_files_are_shown_as_text_and_lead_nowhere(server: httpx.Client, robot: str) -> None:
@@ -294,7 +294,7 @@ def test_people_drop_edit_and_store(page: Page, server: httpx.Client, robot: str
     assert found.violations_count == 0, found.generate_report()
     name = f"people {page.viewport_size}"
     page.get_by_label("Name", exact=True).fill(name)
-    page.get_by_role("button", name="Store").click()
+    page.get_by_role("button", name="Store", exact=True).click()
     page.wait_for_url("**/campaigns/cmp_*")
     assert page.get_by_role("heading", name=name, exact=True).is_visible()
     assert any(one["name"] == name for one in campaigns_of(server, robot))

@@ -154,5 +154,5 @@ def test_people_drop_views_and_their_cameras(page: Page, server: httpx.Client, r
     page.get_by_text("camera cell, in the room").wait_for()
     page.get_by_text("Understood.").wait_for()
     page.get_by_label("Name", exact=True).fill(f"views {page.viewport_size}")
-    page.get_by_role("button", name="Store").click()
+    page.get_by_role("button", name="Store", exact=True).click()
     page.wait_for_url("**/campaigns/cmp_*")

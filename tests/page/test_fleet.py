@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -67,7 +68,9 @@ def calibrated(there: Made, robot: str, mean_mm: float) -> None:
 
 
 def beat(there: Made, version: str | None, streams: bool = True) -> None:
-    said = [{"robot": there.robot, "stream": "line-1", "version_id": version}] if streams else []
+    said = (
+        [{"robot": there.robot, "stream": "line-1", "version_id": version, "at_ns": time.time_ns()}] if streams else []
+    )
     with there.database.transaction() as session:
         health.beat(session, "corrector", "kilter", 1, {"streams": said})
 

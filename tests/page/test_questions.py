@@ -1,4 +1,4 @@
-"""The questions that a user asks of a robot, each answered in at most two clicks from the first page.
+"""The fifteen questions that a user asks, each answered in at most two clicks from the first page.
 
 Each question names the routes it needs. Where one of them is not there, the question is skipped and says which.
 """
@@ -34,9 +34,11 @@ class Question:
     place: str
     answer: str
     needs: tuple[str, ...]
+    at: str = ""  # where it is asked; empty: of the robot
 
 
-COMPARE, ROWS = "GET /versions/{a}/compare/{b}", "GET /robots/{robot}/worst"
+COMPARE = "GET /versions/{a}/compare/{b}"
+FLEET, POSE = "GET /", "GET /robots/{robot}/pose"
 QUESTIONS = (
     Question("How good is it today?", (), ".verdict .today", r"\d (µm|mm).*mean error", (OVERVIEW,)),
     Question("What is wrong?", (), ".verdict", r"(Outside|Near|calibrated|corrected|Within).*\w+", (OVERVIEW,)),
@@ -45,22 +47,21 @@ QUESTIONS = (
     Question("Who activated it?", (), "table.six", r"Activated.*by \w+", (OVERVIEW,)),
     Question("What do I measure next?", (r"^\d+ poses$",), "#next", r"\d", (OVERVIEW, JOB)),
     Question(
-        "Is the stream well, with which version?", ("^Stream$",), '.stream[data-name="main"]',
+        "Is the stream well?", ("^Stream$",), '.stream[data-name="main"]',
         r"corrected.*Version in use.*the active one", (OVERVIEW, "GET /robots/{robot}/stream"),
     ),
-    Question("Which rows look wrong?", (r"^\d+ rows$",), "#suspicious", r"rows looks? wrong\.", (OVERVIEW, VERSION)),
-    Question("Where is it worst?", ("the worst poses",), "main", r"at x -?\d+", (OVERVIEW, ROWS)),
+    Question("Which rows are suspicious?", (r"^\d+ rows?$",), "#suspicious", r"rows? looks? wrong\.", (OVERVIEW, VERSION)),
+    Question("What does an effect do at this pose?", ("^Choose version, pose and view$",), "[data-asked]",
+             r"moves it by \d.*(tilt|backlash|compliance).* \d", (OVERVIEW, POSE)),
     Question("How do I undo that?", ("^go back",), "main", r"Go back to .* on .*\?.*Go back now",
              (OVERVIEW, "GET /robots/{robot}/rollback")),
-    Question("Has it moved since last week?", (), "#checks", r"\w+", (OVERVIEW,)),
-    Question("Is it within tolerance?", (), ".verdict", r"Tolerance 0\.3 mm", (OVERVIEW,)),
+    Question("Has it moved since last week?", (), "#checks", r"(Not c|C)hecked", (OVERVIEW,)),
+    Question("Is it within tolerance?", (), ".verdict", r"Tolerance 0\.3 mm: \d", (OVERVIEW,)),
     Question("How do the last two compare?", ("^compare$",), "main", r"differ|Parameters|errors", (OVERVIEW, COMPARE)),
-    Question("Which effect is missing?", (), "#missing", r"\w+.*how sure", (OVERVIEW, JOB)),
-    Question("Is it sure?", ("^how sure$",), "main", r"held-out", (OVERVIEW, JOB)),
-    Question("What can these data not tell?", (r"parameters$|^nothing$",), "#unseen", r"identifiable|tell",
-             (OVERVIEW, VERSION)),
-    Question("Where is the report?", ("^Report$",), "main", r"ISO 9283|[Rr]eport",
-             (OVERVIEW, "GET /versions/{version}/report")),
+    Question("Which of twelve needs attention?", (), "main",
+             r"11\s*not known.*1\s*good.*Not calibrated.*arm-\d.*Add measurements", (FLEET,), "/"),
+    # that it takes eight clicks in all, test_first_calibration counts
+    Question("How do I begin with a new arm?", ("^New robot$",), "main", "A robot that Kilter knows", (FLEET,), "/"),
 )  # fmt: skip
 
 
@@ -76,6 +77,8 @@ def asked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
             kilter.versions.activate(other, force=True, reason="for the test")  # so that there is one to go back to
             kilter.versions.activate(made.version, force=True, reason="for the test")
             kilter.run(calls.set_tolerance(made.robot, 0.3, None))
+            for k in range(11):
+                kilter.robots.add({"name": f"arm-{k}", "convention": "preset", "preset": "katana450-chapter5"})
             kilter.jobs.run("gap", made.robot, [made.train], [made.held_out], {}, timeout_s=300.0)
         with moving(made.server.data, made.robot):
             yield made
@@ -95,8 +98,8 @@ def page(chromium: Browser, asked: Lab) -> Iterator[Page]:
 
 
 def test_no_question_takes_more_than_two_clicks() -> None:
-    assert all(1 + len(question.clicks) <= MOST_CLICKS for question in QUESTIONS)
-    assert len(QUESTIONS) >= 15
+    assert all(len(question.clicks) + (not question.at) <= MOST_CLICKS for question in QUESTIONS)
+    assert len(QUESTIONS) == 15
 
 
 @pytest.mark.parametrize("question", QUESTIONS, ids=lambda question: question.asked)
@@ -104,8 +107,11 @@ def test_a_question_is_answered(page: Page, question: Question) -> None:
     missing = [route for route in question.needs if route not in PAGE_RULES]
     if missing:
         pytest.skip(f"these views are not there: {', '.join(missing)}")
+    if question.at:
+        page.goto(question.at)
     for name in question.clicks:
-        page.get_by_role("link", name=re.compile(name)).first.click()
+        words = re.compile(name)
+        page.get_by_role("link", name=words).or_(page.locator("summary").filter(has_text=words)).first.click()
         page.wait_for_load_state()
     expect(page.locator(question.place).first).to_contain_text(re.compile(question.answer, re.DOTALL), timeout=15_000)
 

@@ -210,6 +210,14 @@ def test_the_picture_has_its_numbers_in_tables(there: Made, chromium: Browser) -
         assert int(first[0]) == size.argmax() + 1
         assert float(first[7]) == pytest.approx(size.max(), abs=1e-4)
         assert page.locator('[data-table="places"] tbody tr').count() == 60
+        assert (
+            page.locator("[data-arrow-key] svg")
+            .get_attribute("aria-label", timeout=5000)
+            .startswith("Colours from 0, drawn")
+        )
+        assert re.search(
+            r"Pale: the nominal arm, its difference \d+ times", page.locator("[data-grid]").text_content() or ""
+        )
         blank = picture(page)
         page.get_by_label("Coloured by").select_option("after")
         page.get_by_role("img", name="Colours from 0 to").wait_for()
@@ -228,7 +236,7 @@ def test_a_robot_without_measurements_is_drawn_too(there: Made, chromium: Browse
         arm_of(page, "other")
         assert picture(page).std() > 3.0
         assert "a version and a campaign are needed" in page.locator("[data-said]").inner_text()
-        assert "not calibrated" in page.locator("main").inner_text()
+        assert "Not calibrated" in page.locator("main").inner_text()
 
 
 def test_the_shape_of_a_link_is_drawn_in_its_place(there: Made, chromium: Browser) -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import html
 import json
 import math
+import re
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -286,3 +289,31 @@ def test_a_corrector_that_goes_is_a_bypass_and_comes_back(chromium: Browser, cel
         banner.wait_for(state="hidden", timeout=20_000)
         with Controller(cell.settings.data, "katana", "again"):
             page.locator('.stream[data-name="again"] .badge', has_text="corrected").wait_for()
+
+
+def test_the_last_minute_and_the_state_are_there_when_the_view_is_opened(cell: Cell, controller: Controller) -> None:
+    def shown() -> tuple[list[dict[str, Any]], str]:
+        text = cell.client.get("/robots/katana/stream").text
+        found = re.search(r'data-name="main" data-minute="([^"]*)"', text)
+        return (json.loads(html.unescape(found[1])) if found else []), text
+
+    wait_for(lambda: len(shown()[0]) >= 4, LONGEST_S)
+    minute, text = shown()
+    times = [one["at_s"] for one in minute]
+    assert times == sorted(times)
+    assert all(
+        0.5 < after - before < 30.0 for before, after in pairwise(times)
+    )  # one a second, on a busy machine fewer
+    assert time.time() - times[-1] < 30.0
+    stream = main_stream(
+        cell.events(enough=lambda told: bool(told[-1]["streams"] and told[-1]["streams"][0]["joints"]))[-1]
+    )
+    largest = max(abs(value) for one in minute for value in one["joints"])
+    assert 0.0 < largest < 20 * max(abs(joint["correction"]) for joint in stream["joints"]) + 1.0
+    assert all(len(one["joints"]) == 5 and one["tool_mm"] >= 0.0 for one in minute)
+    section = text[text.index('data-name="main"') : text.index("</section>", text.index('data-name="main"'))]
+    assert "Every setpoint is corrected." in section
+    assert re.search(r"<noscript><figure>\s*<svg", section)  # the same without JavaScript
+    for joint in stream["joints"]:
+        assert f'<th scope="row">{joint["name"]}</th>' in section
+    assert text.count('class="state compact') + text.count('<div class="bypass" role="alert" data-live="bypass">') == 1

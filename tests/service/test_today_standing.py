@@ -49,16 +49,24 @@ def test_an_alarm_leads_to_the_version_that_corrects_it(fleet: Fleet, monkeypatc
     monkeypatch.setattr(watched_robot, "DAY", datetime.now(UTC) - timedelta(days=20))
     arm = some_arm(np.random.default_rng(3))
     robot = Watched(client, None, arm, "hit")
-    assert [one["do"] for one in stands(client, "hit")["steps"]] == ["upload"]
+    assert [one["do"] for one in stands(client, "hit")["steps"]] == ["upload", "plan"]
     campaign = robot.sent(arm, 20, 1, watched_robot.DAY, role="train")
     fresh = stands(client, "hit")
     assert (fresh["state"], fresh["steps"][0]["do"], fresh["steps"][0]["campaign_id"]) == (
         "uncalibrated", "search", campaign,
     )  # fmt: skip
+    stages = {one["stage"]: one for one in fresh["first"]}
+    assert [name for name, one in stages.items() if one["done"]] == ["describe", "measure", "check"]
+    assert stages["search"]["missing"] == "No version was made of the measurements yet."
+    assert [one["do"] for one in stages["search"]["steps"]] == ["search"]
+    assert not stages["activate"]["steps"]  # another stage comes first
     client.post(f"/v1/campaigns/{campaign}/retire").raise_for_status()
     first = robot.calibrated(database, 0.25)
+    assert [one["stage"] for one in stands(client, "hit")["first"] if not one["done"]] == ["correct"]
     robot.checked_here(database, arm, 100, 5)
-    assert (stands(client, "hit")["state"], stands(client, "hit")["look"]) == ("as_calibrated", "good")
+    checked = stands(client, "hit")
+    # who checks is past the first calibration
+    assert (checked["state"], checked["look"], checked["first"]) == ("as_calibrated", "good", [])
 
     robot.checked_here(database, arm.after("zero_3", 4e-3), 200, 12)
     moved = stands(client, "hit")

@@ -10,7 +10,7 @@ from pydantic import AwareDatetime, Field, StringConstraints
 from kilter_service.contract.jobs.drift import DriftVerdict
 from kilter_service.contract.units import Celsius, Strict
 
-Mark = Literal["activated", "re-zeroed", "rolled back", "repaired", "repair"]
+Mark = Literal["activated", "re-zeroed", "rolled back", "repaired", "repair", "note"]
 State = Literal["never", "ok", "creeping", "cannot_tell", "moved"]
 
 
@@ -52,26 +52,38 @@ class ControlChart(Strict):
     )
 
 
+RepairKind = Literal["repair", "note"]
+KIND_OF_REPAIR = "`repair`: checks begin anew with it; `note`: it is marked at its date, and changes nothing."
+CAMPAIGN_OF_NOTE = "Id of the campaign that a note is on; null: on none."
+ROWS_OF_NOTE = "Rows of the campaign that a note is on, as `1-3,7`; empty: on all."
+
+
 class DriftMark(Strict):
     """Something that was done to a robot or its version between checks."""
 
     at: datetime = Field(description="When.")
     what: Mark = Field(
         description="What: `activated`, `re-zeroed` (a version of the parameters that moved), `rolled back`; `repaired`: the "
-        "first check that agrees again with a version that the check before missed; `repair`: what somebody recorded."
+        "first check that agrees again with a version that the check before missed; `repair` and `note`: what "
+        "somebody recorded."
     )
-    version_id: str = Field(description="The version; of a repair empty.")
-    note: str = Field("", description="Of a repair what was done.")
-    repair_id: str | None = Field(None, description="Id of a repair; null: it is none.")
+    version_id: str = Field(description="The version; of a repair and a note empty.")
+    note: str = Field("", description="Of a repair what was done, of a note what it says.")
+    repair_id: str | None = Field(None, description="Id of a repair or a note; null: it is none.")
+    campaign_id: str | None = Field(None, description=CAMPAIGN_OF_NOTE)
+    rows: str = Field("", description=ROWS_OF_NOTE)
 
 
 class NewRepair(Strict):
-    """What was done to an arm."""
+    """What was done to an arm, or a note on a date, a campaign or its rows."""
 
     what: Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=200)] = Field(
         description="What was done, as *gear of joint 3 replaced*."
     )
     at: AwareDatetime | None = Field(None, description="When; null: now.")
+    kind: RepairKind = Field("repair", description=KIND_OF_REPAIR)
+    campaign_id: str | None = Field(None, max_length=32, description=CAMPAIGN_OF_NOTE)
+    rows: str = Field("", max_length=200, pattern=r"^[0-9,-]*$", description=ROWS_OF_NOTE)
 
 
 class Repair(Strict):
@@ -81,6 +93,9 @@ class Repair(Strict):
     at: datetime = Field(description="When it was done.")
     what: str = Field(description="What was done.")
     by: str = Field(description="Who recorded it.")
+    kind: RepairKind = Field("repair", description=KIND_OF_REPAIR)
+    campaign_id: str | None = Field(None, description=CAMPAIGN_OF_NOTE)
+    rows: str = Field("", description=ROWS_OF_NOTE)
     created_at: datetime = Field(description="When it was recorded.")
 
 

@@ -13,7 +13,11 @@ RobotState = Literal[
     "worse", "moved", "cannot_tell", "changed", "outside", "unchecked", "drifting", "near", "uncalibrated", "not_known",
     "as_calibrated", "within",
 ]  # fmt: skip
-StepKind = Literal["activate", "rezero", "record_repair", "measure", "plan_check", "upload", "search", "evaluate"]
+StepKind = Literal[
+    "activate", "rezero", "record_repair", "measure", "plan", "plan_check", "upload", "search", "await_job", "evaluate",
+    "correct",
+]  # fmt: skip
+FirstStage = Literal["describe", "measure", "check", "search", "activate", "correct"]
 
 
 class NextStep(Strict):
@@ -21,13 +25,14 @@ class NextStep(Strict):
 
     do: StepKind = Field(
         description="What: `activate` a version, `rezero` what moved, `record_repair`, `measure` poses that a job proposes, "
-        "`plan_check`, `upload` measurements, `search` for what is missing, `evaluate` the version on a campaign."
+        "`plan` poses of a first calibration, `plan_check`, `upload` measurements, `search` for what is missing, `await_job` "
+        "that searches, `evaluate` the version on a campaign, `correct` a path or a stream."
     )
     words: str = Field(description="The same as a button says it.")
     command: str = Field(description="The command that does it.")
     version_id: str | None = Field(None, description="The version to activate; null: none.")
     campaign_id: str | None = Field(None, description="The campaign whose rows it takes; null: none.")
-    job_id: str | None = Field(None, description="The job whose poses are measured; null: none.")
+    job_id: str | None = Field(None, description="The job whose poses are measured, or that runs; null: none.")
     causes: list[str] = Field([], description="Of `rezero` what moved, as `zero_3`.")
 
 
@@ -43,6 +48,20 @@ class ErrorAt(Strict):
     version_id: str = Field(description="The version.")
     campaign_id: str = Field(description="The campaign of the rows.")
     alarm: bool = Field(description="Whether it is a check that alarmed.")
+
+
+class FirstStep(Strict):
+    """A stage of the first calibration of an arm."""
+
+    stage: FirstStage = Field(
+        description="`describe` the arm, `measure` it, `check` the file, identify and `search`, `activate`, `correct`."
+    )
+    words: str = Field(description="The same as the strip of the page says it.")
+    done: bool = Field(description="Whether it is done.")
+    missing: str = Field(description="What is missing, in words; empty: it is done, or another comes first.")
+    steps: list[NextStep] = Field(
+        description="How to do it, the best first; empty: it is done, or another comes first."
+    )
 
 
 class Standing(Strict):
@@ -63,3 +82,7 @@ class Standing(Strict):
         None, description="Mean error of the nominal arm on the same rows, mm: without the version. Null: not known."
     )
     steps: list[NextStep] = Field([], description="What to do next, the best first.")
+    first: list[FirstStep] = Field(
+        [],
+        description="The first calibration, stage by stage, until the arm is corrected with an active version; then empty.",
+    )

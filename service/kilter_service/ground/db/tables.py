@@ -345,7 +345,7 @@ class InstrumentRow(Row):
 
 
 class RepairRow(Row):
-    """What was done to an arm, and when: what was measured before is of the arm as it was."""
+    """What was done to an arm, and when: what was measured before is of the arm as it was. A ``note`` changes nothing."""
 
     __tablename__ = "repairs"
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
@@ -353,6 +353,9 @@ class RepairRow(Row):
     at: Mapped[datetime]
     what: Mapped[str] = mapped_column(String(200))
     actor: Mapped[str] = mapped_column(String(64))
+    kind: Mapped[str] = mapped_column(String(8), default="repair", server_default="repair")
+    campaign_id: Mapped[str | None] = mapped_column(String(32))
+    rows: Mapped[str] = mapped_column(String(200), default="", server_default="")
     created_at: Mapped[datetime] = mapped_column(default=utc_now)
 
 

@@ -16,6 +16,7 @@ from kilter_service.campaigns.facts import display_unit_and_factor
 from kilter_service.campaigns.kept_facts import cached_campaign_facts, campaign_cache_key
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.campaigns import Campaign
+from kilter_service.contract.drift import Repair
 from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.versions import Version
 from kilter_service.ground.db import Database
@@ -23,6 +24,7 @@ from kilter_service.ground.paging import Page
 from kilter_service.page.campaign.series import KEPT, LEAST, MOST, thin_series
 from kilter_service.page.shared.lists import Asked, Part, select_page
 from kilter_service.page.shared.measured import Seen, describe_facts
+from kilter_service.robots.repairs import service as repairs
 from kilter_service.versions import service as versions
 
 if TYPE_CHECKING:
@@ -42,6 +44,7 @@ class Shown:
     made: list[tuple[Version, str]]
     suspicious: SuspiciousRows
     columns: list[tuple[str, str]]
+    noted: list[Repair]
 
 
 def list_campaigns(database: Database, robot: str, with_retired: bool, asked: Asked) -> Part[Campaign]:
@@ -80,7 +83,11 @@ def load_campaign_view(database: Database, campaign_id: str) -> Shown:
     columns = (
         [] if found is None else [(one[0], f"{one[1]}, {one[2]}" if one[2] != "–" else one[1]) for one in found.columns]
     )
-    return Shown(campaign, found, why, used, suspicious.of_campaign(database, campaign.id), columns)
+    odd, noted = (
+        suspicious.of_campaign(database, campaign.id),
+        repairs.list_notes(database, campaign.robot, campaign.id),
+    )
+    return Shown(campaign, found, why, used, odd, columns, noted)
 
 
 def _uses(version: Version, campaign_id: str) -> list[str]:

@@ -17,6 +17,7 @@ from kilter_files.ground import FileError, KilterError, MissingPackageError
 from kilter_files.ground.later import parquet
 from kilter_files.look import draft, inspect
 from kilter_service.ground.processes.sandbox import confine
+from kilter_service.page.drop.pictures import find_corners, is_archive_of_pictures
 
 MOST_ROWS = 2_000_000
 MOST_COLUMNS = 400  # of the file, that are described one by one
@@ -63,6 +64,14 @@ def understood(path: Path, read_as: str, joints: Sequence[str] = ()) -> Document
     chosen = Path("map.toml")
     if read_as == "map" and chosen.exists():
         return _describe_source_columns(path) | _apply_map(path, chosen)
+    if is_archive_of_pictures(path):
+        views, said = find_corners(path, read_as)
+        rows = _prepare_rows(views, None)
+        return (
+            rows
+            | {"reader": "pictures"}
+            | {key: [*said[key], *rows[key]] if key in rows else said[key] for key in said}
+        )
     if path.stat().st_size:
         refuse_stranger(Head(path))
     if read_as not in ("auto", "map"):

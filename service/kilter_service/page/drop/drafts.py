@@ -19,6 +19,7 @@ from kilter_service.ground.files.private_files import Scratch, private_folder
 if TYPE_CHECKING:
     from kilter_service.campaigns.facts import Facts
 
+RIG = "rig.json"  # what the reader of a file says of cameras and boards
 KEPT_S = 3600.0  # after it was last looked at
 MOST_OF_ONE = 4  # drafts of one login; the oldest goes
 MOST = 24
@@ -156,7 +157,7 @@ class Drafts:
             shutil.rmtree(draft.folder, ignore_errors=True)
 
 
-RESERVED = frozenset({"rows", "map.toml", "asked.json", "understood.json", "words"})
+RESERVED = frozenset({"rows", "map.toml", "asked.json", "understood.json", "words", "views.csv", RIG})
 
 
 def plain_name(name: str) -> str:

@@ -1,8 +1,9 @@
-"""Cameras and boards of a dropped file of views: the JSON that `kilter measure see` writes beside it, dropped as well."""
+"""Cameras and boards of a dropped file of views: the JSON that is dropped as well; and a board to print."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
@@ -11,6 +12,7 @@ from kilter_core.errors import CoreError
 from kilter_core.observations import format_part_name
 from kilter_service.contract.campaigns import Board, Camera, Conditions
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.processes import sandbox
 from kilter_service.ground.tables.views import rig_from_conditions
 from kilter_service.page.drop.drafts import Draft
 
@@ -22,6 +24,22 @@ MISSING = (
 )
 REMEDY = "Give the JSON that `kilter measure see` writes beside its views."
 MOST_TOLD = 5
+BOARD, REFUSED = "board.zip", "refused"
+DRAWING = sandbox.Limits(seconds=30, memory_mb=2048, output_mb=50)
+
+
+def draw_board(folder: Path, columns: int, rows: int, square_mm: float) -> None:
+    """Write the page of a board and its description into an archive in ``folder``.
+
+    Raises:
+        ServiceError: there is no such board, or this server has no OpenCV.
+
+    """
+    ended = sandbox.run(f"{__package__}.board", folder, [str(columns), str(rows), str(square_mm)], DRAWING)
+    if not (folder / BOARD).exists():
+        why = folder / REFUSED
+        said = why.read_text(encoding="utf-8") if why.exists() else f"The board was not drawn: {ended.words[-200:]}"
+        raise ServiceError(said, code="payload_invalid")
 
 
 def add_to_draft(draft: Draft, name: str, document: Any) -> None:

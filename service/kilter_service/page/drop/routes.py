@@ -21,25 +21,28 @@ from kilter_service.ground.processes import sandbox
 from kilter_service.ground.processes.sandbox import Ended, Limits
 from kilter_service.ground.tables.columns import has
 from kilter_service.page.drop import rig, service
-from kilter_service.page.drop.drafts import Draft, Drafts, plain_name
+from kilter_service.page.drop.drafts import RIG, Draft, Drafts, plain_name
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared import proposing
 from kilter_service.page.shared.measured import describe_facts
+from kilter_service.page.shared.take_step import take_step
 from kilter_service.page.shell import get_root_path, redirect, render
 from kilter_service.robots import service as robots
 from kilter_service.robots.instruments import service as instruments
+from kilter_service.versions.today import service as today
 from kilter_service.web.auth.access import get_caller
 from kilter_service.web.bodies import parse_json, read_document, spool_upload
 from kilter_service.web.concurrency import compute
 from kilter_service.web.logins import service as logins
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
 from kilter_service.web.tokens.service import hash_secret
 
 CHILD = "kilter_service.page.drop.child"
 LIMITS = Limits(seconds=60, memory_mb=2048, output_mb=512)
+OF_PICTURES = Limits(seconds=240, memory_mb=4096, output_mb=512)
 MOST_SAID = 32 << 20
 MOST_REFUSAL = 2000
-WRITTEN = ("understood.json", "rows")
+WRITTEN = ("understood.json", "rows", RIG)
 NOTHING: dict[str, Any] = {
     "kind": "",
     "reader": "",
@@ -63,6 +66,10 @@ def read(database: Database, draft: Draft) -> None:
         draft.facts, draft.refusal, draft.pixels = None, "", False
         draft.understood = NOTHING | _understood(draft, _joints(database, draft.robot))
         draft.refusal = str(draft.understood.get("refusal") or "")[:MOST_REFUSAL]
+        seen_by = draft.folder / RIG
+    if seen_by.exists() and not draft.refusal:  # pictures say themselves which camera saw which board
+        rig.add_to_draft(draft, draft.name, json.loads(seen_by.read_bytes()))
+    with draft.turn:
         if "sha256" in draft.understood and not draft.refusal:
             _assess_rows(database, draft)
 
@@ -77,7 +84,8 @@ def _understood(draft: Draft, joints: list[str]) -> dict[str, Any]:
         (draft.folder / name).unlink(missing_ok=True)
     asked = json.dumps({"file": draft.name, "read_as": draft.read_as, "joints": joints})
     (draft.folder / "asked.json").write_text(asked, encoding="utf-8")
-    ended = sandbox.run(CHILD, draft.folder, [], LIMITS)
+    limits = OF_PICTURES if draft.name.lower().endswith(".zip") else LIMITS
+    ended = sandbox.run(CHILD, draft.folder, [], limits)
     said = draft.folder / "understood.json"
     if ended.code != 0 or not said.exists() or said.stat().st_size > MOST_SAID:
         return {"refusal": f"{draft.name} {_describe_reader_failure(ended)}", "map": _kept_map(draft)}
@@ -129,6 +137,8 @@ Text = Annotated[str, Form(max_length=20_000)]
 UNDERSTOOD = "drop/understood.html"
 Short = Annotated[str, Form(max_length=200)]
 JobId = Annotated[str, Query(max_length=100)]
+Squares = Annotated[int, Query(ge=3, le=60)]
+Side = Annotated[float, Query(ge=1.0, le=500.0)]
 Texts = Annotated[list[str], Form(max_length=1000)]
 
 
@@ -161,6 +171,16 @@ async def drop_file(
             drafts.discard(draft)
             raise
     return JSONResponse({"address": _place(request, draft)}, 201)
+
+
+@router.get("/robots/{robot}/campaigns/new/board.zip")
+async def board(request: Request, columns: Squares = 8, rows: Squares = 6, square_mm: Side = 25.0) -> Response:
+    """Send a board to print for a camera, with its description."""
+    with get_scratch(request).folder_for("board") as folder:
+        await run_in_threadpool(rig.draw_board, folder, columns, rows, square_mm)
+        content = (folder / rig.BOARD).read_bytes()
+    named = {"Content-Disposition": f'attachment; filename="{rig.BOARD}"'}
+    return Response(content, media_type="application/zip", headers=named)
 
 
 @router.get("/robots/{robot}/campaigns/new/{draft}")
@@ -242,8 +262,9 @@ async def store(
     measured_at: Short = "",
     instrument: Short = "",
     payload_com_mm: Short = "",
+    then: Short = "",
 ) -> Response:
-    """Store the rows as a campaign."""
+    """Store the rows as a campaign; ``then`` search in them, where that comes next."""
     found = _draft(request, robot, draft)
     conditions: dict[str, object] = {
         **found.rig,
@@ -262,6 +283,12 @@ async def store(
     }
     with _drafts(request).in_use(found):
         stored = await compute(request, service.store, database, found, campaign, sha256)
+    if then == "search":
+        try:
+            queued = await compute(request, take_step, database, robot, then, stored.id)
+        except ServiceError:  # it is stored; the robot's view says what comes next, and its button why not
+            return redirect(request, f"{get_root_path(request)}/robots/{robot}")
+        return redirect(request, f"{get_root_path(request)}/jobs/{queued}")
     return redirect(request, f"{get_root_path(request)}/campaigns/{stored.id}{_job_query(found)}")
 
 
@@ -304,6 +331,7 @@ def _render_draft(
         here=_place(request, draft),
         meant=service.meant_for(database, draft),
         rig=rig.describe_parts(draft.rig),
+        first=bool((standing := today.of_robot(database, draft.robot).standing) and standing.first),
         **service.column_map_form(draft, kinds),
     )
 

@@ -287,6 +287,8 @@ def ways() -> list[tuple[str, str]]:
     return [
         ("auto", "find out"),
         ("map", "through a column map"),
+        ("views-fixed", "pictures, the camera in the room"),
+        ("views-flange", "pictures, the camera on the flange"),
         *((name, reader.title) for name, reader in readers_for(DEVICE).items()),
     ]
 

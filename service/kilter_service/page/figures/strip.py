@@ -11,6 +11,7 @@ from kilter_service.page.figures.scale import Axis
 
 WIDE, HIGH = 220.0, 28.0  # of an error
 SPARK = 120.0
+PRIOR = 170.0
 EDGE = 6.0  # beside the axis, so that no mark is cut
 
 
@@ -44,6 +45,22 @@ def error(axis: Axis, mean: float, low: float, high: float, tolerance: float | N
     parts.append(f'<path class="whisker {look}" d="M{place(axis, low)} {middle:g}H{place(axis, high)}"/>')
     parts.append(f'<circle class="dot {look}" cx="{place(axis, mean)}" cy="{middle:g}" r="4.5"/>')
     return _svg(WIDE, title, parts)
+
+
+def against_prior(change: float, low: float, high: float, prior: float, title: str) -> Markup:
+    """Draw a change with its interval over what was known before: a band of one standard deviation about nominal."""
+    axis = Axis("", -1.2 * prior, 1.2 * prior)
+    left, right, middle = place(axis, -prior, PRIOR), place(axis, prior, PRIOR), HIGH / 2
+    return _svg(
+        PRIOR,
+        title,
+        [
+            f'<rect class="prior" x="{left}" y="4" width="{round(right - left, 1)}" height="{HIGH - 8:g}"/>',
+            f'<path class="decade" d="M{place(axis, 0.0, PRIOR)} 0V{HIGH:g}"/>',
+            f'<path class="whisker" d="M{place(axis, low, PRIOR)} {middle:g}H{place(axis, high, PRIOR)}"/>',
+            f'<circle class="dot" cx="{place(axis, change, PRIOR)}" cy="{middle:g}" r="4"/>',
+        ],
+    )
 
 
 def spark(days: Sequence[float], means: Sequence[float], marks: Sequence[float], title: str) -> Markup:

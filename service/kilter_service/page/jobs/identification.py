@@ -15,8 +15,10 @@ from kilter_service.page.figures.scale import category_axis, lengths
 from kilter_service.page.jobs import stages
 from kilter_service.page.shared.cumulative import cumulative
 from kilter_service.page.shared.masses import of_a_mass
+from kilter_service.page.shared.parameter_rows import parameter_rows
 from kilter_service.page.words import in_columns, number
 from kilter_service.versions import service as versions
+from kilter_service.versions.predictions import places
 
 MOST_NAMES = 20  # of a correlation map, and of an influence chart
 
@@ -46,7 +48,10 @@ def result_context(database: Database, job: IdentifyJob) -> dict[str, Any]:
             (figures.held_out_errors or figures.fitted_errors) if figures else None, where, stages.CURVES
         ),
         "effects": gain_of_effects(judged),
-        "seen": [row for row in result.parameters or [] if row.identifiable is not False or row.from_prior],
+        "seen": parameter_rows(
+            [row for row in result.parameters or [] if row.identifiable is not False or row.from_prior],
+            places.prior_sigmas(database, result.version_id) if result.version_id else {},
+        ),
         "unseen": [
             row
             for row in result.parameters or []

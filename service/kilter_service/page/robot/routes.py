@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse
+from pydantic import ValidationError
 
 from kilter_service.contract.drift import NewRepair
 from kilter_service.contract.meshes import MeshUnit
@@ -20,6 +21,7 @@ from kilter_service.page.robot import scene, service
 from kilter_service.page.robot import settings as settled
 from kilter_service.page.route import PageRoute
 from kilter_service.page.shared.goals import parse_goals
+from kilter_service.page.shared.take_step import take_step
 from kilter_service.page.shell import get_root_path, is_part, redirect, render
 from kilter_service.robots import service as robots
 from kilter_service.robots.meshes import service as meshes
@@ -33,8 +35,8 @@ LONGEST = 200  # letters of what was done
 LONGEST_DATE = 40
 
 
-def parse_repair(what: str, at: str) -> NewRepair:
-    """Read what was done, and when, in UTC; an empty ``at`` is now.
+def parse_repair(what: str, at: str, **more: Any) -> NewRepair:
+    """Read what was done or noted, and when, in UTC; an empty ``at`` is now.
 
     Raises:
         ServiceError: it does not say what was done, or the date is none.
@@ -42,7 +44,11 @@ def parse_repair(what: str, at: str) -> NewRepair:
     """
     if not what.strip():
         raise ServiceError("Say what was done, as: gear of joint 3 replaced.", code="payload_invalid", field="what")
-    return NewRepair(what=what.strip(), at=_moment(at.strip()))
+    try:
+        return NewRepair(what=what.strip(), at=_moment(at.strip()), **more)
+    except ValidationError as error:
+        told = "; ".join(f"{one['loc'][0]}: {one['msg']}" for one in error.errors())
+        raise ServiceError(f"This cannot be noted: {told}.", code="payload_invalid") from error
 
 
 def _moment(text: str) -> datetime | None:
@@ -93,7 +99,7 @@ def settings(robot: str, request: Request, database: DatabaseOfApp) -> HTMLRespo
 
 
 @router.post("/robots/{robot}/steps")
-def take_step(
+def queue_step(
     robot: str,
     request: Request,
     database: DatabaseOfApp,
@@ -102,7 +108,7 @@ def take_step(
     campaign: Annotated[str, Form(max_length=64)] = "",
 ) -> Response:
     """Queue the job that comes next, with campaign and cause filled in."""
-    job = service.take_step(database, robot, do, campaign)
+    job = take_step(database, robot, do, campaign)
     return redirect(request, f"{get_root_path(request)}/jobs/{job}")
 
 
@@ -144,9 +150,12 @@ def add_repair(
     actor: Admin,
     what: Annotated[str, Form(max_length=LONGEST)] = "",
     at: Annotated[str, Form(max_length=LONGEST_DATE)] = "",
+    kind: Annotated[str, Form(max_length=8)] = "repair",
+    campaign: Annotated[str, Form(max_length=32)] = "",
+    rows: Annotated[str, Form(max_length=LONGEST)] = "",
 ) -> Response:
-    """Record what was done to an arm."""
-    repairs.add(database, robot, parse_repair(what, at), actor)
+    """Record what was done to an arm, or a note on a date, a campaign or its rows."""
+    repairs.add(database, robot, parse_repair(what, at, kind=kind, campaign_id=campaign or None, rows=rows), actor)
     return Response(status_code=204, headers=ANEW)
 
 
@@ -184,9 +193,11 @@ def pose(
 
 
 @router.get("/robots/{robot}/arm.json")
-def arm(robot: str, database: DatabaseOfApp) -> JSONResponse:
-    """Send the chain."""
-    return JSONResponse(scene.arm(database, robot))
+def arm(robot: str, database: DatabaseOfApp, version: ID = "") -> JSONResponse:
+    """Send the chain, nominal and as a version has it."""
+    if version:
+        scene.check(database, robot, version)
+    return JSONResponse(scene.arm(database, robot, version))
 
 
 @router.get("/robots/{robot}/places.json")

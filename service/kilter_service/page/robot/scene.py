@@ -17,6 +17,9 @@ from kilter_service.versions import service as versions
 from kilter_service.versions.predictions import places as measured
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from kilter_core.arm import Robot
     from kilter_service.ground.tables.columns import Column
 
 
@@ -26,17 +29,16 @@ FREE = {"deg": 180.0, "mm": 500.0}  # range of a slider of a joint without limit
 PLACE, ERROR, ANGLE = 2, 4, 4  # decimals: 0.01 mm, 0.1 µm, 0.0001 degrees
 
 
-def arm(database: Database, robot: str) -> Document:
+def arm(database: Database, robot: str, version: str = "") -> Document:
     """Return the nominal chain: elements with what moves them, joints with their limits, and the tool in the flange.
 
-    `linkages` are pairs of elements, the axis of a joint and the one that rods tie to it.
+    `linkages` are pairs of elements, the axis of a joint and the one that rods tie to it; `identified` are the elements by the
+    geometry of a version, null without one.
     """
     found = robots.arm(database, robot)
     units = joint_units(found)
-    elements = []
-    for one in found.chain.elements:
-        value = to_deg(one.value) if one.axis.rotates else to_mm(one.value)
-        elements.append([NAMES[one.axis], round(value, 6), one.joint, one.ratio])
+    elements = _elements(found, {})
+    identified = _elements(found, measured.geometry(database, version)) if version else None
     joints = []
     for joint, unit, scale in zip(found.joints, units, joint_scale(found), strict=True):
         low, high = (
@@ -48,6 +50,7 @@ def arm(database: Database, robot: str) -> Document:
     tool[:3, 3] = to_mm(tool[:3, 3])
     return {
         "elements": elements,
+        "identified": None if identified == elements else identified,
         "joints": joints,
         "primary": list(found.chain.primary),
         "linkages": [
@@ -58,6 +61,16 @@ def arm(database: Database, robot: str) -> Document:
         "tool": np.round(tool, 6).tolist(),
         "meshes": [mesh.link for mesh in meshes.list_meshes(database, robot).meshes],
     }
+
+
+def _elements(robot: Robot, values: Mapping[str, float]) -> list[list[Any]]:
+    """Axis, value, joint and ratio of each element, with other values for some by name."""
+    out = []
+    for one in robot.chain.elements:
+        value = values.get(one.name or "", one.value)
+        shown = to_deg(value) if one.axis.rotates else to_mm(value)
+        out.append([NAMES[one.axis], round(shown, 6), one.joint, one.ratio])
+    return out
 
 
 def mesh(database: Database, robot: str, link: str) -> bytes:

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
-
-from pydantic import TypeAdapter
 
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.jobs.gap import GAP, GapResult
 from kilter_service.contract.jobs.job import JobSummary
-from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.today import Today
@@ -35,8 +31,6 @@ from kilter_service.versions.drift import service as drift
 from kilter_service.versions.today import service as today
 
 NEWEST = Page(limit=50)
-JOBS = {"rezero": "rezero", "evaluate": "evaluate", "plan_check": "plan"}  # kinds of job by next step
-NEW_JOB: TypeAdapter[NewJob] = TypeAdapter(NewJob)
 
 
 @dataclass(frozen=True)
@@ -157,28 +151,6 @@ def _search_of(database: Database, version: Version | None, now: Today) -> GapRe
         return None
     job = jobs.get(database, version.job_id)
     return job.result if GAP.is_kind_of(job) else None
-
-
-def take_step(database: Database, name: str, do: str, campaign: str) -> str:
-    """Queue the job of a next step, and return its id.
-
-    Raises:
-        ServiceError: this does not come next any more.
-
-    """
-    standing = today.of_robot(database, name).standing
-    steps = [] if standing is None else standing.steps
-    step = next((one for one in steps if one.do == do and (one.campaign_id or "") == campaign), None)
-    if step is None or do not in JOBS:
-        raise ServiceError(
-            f"This is not what comes next for {name} any more: load the page anew.", code="option_invalid", option="do"
-        )
-    presets: dict[str, dict[str, Any]] = {"rezero": {"causes": step.causes}, "plan_check": {"purpose": "check"}}
-    options = presets.get(do, {})
-    if do == "plan_check":
-        options["version"] = robots.get(database, name).active_version
-    asked = {"kind": JOBS[do], "robot": name, "campaigns": [campaign] if campaign else [], "options": options}
-    return jobs.submit(database, NEW_JOB.validate_python(asked)).id
 
 
 def _campaign(

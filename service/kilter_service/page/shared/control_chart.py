@@ -28,7 +28,7 @@ NEVER_SUMMED = (
     "No sums: with frames set up anew, or by a joint log alone, a check does not show every cause, and what creeps is not "
     "seen. Leave the instrument where it stands for some checks."
 )
-MARKS = ("activated", "re-zeroed", "rolled back", "repaired", "repair")
+MARKS = ("activated", "re-zeroed", "rolled back", "repaired", "repair", "note")
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,8 @@ class Watched:
 
     @property
     def repairs(self) -> list[DriftMark]:
-        """What somebody recorded that was done to the arm, the newest first."""
-        return [one for one in reversed(self.found.marks) if one.what == "repair"]
+        """What somebody recorded that was done to the arm, and their notes, the newest first."""
+        return [one for one in reversed(self.found.marks) if one.what in ("repair", "note")]
 
 
 def standing(found: DriftSummary) -> str:

@@ -78,6 +78,10 @@ class Corrector:
             # One that ended before the version was activated says nothing of the next setpoint.
             goes_on = any(one["version_id"] in others and _is_live(one) for one in mine)
             return Correcting("other version", "warn", said, OTHER if goes_on else "")
+        if not any(_is_live(one) for one in mine):
+            return Correcting(
+                "ready", "faint", f"Stream {names} was corrected with the active version; it sends nothing now."
+            )
         return Correcting("streaming", "good", f"Stream {names} is corrected with the active version.")
 
 

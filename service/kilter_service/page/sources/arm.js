@@ -1,13 +1,12 @@
 // The arm in 3-D (page/robot): fetches the chain, the measured places and the workspace, and draws what is asked for.
-import { Box3, PerspectiveCamera, Scene, Sphere, Vector3, WebGLRenderer } from "three";
 import { Address } from "./arm/address.js";
 import { Asked } from "./arm/asked.js";
-import { posed } from "./arm/chain.js";
-import { Looking } from "./arm/camera.js";
-import { furniture } from "./arm/furniture.js";
 import { key } from "./arm/key.js";
 import { Linked } from "./arm/linked.js";
-import { arm, arrows, cloud, mesh, points, release, ROWS } from "./arm/parts.js";
+import { arrows, cloud, heat, points, ROWS } from "./arm/parts.js";
+import { Live } from "./arm/live.js";
+import { Poses } from "./arm/poses.js";
+import { rounded, Stage } from "./arm/stage.js";
 import { fill, length, mm, quantile } from "./arm/words.js";
 
 const STAGES = { identified: "this version", registration_only: "registration only", nominal: "the nominal robot" };
@@ -15,94 +14,27 @@ const SHARE = 0.12; // of the workspace that a large error is drawn as
 const MOST_LISTED = 200;
 const MANY = 2000; // points
 
-class Picture {
+class Picture extends Stage {
   constructor(place) {
-    this.place = place;
-    this.canvas = place.querySelector("canvas");
-    this.scene = new Scene();
-    this.parts = {};
+    super(place);
     this.data = { places: null, reach: null };
     this.row = 0; // the measured one whose load and directions hold
     this.address = new Address();
   }
 
-  find(name) {
-    return this.place.querySelector(`[data-${name}]`);
-  }
-
-  say(text) {
-    this.find("said").textContent = this.renderer === null ? `This browser has no WebGL, so the arm is not drawn: plot and tables have its numbers. ${text}` : text;
-  }
-
   async start() {
-    this.chain = await this.get("arm.json");
-    this.meshes = await this.loadMeshes();
-    this.readings = this.chain.joints.map(({ low, high }) => Math.min(Math.max(0, low), high));
-    this.size = this.reachOf();
-    this.renderer = this.drawing();
-    this.camera = new PerspectiveCamera(40, 1, this.size / 100, this.size * 30);
-    this.camera.up.set(0, 0, 1);
-    const { group, cell } = furniture(this.size);
-    this.scene.add(group);
-    this.find("grid").textContent = `A cell of the grid is ${cell} mm. Axes of the robot's base: x orange, y green, z blue.`;
-    this.sliders();
-    this.drawArm();
-    new ResizeObserver(() => this.fit()).observe(this.canvas.parentElement);
+    await this.open(this.address.get("camera"));
+    this.find("grid").textContent = `A cell of the grid is ${this.cell} mm. Axes of the robot's base: x orange, y green, z blue.${this.parts.ghost ? ` Pale: the nominal arm, its difference ${this.ghosted} times.` : ""}`;
     this.asked = new Asked(this);
-    const { center, radius } = this.around();
-    this.looking = new Looking(this.camera, this.canvas, center, 1.2 * radius / Math.sin((20 * Math.PI) / 180), () => this.looked(), this.address.get("camera"));
+    this.sliders();
     this.listen();
-    this.fit();
     const { version, campaign } = this.place.dataset;
     if (version && campaign) await this.loadPlaces(version, campaign);
     else this.say("There are no measured errors to show yet: a version and a campaign are needed.");
     this.begin();
-    this.frame();
+    this.frame(this.data.places?.at);
     if (["q", "row", "cloud", "stage", "scale", "camera"].some((name) => this.address.get(name))) this.find("controls").open = true;
     this.place.dataset.ready = "yes";
-  }
-
-  /** What draws; null without WebGL: all but the picture goes on. */
-  drawing() {
-    try {
-      const renderer = new WebGLRenderer({ canvas: this.canvas, antialias: true, alpha: true });
-      renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
-      return renderer;
-    } catch {
-      this.canvas.hidden = true;
-      return null;
-    }
-  }
-
-  async get(name, asked = {}) {
-    const answer = await fetch(`${this.place.dataset.arm}/${name}?${new URLSearchParams(asked)}`, { headers: { "HX-Request": "true" } });
-    if (answer.ok) return answer.json();
-    const refused = new DOMParser().parseFromString(await answer.text(), "text/html");
-    throw new Error(refused.body.textContent.trim());
-  }
-
-  reachOf() {
-    const { segments, flange, tool } = posed(this.chain, this.readings);
-    return segments.reduce((sum, [from, to]) => sum + from.distanceTo(to), flange.distanceTo(tool)) * 0.6 || 500;
-  }
-
-  /** The ball that holds the arm as it is drawn and its base. */
-  around() {
-    const { segments, tool } = posed(this.chain, this.readings);
-    const box = new Box3().setFromPoints([new Vector3(), tool, ...segments.flatMap(([from, to]) => [from, to])]);
-    const ball = box.getBoundingSphere(new Sphere());
-    return { center: ball.center, radius: Math.max(ball.radius, 0.7 * this.size) };
-  }
-
-  /** Look at the arm as it is drawn, and at all that was measured. */
-  frame() {
-    const { segments, tool } = posed(this.chain, this.readings);
-    const measured = (this.data.places?.at ?? []).map((one) => new Vector3(...one));
-    const points = [new Vector3(), tool, ...segments.flatMap(([from, to]) => [from, to]), ...measured];
-    this.framing = true; // which is nothing that the address keeps
-    this.looking.frame(points, new Box3().setFromPoints(points).getCenter(new Vector3()));
-    this.framing = false;
-    this.draw();
   }
 
   looked() {
@@ -126,24 +58,8 @@ class Picture {
     }
   }
 
-  show(name, object) {
-    release(this.parts[name]);
-    this.parts[name] = object;
-    if (object) this.scene.add(object);
-  }
-
-  fit() {
-    if (!this.renderer) return;
-    const width = this.canvas.parentElement.clientWidth;
-    const height = Math.round(Math.min(0.85 * width, Math.max(0.3 * window.innerHeight, 270)));
-    this.renderer.setSize(width, height);
-    this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
-    this.draw();
-  }
-
   draw() {
-    this.renderer?.render(this.scene, this.camera);
+    super.draw();
     this.linked?.mark();
   }
 
@@ -181,12 +97,6 @@ class Picture {
     this.asked.pose(readings, this.row);
   }
 
-  drawArm() {
-    const pose = posed(this.chain, this.readings);
-    this.show("arm", arm(pose, this.size, this.meshes));
-    this.place.dataset.tool = pose.tool.toArray().map((value) => value.toFixed(2)).join(" ");
-  }
-
   listen() {
     this.find("stage").addEventListener("change", () => this.measured(true));
     this.find("scale").addEventListener("input", () => {
@@ -199,14 +109,6 @@ class Picture {
     });
     this.find("to-row").addEventListener("change", (event) => this.toRow(Number(event.target.value)));
     this.place.querySelectorAll("[data-view]").forEach((button) => button.addEventListener("click", () => this.looking.go(button.dataset.view)));
-  }
-
-  async loadMeshes() {
-    const loaded = await Promise.all(this.chain.meshes.map(async (link) => {
-      const answer = await fetch(`${this.place.dataset.arm}/meshes/${encodeURIComponent(link)}`);
-      return answer.ok ? [[link, mesh(new Float32Array(await answer.arrayBuffer()))]] : []; // else it stays a cylinder
-    }));
-    return Object.fromEntries(loaded.flat());
   }
 
   async loadPlaces(version, campaign) {
@@ -236,19 +138,19 @@ class Picture {
     const left = this.left();
     const normal = held.map((one, k) => !one && !aside[k]);
     const less = at.length > MANY ? 0.4 : 1; // of very many the arm is still seen
-    this.show("fitted", points(at, normal, ROWS.fitted, 6 * less));
-    this.show("held", points(at, held.map((one, k) => one && !aside[k]), ROWS.held, 8 * less));
-    this.show("aside", points(at, aside, ROWS.aside, 12));
+    this.show("fitted", points(at, normal, ROWS.fitted, 5 * less));
+    this.show("held", points(at, held.map((one, k) => one && !aside[k]), ROWS.held, 5 * less));
+    this.show("aside", points(at, aside, ROWS.aside, 10));
     this.linked?.redraw();
     const sizes = left.map(length);
     const wanted = (SHARE * 2 * this.size) / (quantile(sizes, 0.95) || 1);
-    const times = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].filter((one) => one <= wanted).pop() ?? 1;
+    const times = rounded(wanted);
     if (chosen) this.address.set({ stage: this.find("stage").value, scale: null });
     this.find("scale").value = this.address.get("scale") ?? Math.log10(times);
     this.errors();
     const some = row.length < total ? `${row.length} of ${total} rows are shown, the worst and the outermost among them` : `${total} rows`;
     const mean = sizes.reduce((sum, size) => sum + size, 0) / sizes.length;
-    this.find("legend").textContent = `Grey points: rows that were fitted (${normal.filter(Boolean).length}). Green: held out (${held.filter(Boolean).length}). Large yellow: set aside (${aside.filter(Boolean).length}). Red arrows: measured minus predicted.`;
+    this.find("legend").textContent = `Grey points: rows that were fitted (${normal.filter(Boolean).length}). Green: held out (${held.filter(Boolean).length}). Large yellow: set aside (${aside.filter(Boolean).length}). Arrows: measured minus predicted, coloured by size.`;
     this.say(`${some}: ${STAGES[this.find("stage").value]} leaves ${mm(mean)} on average, at most ${mm(Math.max(...sizes))}.`);
     const order = sizes.map((_, k) => k).sort((a, b) => sizes[b] - sizes[a]).slice(0, MOST_LISTED);
     fill(this.place.querySelector('[data-table="places"]'), ["row", "x", "y", "z", "error x", "error y", "error z", "error", "use"],
@@ -258,9 +160,12 @@ class Picture {
 
   errors() {
     if (!this.data.places) return;
-    const times = Math.round(10 ** Number(this.find("scale").value));
+    const times = Number((10 ** Number(this.find("scale").value)).toPrecision(2));
     this.find("times").textContent = times;
-    this.show("arrows", arrows(this.data.places.at, this.left(), times, ROWS.error, this.size));
+    const sizes = this.left().map(length);
+    const highest = quantile(sizes, 0.98) || 1;
+    this.show("arrows", arrows(this.data.places.at, this.left(), times, (k) => heat(sizes[k] / highest), this.size));
+    key(this.find("arrow-key"), `0, drawn ${times} times`, mm(highest), heat);
     this.draw();
   }
 
@@ -296,8 +201,9 @@ class Picture {
   }
 }
 
+const KINDS = { poses: Poses, live: Live };
 document.querySelectorAll("[data-arm]").forEach((place) => {
-  const picture = new Picture(place);
+  const picture = new (KINDS[place.dataset.as] ?? Picture)(place);
   picture.start().catch((error) => {
     picture.say(error.message);
     place.dataset.ready = "refused";

@@ -1,11 +1,13 @@
+import { archived } from "./archive.js";
+
 // data-send-file="PATH"   sends the chosen or dropped file as it is, and goes to where its reading is shown
 function sendFile(form) {
   const input = form.querySelector('input[type="file"]');
   const told = form.querySelector("[data-sending]");
   const refused = form.parentElement.querySelector("[data-refused]");
   input.addEventListener("change", async () => {
-    const file = input.files[0];
-    if (!file) return;
+    if (!input.files.length) return;
+    const file = input.files.length > 1 ? await archived([...input.files]) : input.files[0];
     refused.replaceChildren();
     told.textContent = `Reading ${file.name} …`;
     input.disabled = true;

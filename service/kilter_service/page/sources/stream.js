@@ -68,7 +68,8 @@ function bar(share) {
 
 /** A stream's section: its elements, and the last minute of its numbers. */
 class Section {
-  constructor(name) {
+  constructor(name, minute = []) {
+    this.minute = minute; // what the server knew when the view was opened
     this.element = document.getElementById("stream-section").content.firstElementChild.cloneNode(true);
     this.element.dataset.name = name;
     this.times = [];
@@ -141,10 +142,11 @@ class Section {
   }
 
   begin(joints, names) {
+    const known = this.named ? [] : this.minute.filter((one) => one.joints.length === joints.length);
     this.named = names;
-    this.times = [];
-    this.tool = [];
-    this.joints = joints.map(() => []);
+    this.times = known.map((one) => one.at_s);
+    this.tool = known.map((one) => one.tool_mm);
+    this.joints = joints.map((_, k) => known.map((one) => one.joints[k]));
     const lines = joints.map((joint, k) => ({
       label: joint.name, scale: joint.unit, stroke: () => colour(k), dash: DASHES[k % DASHES.length], width: 2, points: { show: false },
     }));
@@ -175,6 +177,17 @@ function key(name, k) {
 
 const ink = () => getComputedStyle(document.body).color;
 
+const CALM = { deg: 0.005, mm: 0.05 }; // a correction that is smaller is drawn small: noise does not look like an event
+
+/** An axis that holds zero and the largest so far: it grows, and never shrinks. */
+function steady(unit, both) {
+  let most = CALM[unit];
+  return (_, low, high) => {
+    most = Math.max(most, Math.abs(low ?? 0), Math.abs(high ?? 0));
+    return [both ? -1.15 * most : 0, 1.15 * most];
+  };
+}
+
 function draw(element, lines, units) {
   const faint = { stroke: "rgba(128, 128, 128, 0.25)", width: 1 };
   const names = { deg: "degrees", mm: "mm" };
@@ -184,7 +197,7 @@ function draw(element, lines, units) {
     height: 220,
     legend: { show: false },
     cursor: { show: false },
-    scales: { x: { time: true, range: () => [Date.now() / 1000 - SECONDS, Date.now() / 1000] } },
+    scales: { ...Object.fromEntries(units.map((unit) => [unit, { range: steady(unit, lines.length > 1) }])), x: { time: true, range: () => [Date.now() / 1000 - SECONDS, Date.now() / 1000] } },
     series: [{}, ...lines],
     axes: [{ stroke: ink, grid: faint, space: 90, values: (_, ticks) => ticks.map((tick) => new Date(1000 * tick).toLocaleTimeString([], { hour12: false })) }, ...units.map(upright)],
   }, [[], ...lines.map(() => [])], element);
@@ -209,7 +222,9 @@ function show(told) {
   part("none").hidden = told.streams.length > 0;
   write(part("since"), at ? `since the corrector started, ${at}` : "that this server knows of");
   const opening = document.querySelector("[data-opening]"); // what the server said when the view was opened
-  opening.hidden = Boolean(told.bypass) || told.reach === "away" || told.streams.length !== Number(opening.dataset.opening);
+  if (opening) opening.hidden = Boolean(told.bypass) || told.reach === "away" || told.streams.length !== Number(opening.dataset.opening);
+  const moving = told.streams.find((stream) => stream.joints.length);
+  if (moving) document.dispatchEvent(new CustomEvent("kilter:setpoint", { detail: moving.joints.map((joint) => joint.wanted) }));
   for (const stream of told.streams) {
     if (!sections.has(stream.name)) add(stream.name);
     sections.get(stream.name).show(stream, told.active_version);
@@ -222,8 +237,8 @@ function show(told) {
 }
 
 function add(name) {
-  const section = new Section(name);
   const drawn = [...part("streams").children].find((one) => one.dataset.name === name);
+  const section = new Section(name, JSON.parse(drawn?.dataset.minute || "[]"));
   if (drawn) drawn.replaceWith(section.element);
   else part("streams").append(section.element);
   sections.set(name, section);
@@ -241,5 +256,7 @@ source.addEventListener("error", () => {
   if (source.readyState === EventSource.CLOSED) setTimeout(() => window.location.reload(), 5000);
 });
 setInterval(() => {
-  part("stale").hidden = performance.now() - heardAt < STALE_MS;
+  const stale = performance.now() - heardAt >= STALE_MS;
+  part("stale").hidden = !stale;
+  if (stale) part("bypass").hidden = true; // one bar at a time: what is old says nothing of now
 }, 500);

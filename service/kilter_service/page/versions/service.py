@@ -20,10 +20,12 @@ from kilter_service.page.shared.accuracy import Accuracy, accuracy_from_metrics
 from kilter_service.page.shared.in_names import objections_in_names
 from kilter_service.page.shared.lists import Asked, Part, select_page
 from kilter_service.page.shared.masses import of_a_mass
+from kilter_service.page.shared.parameter_rows import ParameterRow, parameter_rows
 from kilter_service.page.words import in_columns
 from kilter_service.robots import service as robots
 from kilter_service.versions import service
 from kilter_service.versions.if_match import tag_of_robot
+from kilter_service.versions.predictions import places
 from kilter_service.versions.today import service as today
 
 MOST_SHOWN = 200  # versions to compare one with
@@ -66,6 +68,7 @@ class Shown:
     accuracy: Accuracy | None
     etag: str
     parameters: Sequence[Parameter]
+    rows: Sequence[ParameterRow]
     unseen: Sequence[Parameter]
     others: Sequence[VersionSummary]
     suspicious: Sequence[SuspiciousRows]
@@ -133,6 +136,7 @@ def version(database: Database, version_id: str) -> Shown:
         accuracy_from_metrics(found.metrics),
         tag_of_robot(database, found.robot),
         known,
+        parameter_rows(known, places.prior_sigmas(database, version_id)),
         unseen,
         rest,
         odd,

@@ -30,10 +30,23 @@ def add(database: Database, robot: str, new: NewRepair, actor: str) -> Repair:
         )
     with database.transaction() as session:
         key = robots.usable(session, robot).id
-        for known in store.of_robots(session, [key]).get(key, []):
-            if (known.at, known.what) == (at, new.what):
+        if new.campaign_id is not None and not store.is_campaign_of(session, key, new.campaign_id):
+            raise ServiceError(
+                f"{robot} has no campaign {new.campaign_id}: name one of its own.",
+                code="option_invalid",
+                field="campaign_id",
+            )
+        for known in store.of_robots(session, [key], new.kind).get(key, []):
+            if (known.at, known.what, known.campaign_id, known.rows) == (at, new.what, new.campaign_id, new.rows):
                 return known
-        return store.add(session, key, f"rep_{secrets.token_hex(8)}", at, new.what, actor)
+        return store.add(session, key, f"rep_{secrets.token_hex(8)}", at, new, actor)
+
+
+def list_notes(database: Database, robot: str, campaign_id: str) -> list[Repair]:
+    """Return the notes on a campaign of a robot and on its rows, oldest first."""
+    with database.reading() as session:
+        key = robots.get(session, robot).id
+        return [one for one in store.of_robots(session, [key], "note").get(key, []) if one.campaign_id == campaign_id]
 
 
 def remove(database: Database, robot: str, repair: str) -> None:

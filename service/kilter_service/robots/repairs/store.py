@@ -7,15 +7,16 @@ from datetime import datetime
 
 from sqlalchemy import select
 
-from kilter_service.contract.drift import Repair
+from kilter_service.contract.drift import NewRepair, Repair, RepairKind
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.tables import RepairRow
+from kilter_service.ground.db.tables import CampaignRow, RepairRow
 from kilter_service.ground.errors import ServiceError
 
 
-def add(session: Session, robot_id: int, key: str, at: datetime, what: str, actor: str) -> Repair:
-    """Store a repair."""
-    row = RepairRow(id=key, robot_id=robot_id, at=at, what=what, actor=actor)
+def add(session: Session, robot_id: int, key: str, at: datetime, new: NewRepair, actor: str) -> Repair:
+    """Store a repair or a note."""
+    place = {"kind": new.kind, "campaign_id": new.campaign_id, "rows": new.rows}
+    row = RepairRow(id=key, robot_id=robot_id, at=at, what=new.what, actor=actor, **place)
     session.add(row)
     session.flush()
     return _repair(row)
@@ -38,14 +39,20 @@ def remove(session: Session, robot_id: int, key: str) -> None:
     session.delete(row)
 
 
-def of_robots(session: Session, robots: Collection[int]) -> dict[int, list[Repair]]:
-    """Return the repairs of robots, oldest first."""
+def of_robots(session: Session, robots: Collection[int], kind: RepairKind = "repair") -> dict[int, list[Repair]]:
+    """Return the repairs, or the notes, of robots, oldest first."""
     row = RepairRow
-    query = select(row).where(row.robot_id.in_(robots)).order_by(row.at, row.created_at, row.id)
+    query = select(row).where(row.robot_id.in_(robots), row.kind == kind).order_by(row.at, row.created_at, row.id)
     out: dict[int, list[Repair]] = {}
     for one in session.execute(query).scalars():
         out.setdefault(one.robot_id, []).append(_repair(one))
     return out
+
+
+def is_campaign_of(session: Session, robot_id: int, campaign_id: str) -> bool:
+    """Whether a campaign is of this robot."""
+    query = select(CampaignRow.id).where(CampaignRow.id == campaign_id, CampaignRow.robot_id == robot_id)
+    return session.execute(query).scalar() is not None
 
 
 def last_repair(session: Session, robot_id: int) -> Repair | None:
@@ -54,4 +61,13 @@ def last_repair(session: Session, robot_id: int) -> Repair | None:
 
 
 def _repair(row: RepairRow) -> Repair:
-    return Repair(id=row.id, at=row.at, what=row.what, by=row.actor, created_at=row.created_at)
+    return Repair(
+        id=row.id,
+        at=row.at,
+        what=row.what,
+        by=row.actor,
+        created_at=row.created_at,
+        kind=row.kind,
+        campaign_id=row.campaign_id,
+        rows=row.rows,
+    )

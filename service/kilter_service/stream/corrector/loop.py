@@ -338,7 +338,7 @@ class HousekeepingThread(threading.Thread):
                 congestion_control=zenoh.CongestionControl.DROP,
             )
             place = {"robot": served.robot, "stream": keys.stream_from_key(served.status_key)}
-            told.append({**place, **document, "by_time": counters.by_time})
+            told.append({**place, **document, "by_time": counters.by_time, **self._telemetry.latest(served)})
         # A supervisor that does not read must not hold up this thread: then it is not told.
         if told and self._pipe is not None and select.select([], [self._pipe], [], 0)[1]:
             with suppress(OSError):  # it is just ending

@@ -7,7 +7,9 @@ setpoint; these messages are made by the housekeeping from what the answers left
 from __future__ import annotations
 
 import json
+import math
 import time
+from collections import deque
 from collections.abc import Mapping, Set
 from typing import Any
 
@@ -22,6 +24,7 @@ from kilter_service.stream.corrector.slots import Served, Slots
 from kilter_service.stream.corrector.specs import StreamSpec
 
 PERIOD_S = 0.1
+MINUTE, SECOND_NS = 60, 1_000_000_000
 ALL_S = 1.0  # so often even what stands still is told, to whoever came later
 
 
@@ -77,8 +80,27 @@ class Telemetry:
         self._slots, self._active, self._turned_away = slots, active, turned_away
         self._ways: dict[tuple[str, str], zenoh.Publisher] = {}
         self._told: dict[tuple[str, str], int] = {}  # the last setpoint of each that somebody was told
+        self._minutes: dict[tuple[str, str], deque[tuple[int, list[float], float]]] = {}
         self._all_s = 0.0
         self.watched = False
+
+    def latest(self, served: Served) -> dict[str, Any]:
+        """What a report has beside the counters: the latest answer, and one a second of the last minute, the oldest first.
+
+        An entry is the time of day in ns, the correction of each joint (rad or m), and how far the tool moves (m).
+        """
+        last, now = served.stream.last_answer, time.time_ns()
+        place = (served.robot, keys.stream_from_key(served.status_key))
+        minute = self._minutes.setdefault(place, deque(maxlen=MINUTE))
+        if last is None:
+            return {}
+        told = answer_document(last)
+        if not minute or now - minute[-1][0] >= SECOND_NS:
+            joints = [float(f"{value:.5g}") for value in told["correction"]]
+            minute.append((now, joints, float(f"{math.hypot(*told['tool']):.5g}")))
+        active = self._active.get(served.robot)
+        names = {"joints": list(active.joint_names), "joint_kinds": list(active.joint_kinds)} if active else {}
+        return {"last": told, "minute": [one for one in minute if now - one[0] <= MINUTE * SECOND_NS], **names}
 
     def publish_changes(self) -> None:
         """Publish what moved since the last time, and everything once a second, as far as somebody listens."""
@@ -105,6 +127,7 @@ class Telemetry:
     def _follow(self, places: Set[tuple[str, str]]) -> None:
         """Have a way out for each of these streams, and for no other."""
         for gone in self._ways.keys() - places:
+            self._minutes.pop(gone, None)
             self._ways.pop(gone).undeclare()  # type: ignore[no-untyped-call]
         for robot, stream in places - self._ways.keys():
             self._ways[robot, stream] = self._session.declare_publisher(

@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from kilter_service.ground.wire import to_deg, to_mm
-from kilter_service.stream.live.shown import Condition, JointShown, StreamShown, TimesShown
+from kilter_service.stream.live.shown import Condition, JointShown, Second, StreamShown, TimesShown
 
 SILENT_S = 1.0  # without a setpoint for so long, no controller sends
 WINDOW_S = 1.0  # over which rate and condition are taken
@@ -85,8 +85,9 @@ class Heard:
         if known and self._knows(document):
             return
         self._reported_ns = document["at_ns"]
-        timed = {"moment_ns": now_ns, "seen_ns": document["at_ns"], "last": None, "joints": [], "joint_kinds": []}
-        self._take_over(document | timed, now_s)
+        nothing: dict[str, Any] = {"last": None, "joints": [], "joint_kinds": []}
+        timed = {"moment_ns": now_ns, "seen_ns": document["at_ns"]}
+        self._take_over(nothing | document | timed, now_s)
 
     def _knows(self, document: dict[str, Any]) -> bool:
         return bool(document["instance"] == self._document.get("instance"))
@@ -134,6 +135,14 @@ class Heard:
             signed=bool(document.get("signed")),
             times=self._times_shown(),
         )
+
+    def minute(self) -> list[Second]:
+        """The last minute, as the corrector's report has it, one setpoint a second; empty where it has none."""
+        scales = [to_mm if kind == "prismatic" else to_deg for kind in self._document.get("joint_kinds", [])]
+        return [
+            Second(at_ns / 1e9, [scale(one) for scale, one in zip(scales, joints, strict=False)], to_mm(tool))
+            for at_ns, joints, tool in self._document.get("minute", [])
+        ]
 
     @property
     def _left_mm(self) -> float | None:

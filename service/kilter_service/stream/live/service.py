@@ -10,7 +10,24 @@ from kilter_service.stream.live import store
 from kilter_service.stream.live.followers import ALIVE_S
 from kilter_service.stream.live.heard import Heard
 from kilter_service.stream.live.session import read_corrector_place
-from kilter_service.stream.live.shown import Reach, RobotShown, bypass
+from kilter_service.stream.live.shown import Reach, RobotShown, Second, bypass
+
+
+def load_minutes(database: Database, robot: str) -> dict[str, list[Second]]:
+    """Return the last minute of each stream of a robot, as the correctors last reported it, by the stream's name.
+
+    Raises:
+        ServiceError: no such robot.
+
+    """
+    with database.reading() as session:
+        known = store.load_robot_state(session, robot, ALIVE_S)
+    found = {}
+    for report in known.reports:
+        heard = Heard()
+        heard.take_report(report, time.time_ns(), time.monotonic())
+        found[report["stream"]] = heard.minute()
+    return found
 
 
 def load_robot_view(database: Database, settings: Settings, robot: str) -> RobotShown:

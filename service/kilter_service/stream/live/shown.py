@@ -22,6 +22,15 @@ class JointShown:
 
 
 @dataclass(frozen=True)
+class Second:
+    """A corrected setpoint: when, s since 1970, the correction of each joint, deg or mm, and of the tool, mm."""
+
+    at_s: float
+    joints: list[float]
+    tool_mm: float
+
+
+@dataclass(frozen=True)
 class TimesShown:
     """Time that answers took inside the corrector, over the last minute at most.
 

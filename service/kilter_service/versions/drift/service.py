@@ -55,6 +55,11 @@ def repair(one: Repair) -> DriftMark:
     return DriftMark(at=one.at, what="repair", version_id="", note=one.what, repair_id=one.id)
 
 
+def note(one: Repair) -> DriftMark:
+    """A note that somebody left on a date, a campaign or its rows."""
+    return repair(one).model_copy(update={"what": "note", "campaign_id": one.campaign_id, "rows": one.rows})
+
+
 def valid_again_mark(first: StoredCheck) -> DriftMark:
     """Say that a version holds again since a check."""
     return DriftMark(at=first.at, what="repaired", version_id=str(first.result["version_id"]))
@@ -75,8 +80,9 @@ def of_robot(database: Database, robot: str) -> DriftHistory:
         made = store.checks(session, [key]).get(key, [])
         log = store.activations(session, [key]).get(key, [])
         repaired = repairs.of_robots(session, [key]).get(key, [])
+        noted = repairs.of_robots(session, [key], "note").get(key, [])
         own, charts = _checks_and_charts(session, made, log, repaired)
-    marks = [*map(mark, log), *_agreeing_again(made), *map(repair, repaired)]
+    marks = [*map(mark, log), *_agreeing_again(made), *map(repair, repaired), *map(note, noted)]
     return DriftHistory(
         **_summary(name, _describe_start_of_checks(made, log, repaired), log, own, charts).model_dump(),
         repaired_at=repaired[-1].at if repaired else None,

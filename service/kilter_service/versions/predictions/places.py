@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.observations import Observations
+from kilter_core.parameters import display_unit_and_scale
 from kilter_core.types import QUANTILE, Bools, Floats, Ints
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
@@ -70,6 +71,20 @@ class Reach:
 MOST_KEPT = 4
 # A version never changes, nor do the rows of an upload: the view asks for its numbers twice.
 _LATELY: dict[tuple[str, ...], Places] = {}
+
+
+def geometry(database: Database, version_id: str) -> dict[str, float]:
+    """Return the values that a version has for the elements of the chain, by name, m and rad."""
+    with database.reading() as session:
+        known = store.calibration(session, version_id)
+    return dict(zip(known.names, known.values.tolist(), strict=True))
+
+
+def prior_sigmas(database: Database, version_id: str) -> dict[str, float]:
+    """Return the standard deviation that each parameter of a version had before the measurements, in its reported unit."""
+    with database.reading() as session:
+        known = store.calibration(session, version_id)
+    return {one.name: one.prior_sigma * display_unit_and_scale(one.unit)[1] for one in known.model.parameters}
 
 
 def places(database: Database, version: str, campaign: str) -> Places:

@@ -23,8 +23,10 @@ from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions.drift import service as drift
 from kilter_service.versions.predictions.own_errors import larger
 from kilter_service.versions.today import sentences, store
+from kilter_service.versions.today.first import Reached
 from kilter_service.versions.today.standing import Known, assess
-from kilter_service.versions.today.store import Active, Evaluated, Measured, Searched
+from kilter_service.versions.today.store import Active, Evaluated, Made, Measured, Searched
+from kilter_service.web.observability.store import streams
 
 
 def against(found: Searched, active: Active | None) -> SearchToday:
@@ -164,7 +166,8 @@ def _today_by_robot(
         one.last.job_id for one in checked.values() if one.last is not None and one.state in ("moved", "cannot_tell")
     ]
     causes, planned = store.causes(session, alarms), store.planned(session, robots)
-    proposed = store.proposed(session, robots)
+    proposed, searching = store.proposed(session, robots), store.searching(session, robots)
+    streamed = {one["version_id"] for one in streams(session)}
     out = {}
     for key, name in robots.items():
         version, campaigns, own, last = active.get(key), measured.get(key, {}), made.get(key, []), checked[key].last
@@ -173,6 +176,7 @@ def _today_by_robot(
         else:
             found = _today(name, version, campaigns, evaluated.get(version.id, []), searched)
         tolerance, days = goals[key]
+        history = sorted(_history(campaigns, [one for v in own for one in evaluated.get(v.id, [])]), key=lambda e: e.at)
         known = Known(
             tolerance_mm=tolerance,
             check_interval_days=days,
@@ -182,11 +186,25 @@ def _today_by_robot(
             fresh=_fresh(found, campaigns, [] if own else list(campaigns.values())),
             planned=planned.get(key),
             proposed=proposed.get(key),
+            searching=searching.get(key),
+            reached=Reached(
+                measured=bool(campaigns),
+                checked=any(one.role == "train" for one in campaigns.values()),
+                searched=bool(own),
+                active=version is not None,
+                # who checks how good it is, or activated another one before, is past the first calibration
+                corrected=version is not None
+                and (version.id in streamed or bool(history) or _was_corrected(own, version)),
+            ),
         )
-        history = sorted(_history(campaigns, [one for v in own for one in evaluated.get(v.id, [])]), key=lambda e: e.at)
         shown = history[-most:]
         out[name] = found.model_copy(update={"standing": assess(found, checked[key], known), "history": shown})
     return out
+
+
+def _was_corrected(made: Iterable[Made], version: Active) -> bool:
+    """Whether another version was active before."""
+    return any(one.was_active and one.id != version.id for one in made)
 
 
 def _fresh(today: Today, campaigns: Campaigns, unused: Sequence[Measured]) -> tuple[str, str] | None:

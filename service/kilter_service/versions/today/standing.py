@@ -9,10 +9,11 @@ from typing import Literal
 
 from kilter_service.contract.drift import DriftSummary
 from kilter_service.contract.error_words import interval, said_of_error
-from kilter_service.contract.standing import NextStep, RobotState, Standing, StepKind
+from kilter_service.contract.standing import FirstStage, NextStep, RobotState, Standing, StepKind
 from kilter_service.contract.today import UNUSED, Today
 from kilter_service.ground.db.row import days_since
 from kilter_service.ground.texts import plural
+from kilter_service.versions.today.first import Reached, first_calibration
 from kilter_service.versions.today.sentences import ago, largest
 
 Look = Literal["good", "warn", "bad", "faint"]
@@ -28,7 +29,7 @@ class Known:
     ``rezeroed`` are versions made of the active one by the rows of a check (by campaign), ``causes`` what the last check
     names, ``newest`` the newest version if it never was active, ``fresh`` the newest campaign that is to be fitted,
     ``planned`` the job of poses that nobody has measured yet, and how many these are, ``proposed`` the same of the newest
-    search.
+    search, ``searching`` the job that identifies or searches now, ``reached`` how far its first calibration is.
     """
 
     tolerance_mm: float | None = None
@@ -39,11 +40,14 @@ class Known:
     fresh: tuple[str, str] | None = None
     planned: tuple[str, int] | None = None
     proposed: tuple[str, int] | None = None
+    searching: str | None = None
+    reached: Reached = field(default_factory=Reached)
 
 
 def assess(today: Today, drift: DriftSummary, known: Known) -> Standing:
     """Say how a robot stands; what is worst is said."""
     state, words, sentence, look = next(_states(today, drift, known))
+    first = first_calibration(known.reached, _first_steps(today.robot, known))
     return Standing(
         state=state,
         words=words,
@@ -53,6 +57,7 @@ def assess(today: Today, drift: DriftSummary, known: Known) -> Standing:
         check_interval_days=known.check_interval_days,
         without_mm=_without(today),
         steps=list({step.do: step for step in _steps(state, today, drift, known)}.values())[:3],
+        first=first,
     )
 
 
@@ -155,11 +160,8 @@ def _is_worse(today: Today) -> bool:
 def _steps(state: RobotState, today: Today, drift: DriftSummary, known: Known) -> Iterator[NextStep]:
     robot, alarm = today.robot, drift.state in ("moved", "cannot_tell")
     if state == "uncalibrated":
-        if known.newest is not None:
-            yield _activation(*known.newest)
-        if known.fresh is not None:
-            yield _search(robot, *known.fresh)
-        yield _step("upload", "Add measurements", "upload", robot, FILE)
+        for found in _first_steps(robot, known).values():
+            yield from found
         return
     if state in ("changed", "outside", "near") and known.newest is not None:
         yield _activation(*known.newest)
@@ -184,15 +186,37 @@ def _steps(state: RobotState, today: Today, drift: DriftSummary, known: Known) -
     yield from poses
 
 
+def _first_steps(robot: str, known: Known) -> dict[FirstStage, list[NextStep]]:
+    """What each stage of a first calibration takes, the last stage first; empty where nothing is there for it."""
+    upload = _step("upload", "Add measurements", "upload", robot, FILE)
+    poses = [] if known.planned is None else [_measure(*known.planned)]
+    if known.planned is None and not known.reached.measured:
+        poses = [_step("plan", "Plan the poses", "plan", "poses", robot)]
+    search = [] if known.fresh is None else [_search(robot, *known.fresh)]
+    if known.searching is not None:
+        search = [
+            _step("await_job", "See how far it is", "server", "jobs", "show", known.searching, job_id=known.searching)
+        ]
+    return {
+        "correct": [_step("correct", "Correct a path", "correct", robot, "PATH")] if known.reached.active else [],
+        "activate": [] if known.newest is None else [_activation(*known.newest)],
+        "search": search,
+        "measure": [*poses, upload] if known.planned else [upload, *poses],
+        "check": [upload],
+    }
+
+
 def _poses(state: RobotState, today: Today, known: Known) -> Iterator[NextStep]:
     """Poses to measure: those that a job proposes, else a plan of some."""
     if known.planned is not None:
-        job, count = known.planned
-        yield _step("measure", f"Measure {plural(count, 'planned pose')}", "server", "jobs", "show", job, job_id=job)
+        yield _measure(*known.planned)
     elif state in ("not_known", "outside", "near") and known.proposed is not None:
-        job, count = known.proposed
-        yield _step("measure", f"Measure {plural(count, 'pose')}", "server", "jobs", "show", job, job_id=job)
+        yield _measure(*known.proposed, "pose")
     yield _step("plan_check", "Plan a check", "plan", "check", today.robot)
+
+
+def _measure(job: str, count: int, what: str = "planned pose") -> NextStep:
+    return _step("measure", f"Measure {plural(count, what)}", "server", "jobs", "show", job, job_id=job)
 
 
 def _rezero_words(cause: str) -> str:

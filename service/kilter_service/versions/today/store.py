@@ -240,6 +240,15 @@ def proposed(session: Session, of: Collection[int]) -> dict[int, tuple[str, int]
     return {robot: (job, len(poses)) for robot, job, poses in session.execute(query) if poses}
 
 
+def searching(session: Session, of: Collection[int]) -> dict[int, str]:
+    """Return the newest job of each robot that identifies or searches now, or waits to."""
+    row = JobRow
+    query = select(row.robot_id, row.id).where(
+        row.robot_id.in_(of), row.kind.in_(("gap", "identify")), row.state.in_(("queued", "running"))
+    )
+    return {robot: job for robot, job in session.execute(query.order_by(row.created_at, row.id)) if robot is not None}
+
+
 def newest_search(session: Session, robot_id: int) -> Searched | None:
     """Return the newest gap search of a robot that was completed, however many jobs came after it."""
     query = (

@@ -40,3 +40,12 @@ export function posed(arm, readings) {
   const rods = arm.linkages.map(([from, to]) => [axles[from], axles[to]]);
   return { segments, joints, frames, rods, flange, tool: at() };
 }
+
+/** A pose beyond another one: `times` as far from `here` as `there` is. Null where the two have not the same parts. */
+export function blended(here, there, times) {
+  if (here.segments.length !== there.segments.length) return null;
+  const beyond = (from, to) => to.clone().sub(from).multiplyScalar(times).add(from);
+  const joints = here.joints.map((one, k) => ({ ...one, at: beyond(one.at, there.joints[k].at) }));
+  const segments = here.segments.map(([from, to, link], k) => [beyond(from, there.segments[k][0]), beyond(to, there.segments[k][1]), link]);
+  return { segments, joints, frames: {}, rods: [], flange: beyond(here.flange, there.flange), tool: beyond(here.tool, there.tool) };
+}

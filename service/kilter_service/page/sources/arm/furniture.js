@@ -1,5 +1,8 @@
 // What stands around the arm: light, a grid of round size, axes with their names, and a bar that says how long a cell is.
-import { AmbientLight, CanvasTexture, DirectionalLight, Group, GridHelper, MeshBasicMaterial, SRGBColorSpace, Sprite, SpriteMaterial, Vector3 } from "three";
+import {
+  AmbientLight, CanvasTexture, DirectionalLight, Group, GridHelper, Mesh, MeshBasicMaterial, PlaneGeometry, ShadowMaterial, SRGBColorSpace, Sprite,
+  SpriteMaterial, Vector3,
+} from "three";
 import { arrows, css, rod } from "./parts.js";
 
 const AXES = [["x", [1, 0, 0], 0xd55e00], ["y", [0, 1, 0], 0x009e73], ["z", [0, 0, 1], 0x0072b2]];
@@ -25,12 +28,17 @@ export function round(length) {
 export function furniture(size) {
   const group = new Group();
   const light = new DirectionalLight(0xffffff, 2.2);
-  light.position.set(1, -2, 3);
+  light.position.set(0.5, -1, 3).multiplyScalar(size);
+  light.castShadow = true;
+  Object.assign(light.shadow.camera, { left: -2 * size, right: 2 * size, top: 2 * size, bottom: -2 * size, near: 0.1 * size, far: 8 * size });
+  light.shadow.mapSize.set(1024, 1024);
+  const ground = new Mesh(new PlaneGeometry(8 * size, 8 * size), new ShadowMaterial({ opacity: 0.22, depthWrite: false }));
+  ground.receiveShadow = true;
   const cell = round(size / 4);
   const grid = new GridHelper(CELLS * cell, CELLS, 0x808080, 0x808080);
   grid.rotation.x = Math.PI / 2;
   Object.assign(grid.material, { transparent: true, opacity: 0.35 });
-  group.add(new AmbientLight(0xffffff, 1.3), light, grid);
+  group.add(new AmbientLight(0xffffff, 1.3), light, grid, ground);
   for (const [name, along, colour] of AXES) {
     const direction = new Vector3(...along);
     group.add(arrows([[0, 0, 0]], [along], 0.4 * size, colour, 2 * size));

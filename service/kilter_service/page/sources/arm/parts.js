@@ -1,7 +1,7 @@
 // The parts of the picture: the arm of cylinders, points, arrows, and the coloured workspace.
 import {
-  BufferGeometry, Color, CylinderGeometry, ConeGeometry, Float32BufferAttribute, Group, InstancedMesh, LineBasicMaterial,
-  LineSegments, Matrix4, Mesh, MeshLambertMaterial, Points, PointsMaterial, Quaternion, SphereGeometry, Vector3,
+  BufferGeometry, CanvasTexture, Color, CylinderGeometry, ConeGeometry, Float32BufferAttribute, Group, InstancedMesh, Matrix4, Mesh,
+  LinearFilter, MeshLambertMaterial, Points, PointsMaterial, Quaternion, SphereGeometry, Vector3,
 } from "three";
 
 const UP = new Vector3(0, 1, 0); // axis of three's cylinders
@@ -34,12 +34,11 @@ export function mesh(corners) {
   return made;
 }
 
-export function arm(pose, size, meshes) {
+export function arm(pose, size, meshes, ghost = false) {
   const group = new Group();
-  const link = new MeshLambertMaterial({ color: 0x8f9aa5 });
-  const joint = new MeshLambertMaterial({ color: 0x0072b2 });
-  const tool = new MeshLambertMaterial({ color: 0xe69f00 });
-  const thick = 0.022 * size;
+  const made = (color) => new MeshLambertMaterial(ghost ? { color: 0x8f9aa5, transparent: true, opacity: 0.28, depthWrite: false } : { color });
+  const [link, joint, tool] = [0x8f9aa5, 0x0072b2, 0xe69f00].map(made);
+  const thick = (ghost ? 0.018 : 0.022) * size;
   for (const [from, to, moved] of pose.segments) if (!meshes[moved]) group.add(rod(from, to, thick, link));
   for (const [name, shape] of Object.entries(meshes)) {
     const one = new Mesh(shape.clone(), link);
@@ -58,6 +57,7 @@ export function arm(pose, size, meshes) {
   const tip = new Mesh(new SphereGeometry(0.8 * thick, 16, 12), tool);
   tip.position.copy(pose.tool);
   group.add(tip);
+  if (!ghost) group.traverse((one) => (one.castShadow = true));
   return group;
 }
 
@@ -76,27 +76,44 @@ function geometry(places, colours) {
   return made;
 }
 
+const round = document.createElement("canvas");
+Object.assign(round, { width: 32, height: 32 });
+Object.assign(round.getContext("2d"), { fillStyle: "#ffffff" });
+round.getContext("2d").arc(16, 16, 15, 0, 7);
+round.getContext("2d").fill();
+const dot = { map: Object.assign(new CanvasTexture(round), { minFilter: LinearFilter }), alphaTest: 0.05, transparent: true, sizeAttenuation: false };
+
 /** Points of one colour. */
 export function points(places, chosen, colour, size) {
   const some = places.filter((_, k) => chosen[k]);
-  return new Points(geometry(some.flat()), new PointsMaterial({ color: colour, size, sizeAttenuation: false }));
+  return new Points(geometry(some.flat()), new PointsMaterial({ ...dot, color: colour, size }));
 }
 
-/** Arrows from where the tool was expected to `times` the error further; heads only where they are few. */
+/** Colour of an error: a share of a large one. */
+export const heat = (share) => {
+  const [low, high, part] = share < 0.5 ? [HEAT[0], HEAT[1], 2 * share] : [HEAT[1], HEAT[2], 2 * Math.min(share, 1) - 1];
+  return low.map((value, k) => Math.round(value + part * (high[k] - value)));
+};
+const HEAT = [[86, 180, 233], [230, 159, 0], [200, 60, 0]];
+
+/** Arrows from where the tool was expected to `times` the error further, of one colour or of one each; of many no heads. */
 export function arrows(at, errors, times, colour, size) {
   const group = new Group();
-  const ends = at.map((from, k) => from.map((value, j) => value + times * errors[k][j]));
-  group.add(new LineSegments(geometry(at.flatMap((from, k) => [...from, ...ends[k]])), new LineBasicMaterial({ color: colour })));
-  if (at.length <= 2000) {
-    const heads = new InstancedMesh(new ConeGeometry(0.006 * size, 0.02 * size, 8), new MeshLambertMaterial({ color: colour }), at.length);
-    const [turn, one, unit] = [new Quaternion(), new Matrix4(), new Vector3(1, 1, 1)];
-    at.forEach((from, k) => {
-      const along = new Vector3(...errors[k]);
-      turn.setFromUnitVectors(UP, along.lengthSq() ? along.normalize() : UP);
-      heads.setMatrixAt(k, one.compose(new Vector3(...ends[k]), turn, unit));
-    });
-    group.add(heads);
-  }
+  const many = at.length > 2000;
+  const white = new MeshLambertMaterial({ color: 0xffffff });
+  const [shafts, heads] = [new CylinderGeometry(0.0035 * size, 0.0035 * size, 1, 6), new ConeGeometry(0.011 * size, 0.034 * size, 10)].map((shape) => new InstancedMesh(shape, white, at.length));
+  const [turn, one, scale, shade] = [new Quaternion(), new Matrix4(), new Vector3(), new Color()];
+  at.forEach((from, k) => {
+    const start = new Vector3(...from);
+    const along = new Vector3(...errors[k]).multiplyScalar(times);
+    turn.setFromUnitVectors(UP, along.lengthSq() ? along.clone().normalize() : UP);
+    shafts.setMatrixAt(k, one.compose(start.clone().addScaledVector(along, 0.5), turn, scale.set(1, Math.max(along.length(), 1e-6), 1)));
+    heads.setMatrixAt(k, one.compose(start.add(along), turn, scale.set(1, 1, 1)));
+    const [red, green, blue] = typeof colour === "number" ? [16, 8, 0].map((shift) => (colour >> shift) & 255) : colour(k);
+    shade.setRGB(red / 255, green / 255, blue / 255, "srgb");
+    [shafts, heads].forEach((part) => part.setColorAt(k, shade));
+  });
+  group.add(...(many ? [shafts] : [shafts, heads]));
   return group;
 }
 
@@ -107,5 +124,5 @@ export function cloud(places, values, highest, size) {
     shade.setRGB(red / 255, green / 255, blue / 255, "srgb");
     return [shade.r, shade.g, shade.b];
   });
-  return new Points(geometry(places.flat(), colours), new PointsMaterial({ vertexColors: true, size, sizeAttenuation: false, transparent: true, opacity: 0.7 }));
+  return new Points(geometry(places.flat(), colours), new PointsMaterial({ ...dot, vertexColors: true, size, transparent: true, opacity: 0.7 }));
 }
