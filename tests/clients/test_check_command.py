@@ -64,3 +64,22 @@ def test_a_remedy_is_said_once_with_all_that_it_is_for(capsys: pytest.CaptureFix
     assert "(30 in all)" in said
     assert "A sum of 2." in said
     assert "A sum of 9." not in said
+
+
+def test_a_check_fits_a_screen_and_its_details_have_all(capsys: pytest.CaptureFixture[str]) -> None:
+    lacks = [
+        {"what": f"effect_{k}", "reason": f"No column {k}.", "remedy": f"Measure {k} " + "x" * 90} for k in range(20)
+    ]
+    told = {
+        "kind": "gap", "robot": "arm", "would_run": True, "problems": [], "campaigns": [], "limited": [],
+        "held_out": {"how": "none"}, "missing": lacks,
+        "duration_s": {"expected": 1.0, "low": 1.0, "high": 2.0, "basis": "a rule"},
+    }  # fmt: skip
+    show_check(told, details=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 25
+    assert any(line.startswith("  effect_5: Measure 5 ") for line in lines)
+    assert "  and 14 more (--details)" in lines
+    show_check(told)
+    said = capsys.readouterr().out
+    assert all(f"No column {k}." in said for k in range(20))

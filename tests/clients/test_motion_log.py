@@ -58,6 +58,8 @@ def test_a_log_is_uploaded_and_its_missing_effect_named(server: Path, logged: Pa
     assert "Torque error of joint 3 on motions that were never used" in printed.out
     assert "Warning" not in printed.out
     assert len(printed.out.splitlines()) <= 25
+    last = printed.out.splitlines()[-1]
+    assert last == "Next, to see the same in a second log: kilter plan motion mover -o motions.csv"
     assert run(["gap", "mover", "-c", "log", "--details"]) == 0
     assert "coulomb_friction_6" in capsys.readouterr().out
     assert run(["gap", "mover", "-c", "log", "--json"]) == 0

@@ -77,6 +77,7 @@ def test_every_answer_fits_on_a_screen_and_its_headline_is_true(
     screen("upload", name, "unseen.csv", "--name", "unseen", "--role", "validation")
     both = ("--campaign", "measured", "--validation", "unseen")
     screen("identify", name, *both, "--check")
+    screen("gap", name, *both, "--check")
     screen("identify", name, *both)
     said = screen("gap", name, *both, *QUICK)
     assert said.startswith(f"Found: backlash of joint {arm.loose} (")

@@ -38,6 +38,7 @@ from kilter_client.results.plots import can_draw, save_figures
 from kilter_client.typed.option_texts import EVALUATE, GAP, IDENTIFY
 
 FEW_REASONS = 2  # of one remedy, from which they stand in the JSON alone
+MOST_REMEDIES = 6  # of a check on a screen
 MOST_TERMS = 4  # of a sum that anybody would read; longer ones stand in the JSON
 HOW = {
     "campaigns": "the campaigns named",
@@ -47,20 +48,20 @@ HOW = {
 }
 
 
-def finish_check(told: dict[str, Any], as_json: bool) -> None:
+def finish_check(told: dict[str, Any], as_json: bool, details: bool) -> None:
     """Print a check.
 
     Raises:
         typer.Exit: the job would fail.
 
     """
-    emit(told, as_json, show_check)
+    emit(told, as_json, partial(show_check, details=details))
     if not told["would_run"]:
         raise typer.Exit(1)
 
 
-def show_check(told: Mapping[str, Any]) -> None:
-    """Print a check: what a job would use and find out, and what it would fail of."""
+def show_check(told: Mapping[str, Any], details: bool = True) -> None:
+    """Print a check: what a job would use and find out, and what it would fail of; without ``details`` on one screen."""
     print_line(
         f"{told['kind']} of {told['robot']}: {'would run' if told['would_run'] else 'would fail'}; nothing was queued"
     )
@@ -76,7 +77,7 @@ def show_check(told: Mapping[str, Any]) -> None:
     testability = told.get("testability")
     if testability:
         print_line(f"{len(testability['testable'])} parameters of effects can be tested")
-    _show_missing(told["missing"])
+    _show_missing(told["missing"], details)
     for limit in told["limited"]:
         print_line(f"note: {limit}")
     last = told["duration_s"]
@@ -96,13 +97,21 @@ def _show_identifiability(told: Mapping[str, Any] | None) -> None:
                 print_line(f"  {one['sentence']}")
 
 
-def _show_missing(missing: Sequence[Mapping[str, Any]]) -> None:
-    """What the data do not tell, under the remedy that would: the same for dozens of parameters is said once."""
+def _show_missing(missing: Sequence[Mapping[str, Any]], details: bool) -> None:
+    """What the data do not tell, with the remedy that would: the same for dozens of parameters is said once."""
     by_remedy: dict[str, dict[str, list[str]]] = {}
     for one in missing:
         by_remedy.setdefault(one["remedy"], {}).setdefault(one["reason"], []).append(one["what"])
     if by_remedy:
         print_line("not determined by these data:")
+    if not details:
+        for remedy, reasons in list(by_remedy.items())[:MOST_REMEDIES]:
+            names = [name for own in reasons.values() for name in own]
+            more = f" and {len(names) - FEW_REASONS} more" if len(names) > FEW_REASONS else ""
+            print_line(f"  {', '.join(names[:FEW_REASONS])}{more}: {remedy}")
+        if (left := len(by_remedy) - MOST_REMEDIES) > 0:
+            print_line(f"  and {left} more (--details)")
+        return
     for remedy, reasons in by_remedy.items():
         names = [name for own in reasons.values() for name in own]
         if len(reasons) <= FEW_REASONS:
@@ -439,7 +448,7 @@ def run_job(
         options = resolved_options(kilter, options, robot, as_json, {"version": "start"} if kind == "plan" else {})
         if check:
             told = kilter.jobs.check(kind, robot, ids, held_out, options, again, name)
-            return finish_check(told, as_json)
+            return finish_check(told, as_json, details)
         job = kilter.jobs.submit(kind, robot, ids, held_out, options, again, name)
         if not no_wait:
             with on_interrupt(partial(job_goes_on, job)), job_bar(kind, as_json) as progress:

@@ -28,6 +28,10 @@ def suggest_after_job(kilter: Kilter, job: Document) -> list[str]:
         return suggest_after_today(kilter.robots.today(job["robot"]))
     if job["kind"] == "plan" and result:
         return format_next("check" if result["purpose"] == "check" else "upload", job["robot"], PLACEHOLDER)
+    if job["kind"] == "gap" and result.get("motion"):  # torques make no version
+        weak = any(one["sure"] != "certain" for one in result.get("found") or ())
+        when = ", to decide" if weak else ", to see the same in a second log"
+        return format_next("plan", "motion", job["robot"], "-o", "motions.csv", when=when)
     return suggest_for_version(kilter.versions.get(result["version_id"])) if result.get("version_id") else []
 
 
