@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import SOFTENING, Derivative, Effect, Local, linear, option, sign_half_width, soft_sign
+from kilter_core.effects.base import SOFTENING, Derivative, Local, SignedByLoad, linear, option, soft_sign
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import JOINT_TWIST, Separator
 from kilter_core.parameters import Parameter
@@ -24,11 +23,8 @@ NO_MOMENT_NM = 1e-9  # below this the sign would be that of rounding noise
 
 
 @dataclass(frozen=True)
-class BacklashLoad(Effect):
-    """dq = b sign(ηz): the load rests the gear on one flank. ``softening_nm`` > 0 makes the sign a tanh.
-
-    It is one number, or one for each joint the effect acts on.
-    """
+class BacklashLoad(SignedByLoad):
+    """dq = b sign(ηz): the load rests the gear on one flank. ``softening_nm`` > 0 makes the sign a tanh."""
 
     id = "backlash_load"
     summary = "backlash on the side of the axial load moment"
@@ -36,7 +32,7 @@ class BacklashLoad(Effect):
     separated_by = (Separator.LOADS,)
     source = "thesis eq. 5.19"
     needs = frozenset({"moments"})
-    sided = True
+    sided = about = True
     reads = (("axial", (0,)),)
     signs = "positive"
     aliases = ("axial_compliance", "eccentricity", "backlash")
@@ -58,18 +54,6 @@ class BacklashLoad(Effect):
         """Add the backlash, where no other effect has one by the load."""
         return form.add_side(self.acting(len(form.joints)), values, self.softening_nm)
 
-    def smooth_over(self, load_nm: float) -> bool:
-        """Whether every sign changes over more than this."""
-        return float(np.min(self.softening_nm)) > load_nm
-
-    def with_softened_signs(self, batch: Batch) -> Self:
-        """The sign as soft as it is in this batch."""
-        if batch.blur is None:
-            return self
-        acting = enumerate(self.acting(batch.q.shape[1]))
-        widths = tuple(sign_half_width(self.softening_nm, k, j, batch, about=True) for k, j in acting)
-        return replace(self, softening_nm=widths)
-
     def doubt(self, batch: Batch, values: Floats) -> tuple[Derivative, ...]:
         """Scatter of a sign s around its expectation, √(1 − s²), times b."""
         acting = enumerate(self.acting(batch.q.shape[1]))
@@ -78,5 +62,5 @@ class BacklashLoad(Effect):
 
     def _side(self, batch: Batch, place: int, joint: int) -> Floats:
         about = batch.sided_axial[:, joint]
-        soft = soft_sign(about, sign_half_width(self.softening_nm, place, joint, batch, about=True))
+        soft = soft_sign(about, self.sign_half_width(batch, place, joint))
         return np.where(np.abs(about) > NO_MOMENT_NM, soft, 0.0)

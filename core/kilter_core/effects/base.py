@@ -352,12 +352,31 @@ def soft_sign(x: Floats, width: float) -> Floats:
 BLUR_WIDTH = math.sqrt(math.pi / 2.0)
 
 
-def sign_half_width(
-    softening_nm: float | tuple[float, ...], place: int, joint: int, batch: Batch, about: bool
-) -> float:
-    """Half-width N·m of a sign: that of the configuration (per acting joint), or of the batch's blur where it is wider."""
-    own = softening_nm[place] if isinstance(softening_nm, tuple) else softening_nm
-    return own if batch.blur is None else max(own, BLUR_WIDTH * float(batch.blur[joint, int(about)]))
+class SignedByLoad(Effect):
+    """An effect with the sign of a load: of the moment about the axis, or of those across it; soft over ``softening_nm``.
+
+    It is one number, or one for each joint the effect acts on.
+    """
+
+    about: ClassVar[bool]
+    softening_nm: float | tuple[float, ...]
+
+    def sign_half_width(self, batch: Batch, place: int, joint: int) -> float:
+        """Half-width N·m of a sign: that of the configuration (per acting joint), or of the batch's blur where it is wider."""
+        own = self.softening_nm[place] if isinstance(self.softening_nm, tuple) else self.softening_nm
+        return own if batch.blur is None else max(own, BLUR_WIDTH * float(batch.blur[joint, int(self.about)]))
+
+    def smooth_over(self, load_nm: float) -> bool:
+        """Whether every sign changes over more than this."""
+        return float(np.min(self.softening_nm)) > load_nm
+
+    def with_softened_signs(self, batch: Batch) -> Self:
+        """The sign as soft as it is in this batch."""
+        if batch.blur is None:
+            return self
+        acting = enumerate(self.acting(batch.q.shape[1]))
+        widths: dict[str, Any] = {"softening_nm": tuple(self.sign_half_width(batch, k, j) for k, j in acting)}
+        return replace(self, **widths)
 
 
 def _to_document_value(value: Any, shift: int) -> Any:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
-from kilter_core.effects.base import SOFTENING, Derivative, Effect, Local, option, sign_half_width, soft_sign
+from kilter_core.effects.base import SOFTENING, Derivative, Local, SignedByLoad, option, soft_sign
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import JOINT_TILT, Separator
 from kilter_core.errors import OptionError
@@ -19,14 +18,13 @@ from kilter_core.types import Floats
 
 
 @dataclass(frozen=True)
-class ClearanceTilt(Effect):
+class ClearanceTilt(SignedByLoad):
     """The joint tilts by its clearance angle C about x and y of its frame.
 
     With t = tan C and γ the share of the load about x, δα = sign(ηx) t sin γ / √(1 + (t sin γ)²) and
     δβ = sign(ηy) t cos γ / √(1 + (t cos γ)²): L of eq. 5.17-5.18 drops out once 5.15 is corrected to r = (L/2) tan C.
     ``share`` "thesis" is eq. 5.16, γ = (π/2)|ηx| / (|ηx| + |ηy|); "vector" is atan2(|ηx|, |ηy|), invariant when the
-    joint frame is rotated about its axis. ``softening_nm`` > 0 replaces the sign by a tanh of that half-width, one
-    for all joints or one for each joint the effect acts on.
+    joint frame is rotated about its axis. ``softening_nm`` > 0 replaces the sign by a tanh of that half-width.
     """
 
     id = "clearance_tilt"
@@ -36,6 +34,7 @@ class ClearanceTilt(Effect):
     source = "thesis eq. 5.16-5.18, 5.15 corrected"
     needs = frozenset({"moments"})
     sided = True
+    about = False
     reads = (("wrench", (3, 4)),)
     signs = "positive"
     aliases = ("radial_compliance", "link_bending", "base_compliance")
@@ -89,18 +88,6 @@ class ClearanceTilt(Effect):
             joint.tilt_by_vector = self.share == "vector"
         return True
 
-    def smooth_over(self, load_nm: float) -> bool:
-        """Whether every sign changes over more than this."""
-        return float(np.min(self.softening_nm)) > load_nm
-
-    def with_softened_signs(self, batch: Batch) -> Self:
-        """The sign as soft as it is in this batch."""
-        if batch.blur is None:
-            return self
-        acting = enumerate(self.acting(batch.q.shape[1]))
-        widths = tuple(sign_half_width(self.softening_nm, k, j, batch, about=False) for k, j in acting)
-        return replace(self, softening_nm=widths)
-
     def doubt(self, batch: Batch, values: Floats) -> tuple[Derivative, ...]:
         """Scatter of each sign s around its expectation, √(1 − s²), times the tilt."""
         out = []
@@ -122,7 +109,7 @@ class ClearanceTilt(Effect):
         loaded = total > 1e-9
         share = ax / np.where(loaded, total, 1.0)
         gamma = share * (math.pi / 2.0) if self.share == "thesis" else np.arctan2(ax, ay)
-        width = sign_half_width(self.softening_nm, place, joint, batch, about=False)
+        width = self.sign_half_width(batch, place, joint)
         sx, sy = (np.where(loaded, soft_sign(m, width), 0.0) for m in (mx, my))
         along, beside = np.sin(gamma), np.cos(gamma)
         return sx * along, sy * beside, (along * np.sqrt(1.0 - sx**2), beside * np.sqrt(1.0 - sy**2))

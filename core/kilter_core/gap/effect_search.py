@@ -19,8 +19,7 @@ from kilter_core.gap.search.finalize import finalize, or_geometry_alone
 from kilter_core.gap.search.forward_selection import SearchResult, search, update_event_times, update_selector
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, estimate_linear_parameters, refit
 from kilter_core.gap.search.linear.ranges import library_parameters
-from kilter_core.gap.search.masses import blur_load_signs
-from kilter_core.gap.search.prepare import Prepared
+from kilter_core.gap.search.prepare import Prepared, blur_load_signs
 from kilter_core.gap.search.re_evaluation import refit_with_updated_noise, under
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.gap.search.sources.source import Source

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -242,22 +243,7 @@ class RobotModel:
         batch = self._as_batch(observations)
         total, _ = self._local(batch, values, NOTHING if batch is observations else np.arange(len(values)))
         position, rotation = np.empty((len(batch), 3)), np.empty((len(batch), 3, 3))
-        p = self.program
-        kinematics.poses(
-            p.axis,
-            p.joint,
-            p.ratio,
-            self._element_values(values),
-            p.slot,
-            p.tool_at,
-            self.T_base,
-            self.T_tool,
-            np.ascontiguousarray(batch.q),  # of another order the kernel would be compiled anew
-            total.dq,
-            total.xi,
-            position,
-            rotation,
-        )
+        kinematics.poses(*self._chain_arguments(batch, values, total), position, rotation)
         position = position if total.stretch is None else position * total.stretch
         return Prediction(position, rotation, total, self._slides, find_instrument(self.effects_with_slices, values))
 
@@ -377,6 +363,15 @@ class RobotModel:
     def _as_batch(self, observations: Observations | Batch) -> Batch:
         return observations if isinstance(observations, Batch) else self.batch(observations)
 
+    def _chain_arguments(self, batch: Batch, values: Floats, total: Total) -> tuple[Any, ...]:
+        """What a kernel walks the chain by."""
+        p, element_values = self.program, self._element_values(values)
+        q = np.ascontiguousarray(batch.q)  # of another order the kernel would be compiled anew
+        return (
+            *(p.axis, p.joint, p.ratio, element_values, p.slot, p.tool_at),
+            *(self.T_base, self.T_tool, q, total.dq, total.xi),
+        )
+
     def _element_values(self, values: Floats) -> Floats:
         out = self.program.value.copy()
         out[self.program.element_of] = values[: self.n_geometric]
@@ -404,25 +399,7 @@ class RobotModel:
         position, rotation = np.empty((rows, 3)), np.empty((rows, 3, 3))
         J, JQ = np.zeros((rows, each, len(free))), np.empty((rows, each, n))
         JX = np.empty((rows if len(total.xi) else 0, each, 6 * n + 12))
-        kinematics.screws(
-            p.axis,
-            p.joint,
-            p.ratio,
-            self._element_values(values),
-            p.slot,
-            p.tool_at,
-            self.T_base,
-            self.T_tool,
-            np.ascontiguousarray(batch.q),  # of another order the kernel would be compiled anew
-            total.dq,
-            total.xi,
-            column,
-            position,
-            rotation,
-            J,
-            JQ,
-            JX,
-        )
+        kinematics.screws(*self._chain_arguments(batch, values, total), column, position, rotation, J, JQ, JX)
         made = Prediction(
             position, rotation, total, self._slides, find_instrument(self.effects_with_slices, values, free)
         )

@@ -12,10 +12,10 @@ from .history import Chart as Chart
 from .history import alarm_limit as alarm_limit
 from .history import chart as chart
 from .history import cusum_limit as cusum_limit
+from .history import learned_setup as learned_setup
 from .history import limit_of as limit_of
 from .poses import CheckPlan as CheckPlan
 from .poses import Faint as Faint
 from .poses import check_poses as check_poses
-from .setup_scatter import learned_setup as learned_setup
 from .zero_offsets import Rezeroed as Rezeroed
 from .zero_offsets import rezero as rezero

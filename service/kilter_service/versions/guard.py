@@ -1,8 +1,8 @@
 """What speaks against activating a version: its own identification, and measurements that it was not fitted to.
 
 It is compared with the nominal robot in frames of its own (registration only) and with the version that is active. Worse is
-what `kilter_core.identify.comparison.compare` calls so. Where there is nothing to compare on, a warning says so and nothing is
-refused for it.
+what `kilter_core.identify.comparison.model_comparison` calls so. Where there is nothing to compare on, a warning says so
+and nothing is refused for it.
 """
 
 from __future__ import annotations

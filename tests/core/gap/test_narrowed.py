@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.search.masses import source_load_blur
+from kilter_core.gap.search.prepare import source_load_blur
 from kilter_core.gap.search.sources.tool_source import ToolSource
 from kilter_core.measurement import Measurement
 from tests.core.gap.simulated import campaign, katana

@@ -20,6 +20,7 @@ from kilter_files.match.lag_evidence import (
     Frames,
     Window,
     best_windows,
+    likeness,
     register_again,
     sample_frames,
     spread,
@@ -27,7 +28,6 @@ from kilter_files.match.lag_evidence import (
     squares_by_speed,
 )
 from kilter_files.match.registration import Registration
-from kilter_files.match.speeds import likeness
 from kilter_files.tables.joint_log import JointLog
 
 STEP_SHARE = 0.25  # of the price of a jump, for one step of the grid: clocks that drift apart take one now and then

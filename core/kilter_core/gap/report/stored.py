@@ -13,14 +13,14 @@ from kilter_core.effects import Effect
 from kilter_core.effects.joint_curve import JointCurve
 from kilter_core.effects.law_of_temperature import LawOfTemperature
 from kilter_core.effects.physical import JOINT_CURVE
+from kilter_core.gap.evidence.fits.final_fit import Posterior, posterior
 from kilter_core.gap.evidence.fits.intervals import scale_freedom
-from kilter_core.gap.evidence.fits.posterior import Posterior, posterior
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.linearized import refit
-from kilter_core.gap.search.masses import with_masses
+from kilter_core.gap.search.prepare import with_masses
 from kilter_core.gap.study import SHIFT
 from kilter_core.identify.comparison.model_comparison import geometry_alone
 from kilter_core.identify.fleet.said import prior_dominated_mask

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
+from kilter_core.effects import Effect
+from kilter_core.effects.load_error import LoadError
 from kilter_core.errors import NotConvergedError, ObservationError, TooFewPosesError
 from kilter_core.gap.budget import Budget
 from kilter_core.gap.noise.from_repeats import add_approach_noise, fit_noise, spikes
@@ -25,7 +27,6 @@ from kilter_core.gap.search.candidates import Library, build_library
 from kilter_core.gap.search.events import place_events
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, ignore_step, refit
 from kilter_core.gap.search.linear.settings import ProblemSettings
-from kilter_core.gap.search.masses import blur_load_signs, tool_source
 from kilter_core.gap.search.re_evaluation import under, without_wrong
 from kilter_core.gap.search.rows.noise_reader import NoiseReader
 from kilter_core.gap.search.rows.row_warnings import (
@@ -35,16 +36,19 @@ from kilter_core.gap.search.rows.row_warnings import (
     outlier_warnings,
     rounding_warnings,
 )
+from kilter_core.gap.search.sources.contact_source import ContactSource
 from kilter_core.gap.search.sources.link_source import LinkSource
 from kilter_core.gap.search.sources.rounding import rounding
 from kilter_core.gap.search.sources.source import Source
+from kilter_core.gap.search.sources.tool_source import ToolSource
 from kilter_core.identify.estimate import estimate
 from kilter_core.identify.estimate import prepare_problem as start_of
 from kilter_core.identify.fit.least_squares import Fit, build_fit
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts
-from kilter_core.model import Calibration
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.model.load_errors import load_sign_blur as shared_blur
 from kilter_core.observations import Observations
 from kilter_core.observations.copies import identical_repeats
 from kilter_core.observations.motions import FEWEST_ROWS, is_trajectory
@@ -357,3 +361,51 @@ def _outlying(kept: Bools, visits: Visits, problem: LinearizedProblem) -> Ints:
     if len(visits.visit) == kept.sum():
         aside[kept] = ~problem.settings.used[visits.visit]
     return np.flatnonzero(aside).astype(np.int64)
+
+
+def tool_source(
+    model: RobotModel, values: Floats, free: Ints, measurement: Measurement, library: Library
+) -> tuple[ToolSource, Floats]:
+    """The fitted ``model`` with load errors and the whole ``library`` beside its effects, and its values.
+
+    Loads are taken on the chain that was fitted.
+    """
+    carried = _load_error_effects(model, measurement)
+    whole = replace(model.with_loads_at_values(values), effects=(*model.effects, *carried, *library.effects))
+    added = sum(len(e.parameters(model.robot)) for e in carried)
+    own = np.concatenate([free, len(values) + np.arange(added)])
+    source = ToolSource.from_model(whole, measurement, own, len(library.parameters))
+    values = np.concatenate([values, np.zeros(added + len(library.parameters))])
+    return (source, values) if measurement.observes_places else ContactSource.of_known_scale(source, values)
+
+
+def _load_error_effects(model: RobotModel, measurement: Measurement) -> tuple[LoadError, ...]:
+    """Load errors, unless the model has them already or nothing has a mass."""
+    if any(e.nuisance for e in model.effects):
+        return ()
+    effect = LoadError().configure_for_robot(model.robot, measurement.observations)
+    return (effect,) if effect.parameters(model.robot) else ()
+
+
+def with_masses(effects: tuple[Effect, ...], source: Source) -> tuple[Effect, ...]:
+    """The effects as a version keeps them: load errors where any effect reads loads, signs as soft as they were fitted."""
+    if not source.of_loads.any():
+        return effects
+    softer = tuple(e.with_softened_signs(source.batch) for e in effects)
+    carried = tuple(e for e in source.model.effects if e.nuisance)
+    reads = any("moments" in e.needs and not e.nuisance for e in effects)
+    return softer if not reads or any(e.nuisance for e in effects) else (*softer, *carried)
+
+
+def blur_load_signs(source: Source, values: Floats, covariance: Floats | None = None) -> Source:
+    """The source with its loads as uncertain as the priors of the load errors, or their ``covariance``, make them."""
+    if not source.of_loads.any() or source.batch.slopes is None:
+        return source
+    prior = np.diag(source.prior_sigma[source.of_loads] ** 2)
+    return source.with_load_blur(source_load_blur(source, values, prior if covariance is None else covariance))
+
+
+def source_load_blur(source: Source, values: Floats, covariance: Floats) -> Floats:
+    """Standard deviation (n, 2) N·m of the load across and about each joint, in the rows where its sign is in doubt."""
+    batch = source.model.apply_load_errors(source.batch, source.model_values(values))
+    return shared_blur(source.model.effects, batch, covariance)

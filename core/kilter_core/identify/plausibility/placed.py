@@ -1,4 +1,4 @@
-"""A few rows of a campaign placed on the robot by base and tool alone: fast enough to try a hundred readings of them."""
+"""A few rows of a campaign placed on the robot by base and tool alone: fast enough to try readings and units of them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from kilter_core.arm.robot import Robot
 from kilter_core.identify.plausibility.mix_ups import ELSEWHERE, MixUp, wire_units
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.frames import best_frames
@@ -20,6 +21,11 @@ STEPS = 3
 KEPT = 0.95  # share of the rows, the nearest, that counts: an interrupted laser beam must not hide a mix-up
 HALF, ROUNDS = 0.6, 6  # share of the rows that counts where many may be wrong, and how often they are chosen anew
 FRAMES = 9  # numbers of a base pose and a tool point
+
+# real size over stated size -> what was called what, for values said to be in mm
+FACTORS = (1e-3, 1 / 25.4, 1e-2, 0.1, 10.0, 25.4, 100.0, 1e3)
+LEAST_MOTION_M = 0.02
+GOOD, BAD = 0.05, 0.25  # of what the chain's lengths move is left when the points fit the robot, and when they do not
 
 
 @dataclass(frozen=True)
@@ -204,3 +210,26 @@ def seen_tool(measurement: Measurement, rows: Observations) -> tuple[Floats, Flo
 
 def _spread(points: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+
+
+def unit_factor(robot: Robot, q: Floats, points: Floats) -> float | None:
+    """By how much ``points (N, 3)`` m must be multiplied to fit the robot at joints ``q (N, n)``; None where they may fit.
+
+    The point may sit anywhere on the tool and the instrument may be anywhere: both are fitted for every factor. What a tool
+    of any length takes up, as of points on a sphere, tells no unit.
+    """
+    seen = ~np.isnan(points).any(axis=1)
+    model = Calibration.nominal(robot).model
+    pose = model.in_frames(np.eye(4), np.eye(4)).predict(Observations(q[seen]), model.values0())
+    p = points[seen]
+    flange = np.tile(np.eye(4), (len(p), 1, 1))
+    flange[:, :3, :3], flange[:, :3, 3] = pose.rotation, pose.position
+    motion = untold(flange) if len(p) else 0.0
+    if len(p) < 6 or motion < LEAST_MOTION_M:
+        return None
+    fits = place(flange, p).size / motion
+    if not fits > BAD:  # as nearly always: nothing else needs to be tried
+        return None
+    left = np.array([place(flange, factor * p).size for factor in FACTORS]) / motion
+    best = int(np.argmin(left))
+    return FACTORS[best] if left[best] < GOOD and left[best] < 0.2 * fits else None

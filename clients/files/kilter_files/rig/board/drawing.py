@@ -8,8 +8,7 @@ from typing import Any
 
 from kilter_files.rig.board.layout import Board, Point, page_for
 from kilter_files.rig.board.opencv import dictionary
-from kilter_files.rig.markers import marker_shapes
-from kilter_files.rig.printed import Printed, Rect, Shape, Stroke, Text, check_ending, save_described
+from kilter_files.rig.printed import Printed, Rect, Shape, Stroke, Text, check_ending, marker_shapes, save_described
 
 RULER_OUT_MM = 5.0  # from the squares to a ruler's line
 LONGEST_RULER_MM = 250.0

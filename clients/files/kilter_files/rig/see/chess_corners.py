@@ -10,8 +10,15 @@ import numpy as np
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.rig.board.opencv import opencv
-from kilter_files.rig.see.edges import Pieces, area, fit_edge_curves, iterate_until_settled, offsets, profile_reach
-from kilter_files.rig.see.noise import Noise
+from kilter_files.rig.see.edges import (
+    Noise,
+    Pieces,
+    area,
+    fit_edge_curves,
+    iterate_until_settled,
+    offsets,
+    profile_reach,
+)
 from kilter_files.rig.see.pictures import Grey
 
 BEGIN_PX = 2.5  # of an arm, from the corner: blur of the other edge

@@ -9,8 +9,10 @@ import numpy as np
 from kilter_files.ground.arrays import Floats
 from kilter_files.rig.see import board_size, chess_corners
 from kilter_files.rig.see.edges import (
+    Noise,
     Pieces,
     area,
+    estimate_noise,
     fit_edge_curves,
     iterate_until_settled,
     offsets,
@@ -18,7 +20,6 @@ from kilter_files.rig.see.edges import (
     usual_blur,
 )
 from kilter_files.rig.see.finder import Finder, Markers
-from kilter_files.rig.see.noise import Noise, estimate_noise
 from kilter_files.rig.see.pictures import Grey
 from kilter_files.rig.see.refusals import Refusal
 from kilter_files.rig.see.target import Target

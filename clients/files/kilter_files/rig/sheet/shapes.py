@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.later import need
-from kilter_files.rig.markers import marker_shapes
-from kilter_files.rig.printed import WHITE, Colour, Disc, Printed, Shape, Stroke, Text, save_page
+from kilter_files.rig.printed import WHITE, Colour, Disc, Printed, Shape, Stroke, Text, marker_shapes, save_page
 from kilter_files.rig.sheet.layout import (
     LINE_MM,
     MARKER_CELLS,

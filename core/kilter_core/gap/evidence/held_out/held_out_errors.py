@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom, norm, t
 
-from kilter_core.gap.evidence.fits.final_fit import inflation, widening
+from kilter_core.gap.evidence.fits.final_fit import Posterior, inflation, widening
 from kilter_core.gap.evidence.fits.intervals import interval_width
-from kilter_core.gap.evidence.fits.posterior import Posterior
 from kilter_core.gap.evidence.held_out.adequacy import gain, left_out_errors, left_out_floor
 from kilter_core.gap.noise.motion import blocks, motion_blocks
 from kilter_core.gap.search.forward_selection import SearchResult

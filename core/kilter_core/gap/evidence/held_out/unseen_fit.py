@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, f
 
-from kilter_core.gap.evidence.fits.posterior import Posterior
+from kilter_core.gap.evidence.fits.final_fit import Posterior
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator, on_rows
 from kilter_core.gap.noise.visits import average_visits
 from kilter_core.gap.search.linear.in_space import cholesky_root
