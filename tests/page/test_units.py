@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from datetime import UTC, datetime
 from types import SimpleNamespace as Fields
 from typing import Any
 
@@ -17,7 +18,8 @@ from kilter_service.page.words import in_columns, in_one_unit
 
 SIZES = (0.31, 0.0871, 0.0021)
 HEAD = re.compile(r'<th scope="col" class="number">[^<]*, (mm|µm)</th>')
-CAMPAIGN = Fields(id="cmp_1", name="grid", uploads=["one"], rows=3)
+DAY = datetime(2026, 11, 2, tzinfo=UTC)
+CAMPAIGN = Fields(id="cmp_1", robot="arm", name="grid", uploads=["one"], rows=3, measured_at=None, created_at=DAY)
 
 
 def row(number: int, size: float) -> Fields:

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from kilter_files import rig
 from kilter_files.ground import FileError
 from kilter_files.ground.later import need
-from kilter_files.rig import Looker, check_apart, gather_source, read_camera, read_poses, read_target
 from kilter_service.page.drop.drafts import RIG
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
@@ -52,11 +52,11 @@ def find_corners(path: Path, way: str) -> tuple[Path, dict[str, Any]]:
     if not boards or len(tables) != 1:
         lacking = "no JSON of a board" if not boards else "no table of joints" if not tables else "several tables"
         raise FileError(f"{path.name} holds {lacking}. {NEEDED}.")
-    targets = [read_target(one) for one in boards]
-    check_apart(targets)
-    source = gather_source([folder])
-    camera = read_camera(cameras[0], None) if cameras else None
-    looker = Looker(targets, read_poses(tables[0], source.count(), False), camera, None if cameras else LENS)
+    targets = [rig.read_target(one) for one in boards]
+    rig.check_apart(targets)
+    source = rig.gather_source([folder])
+    camera = rig.read_camera(cameras[0], None) if cameras else None
+    looker = rig.Looker(targets, rig.read_poses(tables[0], source.count(), False), camera, None if cameras else LENS)
     with Path(VIEWS).open("w", encoding="utf-8", newline="") as stream:
         seen = looker.write_views(source, stream, None)
     mount = WAYS.get(way, "fixed")
@@ -98,7 +98,7 @@ def _is_wanted(name: str) -> bool:
     return not last.startswith(".") and "__MACOSX" not in name and last.endswith((*ENDINGS, *TABLES, *CAMERAS, ".json"))
 
 
-def _rig(looker: Looker, mount: str) -> dict[str, Sequence[Any]]:
+def _rig(looker: rig.Looker, mount: str) -> dict[str, Sequence[Any]]:
     other = "flange" if mount == "fixed" else "fixed"
     cameras = [] if looker.camera is None else [looker.camera.to_document() | {"mount": mount}]
     return {"cameras": cameras, "boards": [one.to_document() | {"mount": other} for one in looker.targets]}
