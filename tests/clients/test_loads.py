@@ -162,6 +162,8 @@ def test_a_path_without_any_load_is_told_what_that_means(
     assert remark in written["notes"][0]
     assert run(["correct", robot, str(path), "-o", str(tmp_path / "out.csv")]) == 0
     assert f"Note: The path states no payload and the robot has no default load, {remark}" in capsys.readouterr().err
+    assert run(["correct", robot, str(path), "-o", str(tmp_path / "out.csv")]) == 0
+    assert "Note: The path states no payload" not in capsys.readouterr().err  # known from a moment ago
     assert_there(tmp_path / "out.csv", poses(20, 9), 0.0, NO_LOAD)
     assert document(capsys, "correct", robot, path, "-o", tmp_path / "out.csv", "--payload-kg", 0)["notes"] == []
     place = document(capsys, "correct", robot, path, "-o", tmp_path / "x.csv", "--payload-com-mm", "0,0,60", code=1)

@@ -143,7 +143,11 @@ def test_what_is_carried_is_weighed(server: Path, logged: Path, hidden: tuple[Lo
     capsys.readouterr()
     asked = ["measure", "payload", "mover", "-c", "with", "-c", "without"]
     assert run(asked) == 0
-    assert re.match(r"It carries 1\.[78]\d? kg", capsys.readouterr().out)
+    printed = capsys.readouterr().out
+    assert re.match(r"It carries 1\.[78]\d? kg", printed)
+    assert re.search(
+        r"Next, with rows that carry it: kilter upload mover FILE --payload-kg 1\.[78]\d* --payload-com", printed
+    )
     assert run(asked[:-2]) != 0
     assert "weighed by two campaigns" in capsys.readouterr().err
     assert run([*asked, "--empty", "other"]) != 0

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -123,8 +123,7 @@ def correct(
         found = None if used is None else kilter.versions.get(used, robot=robot)
         frames = {} if found is None else correction_frames(found)
     status = {} if form else verdicts(content, trajectory.content_type)
-    controller = arm["controller_sentence"]
-    _remark(content, status, as_json, "" if as_json or is_note_due(kilter.url, controller) else controller)
+    _remark(content, status, as_json, lambda remark: as_json or is_note_due(kilter.url, _note_key(arm, remark)))
     if frames and not form:
         of_u95 = f" u95 is {content.u95}." if content.u95 else ""
         note(f"dx_mm, dy_mm, dz_mm are along the axes of the {frames['axes']}.{of_u95}", as_json)
@@ -156,8 +155,13 @@ def _show_written(told: dict[str, Any], content: Corrected, as_json: bool) -> No
     emit(document, as_json, show)
 
 
-def _remark(content: Corrected, status: Mapping[str, int], as_json: bool, known: str) -> None:
-    """Say what is not corrected, and which load was taken, but not what is ``known`` from before."""
+def _note_key(arm: Mapping[str, Any], remark: str) -> str:
+    """What a note of an arm is known by in a session of work; other commands say that of its controller too."""
+    return remark if remark == arm["controller_sentence"] else f"{arm['name']}: {remark}"
+
+
+def _remark(content: Corrected, status: Mapping[str, int], as_json: bool, is_due: Callable[[str], bool]) -> None:
+    """Say what is not corrected, and which load was taken, but no note that was shown before."""
     left = {name: count for name, count in status.items() if name not in ANSWERED}
     if left:
         counts = ", ".join(f"{name} {count}" for name, count in left.items())
@@ -165,7 +169,7 @@ def _remark(content: Corrected, status: Mapping[str, int], as_json: bool, known:
     if content.left_out:
         note(f"Warning: not corrected is what {', '.join(content.left_out)} does.", as_json)
     for remark in content.notes:
-        if remark != known:
+        if is_due(remark):
             note(f"Note: {remark}", as_json)
 
 

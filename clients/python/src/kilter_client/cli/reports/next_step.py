@@ -28,6 +28,10 @@ def suggest_after_job(kilter: Kilter, job: Document) -> list[str]:
         return suggest_after_today(kilter.robots.today(job["robot"]))
     if job["kind"] == "plan" and result:
         return format_next("check" if result["purpose"] == "check" else "upload", job["robot"], PLACEHOLDER)
+    if job["kind"] == "payload" and result.get("centre_mm"):
+        centre = ",".join(f"{value:.0f}" for value in result["centre_mm"])
+        load = ["--payload-kg", f"{result['mass_kg']:.3g}", f"--payload-com-mm={centre}"]
+        return format_next("upload", job["robot"], PLACEHOLDER, *load, when=", with rows that carry it")
     if job["kind"] == "gap" and result.get("motion"):  # torques make no version
         weak = any(one["sure"] != "certain" for one in result.get("found") or ())
         when = ", to decide" if weak else ", to see the same in a second log"
