@@ -32,7 +32,7 @@ from .test_robot import words
 JOBS, CAMPAIGNS = 5000, 500
 # Changes nothing that is kept: what is computed, drafted, or only asked.
 UNKEPT = re.compile(
-    r"(/bridges/\{bridge\}|/check|/convert|/from-circles|/frames|/correct|/forward|/inverse|/campaigns/new/(file|\{draft\}/(columns|discard|map|read)))$"
+    r"(/bridges/\{bridge\}|/check|/convert|/from-circles|/frames|/correct|/torques|/forward|/inverse|/campaigns/new/(file|\{draft\}/(columns|discard|map|read)))$"
 )
 
 

@@ -23,6 +23,7 @@ from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.db.tables import JobRow
+from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.robots.documents import core_document
 from kilter_service.run.app import create_app
@@ -182,7 +183,7 @@ def test_a_robot_that_no_longer_resolves_stops_nobody_else(settings: Settings) -
     revision.migrate(database)
     with database.reading() as session:
         assert store.robots.core_robot(session, 2).n_joints == 5
-        with pytest.raises(store.ServiceError, match="add the robot again under another name") as refused:
+        with pytest.raises(ServiceError, match="add the robot again under another name") as refused:
             store.robots.core_robot(session, 1)
     assert refused.value.code == "robot_invalid"
     database.close()

@@ -134,7 +134,8 @@ def test_a_row_that_is_dated_before_the_audit_is_named_without_a_key(
     put_in = {
         "tokens": "VALUES ('2', 'eve', '2', 'admin', NULL, '2020-01-01 00:00:00.000000', 'admin', NULL, NULL, '')",
         "activations": "SELECT 2, 1, version_id, action, actor, '2020-01-01 00:00:00.000000', 0, '', '[]' FROM activations",
-        "repairs": "VALUES ('2', 1, '2026-01-01 00:00:00.000000', 'new', 'eve', '2020-01-01 00:00:00.000000')",
+        "repairs": "VALUES ('2', 1, '2026-01-01 00:00:00.000000', 'new', 'eve', '2020-01-01 00:00:00.000000', 'repair', "
+        "NULL, '')",
     }
     with closing(sqlite3.connect(settings.data / "kilter.sqlite", isolation_level=None)) as file:
         file.execute(f"INSERT INTO {table} {put_in[table]}")

@@ -132,7 +132,9 @@ def test_the_rooms_of_the_routes() -> None:
     rules = {**RULES, **PAGE_RULES}
     rooms = rooms_with(Settings())
     assert set(rooms) == set(get_args(Kind))
-    assert [route for route, rule in rules.items() if rule.room == "corrections"] == ["POST /v1/robots/{robot}/correct"]
+    assert [route for route, rule in rules.items() if rule.room == "corrections"] == [
+        "POST /v1/robots/{robot}/correct", "POST /v1/robots/{robot}/torques",
+    ]  # fmt: skip
     assert {route for route, rule in rules.items() if rule.room == "stops"} == {
         "POST /v1/versions/{version}/activate", "POST /v1/robots/{robot}/rollback", "POST /versions/{version}/activate",
         "POST /robots/{robot}/rollback",

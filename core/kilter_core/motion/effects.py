@@ -268,5 +268,5 @@ CARRIED_WITH = ("load_friction",)  # what a load changes beside the bodies
 
 
 def prismatic_unit(unit: str) -> str:
-    """Return the unit that a number of a revolute joint has where the joint slides."""
+    """Return the unit that a number of a revolute joint has at a prismatic joint."""
     return unit.replace("N m", "N").replace("rad", "m").replace("kg m2", "kg")

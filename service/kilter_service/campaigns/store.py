@@ -114,7 +114,7 @@ def _record(row: CampaignRow) -> CampaignRecord:
 
 
 def _row(session: Session, campaign_id: str) -> CampaignRow:
-    return robots.visible_row(session, CampaignRow, campaign_id, "/v1/robots/{robot}/campaigns")
+    return robots.visible_row(session, CampaignRow, campaign_id, "GET /v1/robots/{robot}/campaigns")
 
 
 def whole(session: Session, campaign_id: str) -> CampaignRecord:

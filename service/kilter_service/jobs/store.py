@@ -81,7 +81,7 @@ def _next_name(session: Session, robot_id: int, job: NewJob) -> str:
 
 
 def _row(session: Session, job_id: str) -> JobRow:
-    return robots.visible_row(session, JobRow, job_id, "/v1/jobs")
+    return robots.visible_row(session, JobRow, job_id, "GET /v1/jobs")
 
 
 def get(session: Session, job_id: str) -> JobRecord:

@@ -151,14 +151,14 @@ def visible_row(session: Session, table: type[Belonging], id_: str, listed: str)
     """Return a campaign, version or job of a robot that the caller may see.
 
     Raises:
-        ServiceError: there is none; it names the address at which they are ``listed``.
+        ServiceError: there is none; it names the request by which they are ``listed``.
 
     """
     row = session.get(table, id_)
     if row is None or not (allowed_robots() is None or may_see(session.get_one(RobotRow, row.robot_id).name)):
         kind = next(kind for kind, rows in references.TABLES.items() if rows is table)
         raise ServiceError(
-            f"There is no {kind} {id_!r}: list them with GET {listed}." + references.gone(session, kind, id_),
+            f"There is no {kind} {id_!r}: list them with {listed}." + references.gone(session, kind, id_),
             code=f"{kind}_not_found",
             **{kind: id_},
         )

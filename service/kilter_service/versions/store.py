@@ -130,7 +130,7 @@ def get(session: Session, version_id: str) -> VersionRecord:
 
 
 def _row(session: Session, version_id: str) -> VersionRow:
-    return robots.visible_row(session, VersionRow, version_id, "/v1/robots/{robot}/versions")
+    return robots.visible_row(session, VersionRow, version_id, "GET /v1/robots/{robot}/versions")
 
 
 def _record(row: VersionRow, robot: str, last: ActivationRecord | None) -> VersionRecord:

@@ -171,7 +171,7 @@ def test_a_killed_bridge_leaves_the_offsets_and_the_next_one_does_not_take_over(
 
 
 REFUSED = {
-    "unknown": ("compensation_unknown", "is not known"),
+    "unknown": ("compensation_unknown", "Check once whether"),
     "factory": ("corrected_twice", "maker's calibration"),
     "kilter": ("corrected_twice", "a calibration that Kilter exported"),
 }

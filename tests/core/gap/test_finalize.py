@@ -77,18 +77,19 @@ def test_no_name_is_left_that_chance_could_have_given(monkeypatch):
     assert all(j.evidence.p_value <= QUICK.alpha for j in report.effects)
 
 
-def test_a_name_that_another_beats_at_the_final_fit_makes_way_for_it(monkeypatch):
+def test_a_name_that_another_of_its_class_beats_at_the_final_fit_makes_way_for_it(monkeypatch):
     better = Selector.better
 
     def with_a_worse_name(self, gram, chosen, critical, most, seen=()):
         found = better(self, gram, chosen, critical, most, seen)
         place = {c.label: k for k, c in enumerate(self.scorer.candidates)}
-        worse = {place["encoder_scale j3"]: place["eccentricity j3"]}
+        worse = {place["backlash_load j2"]: place["strain_wave j2"]}
         return tuple(worse.get(k, k) for k in found)
 
     monkeypatch.setattr(Selector, "better", with_a_worse_name)
-    report = find_gap(katana(), campaign(katana(), [("encoder_scale", (2,), (1.2e-3,))]), QUICK)
-    assert [j.evidence.candidate.label for j in report.effects] == ["encoder_scale j3"]
+    rows = campaign(katana(), [("backlash_load", (1,), (8e-4,))])
+    report = find_gap(katana(), rows, replace(QUICK, effects=("strain_wave", "backlash_load")))
+    assert [j.evidence.candidate.label for j in report.effects] == ["backlash_load j2"]
 
 
 def test_the_name_of_a_strong_backlash_vanishes_where_every_pose_was_approached_from_both_sides():

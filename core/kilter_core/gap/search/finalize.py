@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.in_space import fit_rms
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, refit
@@ -138,9 +139,8 @@ def _without_chance(found: SearchResult, alpha: float) -> tuple[int, ...]:
 
 
 def _with_causes(found: SearchResult, seen: set[frozenset[int]]) -> tuple[int, ...]:
-    """The set with one member replaced by the best physical one, where that does better at the final fit.
-
-    It need not, for an empirical member: within the margin a cause takes its place.
+    """The set with one empirical member replaced by the best physical one within the margin, where there is one, or a
+    physical member by another of its class at the same joints, where that does better at the final fit.
     """
     selector, gram = found.selector, found.problem.gram
     candidates = selector.scorer.candidates
@@ -157,6 +157,11 @@ def _with_causes(found: SearchResult, seen: set[frozenset[int]]) -> tuple[int, .
                 break
             after = (*rest, int(k))
             fits = not rival.empirical and not taken & set(rival.columns)
+            fits = fits and (candidates[place].empirical or _are_of_a_class(candidates[place], rival))
             if fits and scores.d[k] and frozenset(after) not in seen and selector.plausible(gram, after, int(k)):
                 return after
     return found.chosen
+
+
+def _are_of_a_class(one: Candidate, other: Candidate) -> bool:
+    return one.joints == other.joints and one.effects[0].physical.id == other.effects[0].physical.id

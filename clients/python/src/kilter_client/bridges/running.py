@@ -192,10 +192,6 @@ def main() -> None:
     Companion(Line(end), Task(**json.loads(sys.argv[2]))).run()
 
 
-if __name__ == "__main__":
-    main()
-
-
 class Announcer:
     """Tells the server every 2 s, and at once when the state changes, in a thread of its own: a server may be slow."""
 
@@ -464,3 +460,7 @@ def _ended_by_signals(loop: Loop | Fci) -> Iterator[None]:
     finally:
         for one, handler in zip(signals, before, strict=True):
             signal.signal(one, handler)
+
+
+if __name__ == "__main__":
+    main()
