@@ -10,7 +10,7 @@ import time
 
 from benchmarks.table import Line
 
-TARGET_S, STOP_S = 4.0, 30.0
+FIRST_S, AGAIN_S, STOP_S = 2.5, 2.0, 30.0
 
 
 def lines() -> list[Line]:
@@ -18,8 +18,8 @@ def lines() -> list[Line]:
     with tempfile.TemporaryDirectory() as data:
         first, again = _seconds(data), _seconds(data)
     return [
-        Line("server ready, new data folder", f"{first:.1f} s", f"<= {TARGET_S:g} s", first <= TARGET_S),
-        Line("server ready, started again", f"{again:.1f} s", f"<= {TARGET_S:g} s", again <= TARGET_S),
+        Line("server ready, new data folder", f"{first:.1f} s", f"<= {FIRST_S:g} s", first <= FIRST_S),
+        Line("server ready, started again", f"{again:.1f} s", f"<= {AGAIN_S:g} s", again <= AGAIN_S),
     ]
 
 
