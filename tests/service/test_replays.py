@@ -212,7 +212,9 @@ def test_versions_of_releases_that_kept_no_answers_have_todays_and_it_is_said(
     assert (json.loads(rules)["task"], made_by) == ("position", BY_UPGRADE)
     assert backups.verify_stored(settings).sentences == []
     (copy,) = settings.data.glob("kilter-before-*.kilter-backup")
+    capsys.readouterr()
     kilterd(["restore", "--data", str(settings.data / "restored"), str(copy)])
+    assert f"{said}are kept.\n" in capsys.readouterr().out
     with closing(sqlite3.connect(settings.data / "restored" / DATABASE_FILE)) as file:
         assert file.execute("SELECT count(*) FROM replays").fetchone() == (1,)
     kilterd(["upgrade", "--check", "--data", str(settings.data)])

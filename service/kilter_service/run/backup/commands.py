@@ -34,7 +34,9 @@ def backup(settings: Settings, arguments: argparse.Namespace) -> None:
 
 def restore(settings: Settings, arguments: argparse.Namespace) -> None:
     """Bring a backup into an empty data folder or database."""
-    found = service.restore(settings, Path(arguments.path), accept=arguments.accept)
+    found, changes = service.restore(settings, Path(arguments.path), accept=arguments.accept)
+    for change in changes:
+        print(upgrading.describe_change(change, found.revision, done=True))
     print(
         f"Restored {found.describe_coverage()}. Secrets are not in a backup: copy the token file, stream-keys.json and the "
         "authority of zenoh-config, where they were kept; the first start makes new ones."
@@ -46,7 +48,7 @@ def upgrade(settings: Settings, arguments: argparse.Namespace) -> None:
     plan = upgrading.plan_upgrade(settings) if arguments.check else upgrading.upgrade(settings)
     changes = upgrading.planned_changes(settings, plan) if arguments.check else plan.changes
     for change in changes:
-        print(upgrading.describe_change(change, plan, done=not arguments.check))
+        print(upgrading.describe_change(change, plan.found, done=not arguments.check))
     if not plan.steps:
         print(f"The database is at revision {revision.HEAD}: there is nothing to upgrade.")
         return

@@ -15,6 +15,7 @@ import struct
 import tempfile
 from contextlib import closing, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.db.failures import in_words
@@ -25,7 +26,10 @@ from kilter_service.ground.files.private_files import private_file, private_fold
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, LOCK_FILE, Settings
 from kilter_service.run.backup import store
 from kilter_service.run.backup.findings import Findings
-from kilter_service.run.backup.upgrade import keep_rules_and_answers
+from kilter_service.run.backup.upgrade import replay_and_keep
+
+if TYPE_CHECKING:
+    from kilter_service.versions.replays.service import Change
 
 # The manifest of a backup: a hash for every table, over all of its rows, taken when the backup was written.
 #
@@ -149,7 +153,7 @@ def backup(settings: Settings, where: Path) -> tuple[Path, Findings]:
             raise ServiceError(found.other_key, code="seal_key_other")
         _refuse_damaged(found, "The database is damaged, so there is no new backup")
         if found.revision != revision.HEAD:
-            _keep_rules_and_answers(part, found)
+            _replay_and_keep(part, found)
         write(part)
         found.every_row = True
         _put(part, path)
@@ -160,8 +164,10 @@ def backup(settings: Settings, where: Path) -> tuple[Path, Findings]:
     return path, found
 
 
-def restore(settings: Settings, path: Path, *, accept: bool = False) -> Findings:
+def restore(settings: Settings, path: Path, *, accept: bool = False) -> tuple[Findings, tuple[Change, ...]]:
     """Put a backup where no data are yet; it is checked first, and brought to the revision of this Kilter.
+
+    Returns what was looked at, and how the answers of active versions change from those that were kept.
 
     ``accept`` restores one whose seals cannot be compared, because it is sealed with another key or with none.
 
@@ -189,14 +195,14 @@ def restore(settings: Settings, path: Path, *, accept: bool = False) -> Findings
                     code="seal_key_other",
                 )
             _refuse_damaged(found, f"{path} is damaged and was not restored")
-            _keep_rules_and_answers(part, found)
+            changes = _replay_and_keep(part, found)
             if settings.database_url is None:
                 _put(part, settings.data / DATABASE_FILE)
             else:
                 _restore_rows(settings, part)
         finally:
             _remove(part)
-    return found
+    return found, changes
 
 
 def verify(path: Path) -> Findings:
@@ -251,11 +257,12 @@ def _check_readable(settings: Settings, database: Database) -> None:
         revision.check(database)
 
 
-def _keep_rules_and_answers(part: Path, found: Findings) -> None:
+def _replay_and_keep(part: Path, found: Findings) -> tuple[Change, ...]:
     """Give a copy that was brought to this revision what active versions of its release lack."""
     with closing(Database(f"sqlite:///{part}")) as database:
-        keep_rules_and_answers(database, found.revision)
+        changes = replay_and_keep(database, found.revision)
     _one_file(part)
+    return changes
 
 
 def _checked_copy(path: Path, copy: Path) -> Findings:

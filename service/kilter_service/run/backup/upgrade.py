@@ -128,29 +128,25 @@ def upgrade(settings: Settings, *, replay: bool = True) -> Plan:
     try:
         if revision.migrate(database):
             log.info("the database was brought to revision %s", revision.HEAD)
-        plan = plan._replace(changes=_replay_and_keep(database, plan))
+        plan = plan._replace(changes=replay_and_keep(database, plan.found))
     finally:
         database.close()
     for change in plan.changes:
-        log.info("%s", describe_change(change, plan, done=True))
+        log.info("%s", describe_change(change, plan.found, done=True))
     return plan
 
 
-def _replay_and_keep(database: Database, plan: Plan) -> tuple[Change, ...]:
-    if not _has_active(database):
-        return ()
-    changes = tuple(replays.compare_answers(database, before_rules=_is_before_rules(plan.found)))
-    keep_rules_and_answers(database, plan.found)
-    return changes
-
-
-def keep_rules_and_answers(database: Database, found: str | None) -> None:
-    """Keep task, rules and answers of active versions that have none: those of the release of revision ``found``.
+def replay_and_keep(database: Database, found: str | None) -> tuple[Change, ...]:
+    """Compare answers of active versions with those that were kept, and keep task, rules and answers of those that have none:
+    those of the release of revision ``found``.
 
     However old data come to this revision, by an upgrade or by restoring a backup, they are given here what they lack.
     """
-    if _has_active(database):
-        replays.keep_answers(database, before_rules=_is_before_rules(found))
+    if not _has_active(database):
+        return ()
+    changes = tuple(replays.compare_answers(database, before_rules=_is_before_rules(found)))
+    replays.keep_answers(database, before_rules=_is_before_rules(found))
+    return changes
 
 
 def _has_active(database: Database) -> bool:
@@ -158,7 +154,7 @@ def _has_active(database: Database) -> bool:
         return bool(versions.active_entries(session))
 
 
-def describe_change(change: Change, plan: Plan, *, done: bool) -> str:
+def describe_change(change: Change, found: str | None, *, done: bool) -> str:
     """Say how far the answers of an active version change, or that none were kept."""
     joint = [f"{change.joint_deg:.2g} deg"] if change.joint_deg or not change.joint_mm else []
     joints = " or ".join([*joint, *([f"{change.joint_mm:.2g} mm"] if change.joint_mm else [])])
@@ -166,7 +162,7 @@ def describe_change(change: Change, plan: Plan, *, done: bool) -> str:
     who = f"{change.robot} {change.version_id}"
     if not change.kept:
         none = f"{who}: no earlier answers are stored"
-        if _is_before_rules(plan.found):
+        if _is_before_rules(found):
             return f"{none}; it {'keeps' if done else 'would keep'} the task of its release. Activated anew, {far}."
         return f"{none}; today's {'are' if done else 'would be'} kept."
     other = f"; {change.otherwise} are refused that were not, or the other way round" if change.otherwise else ""
