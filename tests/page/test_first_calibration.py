@@ -139,6 +139,9 @@ def test_the_strip_says_what_is_missing_and_goes_away(chromium: Browser, there: 
             "plan", "identify", "limits",
         )  # fmt: skip
         client.post(f"/v1/jobs/{asked['id']}/cancel").raise_for_status()
+        expect(page.locator("main")).to_contain_text(
+            "cancelled"
+        )  # it is loaded anew: a browser closed meanwhile may hang
 
 
 @pytest.mark.short_path
