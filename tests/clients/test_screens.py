@@ -129,6 +129,7 @@ def test_the_remedy_of_a_warning_is_never_cut(room: int) -> None:
     assert max(map(len, lines)) <= COLUMNS
     shown = " ".join(line.strip() for line in lines)
     assert REMEDY in shown
+    assert "... " not in shown or f"... {REMEDY.strip()}" in shown  # what is left begins with a sentence
     assert shown.count(REMEDY) == 2 or "and 1 more (--details)" in shown
 
 

@@ -52,12 +52,14 @@ def fit_messages(messages: Sequence[str], columns: int, room: int, rest: str = D
 
 
 def _shorten(message: str, characters: int, rest: str) -> str:
-    """Return a message of at most so many characters, cut in its middle: its end, where the remedy stands, is kept."""
+    """Return a message of at most so many characters, cut in its middle: its end, where the remedy stands, is kept, and begins
+    with a sentence where there is one.
+    """
     if len(message) <= characters:
         return message
     head = textwrap.shorten(message, CAUSE, placeholder=" ...")
     tail = textwrap.wrap(message[::-1], characters - len(head) - len(rest) - 2)[0][::-1]  # of whole words
-    return f"{head} {tail} {rest}"
+    return f"{head} {tail.partition('. ')[2] or tail} {rest}"
 
 
 def _format_table(result: Mapping[str, Any], columns: int) -> list[str]:
