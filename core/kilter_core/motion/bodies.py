@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from kilter_core.arm.robot import Link, Robot
-from kilter_core.motion.regressor import PER_LINK, base_sums, link_elements, stated_numbers
+from kilter_core.motion.regressor import PER_LINK, base_sums, describe_body, link_elements, stated_numbers, symmetric
 from kilter_core.types import Floats
 
 NEAR = 0.25  # weight of the divergence against squares of standard deviations
@@ -31,7 +31,9 @@ def physical_links(robot: Robot, base: Floats, information: Floats) -> tuple[Lin
     K = base_sums(robot)
     start = np.stack([_make_definite(numbers) for numbers in stated_numbers(robot).reshape(-1, PER_LINK)])
     found = _find_nearest(start, K.T @ information @ K, K.T @ information @ base)
-    return tuple(_link(element, numbers) for element, numbers in zip(link_elements(robot), found, strict=True))
+    return tuple(
+        Link(element, *describe_body(numbers)) for element, numbers in zip(link_elements(robot), found, strict=True)
+    )
 
 
 def _find_nearest(start: Floats, A: Floats, b: Floats) -> Floats:
@@ -84,7 +86,7 @@ def _basis() -> Floats:
     """The pseudo-inertia (10, 4, 4) of one unit of each number."""
     out = np.zeros((PER_LINK, 4, 4))
     for i, unit in enumerate(np.eye(PER_LINK)):
-        inertia = _symmetric(unit[4:])
+        inertia = symmetric(unit[4:])
         out[i, :3, :3] = 0.5 * np.trace(inertia) * np.eye(3) - inertia
         out[i, :3, 3] = out[i, 3, :3] = unit[1:4]
         out[i, 3, 3] = unit[0]
@@ -95,22 +97,10 @@ def _make_definite(numbers: Floats) -> Floats:
     """Return the numbers of a body that has some thickness; where none is stated, of a small one."""
     mass, moment = max(float(numbers[0]), LEAST_KG), numbers[1:4]
     spread = np.outer(moment, moment) / mass
-    places = 0.5 * np.trace(_symmetric(numbers[4:])) * np.eye(3) - _symmetric(numbers[4:]) - spread
+    places = 0.5 * np.trace(symmetric(numbers[4:])) * np.eye(3) - symmetric(numbers[4:]) - spread
     values, axes = np.linalg.eigh(places)
     places = (axes * np.maximum(values, mass * LEAST_GYRATION_M**2)) @ axes.T + spread
     return np.array([mass, *moment, *(np.trace(places) * np.eye(3) - places)[UPPER]])
-
-
-def _link(element: int, numbers: Floats) -> Link:
-    mass, centre = float(numbers[0]), numbers[1:4] / numbers[0]
-    about_centre = _symmetric(numbers[4:]) - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return Link(element, mass, centre, about_centre)
-
-
-def _symmetric(six: Floats) -> Floats:
-    out = np.zeros((3, 3))
-    out[UPPER] = six
-    return np.asarray(out + np.triu(out, 1).T)
 
 
 BASIS = _basis()

@@ -44,13 +44,12 @@ class TorqueModel:
     @classmethod
     def from_fit(cls, equations: Equations, fit: Fit, terms: Sequence[Term], joints: Sequence[int]) -> Self:
         """Return the model of a fit of these terms, without those that a motion to come does not have."""
-        base = np.arange(equations.base)
-        own = np.searchsorted(fit.columns, base)
-        information = np.asarray(np.linalg.inv(fit.inverse[np.ix_(own, own)]), dtype=np.float64)
-        links = physical_links(equations.layout.robot, fit.theta[base], information)
+        p = equations.base  # base parameters come first
+        base, information = fit.theta[:p], np.asarray(np.linalg.inv(fit.inverse[:p, :p]), dtype=np.float64)
+        links = physical_links(equations.layout.robot, base, information)
         kept = [term for term in terms if term.effect.ahead and term.session is None and term.joint in joints]
         found = [(term, fit.theta[term.columns]) for term in kept]
-        return cls._of_terms(equations.layout, fit.theta[base], found, links, tuple(joints))
+        return cls._of_terms(equations.layout, base, found, links, tuple(joints))
 
     @classmethod
     def _of_terms(

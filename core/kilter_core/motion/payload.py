@@ -18,14 +18,13 @@ from kilter_core.motion.fit import covariance, fit_terms, joint_weights
 from kilter_core.motion.layout import Known, Layout
 from kilter_core.motion.normal import Equations, form_equations
 from kilter_core.motion.record import Log
-from kilter_core.motion.regressor import tool_in_link
+from kilter_core.motion.regressor import describe_body, symmetric, tool_in_link
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats
 
 EMPTY, LOADED = 0, 1
 FEWEST_SIGMAS = 3.0  # by which a mass must be above zero before it has a centre
 STEP = 1e-6
-SYMMETRIC = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 @dataclass(frozen=True)
@@ -94,21 +93,13 @@ def _in_tool_frame(robot: Robot, numbers: Floats, spread: Floats, left: Floats) 
     if told[0] < FEWEST_SIGMAS * sigma[0]:
         told[1:], sigma[1:] = np.nan, np.nan
     return CarriedBody(
-        float(told[0]), float(sigma[0]), told[1:4], sigma[1:4], _symmetric(told[4:]), _symmetric(sigma[4:]), left
+        float(told[0]), float(sigma[0]), told[1:4], sigma[1:4], symmetric(told[4:]), symmetric(sigma[4:]), left
     )
 
 
 def _describe(numbers: Floats, tool: Floats) -> Floats:
     """Mass, centre (3,) and inertia (6,) about it in the frame ``tool (4, 4)`` of numbers in the body's frame."""
-    mass, c = numbers[0], numbers[1:4] / numbers[0]
-    about_centre = _symmetric(numbers[4:]) - mass * (c @ c * np.eye(3) - np.outer(c, c))
+    mass, centre, about_centre = describe_body(numbers)
     R = tool[:3, :3]
     inertia = R.T @ about_centre @ R
-    return np.array([mass, *(R.T @ (c - tool[:3, 3])), *(inertia[i, k] for i, k in SYMMETRIC)])
-
-
-def _symmetric(six: Floats) -> Floats:
-    out = np.zeros((3, 3))
-    for value, (i, k) in zip(six.tolist(), SYMMETRIC, strict=True):
-        out[i, k] = out[k, i] = value
-    return out
+    return np.array([mass, *(R.T @ (centre - tool[:3, 3])), *inertia[np.triu_indices(3)]])

@@ -96,6 +96,19 @@ def numbers_of_point(mass: float, centre: Floats) -> Floats:
     return np.array([mass, *(mass * centre), *about_origin[np.triu_indices(3)]])
 
 
+def describe_body(numbers: Floats) -> tuple[float, Floats, Floats]:
+    """Return mass, centre (3,) and inertia (3, 3) about it of a body with these numbers (10,), in its frame."""
+    mass, centre = float(numbers[0]), numbers[1:4] / numbers[0]
+    return mass, centre, symmetric(numbers[4:]) - symmetric(numbers_of_point(mass, centre)[4:])
+
+
+def symmetric(six: Floats) -> Floats:
+    """Return the matrix (3, 3) of its numbers xx, xy, xz, yy, yz, zz."""
+    out = np.zeros((3, 3))
+    out[np.triu_indices(3)] = six
+    return np.asarray(out + np.triu(out, 1).T)
+
+
 def joint_behind_link(robot: Robot, link: int) -> int:
     """Return the joint (from 0) that moves a body last."""
     element = link_elements(robot)[link]

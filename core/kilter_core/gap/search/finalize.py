@@ -70,7 +70,7 @@ def finalize(found: SearchResult, alpha: float) -> SearchResult:
         wrong = [k for k in found.chosen if has_conflicting_amplitudes(found, k)][:1]
         after = tuple(k for k in found.chosen if k not in wrong) if wrong else _without_chance(found, alpha)
         if after == found.chosen:
-            after = _with_causes(found, seen)
+            after = _with_better_names(found, seen)
         if after == found.chosen:
             return found
         seen.add(frozenset(after))
@@ -138,7 +138,7 @@ def _without_chance(found: SearchResult, alpha: float) -> tuple[int, ...]:
     return found.chosen if p[worst] <= alpha else tuple(k for k in found.chosen if k != worst)
 
 
-def _with_causes(found: SearchResult, seen: set[frozenset[int]]) -> tuple[int, ...]:
+def _with_better_names(found: SearchResult, seen: set[frozenset[int]]) -> tuple[int, ...]:
     """The set with one empirical member replaced by the best physical one within the margin, where there is one, or a
     physical member by another of its class at the same joints, where that does better at the final fit.
     """

@@ -10,12 +10,21 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.analyse import run_job
-from kilter_client.cli.files.upload import ColumnMap, Device, InstrumentName, MeasuredAt, build_conditions, sent_file
+from kilter_client.cli.files.upload import Device, InstrumentName, MeasuredAt, build_conditions, sent_file
 from kilter_client.cli.reports.drift_report import EXIT_CODES, show_history, show_robots
 from kilter_client.cli.reports.next_step import suggest_after_job
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.terminal import arguments
-from kilter_client.cli.terminal.arguments import Details, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
+from kilter_client.cli.terminal.arguments import (
+    ColumnMap,
+    Details,
+    JobName,
+    Json,
+    MoreOptions,
+    NoWait,
+    PayloadCentre,
+    Robot,
+)
 from kilter_client.cli.terminal.flags import with_flags
 from kilter_client.cli.terminal.interrupt import job_goes_on, job_name, on_interrupt
 from kilter_client.cli.terminal.output import emit, job_bar, note, print_line

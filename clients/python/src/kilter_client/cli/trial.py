@@ -16,8 +16,8 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.cli.files.upload import ColumnMap, Device, Joints, PresetName
-from kilter_client.cli.terminal.arguments import Json
+from kilter_client.cli.files.upload import Device, Joints, PresetName
+from kilter_client.cli.terminal.arguments import ColumnMap, Json
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.errors import UsageError
 from kilter_client.requests.calls.jobs import report_page

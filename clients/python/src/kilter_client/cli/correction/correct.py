@@ -19,7 +19,7 @@ from kilter_client.cli.reports.activation_report import show_today
 from kilter_client.cli.reports.next_step import format_next
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal import arguments
-from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot
+from kilter_client.cli.terminal.arguments import ColumnMap, File, Json, PayloadCentre, PayloadOnPath, Robot
 from kilter_client.cli.terminal.interrupt import on_interrupt
 from kilter_client.cli.terminal.output import emit, note, print_line, print_lines
 from kilter_client.cli.terminal.session_notes import is_note_due
@@ -74,15 +74,11 @@ def correct(
     robot: Robot,
     file: File,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; default is stdout.")] = None,
-    column_map: Annotated[
-        Path | None, typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False)
-    ] = None,
+    column_map: ColumnMap = None,
     form: Annotated[
         str | None, typer.Option("--format", help="ros2-yaml: a ROS 2 JointTrajectory instead of the format sent.")
     ] = None,
-    payload_kg: Annotated[
-        float | None, typer.Option(min=0.0, help="Mass on the tool along the whole path, kg; 0 for an empty tool.")
-    ] = None,
+    payload_kg: PayloadOnPath = None,
     payload_com_mm: PayloadCentre = None,
     version: Annotated[
         str | None,

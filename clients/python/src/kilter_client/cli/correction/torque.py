@@ -10,7 +10,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal import arguments
-from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot
+from kilter_client.cli.terminal.arguments import ColumnMap, File, Json, PayloadCentre, PayloadOnPath, Robot
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.errors import UsageError
 from kilter_files import prepare
@@ -25,15 +25,11 @@ def torque(
     robot: Robot,
     file: File,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; default is stdout.")] = None,
-    column_map: Annotated[
-        Path | None, typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False)
-    ] = None,
+    column_map: ColumnMap = None,
     search: Annotated[
         str | None, typer.Option(help="Search in torques to take: id or name; default: the newest of the robot.")
     ] = None,
-    payload_kg: Annotated[
-        float | None, typer.Option(min=0.0, help="Mass on the tool along the whole path, kg; 0 for an empty tool.")
-    ] = None,
+    payload_kg: PayloadOnPath = None,
     payload_com_mm: PayloadCentre = None,
     as_json: Json = False,
 ) -> None:

@@ -20,7 +20,7 @@ from kilter_client.cli.files.sending import send
 from kilter_client.cli.reports.answer import fit_messages
 from kilter_client.cli.reports.next_step import suggest_after_upload
 from kilter_client.cli.terminal import arguments
-from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot
+from kilter_client.cli.terminal.arguments import ColumnMap, File, Json, PayloadCentre, Robot
 from kilter_client.cli.terminal.output import emit, note, print_line, print_lines
 from kilter_client.cli.terminal.references import resolve_reference
 from kilter_client.cli.terminal.tables import number, screen_columns, show_rows
@@ -149,9 +149,6 @@ InstrumentName = Annotated[
 Unchecked = Annotated[bool, typer.Option("--unchecked", help="Store rows that look mixed up, with a warning.")]
 ToolForce = Annotated[str | None, typer.Option(metavar="FX,FY,FZ", help="Force on the tool point, in its frame, N.")]
 ToolMoment = Annotated[str | None, typer.Option(metavar="MX,MY,MZ", help="Moment on the tool, in its frame, N m.")]
-ColumnMap = Annotated[
-    Path | None, typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False)
-]
 MeasuredAt = Annotated[
     str | None,
     typer.Option(metavar="WHEN", help="When the last row was measured: 2026-11-02, or 2026-11-02T14:30."),

@@ -11,7 +11,7 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.stored.versions import write
-from kilter_client.cli.terminal.arguments import File, Json
+from kilter_client.cli.terminal.arguments import ColumnMap, File, Json
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import FileError
@@ -39,9 +39,7 @@ def from_circles(
     base: Annotated[
         Literal["axis", "device"], typer.Option(help="Base frame: on the first axis, or the device's own.")
     ] = "axis",
-    column_map: Annotated[
-        Path | None, typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False)
-    ] = None,
+    column_map: ColumnMap = None,
     follows: Annotated[
         list[str] | None,
         typer.Option(metavar="J3=J2", help="J3 is read against the horizontal: uncouple it from J2 (repeat)."),

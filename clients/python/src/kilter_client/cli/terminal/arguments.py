@@ -58,6 +58,12 @@ ConfirmationIds = Annotated[
         show_default=False,
     ),
 ]
+ColumnMap = Annotated[
+    Path | None, typer.Option("--map", help="Column map of a lab's own file (TOML).", exists=True, dir_okay=False)
+]
+PayloadOnPath = Annotated[
+    float | None, typer.Option(min=0.0, help="Mass on the tool along the whole path, kg; 0 for an empty tool.")
+]
 PayloadCentre = Annotated[
     str | None,
     typer.Option(metavar="X,Y,Z", help="Centre of the payload in the tool frame, mm; default: the tool point."),
