@@ -1,3 +1,4 @@
+from .archives import member_names as member_names
 from .arrays import Floats as Floats
 from .errors import FileError as FileError
 from .errors import KilterError as KilterError

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import json
 import zipfile
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from kilter_files import rig
-from kilter_files.ground import FileError
+from kilter_files.ground import FileError, member_names
 from kilter_files.ground.later import need
 from kilter_service.page.drop.drafts import RIG
 
@@ -30,8 +31,8 @@ GUESSED = "the camera stands in the room and the board is on the flange; if not,
 def is_archive_of_pictures(path: Path) -> bool:
     """Whether a file is a ZIP archive of pictures, mostly."""
     try:
-        names = [name for name in zipfile.ZipFile(path).namelist() if not name.endswith("/")]
-    except (OSError, NotImplementedError, zipfile.BadZipFile):
+        names = [name for name in member_names(path) if not name.endswith("/")]
+    except ValueError:
         return False
     return sum(name.lower().endswith(ENDINGS) for name in names) > len(names) / 2
 
@@ -81,20 +82,20 @@ def _unpack(path: Path) -> Path:
         members = [one for one in archive.infolist() if _is_wanted(one.filename)]
         if len(members) > MOST_FILES or sum(one.file_size for one in members) > MOST_BYTES:
             raise FileError(f"{path.name} holds more than {MOST_FILES} files or {MOST_BYTES >> 30} GB: split it.")
-        names = [_last_name(one) for one in members]
-        if double := next((name for name in names if names.count(name) > 1), None):
+        names = [_last_name(one.filename) for one in members]
+        if double := next((name for name, count in Counter(names).items() if count > 1), None):
             raise FileError(f"{path.name} holds two files called {double}: give each a name of its own.")
         for one, name in zip(members, names, strict=True):
             (folder / name).write_bytes(archive.read(one))
     return folder
 
 
-def _last_name(one: zipfile.ZipInfo) -> str:
-    return one.filename.replace("\\", "/").rpartition("/")[2]
+def _last_name(name: str) -> str:
+    return name.replace("\\", "/").rpartition("/")[2]
 
 
 def _is_wanted(name: str) -> bool:
-    last = name.replace("\\", "/").rpartition("/")[2].lower()
+    last = _last_name(name).lower()
     return not last.startswith(".") and "__MACOSX" not in name and last.endswith((*ENDINGS, *TABLES, *CAMERAS, ".json"))
 
 
