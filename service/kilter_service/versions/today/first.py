@@ -38,15 +38,15 @@ class Reached:
 
 def first_calibration(reached: Reached, steps: Mapping[FirstStage, Sequence[NextStep]]) -> list[FirstStep]:
     """Return the stages, of which the first that is not done has its ``steps``; none once all are done."""
-    done: dict[FirstStage, bool] = {"describe": True}
-    later: dict[FirstStage, bool] = {
-        "correct": reached.active and reached.corrected,
+    searched = reached.active or reached.searched
+    done: dict[FirstStage, bool] = {
+        "describe": True,
+        "measure": searched or reached.measured,
+        "check": searched or reached.checked,
+        "search": searched,
         "activate": reached.active,
-        "search": reached.active or reached.searched,
-        "check": reached.active or reached.searched or reached.checked,
-        "measure": reached.active or reached.searched or reached.measured,
+        "correct": reached.active and reached.corrected,
     }
-    done |= later
     if all(done.values()):
         return []
     following = next(stage for stage in WORDS if not done[stage])
