@@ -24,6 +24,7 @@ CURVES = (
 )  # fmt: skip
 WITH_TEMPERATURE = ("thermal_growth", "link_growth", "column_bending", "thermal_drift", "zero_thermal")
 TWINS_OF_CLOCK = ("zero_settling", "link_lag", "link_bow", "air_scale")
+BETWEEN_JOINTS = ("link_bow",)
 OF_CLOCK = ("station", "thermal")  # classes that say base, station, air or arm, and so no joint
 # What acts at the same place in the same way, as the generator knows it: a claim of the class holds for each of them.
 KIN = {
@@ -42,7 +43,7 @@ KIN = {
     "load_sag": {"link_bending", "tool_sag"},
     "loads": {"payload_error"},
     "station": {"drift", "settling", "random_walk", "zero_drift", *WITH_TEMPERATURE, *TWINS_OF_CLOCK},
-    "joint_zero": {"zero_drift", "zero_thermal", "zero_settling"},
+    "joint_zero": {"zero_drift", "zero_thermal", "zero_settling", "link_bow"},
     "thermal": {*WITH_TEMPERATURE, "link_lag"},
 }
 
@@ -114,6 +115,8 @@ def _kin(effect: Named, hidden: Named) -> bool:
     if claimed in OF_CLOCK:
         return True
     joints, true = set(effect.get("joints") or ()), set(hidden["joints"])
+    if hidden["id"] in BETWEEN_JOINTS:  # the link from its joint to the next
+        true |= {j + 1 for j in true}
     return not joints or not true or bool(joints & true)
 
 

@@ -122,6 +122,14 @@ def test_a_smooth_curve_may_be_called_one_but_not_by_a_cause() -> None:
     assert right({**said("eccentricity", [3], "class_confirmed"), "class": "smooth error of joint 3"}, truth)
 
 
+def test_the_class_of_a_moved_zero_holds_the_links_beside_the_joint() -> None:
+    claim = {"claim": {"said": "class"}, "physical_class": {"id": "joint_zero"}, "alias_set": []}
+    truth = [hidden("link_bow", [3])]
+    for joint, holds in ((2, False), (3, True), (4, True), (5, False)):
+        assert right({**said("zero_drift", [joint], "class_confirmed"), **claim}, truth) is holds
+    assert not right({**said("zero_drift", [4]), **claim, "claim": {"said": "member"}}, truth)
+
+
 def test_an_exact_set_is_all_that_is_hidden_and_nothing_else() -> None:
     truth = [hidden("backlash", [3]), hidden("eccentricity", [1])]
     both = [said("backlash", [3]), said("eccentricity", [1], "provisional")]

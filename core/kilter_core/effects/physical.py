@@ -90,8 +90,8 @@ READ_STATION = PhysicalClass(
 )
 JOINT_ZERO = PhysicalClass(
     "joint_zero",
-    "zero of {joint} that moved with time or temperature",
-    ("knocked joint", "slipping coupling", "bending mount"),
+    "zero of {joint}, or a link beside it, that moved with time or temperature",
+    ("knocked joint", "slipping coupling", "bending mount", "sun on one side of a link"),
     went=WENT,
 )
 THERMAL = PhysicalClass(
