@@ -71,33 +71,33 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class TypePrior:
-    """What other arms of a type say of parameters ``names``, SI: normal about ``mean (K,)`` with ``covariance (K, K)``.
+class CorrelatedPrior:
+    """What others say of parameters ``names``, SI: normal about ``mean (K,)`` with ``covariance (K, K)``.
 
-    It stands in place of each parameter's own prior. ``freedom`` is that of the covariance: fewer arms, less sure of it.
-    ``untold`` parameters none of the arms could tell: of those it says nothing.
+    Others are arms of the type, or torques of the arm itself. It stands in place of each parameter's own prior. ``freedom``
+    is that of the covariance: fewer arms, less sure of it. ``untold`` parameters none of them could tell.
     """
 
     names: tuple[str, ...]
     mean: Floats
     covariance: Floats
-    freedom: float
+    freedom: float = math.inf
     untold: tuple[str, ...] = ()
 
-    def widen_by_factor(self, by: float) -> TypePrior:
+    def widen_by_factor(self, by: float) -> CorrelatedPrior:
         """The same with standard deviations ``by`` times as large."""
         return replace(self, covariance=self.covariance * by**2)
 
-    def widen_parameters(self, names: Sequence[str], by: float) -> TypePrior:
+    def widen_parameters(self, names: Sequence[str], by: float) -> CorrelatedPrior:
         """The same with standard deviations ``by`` times as large of these parameters alone."""
         factor = np.where(np.isin(self.names, list(names)), by, 1.0)
         return replace(self, covariance=self.covariance * np.outer(factor, factor))
 
-    def restrict_to_identifiable(self) -> TypePrior:
+    def restrict_to_identifiable(self) -> CorrelatedPrior:
         """The same of those parameters alone that arms of the type could tell."""
         own = np.array([k for k, name in enumerate(self.names) if name not in self.untold], dtype=np.int64)
         names = tuple(self.names[k] for k in own)
-        return TypePrior(names, self.mean[own], self.covariance[np.ix_(own, own)], self.freedom)
+        return CorrelatedPrior(names, self.mean[own], self.covariance[np.ix_(own, own)], self.freedom)
 
     def places(self, names: Sequence[str]) -> tuple[Ints, Ints]:
         """Where those of ``names`` are that it knows, and where they are in its own."""
@@ -118,15 +118,17 @@ class Prior:
     correlation: Floats | None = None
 
     @staticmethod
-    def from_parameters(parameters: Sequence[Parameter], of_type: TypePrior | None = None) -> Prior:
-        """The parameters' own, and in place of it what the type says of those that it knows."""
+    def from_parameters(parameters: Sequence[Parameter], *told: CorrelatedPrior | None) -> Prior:
+        """The parameters' own, and in place of it what is ``told`` of some of them."""
         mean, sigma = (np.array([getattr(p, part) for p in parameters]) for part in ("value", "prior_sigma"))
-        if of_type is None:
-            return Prior(mean, sigma)
-        known, own = of_type.places([p.name for p in parameters])
-        mean[known], sigma[known] = of_type.mean[own], np.sqrt(np.diag(of_type.covariance)[own])
-        correlation = np.eye(len(mean))
-        correlation[np.ix_(known, known)] = of_type.covariance[np.ix_(own, own)] / np.outer(sigma[known], sigma[known])
+        correlation = None
+        for one in told:
+            if one is None:
+                continue
+            known, own = one.places([p.name for p in parameters])
+            mean[known], sigma[known] = one.mean[own], np.sqrt(np.diag(one.covariance)[own])
+            correlation = np.eye(len(mean)) if correlation is None else correlation
+            correlation[np.ix_(known, known)] = one.covariance[np.ix_(own, own)] / np.outer(sigma[known], sigma[known])
         return Prior(mean, sigma, correlation)
 
     def append_prior(self, other: Prior) -> Prior:
@@ -144,6 +146,13 @@ class Prior:
         """What it says of some alone, whatever the others are."""
         correlation = None if self.correlation is None else self.correlation[np.ix_(which, which)]
         return Prior(self.mean[which], self.sigma[which], correlation)
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance (F, F), SI."""
+        return np.outer(self.sigma, self.sigma) * (
+            np.eye(len(self.sigma)) if self.correlation is None else self.correlation
+        )
 
     @cached_property
     def precision(self) -> Floats | None:

@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from kilter_core.arm import Robot
 from kilter_core.errors import CoreError
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.types import Progress
@@ -46,7 +47,9 @@ def run_case(case: Case, limit_s: float = LIMIT_S) -> dict[str, Any]:
     return hunted(generate(case), case.name, limit_s)
 
 
-def hunted(campaign: Campaign, name: str, limit_s: float = LIMIT_S) -> dict[str, Any]:
+def hunted(
+    campaign: Campaign, name: str, limit_s: float = LIMIT_S, describe: Callable[[Campaign], Robot] = robot_of
+) -> dict[str, Any]:
     """Let the finder at a campaign, and keep what it says beside the truth. Seconds are the processor's."""
     record = {
         "name": name, "case": asdict(campaign.case), "truth": campaign.truth.to_document(), "report": None,
@@ -60,7 +63,7 @@ def hunted(campaign: Campaign, name: str, limit_s: float = LIMIT_S) -> dict[str,
 
     try:
         rows = observations_of(campaign.columns)
-        report = find_gap(robot_of(campaign), rows, GapOptions(next_poses=1), progress=tell, **_second(campaign))
+        report = find_gap(describe(campaign), rows, GapOptions(next_poses=1), progress=tell, **_second(campaign))
     except CoreError as error:
         return {**record, "error": f"{error.code}: {error.message}", "seconds": time.process_time() - began}
     except TooLongError as error:

@@ -12,7 +12,7 @@ from tests.blind.pairs import RIGHT, WRONG, pairs, table
 
 def test_a_pair_differs_in_the_masses_alone() -> None:
     drawn = list(pairs(rounds=1))
-    assert len(drawn) == 12
+    assert len(drawn) == 18
     first, second = (generate(case) for case in drawn[:2])
     assert first.columns.keys() == second.columns.keys()
     for name, column in first.columns.items():

@@ -14,8 +14,10 @@ import pytest
 from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.errors import ConflictError, NotFoundError, ObservationError
+from tests.core.identify.test_carried_masses import ASKED, SOFT, measured, standing
 from tests.core.motion.moving_arm import Logger, State, ur_like
 from tests.core.motion.test_find import HIDDEN, at_joint
+from tests.core.motion.test_loads import solid
 from tests.core.truth import Body
 
 Capture = pytest.CaptureFixture[str]
@@ -111,6 +113,41 @@ def test_torques_of_a_path_come_from_the_newest_search(
         assert np.abs(heavy.to_numpy()["tau2_nm"] - told[:, 1]).max() > 10.0
         with pytest.raises(ObservationError, match="t_s"):
             kilter.torques("driven", {f"q{j}_deg": np.zeros(8) for j in JOINTS})
+
+
+def test_poses_lean_on_the_masses_that_torques_told(server: Path, capsys: Capture) -> None:
+    document = solid().document() | {"name": "leaning"}
+    for link in document["links"]:
+        link["mass_kg"] *= 1.25
+    log = Logger(solid(), seed=21).log()
+    table = {"t_s": log["t"]} | {f"q{j}_deg": np.degrees(log["q"][:, j - 1]) for j in JOINTS}
+    table |= {f"tau{j}_nm": log["tau"][:, j - 1] for j in JOINTS}
+    rows = measured(standing(), 8)
+    points = {f"q{j}_deg": np.degrees(rows.q[:, j - 1]) for j in JOINTS}
+    points |= {f"{axis}_mm": 1e3 * rows.position[:, k] for k, axis in enumerate("xyz")}
+    with Kilter() as kilter:
+        kilter.robots.add(document)
+        kilter.upload("leaning", points, name="poses")
+        with pytest.raises(ConflictError, match="No search in torques") as refused:
+            kilter.identify("leaning", "poses", effects=[ASKED], masses_from="newest")
+        assert refused.value.code == "no_torque_model"
+        kilter.upload("leaning", table, name="log")
+        kilter.gap("leaning", "log", name="by log")
+        found = {}
+        for given in (None, "newest"):
+            version = kilter.identify("leaning", "poses", effects=[ASKED], masses_from=given)
+            found[given] = {p["name"]: p["value"] for p in version["parameters"]}
+        (searched,) = (one["id"] for one in kilter.jobs.list("leaning") if one["name"] == "by log")
+        assert (
+            kilter.jobs.get(kilter.versions.get(version["version_id"])["job_id"])["options"]["masses_from"] == searched
+        )
+        assert (
+            run(["identify", "leaning", "-c", "poses", "--effects", "axial_compliance", "--masses-from", "newest"]) == 0
+        )
+    capsys.readouterr()
+    right = {f"compliance_{j}": np.degrees(SOFT[j]) for j in (2, 3)}
+    wrong = {given: [abs(one[name] / c - 1.0) for name, c in right.items()] for given, one in found.items()}
+    assert max(wrong["newest"]) < 0.04 < max(wrong[None])
 
 
 def test_a_log_without_its_time_is_refused(server: Path, logged: Path, tmp_path: Path, capsys: Capture) -> None:

@@ -25,7 +25,7 @@ from kilter_service.jobs.registry import KINDS
 
 NEW_JOB: TypeAdapter[Any] = TypeAdapter(NewJob)
 EFFECT: TypeAdapter[Any] = TypeAdapter(AnyEffect)
-NOT_OF_THE_CORE = {"start", "limits", "sheet_order"}
+NOT_OF_THE_CORE = {"start", "limits", "sheet_order", "masses_from"}
 OF_THE_START = {"prior"}  # of a search: `kilter_core.gap.of_type` makes the start that has it
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from kilter_core.arm.chain import Chain
+from kilter_core.parameters import CorrelatedPrior
 from kilter_core.types import Floats
 
 STANDARD_GRAVITY = 9.80665  # m/s²
@@ -66,7 +67,7 @@ class Robot:
     """Nominal description of a serial arm, SI. ``gravity (3,)`` m/s² is in the robot's base frame.
 
     ``load`` is what it carries where no payload is stated. ``payload_sigma`` is how well payloads are known: share of
-    the mass, and m of the place.
+    the mass, and m of the place. ``told_loads`` is what torques say of the errors of its masses and first moments.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Robot:
     T_tool: Floats = field(default_factory=lambda: np.eye(4))
     payload_sigma: tuple[float, float] = (MASS_SHARE, CENTRE_M)
     load: Payload | None = None
+    told_loads: CorrelatedPrior | None = None
 
     @property
     def n_joints(self) -> int:

@@ -14,7 +14,7 @@ from kilter_core.effects.base import Effect, Local, option
 from kilter_core.effects.batch import Batch
 from kilter_core.effects.physical import LOADS
 from kilter_core.observations import Observations
-from kilter_core.parameters import Parameter
+from kilter_core.parameters import Parameter, Prior
 from kilter_core.types import Floats
 
 
@@ -25,7 +25,8 @@ class LoadError(Effect):
     Of each link with a mass: mass beyond what was stated, at the stated centre, and first moment beyond. Of the payload,
     in rows that carry one: mass and shift of its place. ``payload_kg`` is the mean payload of the rows it is identified
     on, which scales the prior of its mass; 0 leaves the payload as stated. Priors are those of the robot, or the same for
-    all bodies: ``mass_share`` of the mass, and ``centre_m`` of each coordinate of the centre.
+    all bodies: ``mass_share`` of the mass, and ``centre_m`` of each coordinate of the centre. Of links that torques tell it is
+    what these say.
     """
 
     id = "load_error"
@@ -57,8 +58,10 @@ class LoadError(Effect):
 
     def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
         """Mass (kg) and first moment (kg m) of each link with a mass, then mass (kg) and place (m) of the payload."""
-        out = [p for k in links_with_mass(robot) for p in _of_link(k + 1, self._link_with_sigmas(robot.links[k]))]
-        return (*out, *self._of_payload(robot))
+        links = [p for k in links_with_mass(robot) for p in _of_link(k + 1, self._link_with_sigmas(robot.links[k]))]
+        prior = Prior.from_parameters(links, robot.told_loads)
+        told = zip(links, prior.mean.tolist(), prior.sigma.tolist(), strict=True)
+        return (*(replace(p, value=mean, prior_sigma=sigma) for p, mean, sigma in told), *self._of_payload(robot))
 
     def local(self, batch: Batch, values: Floats) -> Local:
         """Nothing of its own."""

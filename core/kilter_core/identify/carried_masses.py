@@ -39,7 +39,7 @@ def with_masses(
     else what they do is considered (:func:`considered_masses`).
     """
     able = METHODS[options.method].minimum and not options.tilt_first
-    if not able or not follow_loads(effects) or not _uncertain(effects, options):
+    if not able or not follow_loads(effects) or not _uncertain(effects, robot, options):
         return effects
     if any(e.nuisance for e in effects):
         return tuple(_as_known(e, options) if isinstance(e, LoadError) else e for e in effects)
@@ -58,9 +58,10 @@ def considered_masses(
     return errors if errors.parameters(robot) else None
 
 
-def _uncertain(effects: tuple[Effect, ...], options: IdentifyOptions) -> bool:
-    """Whether masses count as uncertain: as asked, else where no effect has a sign of the load."""
-    return options.masses == "uncertain" or (options.masses == "auto" and not _with_signs(effects))
+def _uncertain(effects: tuple[Effect, ...], robot: Robot, options: IdentifyOptions) -> bool:
+    """Whether masses count as uncertain: as asked, else where no effect has a sign of the load, and where torques tell them."""
+    told = robot.told_loads is not None or not _with_signs(effects)
+    return options.masses == "uncertain" or (options.masses == "auto" and told)
 
 
 def _with_signs(effects: tuple[Effect, ...]) -> list[str]:
@@ -100,7 +101,12 @@ def describe_masses(
     if not following:
         return None
     carried = next((e for e in effects if isinstance(e, LoadError)), None)
-    if carried is not None:
+    if carried is not None and robot.told_loads is not None:
+        text = (
+            f"Masses and centres beside {following} are those that torques showed: {_widths(carried, robot)} (standard "
+            "deviations; load_model lists them, and how they hang together is counted)."
+        )
+    elif carried is not None:
         text = (
             f"Masses and centres count as uncertain beside {following}: {_widths(carried, robot)} (standard deviations; "
             "load_model lists them). mass_sigma_percent and com_sigma_mm, or the robot (payload_sigma of payloads), say how "

@@ -130,6 +130,10 @@ class Calibration:
                     unknown |= (rows.direction[:, effect.acting(rows.q.shape[1])] == 0.0).any(axis=1)
         return unknown
 
+    def with_robot(self, robot: Robot) -> Calibration:
+        """The same values, of the robot with other knowledge of its masses."""
+        return replace(self, model=replace(self.model, robot=robot))
+
     def nominal_in_wanted_frames(self) -> Calibration:
         """The nominal chain in the wanted frames: where the tool should be."""
         base = self.robot.T_base if self.wanted_base is None else self.wanted_base

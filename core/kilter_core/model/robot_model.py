@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -23,7 +24,7 @@ from kilter_core.model.joint_columns import joint_rows, own_turns, rotation_deri
 from kilter_core.model.load_errors import Reader
 from kilter_core.model.prediction import NOTHING, TOOL_ROWS, Prediction, find_instrument
 from kilter_core.observations import Observations
-from kilter_core.parameters import Parameter, TypePrior, indices, refuse_collisions
+from kilter_core.parameters import CorrelatedPrior, Parameter, Prior, indices, refuse_collisions
 from kilter_core.types import Bools, Floats, Ints
 
 
@@ -79,7 +80,7 @@ class RobotModel:
     T_base: Floats = field(default_factory=lambda: THE_ROBOTS_OWN)
     T_tool: Floats = field(default_factory=lambda: THE_ROBOTS_OWN)
     load_chain: LoadChain | None = None
-    of_type: TypePrior | None = None
+    of_type: CorrelatedPrior | None = None
 
     def __post_init__(self) -> None:
         for name in [k for k in ("T_base", "T_tool") if getattr(self, k) is THE_ROBOTS_OWN]:
@@ -105,6 +106,10 @@ class RobotModel:
     def parameter(self, name: str) -> Parameter:
         """Look a parameter up by name; unknown names raise :class:`~kilter_core.errors.OptionError`."""
         return self.parameters[int(indices(self.names, [name])[0])]
+
+    def prior_of(self, parameters: Sequence[Parameter]) -> Prior:
+        """What is known of some parameters before any row: by themselves, by arms of the type, by torques."""
+        return Prior.from_parameters(parameters, self.of_type, self.robot.told_loads)
 
     @cached_property
     def n_geometric(self) -> int:

@@ -219,6 +219,7 @@ def _write_report(
             fit_terms(equations, borne_out, split.every, weights),
             borne_out,
             np.flatnonzero((rows > 0) & (weights > 0.0)).tolist(),
+            split.every,
         ),
     )
 

@@ -17,12 +17,13 @@ from kilter_core.motion.bodies import physical_links
 from kilter_core.motion.effects import MOTION_EFFECTS
 from kilter_core.motion.fit import Fit
 from kilter_core.motion.layout import Known, Layout, Term
+from kilter_core.motion.loads import loads_document, tell_loads
 from kilter_core.motion.normal import Equations
 from kilter_core.motion.record import Path
 from kilter_core.motion.regressor import base_columns, link_elements
 from kilter_core.observations import Observations
-from kilter_core.parameters import metres, mm
-from kilter_core.types import Floats
+from kilter_core.parameters import CorrelatedPrior, metres, mm
+from kilter_core.types import Bools, Floats
 
 FEWEST_ROWS = 6
 SPLINE = 5  # degree: accelerations are smooth too
@@ -33,23 +34,28 @@ class TorqueModel:
     """``layout`` has the base parameters and the terms, ``values (width,)`` are theirs.
 
     ``links`` could be real and have these base parameters; where the log says nothing they are as described. ``joints`` are
-    those (from 0) of which the log says something; of the others no torque is told.
+    those (from 0) of which the log says something; of the others no torque is told. ``loads`` is what it says of the masses
+    that loads of poses come from.
     """
 
     layout: Layout
     values: Floats
     links: tuple[Link, ...]
     joints: tuple[int, ...]
+    loads: CorrelatedPrior | None = None
 
     @classmethod
-    def from_fit(cls, equations: Equations, fit: Fit, terms: Sequence[Term], joints: Sequence[int]) -> Self:
-        """Return the model of a fit of these terms, without those that a motion to come does not have."""
+    def from_fit(
+        cls, equations: Equations, fit: Fit, terms: Sequence[Term], joints: Sequence[int], blocks: Bools
+    ) -> Self:
+        """Return the model of a fit of these terms to these blocks, without what a motion to come does not have."""
         p = equations.base  # base parameters come first
         base, information = fit.theta[:p], np.asarray(np.linalg.inv(fit.inverse[:p, :p]), dtype=np.float64)
         links = physical_links(equations.layout.robot, base, information)
         kept = [term for term in terms if term.effect.ahead and term.session is None and term.joint in joints]
         found = [(term, fit.theta[term.columns]) for term in kept]
-        return cls._of_terms(equations.layout, base, found, links, tuple(joints))
+        model = cls._of_terms(equations.layout, base, found, links, tuple(joints))
+        return replace(model, loads=tell_loads(equations, fit, blocks))
 
     @classmethod
     def _of_terms(
@@ -96,6 +102,7 @@ class TorqueModel:
                 for term in layout.terms
             ],
             "joints": [j + 1 for j in self.joints],
+            "loads": loads_document(layout.robot, self.loads),
             "usual_speeds": layout.speeds,
             "middles": layout.middles,
             "orders": list(layout.orders),

@@ -67,7 +67,7 @@ def _prior_widths_and_correlation(
     """Widths (P,) of the priors, and their covariance (P, P) in these where other robots of the type say it."""
     parameters = [model.parameters[k] for k in free]
     of_type = None if fleet is None else fleet_prior(model, [p.name for p in parameters], fleet).prior
-    prior = Prior.from_parameters(parameters, of_type)
+    prior = Prior.from_parameters(parameters, of_type, model.robot.told_loads)
     return prior.sigma, prior.correlation
 
 

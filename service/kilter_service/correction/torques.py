@@ -14,7 +14,6 @@ from kilter_service.correction.wire import cells
 from kilter_service.ground.core import core_motion
 from kilter_service.ground.db import Database
 from kilter_service.ground.ended_jobs import store as ended_jobs
-from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.tables.writing import write_table
@@ -75,16 +74,8 @@ def add_torques(
     """
     with database.reading() as session:
         stored = robots.get(session, robot)
-        found = ended_jobs.newest_search_in_torques(session, stored.id, search)
+        job, name, document = ended_jobs.get_search_in_torques(session, stored.id, search)
         arm = stored.robot()
-    if found is None:
-        raise ServiceError(
-            f"No search in torques of robot {robot!r} has a model{'' if search is None else f' by the id {search!r}'}: upload "
-            "a log with t_s and tau1_nm ..., and search it (kilter gap).",
-            code="no_torque_model",
-            robot=robot,
-        )
-    job, name, document = found
     table, columns = read_trajectory(path, media, [joint.kind for joint in arm.joints])
     rows = load.under(observations(table, columns, {}), carried, arm)
     model = core_motion.TorqueModel.from_document(arm, document)

@@ -7,7 +7,9 @@ from pydantic import TypeAdapter
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.job import FINAL, Folds, JobList, JobSummary
 from kilter_service.contract.jobs.registry import Job, NewJob
+from kilter_service.contract.jobs.shared import NEWEST
 from kilter_service.ground.db import Database, Session
+from kilter_service.ground.ended_jobs import store as ended_jobs
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.ground.references import store as references
@@ -37,7 +39,7 @@ def submit(database: Database, job: NewJob, once: Once = NOT_REPEATED) -> Job:
         known = once.first_answer(session, body, JOB)
         if known is not None:
             return known
-        job = _with_version_id(session, job, kind)
+        job = _with_searched_masses(session, _with_version_id(session, job, kind))
         validate_job(session, job, kind)
     kind.check(job.options)  # may import the core and take its time: outside
     with database.transaction() as session:
@@ -58,6 +60,16 @@ def _with_version_id(session: Session, job: NewJob, kind: JobKind) -> NewJob:
         return job
     options = job.options.model_copy(update={option: references.version_id(session, str(named))})
     return job.model_copy(update={"options": options})
+
+
+def _with_searched_masses(session: Session, job: NewJob) -> NewJob:
+    """Return a job that names the search in torques whose masses it takes by its id, where it asks for the newest."""
+    named = getattr(job.options, "masses_from", None)
+    if named is None:
+        return job
+    robot_id = robots.usable(session, job.robot).id
+    found, *_ = ended_jobs.get_search_in_torques(session, robot_id, None if named == NEWEST else named)
+    return job.model_copy(update={"options": job.options.model_copy(update={"masses_from": found})})
 
 
 def validate_job(session: Session, job: NewJob, kind: JobKind) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import uuid
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import ColumnElement, Select, case, func, or_, select
@@ -13,10 +13,11 @@ from sqlalchemy import ColumnElement, Select, case, func, or_, select
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.contract.jobs.registry import NewJob
+from kilter_service.contract.jobs.shared import NEWEST
 from kilter_service.contract.versions import Objection
 from kilter_service.ground.called import job_noun
 from kilter_service.ground.caller import allowed_robots, as_document
-from kilter_service.ground.core import core_identify
+from kilter_service.ground.core import core_identify, core_motion
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import NOT_OVER, JobRow, RobotRow, VersionRow
@@ -256,6 +257,11 @@ def load_job_input(
     """Load all that a request needs; of the rows of each campaign one in ``every``, of other robots those ``allowed``."""
     kind, robot = get_job_kind(kind_name), robots.core_robot(session, robot_id)
     named = starting_version(session, robot_id, kind, request)
+    start = None if named is None else versions.calibration(session, named)
+    if searched := request.options.get("masses_from"):
+        *_, model = ended.get_search_in_torques(session, robot_id, None if searched == NEWEST else searched)
+        robot = replace(robot, told_loads=core_motion.told_loads(robot, model.get("loads")))
+        start = None if start is None else start.with_robot(robot)
 
     def load_rows(ids: Sequence[str]) -> dict[str, Observations]:
         return {c: campaigns.observations(session, c, robot, every=every) for c in ids}
@@ -267,7 +273,7 @@ def load_job_input(
         validation=request.folds if isinstance(held, dict) else load_rows(held) if isinstance(held, list) else held,
         options=read_options(kind_name, request.options),
         version_id=named,
-        calibration=None if named is None else versions.calibration(session, named),
+        calibration=start,
         covariance=None if named is None else versions.covariance(session, named),
         report=None if named is None else dict(versions.get(session, named).report),
         names={c: campaigns.get(session, c).name for c in (*request.campaigns, *request.held_out_campaigns)},

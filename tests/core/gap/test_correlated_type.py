@@ -19,7 +19,7 @@ from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.rows.measurement_of_rows import measurement_for
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.parameters import TypePrior
+from kilter_core.parameters import CorrelatedPrior
 from tests.core.identify.fleet.simulated import ANGLE, LENGTH, PARALLEL, TOOL, Arm, document, poses, shifted, turned
 
 Floats = NDArray[np.float64]
@@ -51,8 +51,8 @@ class Correlated:
         return Correlated(SPREAD * rng.standard_normal(len(TOLD)), SPREAD[:, None] * root)
 
     @property
-    def prior(self) -> TypePrior:
-        return TypePrior(NAMES, NOMINAL + self.mean, self.root @ self.root.T, 1e6)
+    def prior(self) -> CorrelatedPrior:
+        return CorrelatedPrior(NAMES, NOMINAL + self.mean, self.root @ self.root.T, 1e6)
 
     def arm(self, rng: np.random.Generator) -> tuple[Arm, Floats]:
         """An arm of the type, and its parameters in the order of the names."""
@@ -63,14 +63,14 @@ class Correlated:
         return Arm(errors, base, TOOL + rng.normal(0.0, 2e-3, 3)), NOMINAL + told
 
 
-def identified(rows: Observations, prior: TypePrior) -> Fit:
+def identified(rows: Observations, prior: CorrelatedPrior) -> Fit:
     start = Calibration.nominal(ROBOT)
     asked = IdentifyOptions(noise_mm=float(np.hypot(0.05, 1e3 * SMALLEST)), prior="fleet")  # as a search has it
     told = replace(start, model=replace(start.model, of_type=prior))
     return fit_by_method(told, measurement_for(rows, asked, start.marker_points), asked)
 
 
-def searched(rows: Observations, prior: TypePrior | None) -> Stored:
+def searched(rows: Observations, prior: CorrelatedPrior | None) -> Stored:
     start = Calibration.nominal(ROBOT)
     begin = replace(start, model=replace(start.model, of_type=prior))
     return find_gap(ROBOT, rows, OPTIONS, begin, 0.0).stored

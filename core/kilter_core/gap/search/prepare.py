@@ -372,10 +372,10 @@ def tool_source(
     """
     carried = _load_error_effects(model, measurement)
     whole = replace(model.with_loads_at_values(values), effects=(*model.effects, *carried, *library.effects))
-    added = sum(len(e.parameters(model.robot)) for e in carried)
-    own = np.concatenate([free, len(values) + np.arange(added)])
+    added = np.array([p.value for e in carried for p in e.parameters(model.robot)])
+    own = np.concatenate([free, len(values) + np.arange(len(added))])
     source = ToolSource.from_model(whole, measurement, own, len(library.parameters))
-    values = np.concatenate([values, np.zeros(added + len(library.parameters))])
+    values = np.concatenate([values, added, np.zeros(len(library.parameters))])
     return (source, values) if measurement.observes_places else ContactSource.of_known_scale(source, values)
 
 
@@ -401,7 +401,7 @@ def blur_load_signs(source: Source, values: Floats, covariance: Floats | None = 
     """The source with its loads as uncertain as the priors of the load errors, or their ``covariance``, make them."""
     if not source.of_loads.any() or source.batch.slopes is None:
         return source
-    prior = np.diag(source.prior_sigma[source.of_loads] ** 2)
+    prior = source.prior.select_parameters(source.of_loads).covariance
     return source.with_load_blur(source_load_blur(source, values, prior if covariance is None else covariance))
 
 

@@ -111,7 +111,7 @@ class Problem(LeastSquares[Linearised]):
     def __post_init__(self) -> None:
         parameters = [self.model.parameters[k] for k in self.free]
         object.__setattr__(self, "batch", self.model.batch(self.measurement.observations))
-        object.__setattr__(self, "prior", Prior.from_parameters(parameters, self.model.of_type))
+        object.__setattr__(self, "prior", self.model.prior_of(parameters))
 
     def with_weights(self, weights: Weights, held: Floats | None, loss: str | None = None) -> Problem:
         """Return the same problem with other weights, held directions and perhaps loss; the batch is shared."""

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from kilter_core.identify.fit.least_squares import Fit, PriorUse
-from kilter_core.parameters import TypePrior
+from kilter_core.parameters import CorrelatedPrior
 from kilter_core.types import Floats
 
 CONFLICT = 0.01  # chance of an arm of the type to be as odd, below which the type is not believed
@@ -59,7 +59,7 @@ class Told:
         return np.asarray(log - 0.5 * (self.spare * np.log(noises**2) + self.left / noises**2)[:, None])
 
 
-def reduce_to_prior_parameters(fit: Fit, prior: TypePrior) -> Told:
+def reduce_to_prior_parameters(fit: Fit, prior: CorrelatedPrior) -> Told:
     """What the rows of a ``fit`` say against a ``prior``; all other parameters take up what they can."""
     problem = fit.problem
     known, own = prior.places(fit.names)
@@ -76,7 +76,7 @@ def reduce_to_prior_parameters(fit: Fit, prior: TypePrior) -> Told:
     return Told(np.asarray(y), np.asarray(R), max(float(left @ left - y @ y), 0.0), max(spare, 0))
 
 
-def assess_prior_conflict(fit: Fit, prior: TypePrior, noise_known: bool) -> PriorUse:
+def assess_prior_conflict(fit: Fit, prior: CorrelatedPrior, noise_known: bool) -> PriorUse:
     """How far to believe a ``prior`` of the arm that was fitted without it; with ``noise_known`` the fit's weights are true."""
     told, own = reduce_to_prior_parameters(fit, prior), prior.places(fit.names)[1]
     noises = np.ones(1) if noise_known else NOISES
@@ -99,7 +99,7 @@ def assess_prior_conflict(fit: Fit, prior: TypePrior, noise_known: bool) -> Prio
     return PriorUse("widened", width, square, count, p, tuple(odd), noise=float(noise))
 
 
-def _odd_ones(told: Told, prior: TypePrior, names: list[str], noises: Floats) -> list[str]:
+def _odd_ones(told: Told, prior: CorrelatedPrior, names: list[str], noises: Floats) -> list[str]:
     """Parameters that make the rows likelier when they are of another make, the likeliest first."""
     own, odd, one = prior.places(names)[1], list[str](), np.ones(1)
 

@@ -15,7 +15,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.rows.measurement_of_rows import measurement_for
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.parameters import TypePrior
+from kilter_core.parameters import CorrelatedPrior
 from kilter_core.types import Floats, Ints
 
 # Mean and covariance of the arms of a type from a version of each: restricted maximum likelihood, and shrinkage.
@@ -129,7 +129,7 @@ class LeftOneOut:
 class FleetPrior:
     """A type's prior, the ``versions`` that it rests on, those ``left_out``, and what each robot is to the others."""
 
-    prior: TypePrior
+    prior: CorrelatedPrior
     versions: tuple[FleetVersion, ...]
     left_out: tuple[LeftOut, ...] = ()
     left_one_out: tuple[LeftOneOut, ...] = ()
@@ -183,14 +183,14 @@ def said_left_out(out: Sequence[LeftOut]) -> str:
 
 def _estimate_type_prior(
     model: RobotModel, versions: tuple[FleetVersion, ...]
-) -> tuple[TypePrior, tuple[FleetVersion, ...]]:
+) -> tuple[CorrelatedPrior, tuple[FleetVersion, ...]]:
     names, width, groups = _shared_parameters(model, versions)
     values, within = _scale_to_priors(versions, names, width)
     found = population(values, within, groups)
     covariance = found.of_another * np.outer(width, width)
     known = np.median(np.sqrt(np.diagonal(within, axis1=1, axis2=2)), axis=0) < KNOWN
     untold = tuple(name for name, told in zip(names, known, strict=True) if not told)
-    return TypePrior(tuple(names), found.mean * width, covariance, _freedom(len(versions)), untold), versions
+    return CorrelatedPrior(tuple(names), found.mean * width, covariance, _freedom(len(versions)), untold), versions
 
 
 def _freedom(robots: int) -> float:

@@ -13,7 +13,7 @@ from kilter_core.identify.fleet.conflict import NOTICED
 from kilter_core.identify.fleet.prior import FleetPrior, said_left_out
 from kilter_core.identify.identifiable.identifiability import WEAK
 from kilter_core.observations import Observations
-from kilter_core.parameters import Prior, TypePrior
+from kilter_core.parameters import CorrelatedPrior, Prior
 from kilter_core.types import Bools, Floats
 
 ORDINARY = 0.5  # chance of an arm of the type to be as odd, from which on it is odder than fewer than half of them
@@ -28,7 +28,9 @@ def resting(fit: Fit) -> Bools:
     return prior_dominated_mask(fit.problem.model.of_type, fit.names, fit.sigma, fit.problem.prior_sigma)
 
 
-def prior_dominated_mask(prior: TypePrior | None, names: Sequence[str], sigma: Floats, prior_sigma: Floats) -> Bools:
+def prior_dominated_mask(
+    prior: CorrelatedPrior | None, names: Sequence[str], sigma: Floats, prior_sigma: Floats
+) -> Bools:
     """Which parameters (F,) rest on a type: the rows take off less than half of the variance that it leaves them.
 
     Of those that no arm of the type could tell it says nothing.
@@ -103,7 +105,7 @@ def _sentence(fleet: FleetPrior, fit: Fit, names: list[str]) -> str:
 # follow.
 
 
-def required_prior_widening(alone: Fit, prior: TypePrior, noise: float) -> float:
+def required_prior_widening(alone: Fit, prior: CorrelatedPrior, noise: float) -> float:
     """How many times as wide a ``prior`` has to be taken beside the fit without it; linear about that fit.
 
     ``noise`` is that of the rows in those of the fit: what few poses leave tells it badly, and the type tells more of it.

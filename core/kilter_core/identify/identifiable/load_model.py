@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from kilter_core.arm.loads.slopes import EACH, LIGHTEST_KG, links_with_mass
+from kilter_core.arm.loads.slopes import EACH, LIGHTEST_KG, links_with_mass, with_masses
 from kilter_core.effects.load_error import LoadError
 from kilter_core.identify.identifiable.identifiability import identifiable
 from kilter_core.model import Calibration
@@ -19,7 +19,7 @@ NAMED = {"mass": "mass", "com_x": "centre along x", "com_y": "centre along y", "
 
 @dataclass(frozen=True)
 class Stated:
-    """A number of a body as stated, in the unit of the robot document, and what one unit of its error is there."""
+    """A number of a body as stated or told, in the unit of the robot document, and what one unit of its error is there."""
 
     link: int | None  # from 1; None: the payload
     parameter: str
@@ -57,17 +57,22 @@ def load_rows(
         if not isinstance(effect, LoadError):
             continue
         errors = calibration.values[where]
-        own = [p.name for p in effect.parameters(model.robot)]
-        for name, error, one in zip(own, errors, _stated_load_values(calibration, effect, errors), strict=True):
-            if name in place:
-                k = place[name]
+        own = effect.parameters(model.robot)
+        beyond = errors - [p.value for p in own]
+        for p, error, one in zip(own, beyond, _stated_load_values(calibration, effect, beyond), strict=True):
+            if p.name in place:
+                k = place[p.name]
                 out.append(one.row(float(error), float(sigma[k]), float(prior_sigma[k]), bool(known[k])))
     return out
 
 
 def _stated_load_values(calibration: Calibration, effect: LoadError, errors: Floats) -> Iterator[Stated]:
-    """What the robot and the rows say of each load error, in their order. A first moment is a centre times the mass."""
-    robot = calibration.robot
+    """What the robot, its torques and the rows say of each body, in the order of the errors beyond that.
+
+    A first moment is a centre times the mass.
+    """
+    told = [p.value for p in effect.parameters(calibration.robot)]
+    robot = with_masses(calibration.robot, told)
     for n, k in enumerate(links_with_mass(robot)):
         link = robot.links[k]
         mass = max(link.mass + float(errors[EACH * n]), LIGHTEST_KG)

@@ -28,7 +28,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.load_errors import load_sign_blur
 from kilter_core.observations import Observations
-from kilter_core.parameters import TypePrior
+from kilter_core.parameters import CorrelatedPrior
 from kilter_core.types import Floats, Progress
 
 # Signs of loads while masses are uncertain: as soft as the masses leave the loads, from their priors to what the
@@ -143,7 +143,7 @@ def _alone(start: Calibration, fitted: Callable[[Calibration], Fit]) -> Fit | No
 
 
 def _without_a_judge(
-    start: Calibration, prior: TypePrior, options: IdentifyOptions, fitted: Callable[[Calibration], Fit]
+    start: Calibration, prior: CorrelatedPrior, options: IdentifyOptions, fitted: Callable[[Calibration], Fit]
 ) -> Fit:
     """A fit of so few poses that none without the type stands beside it: judged by itself."""
     fit = fitted(start)
@@ -161,11 +161,11 @@ def _without_a_judge(
     return replace(fitted(_with_type_prior(start, _as_used(prior, use))), prior_use=use)
 
 
-def _as_used(prior: TypePrior, use: PriorUse) -> TypePrior:
+def _as_used(prior: CorrelatedPrior, use: PriorUse) -> CorrelatedPrior:
     return prior.widen_parameters(use.odd, LOOSE).widen_by_factor(use.widened_by or 1.0)
 
 
-def _with_type_prior(start: Calibration, prior: TypePrior | None) -> Calibration:
+def _with_type_prior(start: Calibration, prior: CorrelatedPrior | None) -> Calibration:
     return replace(start, model=replace(start.model, of_type=prior))
 
 

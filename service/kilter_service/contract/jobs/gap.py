@@ -33,10 +33,12 @@ from kilter_service.contract.jobs.shared import (
     FIX,
     FREE,
     LIMITS,
+    MASSES_FROM,
     PRIOR,
     Effects,
     Limits,
     MadeVersion,
+    MassesFrom,
     Names,
     PriorName,
     Version,
@@ -58,6 +60,7 @@ class GapOptions(WithCoreOptions):
         description='["tool"]: every campaign and session has a tool of its own (a remounted marker); '
         "[]: all rows share one.",
     )
+    masses_from: MassesFrom = Field(None, description=MASSES_FROM)
     prior: PriorName = Field(None, description=PRIOR)
     limits: Limits = Field(None, description=LIMITS)
 

@@ -16,10 +16,12 @@ from kilter_service.contract.jobs.shared import (
     FIX,
     FREE,
     LIMITS,
+    MASSES_FROM,
     START,
     Effects,
     Limits,
     MadeVersion,
+    MassesFrom,
     Names,
     Version,
 )
@@ -46,6 +48,7 @@ class IdentifyOptions(WithCoreOptions):
         description="`given`: the quarter points of drawn sheets are in the right order, do not check; null: `checked`.",
     )
     start: Version = Field(None, description=START)
+    masses_from: MassesFrom = Field(None, description=MASSES_FROM)
     limits: Limits = Field(None, description=LIMITS)
     socket_distances_mm: dict[
         Annotated[str, Field(pattern=r"^[0-9]+-[0-9]+$", max_length=32)], Annotated[Mm, Field(gt=0)]

@@ -38,6 +38,12 @@ LIMITS = (
     "The largest correction the version may make; null: what it needs at 99 % of its poses, from 1 degree and 5 mm to "
     "5 degrees and 10 mm."
 )
+NEWEST = "newest"
+MassesFrom = Annotated[str, Field(max_length=64)] | None
+MASSES_FROM = (
+    "Id of a search in torques of this robot, or `newest`: masses and centres of links are what it found, as surely as it "
+    "knows them; null: as the robot is described."
+)
 PRIOR = (
     "`fleet`: add what versions of at least five other robots of this type say before the rows; null: none of them is "
     "asked."

@@ -10,6 +10,7 @@ from sqlalchemy import select
 
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import EndedJobsRow, JobRow
+from kilter_service.ground.errors import ServiceError
 
 # Counted are jobs up to each, and no longer than it; the bins may change with a release, what was counted keeps its own.
 AT_MOST_MS = (250, 1000, 2500, 5000, 10_000, 30_000, 60_000, 120_000, 300_000, 600_000, 1_800_000, 3_600_000)
@@ -40,10 +41,15 @@ def _duration_bin(took: timedelta) -> int:
     return AT_MOST_MS[at] if at < len(AT_MOST_MS) else LONGER_MS
 
 
-def newest_search_in_torques(
+def get_search_in_torques(
     session: Session, robot_id: int, job_id: str | None = None
-) -> tuple[str, str, dict[str, Any]] | None:
-    """Return id, name and model of the newest search in torques of a robot, or of the one that is named; None without one."""
+) -> tuple[str, str, dict[str, Any]]:
+    """Return id, name and model of the newest search in torques of a robot, or of the one that is named.
+
+    Raises:
+        ServiceError: ``no_torque_model``: there is none.
+
+    """
     row = JobRow
     model = row.result["motion"]["model"]
     query = select(row.id, row.name, model).where(
@@ -52,4 +58,10 @@ def newest_search_in_torques(
     if job_id is not None:
         query = query.where(row.id == job_id)
     found = session.execute(query.order_by(row.created_at.desc(), row.id).limit(1)).one_or_none()
-    return None if found is None else (found[0], found[1], found[2])
+    if found is None:
+        raise ServiceError(
+            f"No search in torques of this robot has a model{'' if job_id is None else f' by the id {job_id!r}'}: upload a log "
+            "with t_s and tau1_nm ..., and search it (kilter gap).",
+            code="no_torque_model",
+        )
+    return found[0], found[1], found[2]

@@ -86,7 +86,7 @@ class _Work(Generic[T]):
             raise CancelledError("The job was cancelled.")
 
 
-NOT_OF_THE_CORE = {"start", "limits", "prior"}
+NOT_OF_THE_CORE = {"start", "limits", "prior", "masses_from"}
 
 
 def check(options: GapOptions) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kilter_core.errors import ObservationError
+from kilter_core.errors import ObservationError, OptionError
 from kilter_core.observations import Observations, refuse_shared_rows
 from kilter_core.types import run_sequentially
 from kilter_service.campaigns.store import renumber_poses_and_sessions
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     Again = Callable[[str, Observations], Identification | None]
 
 
-NOT_OF_THE_CORE = {"start", "limits", "sheet_order"}
+NOT_OF_THE_CORE = {"start", "limits", "sheet_order", "masses_from"}
 
 OPTION, GIVEN = "sheet_order", "given"
 
@@ -45,6 +45,11 @@ def check(options: IdentifyOptions) -> None:
         OptionError: a method without what another option needs, effects at a level without them, ...
 
     """
+    if options.masses_from is not None and options.masses == "as_stated":
+        raise OptionError(
+            'masses "as_stated" takes them from the description, and masses_from from torques: give one of them.',
+            option="masses_from",
+        )
     _core(options).make_effects()
 
 

@@ -46,7 +46,7 @@ class ToolSource(Source):
             free,
             n_library,
             model.batch(measurement.observations),
-            Prior.from_parameters(chosen, model.of_type),
+            model.prior_of(chosen),
             np.array([p.prior_sigma for p in library]),
         )
 
