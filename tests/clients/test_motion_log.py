@@ -13,7 +13,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.errors import ConflictError, NotFoundError, ObservationError
+from kilter_client.errors import ConflictError, JobFailedError, NotFoundError, ObservationError
 from tests.core.identify.test_carried_masses import ASKED, SOFT, measured, standing
 from tests.core.motion.moving_arm import Logger, State, ur_like
 from tests.core.motion.test_find import HIDDEN, at_joint
@@ -160,10 +160,37 @@ def test_a_log_without_its_time_is_refused(server: Path, logged: Path, tmp_path:
     assert "no t_s" in capsys.readouterr().err
 
 
-def test_an_identification_of_a_log_says_what_searches_it(server: Path, logged: Path, capsys: Capture) -> None:
-    assert run(["upload", "mover", str(logged), "--name", "fit"]) == 0
-    assert run(["identify", "mover", "-c", "fit"]) != 0
-    assert "A log of joint torques alone is searched by `kilter gap`" in capsys.readouterr().err
+def test_a_log_is_identified_with_the_effects_that_somebody_chose(
+    server: Path, logged: Path, hidden: tuple[Logger, Path], capsys: Capture
+) -> None:
+    with Kilter() as kilter:
+        kilter.upload("mover", logged, name="fit")
+        chosen = [{"id": "gear_ripple", "joints": [3]}, {"id": "load_friction", "joints": [2]}]
+        found = kilter.identify("mover", "fit", effects=chosen, name="ripple")
+        assert found["version_id"] is None
+        (ripple,) = found["effects"]
+        assert (ripple["id"], ripple["joints"], ripple["verdict"]) == ("gear_ripple", [3], "confirmed")
+        assert [one["code"] for one in found["warnings"]] == ["effect_not_shown"]
+        assert any(one["name"].startswith("load_friction") for one in found["motion"]["friction"])
+        bare = kilter.identify("mover", "fit")
+        assert bare["motion"]["joints"][2]["found"] > 2.0 * found["motion"]["joints"][2]["found"]
+        assert bare["effects"] == []
+        assert kilter.torques("mover", path_of(hidden[0]))
+        only = kilter.gap("mover", "fit", effects=["load_friction"])
+        assert only["effects"] == []
+        with pytest.raises(JobFailedError, match="backlash is not an effect of torques"):
+            kilter.identify("mover", "fit", effects=["backlash"])
+    assert run(["identify", "mover", "-c", "fit", "--effects", "gear_ripple"]) == 0
+    said = capsys.readouterr().out
+    assert "Found: gear ripple of joint 3." in said
+    assert "probable" not in said
+    assert "Torque error of joint 3" in said
+
+
+def path_of(logger: Logger) -> dict:
+    t = np.arange(0.0, 2.0, 0.01)
+    q, _, _ = logger._path(t)
+    return {"t_s": t, **{f"q{j}_deg": np.degrees(q[:, j - 1]) for j in JOINTS}}
 
 
 def test_what_is_carried_is_weighed(server: Path, logged: Path, hidden: tuple[Logger, Path], capsys: Capture) -> None:

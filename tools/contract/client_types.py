@@ -25,6 +25,7 @@ MODULES: Mapping[str, Sequence[str]] = {
     "campaigns": ("Campaign", "Uploaded", "Instrument"),
     "cameras": ("CameraFound", "BoardFound", "PixelsFound"),
     "fleet_priors": ("PriorUsed",),
+    "claims": ("NamedEffect", "Found", "MotionFound", "Untestable"),
     "identifications": ("IdentifyResult", "JointParametersResult"),
     "comparisons": ("Comparison", "VersionDiff", "Tombstone"),
     "previews": ("VersionPreview",),

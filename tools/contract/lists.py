@@ -12,6 +12,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document, preset_names
 from kilter_core.effects import EFFECTS, Effect
 from kilter_core.identify.registry import METHODS
+from kilter_core.motion.effects import MOTION_EFFECTS
 from kilter_service.contract.jobs.registry import KINDS
 from kilter_service.robots.exporters.registry import FORMATS
 
@@ -42,6 +43,9 @@ def _effects() -> Iterator[dict[str, str]]:
     for kind in (one for one in EFFECTS.values() if not one.nuisance):
         needs = sorted(NEEDED.get(need, need) for need in kind.needs)
         yield {"id": kind.id, "acts_on": _place(kind), "needs": ", ".join(needs), "summary": kind.summary}
+    for effect in MOTION_EFFECTS:
+        needs = ["a log of torques", *sorted(one for one in effect.needs if one == "temperature")]
+        yield {"id": effect.id, "acts_on": "joints", "needs": ", ".join(needs), "summary": effect.label}
 
 
 def _place(kind: type[Effect]) -> str:

@@ -34,7 +34,10 @@ def to_document(report: MotionReport) -> dict[str, Any]:
     ]
     clock = _find_clock(report)
     judged = () if clock is not None or _is_scrambled(report) else report.judged
+    faint = [one for one in judged if report.fitted and not one.shown]
+    judged = tuple(one for one in judged if not any(one is other for other in faint))
     friction = [one for term, value in report.common for one in _list_amplitudes(term, value, None, units)]
+    friction += [amplitude for one in faint for amplitude in _list_amplitudes(one.term, one.value, one.sigma, units)]
     return {
         "verdict": "provisional" if any(one.verdict == "provisional" for one in judged) else "not_known",
         "effects": [_describe_effect(one, units) for one in judged],
@@ -51,8 +54,18 @@ def to_document(report: MotionReport) -> dict[str, Any]:
             {"id": t.effect.id, "joints": [t.joint + 1], "reason": IMITATED, "remedy": f"Record {t.effect.remedy}."}
             for t in report.hidden
         ],
-        "warnings": [*([] if clock is None else [clock]), *_list_warnings(report)],
+        "warnings": [*([] if clock is None else [clock]), *map(_describe_faint, faint), *_list_warnings(report)],
     }
+
+
+def _describe_faint(one: Judged) -> dict[str, Any]:
+    """Say that an effect that was fitted, because somebody asked for it, does not show."""
+    effect, joint = one.term.effect, one.term.joint + 1
+    message = (
+        f"This log does not show the {effect.label} of joint {joint}: zero is as likely. Leave it out, or record "
+        f"{effect.remedy}."
+    )
+    return {"code": "effect_not_shown", "message": message, "joints": [joint]}
 
 
 def _find_clock(report: MotionReport) -> dict[str, Any] | None:

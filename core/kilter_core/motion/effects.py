@@ -6,7 +6,7 @@ the drive: Gautier and Briot 2014. A column is what one unit of the parameter ad
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -251,6 +251,24 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         ahead=False,
     ),
 )
+
+Wanted = Mapping[str, frozenset[int] | None]  # joints (from 0) by id of an effect; None: all
+
+
+def split_effects(asked: Sequence[str | Mapping[str, Any]]) -> tuple[Wanted, list[str | Mapping[str, Any]]]:
+    """Return the effects of torques among those asked for, and the others."""
+    known = {effect.id for effect in MOTION_EFFECTS}
+    wanted: dict[str, frozenset[int] | None] = {}
+    others = []
+    for one in asked:
+        named: Mapping[str, Any] = {"id": one} if isinstance(one, str) else one
+        if named["id"] not in known:
+            others.append(one)
+            continue
+        joints, before = named.get("joints"), wanted.get(named["id"], frozenset())
+        wanted[named["id"]] = None if joints is None or before is None else before | {j - 1 for j in joints}
+    return wanted, others
+
 
 INERTIAS = ("xx", "xy", "xz", "yy", "yz", "zz")
 # A mass on a link in one session and not in the first. Its columns are those of the link, at all joints: see the layout.

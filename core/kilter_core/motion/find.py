@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.errors import ObservationError
+from kilter_core.errors import ObservationError, OptionError
+from kilter_core.motion.effects import Wanted
 from kilter_core.motion.fit import Fit, covariance, find_hidden_terms, fit_terms, joint_weights
 from kilter_core.motion.layout import Known, Layout, Term
 from kilter_core.motion.model import TorqueModel
@@ -34,9 +35,14 @@ BAND_SHARE = 0.8  # of the cut-off: faster ripples are filtered away at the join
 
 @dataclass(frozen=True)
 class MotionOptions:
-    """``seed`` chooses the motions that are held out."""
+    """``seed`` chooses the motions that are held out.
+
+    Looked for are the effects ``wanted``, all without any; ``fitted`` ones are in the model whether or not the log shows them.
+    """
 
     seed: int = 0
+    wanted: Wanted | None = None
+    fitted: bool = False
 
 
 @dataclass(frozen=True)
@@ -57,6 +63,7 @@ class MotionReport:
     ``hidden`` are effects that the bodies and the friction imitate in this log, ``pushed_s`` the seconds left out because
     something leant on the arm, ``unexplained`` joints of whose torque the model leaves a third or more: they took no
     part. ``spread (n,)`` of the torques, N m. ``model`` is what unseen motions bear out, fitted to the whole log.
+    ``fitted``: somebody chose the effects, not the search.
     """
 
     robot: Robot
@@ -74,6 +81,7 @@ class MotionReport:
     unexplained: tuple[int, ...]
     spread: Floats
     model: TorqueModel
+    fitted: bool = False
 
 
 def find_missing_torque(
@@ -91,6 +99,7 @@ def find_missing_torque(
 
     Raises:
         ObservationError: no clock, no torques, or a log in which no joint moves. TooFewPosesError: no motion of 2 s.
+        OptionError: none of the effects wanted can show in this log.
 
     """
     options, progress = options or MotionOptions(), progress or unheard
@@ -105,13 +114,15 @@ def find_missing_torque(
     _refuse_negative_friction(first, fit, split)
     progress(0.3, "what they leave")
     orders, tried = find_orders(log, first, fit)
-    layout = layout.with_candidates(orders, np.unique(first.session[split.train])[1:].tolist())
+    layout = layout.with_candidates(orders, np.unique(first.session[split.train])[1:].tolist(), options.wanted)
+    _refuse_unseen(layout, options.wanted)
+    choose = _take_all if options.fitted else search_terms
     known, earlier = Known.from_values(first.layout, fit.theta), frozenset[Term]()
     for k in range(PASSES):
         equations = form_equations(layout, log, known)
         tests = tried + len(equations.terms)
         share = _scale_progress(progress, 0.6 + 0.1 * k, 0.6 + 0.1 * (k + 1), "which effects explain it")
-        terms = search_terms(equations, split, weights, tests, share)
+        terms = choose(equations, split, weights, tests, share)
         if frozenset(terms) == earlier or not any(term.effect.follows_model for term in terms):
             break
         earlier = frozenset(terms)
@@ -120,10 +131,28 @@ def find_missing_torque(
     odd = _find_unexplained(log, equations, split, weights, terms)
     if odd.any():  # they say nothing of the others: a channel without a signal, or one of another joint
         weights = np.where(odd, 0.0, weights)
-        terms = search_terms(equations, split, weights, tests, _scale_progress(progress, 0.85, 0.9, "without them"))
+        terms = choose(equations, split, weights, tests, _scale_progress(progress, 0.85, 0.9, "without them"))
     progress(0.9, "motions that were never used")
     judged = judge_terms(equations, split, weights, terms)
-    return _write_report(log, equations, split, weights, terms, judged, pushed, odd)
+    return replace(_write_report(log, equations, split, weights, terms, judged, pushed, odd), fitted=options.fitted)
+
+
+def _take_all(
+    equations: Equations, split: Split, weights: Floats, tests: int, progress: Callable[[float], None]
+) -> list[Term]:
+    """All terms of joints that move, chosen by whoever asked for them."""
+    del split, tests, progress
+    return [term for term in equations.terms if term.effect.common or weights[term.joint] > 0.0]
+
+
+def _refuse_unseen(layout: Layout, wanted: Wanted | None) -> None:
+    missing = set(wanted or ()) - {term.effect.id for term in layout.terms}
+    if missing:
+        raise OptionError(
+            f"{', '.join(sorted(missing))} cannot show in this log: it has no temperature_c, or no joint passed "
+            "several periods of a ripple. Leave it out, or record what it needs.",
+            option="effects",
+        )
 
 
 def _scale_progress(progress: Progress, low: float, high: float, stage: str) -> Callable[[float], None]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.motion.effects import CARRIED_MASS, MOTION_EFFECTS, JointSignals, MotionEffect
+from kilter_core.motion.effects import CARRIED_MASS, MOTION_EFFECTS, JointSignals, MotionEffect, Wanted
 from kilter_core.motion.record import Log, Path
 from kilter_core.motion.regressor import (
     PER_LINK,
@@ -90,14 +90,21 @@ class Layout:
         )
         return bare._with_effects([effect for effect in MOTION_EFFECTS if effect.common])
 
-    def with_candidates(self, orders: Sequence[float | None], sessions: Sequence[int] = ()) -> Layout:
-        """Return the layout with every effect of the library, ripples of these orders, and masses carried in ``sessions``."""
+    def with_candidates(
+        self, orders: Sequence[float | None], sessions: Sequence[int] = (), wanted: Wanted | None = None
+    ) -> Layout:
+        """Return the layout with the library's effects, or those ``wanted``; ripples of these orders, and masses carried in
+        ``sessions``.
+        """
+        sessions = sessions if wanted is None else ()
         most = max(1, MOST_CARRIED // (PER_LINK * max(1, len(sessions))))
         shown = shown_columns(self.robot)[-most:] if sessions else []
         carried = [(session, columns, False) for session in sessions for columns in shown if len(columns)]
-        return replace(self, orders=tuple(orders), carried=(*self.carried, *carried))._with_effects(MOTION_EFFECTS)
+        return replace(self, orders=tuple(orders), carried=(*self.carried, *carried))._with_effects(
+            MOTION_EFFECTS, wanted
+        )
 
-    def _with_effects(self, effects: Sequence[MotionEffect]) -> Layout:
+    def _with_effects(self, effects: Sequence[MotionEffect], wanted: Wanted | None = None) -> Layout:
         terms, at = [], len(self.kept)
         for session, columns, common in self.carried:
             shown = tuple(CARRIED_MASS.parameters[c % PER_LINK] for c in columns.tolist())
@@ -107,8 +114,11 @@ class Layout:
             at += len(shown)
         for j in range(self.robot.n_joints):
             for effect in effects:
-                if ("temperature" in effect.needs and np.isnan(self.mean_c)) or (
-                    "order" in effect.needs and self.orders[j] is None
+                joints = wanted.get(effect.id, frozenset()) if wanted is not None and not effect.common else None
+                if (
+                    (joints is not None and j not in joints)
+                    or ("temperature" in effect.needs and np.isnan(self.mean_c))
+                    or ("order" in effect.needs and self.orders[j] is None)
                 ):
                     continue
                 terms.append(Term(effect, j, np.arange(at, at + len(effect.parameters))))

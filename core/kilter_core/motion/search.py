@@ -74,6 +74,12 @@ class Judged:
     rivals: tuple[Rival, ...]
     verdict: str
 
+    @property
+    def shown(self) -> bool:
+        """Whether any of its values is above zero by more than chance, and blocks that no choice saw say so too."""
+        above = np.any(np.abs(self.value) > SURE * self.sigma)
+        return bool(above and self.unseen > DEVIATIONS * self.unseen_sigma)
+
 
 def split_motions(equations: Equations, seed: int, apart: Sequence[int] = ()) -> Split:
     """Hold out the sessions ``apart``; else a third of the motions, so that each session keeps one that is not held out;

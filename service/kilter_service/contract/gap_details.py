@@ -242,7 +242,7 @@ class MotionFound(Stored):
 
     joints: list[JointTorque] = Field(description="Errors of each joint.")
     friction: list[Amplitude] = Field(
-        description="Offset and friction of each joint; angles in rad, as in URDF and MJCF."
+        description="Offset and friction of each joint, and effects asked for that do not show; angles in rad, as in URDF."
     )
     motions: int = Field(description="Motions in the log.")
     seconds: float = Field(description="How long the joints moved, s.")

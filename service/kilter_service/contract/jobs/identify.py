@@ -8,7 +8,8 @@ from pydantic import Field
 
 from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import FitDetails, Metrics, NullDirection, Parameter
-from kilter_service.contract.headlines import HEADLINE, describe_fit
+from kilter_service.contract.gap_details import MotionFound, NamedEffect, Untestable
+from kilter_service.contract.headlines import HEADLINE, Found, describe_fit, describe_motion, list_found
 from kilter_service.contract.jobs.check import IdentifiabilityCheck
 from kilter_service.contract.jobs.job import JobOf
 from kilter_service.contract.jobs.kind import JobContract
@@ -64,9 +65,15 @@ class IdentifyResult(FitDetails, MadeVersion):
     metrics: Metrics | None = Field(None, description="Errors on the rows fitted and on those held out.")
     noise_mm: Mm | None = Field(None, description="Standard deviation of a coordinate of the noise, mm.")
     figures: IdentifyFigures | None = Field(None, description="Figures by name.")
+    motion: MotionFound | None = Field(None, description="What torques say, of logs of joint torques; null: of poses.")
+    effects: list[NamedEffect] | None = Field(None, description="Of logs of torques: the effects that were asked for.")
+    found: list[Found] | None = Field(None, description="The same in words, a row for each, the surest first.")
+    not_testable: list[Untestable] | None = Field(None, description="Of logs of torques: what they cannot say.")
 
     def model_post_init(self, context: Any, /) -> None:
         """Add the headline, to results of earlier releases too."""
+        if self.motion is not None:
+            self.headline, self.found = describe_motion(self.effects or [], self.motion), list_found(self.effects or [])
         if self.metrics is not None:
             self.headline = describe_fit(self.metrics, self.parameters or [], self.noise_mm, self.noise, self.pixels)
 

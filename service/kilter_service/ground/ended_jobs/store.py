@@ -53,7 +53,10 @@ def get_search_in_torques(
     row = JobRow
     model = row.result["motion"]["model"]
     query = select(row.id, row.name, model).where(
-        row.robot_id == robot_id, row.kind == "gap", row.state == "succeeded", model["base"].is_not(None)
+        row.robot_id == robot_id,
+        row.kind.in_(("gap", "identify")),
+        row.state == "succeeded",
+        model["base"].is_not(None),
     )
     if job_id is not None:
         query = query.where(row.id == job_id)

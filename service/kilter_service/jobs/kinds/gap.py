@@ -22,6 +22,7 @@ from kilter_service.ground.core import core_gap, core_motion
 from kilter_service.ground.wire import to_metres
 from kilter_service.jobs.inputs.plain import by_campaign, to_json_types
 from kilter_service.jobs.inputs.poses import Pose, poses_document
+from kilter_service.jobs.inputs.torques import as_session, refuse_effects_of_torques, search_torques
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.plotly_figures.gap import gap_figures
@@ -96,7 +97,7 @@ def check(options: GapOptions) -> None:
         OptionError: an effect that is not searched for, or an option of one that the gap search chooses itself.
 
     """
-    core_gap.joints_by_effect(_core(options).effects)
+    core_gap.joints_by_effect(core_motion.split_effects(_core(options).effects)[1])
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
@@ -110,7 +111,8 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
     rows, validation, confirmation = _rows(job)
     if core_motion.is_log(rows):
         apart = [one for one in (validation, confirmation) if isinstance(one, Observations)]
-        return _search_torques(job, rows, apart, progress)
+        return search_torques(job, rows, apart, progress)
+    refuse_effects_of_torques(options.effects)
     progress(0.0, "fitting the geometry")
     train, held = core_gap.split_held_out_rows(rows, validation, options.seed)
     known = _of_type(job, train)
@@ -135,21 +137,6 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
     progress(0.98, "errors of the new version")
     version = _version(job, report, train, held, share, {**found, "set_aside": aside})
     return JobOutput(result, replace(version, report={**version.report, "prior": result["prior"]}))
-
-
-def _search_torques(job: JobInput, rows: Observations, apart: list[Observations], progress: Progress) -> JobOutput:
-    """Search logs of joint torques; it makes no version, for it says nothing of where the tool is."""
-    held = [int(session) for one in apart if one.session is not None for session in np.unique(one.session)]
-    options = core_motion.MotionOptions(job.options.seed)
-    every = Observations.concatenate([rows, *apart])
-    report = core_motion.find_missing_torque(job.robot, every, options, progress, held)
-    found = core_motion.to_document(report)
-    starts = np.cumsum([0, *(len(one) for one in job.campaigns.values())])[:-1]
-    assert rows.session is not None
-    names = {int(rows.session[k]): job.names.get(c, c) for c, k in zip(job.campaigns, starts, strict=True)}
-    for effect in found["effects"]:
-        effect["campaign"] = names.get(effect.pop("session"))
-    return JobOutput(to_json_types({**found, "start": job.version_id, "version_id": None}))
 
 
 def _of_type(job: JobInput, rows: Observations) -> KnownType | None:
@@ -226,7 +213,7 @@ def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Obs
     held = job.validation if isinstance(job.validation, dict) else {}
     given = [*job.campaigns.values(), *held.values(), *job.confirmation.values()]
     logs = all(map(core_motion.is_log, given))
-    parts = iter(renumber_poses_and_sessions(map(_as_session, given) if job.options.refit or logs else given))
+    parts = iter(renumber_poses_and_sessions(map(as_session, given) if job.options.refit or logs else given))
     join = core_motion.join_logs if logs else Observations.concatenate
     groups = [[next(parts) for _ in campaigns] for campaigns in (job.campaigns, held, job.confirmation)]
     rows, others, confirmation = (join(group) if group else None for group in groups)
@@ -234,11 +221,6 @@ def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Obs
     validation = others if others is not None else job.validation
     assert validation is None or isinstance(validation, Observations | float)
     return rows, validation, confirmation
-
-
-def _as_session(rows: Observations) -> Observations:
-    """A campaign without sessions is one of its own."""
-    return rows if rows.session is not None else replace(rows, session=np.zeros(len(rows), dtype=np.int64))
 
 
 def _version(

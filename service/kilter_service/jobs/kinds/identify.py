@@ -16,11 +16,12 @@ from kilter_service.contract.fits import NullDirection, metrics_with_earlier_nam
 from kilter_service.contract.jobs.check import Identifiability, UnknownParameter
 from kilter_service.contract.jobs.identify import IDENTIFY, IdentifyOptions
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.core import core_identify, core_model
+from kilter_service.ground.core import core_identify, core_model, core_motion
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.budgets import add_to_metrics
 from kilter_service.jobs.inputs.plain import by_campaign, to_json_types
 from kilter_service.jobs.inputs.setups import FRAMES, LAID_AGAIN, Setups
+from kilter_service.jobs.inputs.torques import are_logs, fit_torques, refuse_effects_of_torques
 from kilter_service.jobs.job_preview import JobPreview, Lack
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
 from kilter_service.jobs.plotly_figures.identify import identify_figures, uncertainty_figure
@@ -50,12 +51,16 @@ def check(options: IdentifyOptions) -> None:
             'masses "as_stated" takes them from the description, and masses_from from torques: give one of them.',
             option="masses_from",
         )
-    _core(options).make_effects()
+    core = _core(options)
+    replace(core, effects=tuple(core_motion.split_effects(core.effects)[1])).make_effects()
 
 
 def run(job: JobInput, progress: Progress) -> JobOutput:
-    """Identify the robot from all campaigns together."""
+    """Identify the robot from all campaigns together; of logs of torques bodies, friction and the effects asked for."""
+    if are_logs(job):
+        return fit_torques(job, progress)
     options = _core(job.options)
+    refuse_effects_of_torques(options.effects)
     setups = Setups(options.refit, job.devices)
     named = _campaigns_with_validation(job)
     remarks = doubts(job.robot, named, job.devices, job.options.sheet_order)
@@ -98,6 +103,9 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
     """Say what would be fitted and held out, and which parameters the poses tell."""
     options = _core(job.options)
     with found.noting_refusals():
+        if are_logs(job):
+            found.count_fitted_rows(Observations.concatenate(list(job.campaigns.values())))
+            return
         doubts(job.robot, _campaigns_with_validation(job), job.devices, job.options.sheet_order)
         train, validation = _rows(job, Setups(options.refit, job.devices))
         found.count_fitted_rows(train)
