@@ -240,5 +240,10 @@ def test_motions_are_planned_for_a_recording(server: Path, logged: Path, tmp_pat
     assert table.dtype.names == tuple(HEAD[:7])
     q = np.column_stack([table[name] for name in HEAD[1:7]])
     assert np.abs(np.gradient(q, table["t_s"], axis=0)).max() < 41.0
+    program = tmp_path / "motions.src"
+    assert run(["plan", "motion", "mover", "--seconds", "15", "--count", "1", "-o", str(program)]) == 0
+    assert program.read_text().count("SPTP") > 100
+    assert run(["plan", "motion", "mover", "-o", "motions.ls"]) != 0
+    assert ".src" in capsys.readouterr().err
     assert run(["plan", "motion", "mover", "--seconds", "3"]) != 0
     assert "12" in capsys.readouterr().err

@@ -11,6 +11,7 @@ import typer
 
 from kilter_client.cli.analyse import AT_JOINTS, needs_result, run_job, write_poses
 from kilter_client.cli.groups import WithDefault
+from kilter_client.cli.motion_programs import refuse_other_endings, write_motions
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
@@ -156,7 +157,11 @@ def motion(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="FILE", help="Write the motions as CSV: t_s and joints.", dir_okay=False
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Write them as CSV, or as a program: .script, .mod, .src.",
+            dir_okay=False,
         ),
     ] = None,
     option: MoreOptions = None,
@@ -166,6 +171,8 @@ def motion(
 ) -> None:
     """Plan motions that show bodies and friction, to be recorded with their torques."""
     needs_result(no_wait, output=output)
+    if output is not None:
+        refuse_other_endings(output)
     files = partial(_write_motions, output, as_json)
     chosen = arguments.options(option)
     run_job("motion_plan", robot, None, None, chosen, no_wait, as_json, needs_campaign=False, files=files, name=name)
@@ -174,7 +181,7 @@ def motion(
 def _write_motions(output: Path | None, as_json: bool, job: Mapping[str, Any]) -> None:
     text = (job.get("result") or {}).get("csv")
     if output is not None and text:
-        write(output, text.encode())
+        write(output, write_motions(output, str(job["robot"]), text).encode())
         note(f"{output}: {text.count(chr(10)) - 1} rows", as_json)
 
 
