@@ -133,6 +133,7 @@ def test_poses_lean_on_the_masses_that_torques_told(server: Path, capsys: Captur
         assert refused.value.code == "no_torque_model"
         kilter.upload("leaning", table, name="log")
         kilter.gap("leaning", "log", name="by log")
+        kilter.gap("leaning", "poses", budget_s=1.0)  # newer, and not in torques
         found = {}
         for given in (None, "newest"):
             version = kilter.identify("leaning", "poses", effects=[ASKED], masses_from=given)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kilter_client.cli.motion_programs import refuse_other_endings, write_motions
+from kilter_client.cli.plans import refuse_other_endings, write_motions
 from kilter_client.errors import UsageError
 
 HZ = 50.0

@@ -56,7 +56,7 @@ def get_search_in_torques(
         row.robot_id == robot_id,
         row.kind.in_(("gap", "identify")),
         row.state == "succeeded",
-        model["base"].is_not(None),
+        model["base"].as_string().is_not(None),
     )
     if job_id is not None:
         query = query.where(row.id == job_id)
