@@ -11,7 +11,6 @@ from kilter_core.errors import CoreError
 from tests.reach import Reach, modules_used_by
 from tests.service.forked import ForkedPopen
 
-
 UNMOVED = "tests.core.test_transforms"
 
 
