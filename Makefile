@@ -52,8 +52,8 @@ CHECK_TESTS := tests/contract/test_layout.py tests/contract/test_docs.py tests/c
 DONE_BY_CHECK := $(addprefix --ignore=,$(CHECK_TESTS)) \
 	--deselect=tests/contract/test_options.py::test_the_contract_of_effects_is_up_to_date
 
-test: $(MADE) ## run the tests, the numeric part also under another kind of processor (LONG=1 for all, TESTS=tests/core for some)
-	@$(MAKE) --no-print-directory --jobs=2 $(if $(TESTS),,.test-other-core) .test-here
+test: $(MADE) ## run the tests, the numeric part also under another kind of processor (LONG=1 for all, TESTS=tests/core for some, SINCE=HEAD for what changes since then reach)
+	@$(MAKE) --no-print-directory --jobs=2 $(if $(TESTS)$(SINCE),,.test-other-core) .test-here
 
 # Beside the others: by itself it left a core idle. It says how it ended, and all else where it failed.
 .test-other-core: $(MADE)
@@ -63,7 +63,7 @@ test: $(MADE) ## run the tests, the numeric part also under another kind of proc
 	@echo "under $(OTHER_CORE): $$(tail -n 1 build/other-core.txt)"
 
 .test-here: $(MADE)
-	$(BIN)/python -m pytest $(if $(LONG),-m "not slow and not bench") $(SHARED) $(if $(SLOWEST),--cpu --durations=$(SLOWEST)) $(if $(CHECKED),$(DONE_BY_CHECK)) $(TESTS)
+	$(BIN)/python -m pytest $(if $(LONG),-m "not slow and not bench") $(SHARED) $(if $(SLOWEST),--cpu --durations=$(SLOWEST)) $(if $(CHECKED),$(DONE_BY_CHECK)) $(if $(SINCE),--since $(SINCE)) $(TESTS)
 
 .collected: $(MADE)
 	@mkdir -p build

@@ -37,6 +37,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--write-cpu", action="store_true", help="with --cpu: write that of each test to tests/seconds.txt"
     )
+    parser.addoption("--since", metavar="COMMIT", help="only the tests that what changed since this commit can reach")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -88,6 +89,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if long & {item.nodeid, item.nodeid.partition("::")[0]}:
             item.add_marker(pytest.mark.long)
+    if since := config.getoption("--since"):
+        from tests.reach import Reach, changed_files
+
+        reach, all_items = Reach(changed_files(since)), items[:]
+        items[:] = [item for item in all_items if reach.includes(item)]
+        reached = set(items)
+        config.hook.pytest_deselected(items=[item for item in all_items if item not in reached])
     done = yield
     by_module: dict[str, float] = defaultdict(float)
     for row in found:

@@ -453,26 +453,23 @@ def test_every_session_is_a_set_up_of_its_own(lab: Lab) -> None:
 WORSE_HELD_OUT = {"registration_only": {"mean_mm": 0.5}, "identified": {"mean_mm": 0.6}}
 
 
-@pytest.mark.parametrize(
-    ("report", "code"),
-    [
-        ({"warnings": [{"code": "worse_than_geometry", "message": "Held out: worse."}]}, "worse_than_geometry"),
-        (
-            {"warnings": [{"code": "heldout_worse_than_registration", "message": "W."}]},
-            "heldout_worse_than_registration",
-        ),
-        ({"metrics": {"validation": WORSE_HELD_OUT}}, "heldout_worse"),
-        ({"metrics": {"train": {"n": 9, "identified": {"mean_mm": 443.0}}}}, "error_beyond_limit"),
-        ({"metrics": {"validation": {"n": 9, "identified": {"mean_mm": 51.0}}}}, "error_beyond_limit"),
-    ],
+DOUBTFUL: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"warnings": [{"code": "worse_than_geometry", "message": "Held out: worse."}]}, "worse_than_geometry"),
+    ({"warnings": [{"code": "heldout_worse_than_registration", "message": "W."}]}, "heldout_worse_than_registration"),
+    ({"metrics": {"validation": WORSE_HELD_OUT}}, "heldout_worse"),
+    ({"metrics": {"train": {"n": 9, "identified": {"mean_mm": 443.0}}}}, "error_beyond_limit"),
+    ({"metrics": {"validation": {"n": 9, "identified": {"mean_mm": 51.0}}}}, "error_beyond_limit"),
 )
-def test_what_its_own_identification_found_refuses_it(lab: Lab, report: dict[str, Any], code: str) -> None:
+
+
+def test_what_its_own_identification_found_refuses_it(lab: Lab) -> None:
     good = lab.identify([lab.campaign(lab.readings(40, 1), 1)])
-    doubtful = lab.stored(good, "doubtful", lambda _: None, **report)
-    answer = lab.activate(doubtful)
-    assert answer.status_code == 409
-    assert codes(answer.json()["context"]["objections"]) == {code}
-    assert codes(lab.client.get(f"/v1/versions/{doubtful}").json()["objections"]) == {code}
+    for k, (report, code) in enumerate(DOUBTFUL):
+        doubtful = lab.stored(good, f"doubtful_{k}", lambda _: None, **report)
+        answer = lab.activate(doubtful)
+        assert answer.status_code == 409
+        assert codes(answer.json()["context"]["objections"]) == {code}
+        assert codes(lab.client.get(f"/v1/versions/{doubtful}").json()["objections"]) == {code}
     assert lab.client.get(f"/v1/versions/{good}").json()["objections"] == []
     assert lab.activate(doubtful, force=True).status_code == 200
 

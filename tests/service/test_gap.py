@@ -157,12 +157,15 @@ def test_what_the_data_lack_is_said(client: httpx.Client, worker: Any, until: Un
     assert {e["verdict"] for e in relative["effects"]} <= {"provisional"}
 
 
-@pytest.mark.parametrize("kind", ["gap", "identify"])
 @pytest.mark.parametrize(
-    ("mistake", "said"),
+    ("kind", "mistake", "said"),
     [
-        ("signs", "oint 1 looks to count the other way round"),
-        ("instrument moved", r"The base, or the instrument, looks changed by (99|100)[.\d]* mm from row 9[5-8] on"),
+        ("gap", "signs", "oint 1 looks to count the other way round"),
+        (
+            "identify",
+            "instrument moved",
+            r"The base, or the instrument, looks changed by (99|100)[.\d]* mm from row 9[5-8] on",
+        ),
     ],
 )
 def test_a_mixed_up_campaign_fails_with_what_was_mixed_up(

@@ -58,19 +58,20 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.observations.repeats import numbered_poses
 from kilter_core.twin import Twin
+from kilter_service.ground.core import core_observations
 from kilter_service.ground.correction_outcome import about
 from kilter_service.versions.predictions.paired import chance
 print(round(float(about(np.array([0.0]), np.array([2.0]))[0]), 9), round(chance(2, 6), 9))
 rows = Twin(robot_from_document(preset_document("ur10")), {}, ()).observe(np.zeros((2, 6)))
-print(rows.position.shape, numbered_poses(rows.q))
-heavy = ("scipy.stats", "scipy.optimize", "scipy.interpolate", "numba.np.linalg")
+print(rows.position.shape, numbered_poses(rows.q), core_observations.is_log(rows))
+heavy = ("scipy.stats", "scipy.signal", "scipy.optimize", "scipy.interpolate", "numba.np.linalg")
 print([name for name in heavy if name in sys.modules])
 """
 
 
 def test_what_the_api_computes_needs_neither_statistics_nor_optimisers() -> None:
     done = subprocess.run([sys.executable, "-c", LIGHT], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines() == ["2.0 0.2890625", "(2, 3) [0 0]", "[]"]
+    assert done.stdout.splitlines() == ["2.0 0.2890625", "(2, 3) [0 0] False", "[]"]
 
 
 EXPORT = """

@@ -12,7 +12,6 @@ from .model import path_of_rows as path_of_rows
 from .payload import CarriedBody as CarriedBody
 from .payload import weigh_payload as weigh_payload
 from .record import Log as Log
-from .record import is_log as is_log
 from .record import join_logs as join_logs
 from .regressor import rigid_regressor as rigid_regressor
 from .rollout.document import describe_rollouts as describe_rollouts

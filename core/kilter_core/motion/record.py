@@ -276,18 +276,3 @@ def join_logs(parts: Sequence[Observations]) -> Observations:
             for one in parts
         ]
     )
-
-
-def is_log(observations: Observations) -> bool:
-    """Whether torques are all that these rows measured beside the joints."""
-    measured = (
-        observations.position,
-        observations.markers,
-        observations.link_q,
-        observations.socket,
-        observations.plane,
-        observations.bar,
-        observations.pixels,
-        observations.tilt,
-    )
-    return observations.tau is not None and all(one is None for one in measured)

@@ -2,6 +2,7 @@ from .clock import SINCE_1970_S as SINCE_1970_S
 from .clock import clock_warnings as clock_warnings
 from .copies import identical_repeats as identical_repeats
 from .directions import with_directions as with_directions
+from .motions import is_log as is_log
 from .motions import is_trajectory as is_trajectory
 from .motions import segments as segments
 from .repeats import numbered_poses as numbered_poses

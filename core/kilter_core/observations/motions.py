@@ -37,3 +37,10 @@ def segments(rows: Observations) -> Ints:
     if rows.t is not None:
         new[1:] |= rows.t[1:] < rows.t[:-1]
     return np.asarray(np.cumsum(new), dtype=np.int64)
+
+
+def is_log(rows: Observations) -> bool:
+    """Whether torques are all that the rows measured beside the joints."""
+    tool = (rows.position, rows.markers, rows.socket, rows.plane, rows.bar, rows.pixels)
+    measured = (*tool, rows.link_q, rows.tilt)
+    return rows.tau is not None and all(one is None for one in measured)

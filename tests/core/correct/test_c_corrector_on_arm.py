@@ -58,7 +58,7 @@ def answers(program: CorrectionProgram, q: np.ndarray, folder: Path) -> tuple[np
     return told_by, np.ascontiguousarray(bits[:, 1:]).view(np.float64), int(lines[len(q)], 16)
 
 
-@pytest.mark.parametrize("case", ["geometry", "hanging", "effects"])
+@pytest.mark.parametrize("case", [pytest.param("geometry", marks=pytest.mark.slow), "hanging", "effects"])
 def test_a_cortex_m7_answers_as_the_kernels_do(case: str, tmp_path: Path) -> None:
     program = {
         "geometry": lambda: program_of("ur10"),

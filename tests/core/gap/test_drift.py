@@ -71,7 +71,7 @@ def pooled(rows, error):
     [("none", 0.0), ("base", 1e-4), ("turn", 1e-4), ("warmth", 6e-5), ("settling", 1e-4), ("walk", 6e-5)],
 )
 def test_noise_is_what_is_left_of_repeats_at_no_distance(layout, kind, size):
-    made = [drifting(layout, kind, size, seed) for seed in range(12)]
+    made = [drifting(layout, kind, size, seed) for seed in range(6)]
     found = [noise_of(rows, error) for rows, error in made]
     typical = float(np.median([sigma(n) for n in found]))
     assert 0.88 * NOISE < typical < 1.12 * NOISE

@@ -247,10 +247,11 @@ MISTAKES = {
 }
 
 
-@pytest.mark.parametrize(("mistake", "said"), MISTAKES.items())
-def test_rows_of_another_robot_are_refused_with_what_was_mixed_up(robot, mistake, said):
+# A search asks what an identification asks first: tests/core/identify/test_plausibility.py has every kind of mistake.
+@pytest.mark.parametrize("mistake", ["sign of a joint", "tool changed half-way", "shuffled"])
+def test_rows_of_another_robot_are_refused_with_what_was_mixed_up(robot, mistake):
     rotation = campaign(robot, seed=1, measured="pose").rotation
-    with pytest.raises(ObservationError, match=said) as refused:
+    with pytest.raises(ObservationError, match=MISTAKES[mistake]) as refused:
         find_gap(robot, _mistaken(campaign(robot, seed=1), mistake, rotation), QUICK)
     assert refused.value.code == "foreign_observations"
 

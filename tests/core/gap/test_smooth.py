@@ -55,7 +55,7 @@ def rows_of(report: GapReport) -> list[dict[str, object]]:
     return [effect_row(j, report.library, report.misfit) for j in report.effects]
 
 
-@pytest.mark.parametrize("seed", range(7))
+@pytest.mark.parametrize("seed", [pytest.param(k, marks=[pytest.mark.slow] * (k > 2)) for k in range(7)])
 def test_the_torque_of_a_hose_gets_no_name_of_its_own(seed: int) -> None:
     robot = katana()
     report = find_gap(robot, measured(robot, hose(3e-4 * 1.3**seed), seed), QUICK)

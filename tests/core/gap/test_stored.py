@@ -58,7 +58,7 @@ def left_mm(calibration: Calibration, rows: Observations) -> float:
     return 1e3 * float(np.sqrt(np.nanmean(np.sum(points**2, axis=1))))
 
 
-@pytest.mark.parametrize("measured", ["position", "pose"])
+@pytest.mark.parametrize("measured", ["position", pytest.param("pose", marks=pytest.mark.slow)])
 def test_the_stored_version_leaves_the_errors_that_are_reported(measured):
     robot, rows = katana(), campaign(katana(), HIDDEN, poses=100, seed=5, measured=measured)
     report = find_gap(robot, rows, QUICK, validation=0)

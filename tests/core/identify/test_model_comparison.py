@@ -114,7 +114,7 @@ def test_a_hunt_whose_effect_is_gone_from_the_held_out_poses() -> None:
     assert not WORSE & codes(again)
 
 
-@pytest.mark.parametrize("measured", ["position", "markers"])
+@pytest.mark.parametrize("measured", ["position", pytest.param("markers", marks=pytest.mark.slow)])
 def test_a_hunt_stores_what_an_identification_without_effects_leaves_beside_its_own(measured: str) -> None:
     """The rigid arm on the poses that the search never saw; and none where nothing was named, or nothing held out."""
     robot, backlash = katana(), [("backlash", (1,), (2e-3,))]

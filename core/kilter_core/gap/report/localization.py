@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import gammaln
+from scipy.special import chdtrc, gammaln
 from scipy.stats import chi2, f
 
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
@@ -167,7 +167,7 @@ def _match_chi_square(T: Floats) -> tuple[Floats, float]:
 def unlikelihood(T: Floats, freedom: float) -> Floats:
     """Minus log of the tail probability of chi-square, also where that is too small for a number."""
     with np.errstate(divide="ignore"):
-        exact = -chi2.logsf(T, freedom)
+        exact = -np.log(chdtrc(freedom, T))
     half = np.maximum(T, 1.0) / 2.0
     far = half - (freedom / 2.0 - 1.0) * np.log(half) + gammaln(freedom / 2.0)
     return np.asarray(np.where(np.isfinite(exact), exact, far))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from kilter_core.errors import Finding
 from kilter_service.contract.jobs.registry import KINDS
-from kilter_service.ground.core import core_effects, core_motion
+from kilter_service.ground.core import core_effects, core_observations
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.jobs.sentences import SENTENCES
 
@@ -20,7 +20,7 @@ def with_load_warning(kind: str, output: JobOutput, job: JobInput) -> JobOutput:
 
 def find_unstated_load(kind: str, job: JobInput) -> Finding | None:
     """Say which campaigns state no payload, where nothing counted and an effect of the job follows the load; else None."""
-    if all(core_motion.is_log(rows) for rows in job.campaigns.values()):
+    if all(core_observations.is_log(rows) for rows in job.campaigns.values()):
         return None  # what it carries is part of the last body
     following = _following(kind, job) if job.no_load else []
     if not following:

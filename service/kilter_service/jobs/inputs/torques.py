@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_service.campaigns.store import renumber_poses_and_sessions
-from kilter_service.ground.core import core_motion
+from kilter_service.ground.core import core_motion, core_observations
 from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.kind import JobInput, JobOutput, Progress
 
@@ -23,7 +23,7 @@ def as_session(rows: Observations) -> Observations:
 
 def are_logs(job: JobInput) -> bool:
     """Whether all campaigns of a job are logs of torques."""
-    return bool(job.campaigns) and all(map(core_motion.is_log, job.campaigns.values()))
+    return bool(job.campaigns) and all(map(core_observations.is_log, job.campaigns.values()))
 
 
 def fit_torques(job: JobInput, progress: Progress) -> JobOutput:

@@ -18,7 +18,7 @@ from kilter_service.contract.gap_details import Detectable, Untestable
 from kilter_service.contract.jobs.check import Testability
 from kilter_service.contract.jobs.gap import GAP, GapOptions
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.core import core_gap, core_motion
+from kilter_service.ground.core import core_gap, core_motion, core_observations
 from kilter_service.ground.wire import to_metres
 from kilter_service.jobs.inputs.plain import by_campaign, to_json_types
 from kilter_service.jobs.inputs.poses import Pose, poses_document
@@ -109,7 +109,7 @@ def _search(job: JobInput, progress: Progress) -> JobOutput:
     """Search all campaigns together; the version made holds the named effects and the geometry fitted with them."""
     options = _core(job.options)
     rows, validation, confirmation = _rows(job)
-    if core_motion.is_log(rows):
+    if core_observations.is_log(rows):
         apart = [one for one in (validation, confirmation) if isinstance(one, Observations)]
         return search_torques(job, rows, apart, progress)
     refuse_effects_of_torques(options.effects)
@@ -162,7 +162,7 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
     with found.noting_refusals():
         rows, validation, confirmation = _rows(job)
         found.count_fitted_rows(rows)
-        if core_motion.is_log(rows):
+        if core_observations.is_log(rows):
             return
         train, held = core_gap.split_held_out_rows(rows, validation, options.seed)
         known = _of_type(job, train)
@@ -212,7 +212,7 @@ def _rows(job: JobInput) -> tuple[Observations, Observations | float | None, Obs
     job.refuse_rows_of_start()
     held = job.validation if isinstance(job.validation, dict) else {}
     given = [*job.campaigns.values(), *held.values(), *job.confirmation.values()]
-    logs = all(map(core_motion.is_log, given))
+    logs = all(map(core_observations.is_log, given))
     parts = iter(renumber_poses_and_sessions(map(as_session, given) if job.options.refit or logs else given))
     join = core_motion.join_logs if logs else Observations.concatenate
     groups = [[next(parts) for _ in campaigns] for campaigns in (job.campaigns, held, job.confirmation)]
