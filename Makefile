@@ -101,6 +101,7 @@ bench: $(KERNELS) ## measure speed against other tools and print the ratios
 	$(BIN)/python -m benchmarks.core
 	$(BIN)/python -m benchmarks.gap --quick
 	$(BIN)/python -m benchmarks.camera
+	$(BIN)/python -m benchmarks.motion
 	$(BIN)/python -m benchmarks.lerobot
 
 # pybotics states numpy below 2 and FIGAROH needs 2; pybotics runs with either, so it is installed without its list.
