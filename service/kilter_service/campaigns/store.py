@@ -23,6 +23,7 @@ from kilter_service.contract.columns import CONTACTS
 from kilter_service.contract.instruments import Instrument
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.contract.remarks import Remark
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import CampaignRow, ChunkRow, JobRow, UploadRow
 from kilter_service.ground.errors import ServiceError
@@ -97,20 +98,7 @@ def get(session: Session, campaign_id: str) -> CampaignRecord:
 
 
 def _record(row: CampaignRow) -> CampaignRecord:
-    return CampaignRecord(
-        row.id,
-        row.robot_id,
-        row.name,
-        row.device,
-        row.role,
-        row.conditions,
-        row.notes,
-        row.staged,
-        row.measured_at,
-        row.instrument,
-        row.created_at,
-        row.retired_at,
-    )
+    return copy_fields(CampaignRecord, row)
 
 
 def _row(session: Session, campaign_id: str) -> CampaignRow:
@@ -247,8 +235,7 @@ def uploads_of_all(session: Session, campaign_ids: Sequence[str]) -> dict[str, l
         some = campaign_ids[first : first + MOST_NAMED]
         query = select(UploadRow).where(UploadRow.campaign_id.in_(some)).order_by(UploadRow.id)
         for row in session.execute(query).scalars():
-            record = UploadRecord(row.sha256, row.rows, row.columns, row.media_type, row.created_at)
-            found[row.campaign_id].append(record)
+            found[row.campaign_id].append(copy_fields(UploadRecord, row))
     return found
 
 

@@ -11,6 +11,7 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.campaigns.unstated_load import REMEDY
 from kilter_service.contract.jobs.check import CheckedCampaign
 from kilter_service.contract.jobs.registry import JobCheck, NewJob
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Database, Session
 from kilter_service.jobs import service, store, wire
 from kilter_service.jobs.durations import PastRun, duration
@@ -73,13 +74,10 @@ def _load(session: Session, job: NewJob, kind: JobKind, request: JobRequest) -> 
         robot_id,
         store.starting_version(session, robot_id, kind, request),
         [
-            CheckedCampaign(
-                id=one.id,
-                name=one.name,
-                role=one.role,
-                use=one.use,
+            copy_fields(
+                CheckedCampaign,
+                one,
                 device=campaigns.device(session, one.id),
-                rows=one.rows,
                 poses=count_poses(rows[one.id]) if one.id in rows else None,
             )
             for one in used

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from sqlalchemy import Select, delete, func, select
 
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.caller import allowed_robots, may_see
 from kilter_service.ground.core import core_arm
 from kilter_service.ground.db import Session
@@ -104,16 +105,7 @@ def find(session: Session, name: str) -> StoredRobot | None:
 
 
 def _robot_from_row(row: RobotRow) -> StoredRobot:
-    return StoredRobot(
-        row.id,
-        row.name,
-        row.document,
-        row.chain,
-        row.sha256,
-        row.source_sha256,
-        [str(note) for note in row.left_out],
-        row.controller_compensation,
-    )
+    return copy_fields(StoredRobot, row, notes=[str(note) for note in row.left_out])
 
 
 def get(session: Session, name: str) -> StoredRobot:
@@ -297,20 +289,12 @@ def _records() -> Select[RobotRow, int, int, str | None]:
 
 
 def _record(row: RobotRow, campaigns: int, versions: int, active_version: str | None) -> RobotRecord:
-    return RobotRecord(
-        id=row.id,
-        name=row.name,
-        document=row.document,
-        created_at=row.created_at,
+    return copy_fields(
+        RobotRecord,
+        row,
         campaigns=campaigns,
         versions=versions,
         active_version=active_version,
-        remarks=row.remarks,
         controller_compensation=parse_compensation(row.controller_compensation),
-        tolerance_mm=row.tolerance_mm,
-        check_interval_days=row.check_interval_days,
-        retired_at=row.retired_at,
         notes=[str(note) for note in row.left_out],
-        sha256=row.sha256,
-        source_sha256=row.source_sha256,
     )

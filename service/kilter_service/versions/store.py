@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import Select, and_, func, or_, select
 
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.core import core_identify, core_model
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.audited import note
@@ -134,10 +135,7 @@ def _row(session: Session, version_id: str) -> VersionRow:
 
 
 def _record(row: VersionRow, robot: str, last: ActivationRecord | None) -> VersionRecord:
-    facts = {
-        field.name: getattr(row, field.name) for field in fields(VersionRecord) if field.name not in ("robot", "active")
-    }
-    return VersionRecord(robot=robot, active=last is not None and last.version_id == row.id, **facts)
+    return copy_fields(VersionRecord, row, robot=robot, active=last is not None and last.version_id == row.id)
 
 
 def usable(session: Session, version_id: str) -> VersionRecord:
@@ -299,9 +297,7 @@ def activations(session: Session, robot_id: int, page: Page = ALL) -> list[Activ
 
 
 def _entry(row: ActivationRow) -> ActivationRecord:
-    return ActivationRecord(
-        row.id, row.robot_id, row.version_id, row.action, row.actor, row.at, row.forced, row.reason, row.objections
-    )
+    return copy_fields(ActivationRecord, row)
 
 
 def activate(

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 from sqlalchemy import ColumnElement, Select, and_, literal, or_, select
 
 from kilter_service.contract.references import Kind
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.called import name_unnamed_job
 from kilter_service.ground.caller import allowed_robots, may_see
 from kilter_service.ground.db import Session
@@ -257,8 +258,7 @@ def gone(session: Session, kind: str, id_: str) -> str:
 
 
 def _tombstone(row: TombstoneRow) -> TombstoneRecord:
-    kind: Whose = row.kind  # type: ignore[assignment]  # checked when it was stored, and again by the model
-    return TombstoneRecord(row.id, kind, row.robot, row.name, row.sha256, row.by, row.at)
+    return copy_fields(TombstoneRecord, row)
 
 
 def refuse_cited(kind: Kind, id_: str, citing: Sequence[str], remedy: str) -> None:

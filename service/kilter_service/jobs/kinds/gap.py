@@ -18,6 +18,7 @@ from kilter_service.contract.gap_details import Detectable, Untestable
 from kilter_service.contract.jobs.check import Testability
 from kilter_service.contract.jobs.gap import GAP, GapOptions
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.core import core_gap, core_motion
 from kilter_service.ground.wire import to_metres
 from kilter_service.jobs.inputs.plain import by_campaign, to_json_types
@@ -286,21 +287,12 @@ def _testability(found: GapCheck) -> Testability:
     testable = []
     for one in found.testable:
         unit, scale = display_unit_and_scale(one.unit)
-        testable.append(
-            Detectable(
-                id=one.id,
-                parameter=one.parameter,
-                unit=unit,
-                smallest_detectable=one.smallest * scale,
-                visibility=one.visibility,
-            )
-        )
+        testable.append(copy_fields(Detectable, one, unit=unit, smallest_detectable=one.smallest * scale))
     untestable = [
-        Untestable(
-            id=u.id,
+        copy_fields(
+            Untestable,
+            u,
             joints=None if u.joints is None else [j + 1 for j in u.joints],
-            reason=u.reason,
-            remedy=u.remedy,
             missing=u.missing or None,
         )
         for u in found.not_testable

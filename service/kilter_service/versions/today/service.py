@@ -15,6 +15,7 @@ from kilter_service.contract.standing import ErrorAt
 from kilter_service.contract.today import ErrorsToday, MeasuredCampaign, NamedMissing, SearchToday, Today
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.contract.written import as_written
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
 from kilter_service.robots import store as arms
@@ -346,11 +347,9 @@ def _errors(
 
 def _campaign(found: Measured) -> MeasuredCampaign:
     days = days_since(found.measured_at)
-    return MeasuredCampaign(
-        id=found.id,
-        name=found.name,
-        measured_at=found.measured_at,
-        stated=found.stated,
+    return copy_fields(
+        MeasuredCampaign,
+        found,
         age_days=days,
         when=sentences.describe_measurement_time(found.measured_at, days, stated=found.stated),
     )

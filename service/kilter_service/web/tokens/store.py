@@ -10,6 +10,7 @@ from datetime import datetime
 from sqlalchemy import and_, or_, select
 
 from kilter_service.contract.tokens import Role
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.caller import CALLER
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
@@ -113,18 +114,7 @@ def left_s(session: Session) -> float:
 
 
 def _record(row: TokenRow) -> TokenRecord:
-    role: Role = row.role  # type: ignore[assignment]  # checked when it was stored, and again by the model
-    return TokenRecord(
-        row.id,
-        row.name,
-        role,
-        row.robots,
-        row.created_at,
-        row.created_by,
-        row.expires_at,
-        row.revoked_at,
-        row.revoked_by,
-    )
+    return copy_fields(TokenRecord, row)
 
 
 @dataclass(frozen=True)
