@@ -24,7 +24,6 @@ with later(__name__):
     from kilter_files.ground import units
     from kilter_files.look import drafts, inspection
     from kilter_files.maps import column_map as column_maps
-    from kilter_files.maps import joined as joins
     from kilter_files.maps import mapped
     from kilter_files.rig import points
     from kilter_files.tables import joint_log as joint_logs
@@ -142,7 +141,7 @@ def _read_with_map(path: Path, column_map: Path | None, joined: Path | None) -> 
     else:
         chosen = column_maps.read_map(column_map, registry.readers_for(reader.MAP))
         first = opening.open_source(path, chosen.form, chosen.layout)
-    places = joins.further_files(path, chosen.joins, chosen.path, joined)
+    places = column_maps.further_files(path, chosen.joins, chosen.path, joined)
     others = [opening.open_source(place, one.form, one.layout) for place, one in zip(places, chosen.joins, strict=True)]
     return mapped.apply_column_map(first, chosen, others)
 

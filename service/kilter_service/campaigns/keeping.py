@@ -10,7 +10,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.references import store as references
-from kilter_service.ground.references.records import TombstoneRecord, tombstone
+from kilter_service.ground.references.store import TombstoneRecord, tombstone
 from kilter_service.robots import store as robots
 from kilter_service.robots.resolved import hash_canonical_json
 

@@ -15,9 +15,8 @@ from kilter_service.contract.units import Pose
 from kilter_service.ground.core import core_arm, core_model, transforms
 from kilter_service.ground.wire import to_deg, to_mm, to_rad
 from kilter_service.robots.documents import core_document
-from kilter_service.robots.drives import notes_on_missing_directions, said_of_drives, unsaid_drives
 from kilter_service.robots.likely_payload import heaviest_likely_payload
-from kilter_service.robots.wire import joint_summary
+from kilter_service.robots.wire import joint_summary, notes_on_missing_directions, said_of_drives, unsaid_drives
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot, Screws

@@ -11,7 +11,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.paging import Page
 from kilter_service.ground.references import store as references
-from kilter_service.ground.references.records import TombstoneRecord, tombstone
+from kilter_service.ground.references.store import TombstoneRecord, tombstone
 from kilter_service.robots import store, wire
 from kilter_service.robots.documents import without_settings
 from kilter_service.robots.resolved import resolve

@@ -8,7 +8,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.references import store as references
-from kilter_service.ground.references.records import TombstoneRecord, tombstone
+from kilter_service.ground.references.store import TombstoneRecord, tombstone
 from kilter_service.versions import store, wire
 from kilter_service.versions.records import VersionRecord
 

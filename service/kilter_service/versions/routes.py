@@ -6,7 +6,6 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Response
 
-from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.contract.residuals import ResidualRows
 from kilter_service.contract.units import MAX_NAMED
@@ -17,6 +16,7 @@ from kilter_service.contract.versions import (
     Version,
     VersionDiff,
     VersionList,
+    VersionPreview,
 )
 from kilter_service.ground.tables.reading import CSV, JSON, PARQUET
 from kilter_service.robots.exporters.registry import FORMATS

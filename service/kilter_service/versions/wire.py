@@ -11,16 +11,17 @@ import numpy as np
 from kilter_core.types import Floats
 from kilter_files.ground.later import pa
 from kilter_service.contract.fits import Covariance, Metrics, NullDirection, Parameter
-from kilter_service.contract.previews import JointPreview, VersionPreview
 from kilter_service.contract.remarks import Remark
 from kilter_service.contract.versions import (
     Activation,
     CorrectionLimits,
     Details,
+    JointPreview,
     Objection,
     Rival,
     UsedCampaign,
     Version,
+    VersionPreview,
     VersionSummary,
 )
 from kilter_service.contract.written import as_written

@@ -15,9 +15,8 @@ from fastapi.routing import APIRoute
 from kilter_service.contract.problems import REFUSALS
 from kilter_service.web.auth.access import admit
 from kilter_service.web.auth.policy import Kind, Rule
-from kilter_service.web.bodies import is_json, parse_json, read_document
+from kilter_service.web.bodies import check_address, check_names, is_json, parse_json, read_document
 from kilter_service.web.concurrency import in_turn, room_of
-from kilter_service.web.request_values import check_address, check_names
 
 Handler = Callable[[Request], Awaitable[Response]]
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from kilter_files.formats.unknown.guess import ASK_INSTRUMENT, COMMANDED, COMPUTED, Columns, Entry
-from kilter_files.formats.unknown.names import name_as_words
+from kilter_files.formats.unknown.guess import ASK_INSTRUMENT, COMMANDED, COMPUTED, Columns, Entry, name_as_words
 from kilter_files.formats.unknown.table_shape import TableShape
 from kilter_files.formats.unknown.turns import Turned
 from kilter_files.formats.unknown.understood import Understood, joined_names, understand

@@ -82,7 +82,7 @@ QUANTITIES = {
     "lower": ("lower", "min"),
     "upper": ("upper", "max"),
 }
-LENGTHS = masses.LENGTHS
+LENGTHS = {"mm": 1.0, "m": 1e3}
 ANGLES = {"deg": 1.0, "rad": 180.0 / math.pi}
 TEXTS = ("joint", "type")
 KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p": "prismatic", "": "revolute"}

@@ -6,9 +6,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
 from kilter_client.requests.calls import access, fleet, references, server
-from kilter_client.requests.connection import AsyncConnection
+from kilter_client.requests.connection import AsyncConnection, locate
 from kilter_client.requests.methods import make_async_method
-from kilter_client.requests.server_address import locate
 from kilter_client.requests.steps import Steps
 from kilter_client.verbs import campaigns as measured
 from kilter_client.verbs import drifts, keeping, programs

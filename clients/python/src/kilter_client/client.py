@@ -6,9 +6,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from kilter_client.requests.calls import access, fleet, references, server
-from kilter_client.requests.connection import Connection, Reword
+from kilter_client.requests.connection import Connection, Reword, locate
 from kilter_client.requests.methods import waiting
-from kilter_client.requests.server_address import locate
 from kilter_client.requests.steps import Steps
 from kilter_client.resources.documents import Campaigns, Robots, Versions
 from kilter_client.resources.jobs import Jobs

@@ -28,9 +28,14 @@ from kilter_core.identify.identifiable.identifiability import identifiable, null
 from kilter_core.identify.identifiable.load_model import load_rows
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import frame_sources, register_nominal, wanted_frames
-from kilter_core.identify.report import build_parameter_rows, known_parameters, null_rows, unobservable_names
+from kilter_core.identify.report import (
+    build_parameter_rows,
+    estimate_workspace_spread,
+    known_parameters,
+    null_rows,
+    unobservable_names,
+)
 from kilter_core.identify.uncertainty.predictive import CHANCE, EXACT, Predictive
-from kilter_core.identify.uncertainty.workspace_uncertainty import estimate_workspace_spread
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts as held_rows
 from kilter_core.measurement.kind import POINTS

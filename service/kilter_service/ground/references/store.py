@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
 from typing import Any, Literal, NamedTuple
 
 from sqlalchemy import ColumnElement, Select, and_, literal, or_, select
 
-from kilter_service.contract.references import Kind
+from kilter_service.contract.references import Kind, Tombstone
 from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.called import name_unnamed_job
 from kilter_service.ground.caller import allowed_robots, may_see
@@ -19,8 +19,28 @@ from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow, TombstoneRow, VersionRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.ground.references.records import TombstoneRecord, Whose
 from kilter_service.ground.references.retired import COMMANDS
+
+Whose = Literal["campaign", "version", "robot"]
+
+
+@dataclass(frozen=True)
+class TombstoneRecord:
+    """What is left of a campaign, a version or a robot."""
+
+    id: str
+    kind: Whose
+    robot: str
+    name: str
+    sha256: str
+    by: str
+    at: datetime
+
+
+def tombstone(record: TombstoneRecord) -> Tombstone:
+    """Say what is left of something that was purged."""
+    return Tombstone(**asdict(record))
+
 
 Table = type[CampaignRow] | type[VersionRow] | type[JobRow]
 TABLES: Mapping[Kind, Table] = {"campaign": CampaignRow, "version": VersionRow, "job": JobRow}

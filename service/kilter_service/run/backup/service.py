@@ -25,7 +25,7 @@ from kilter_service.ground.files.file_hash import check_hash, has_hash, hash_fil
 from kilter_service.ground.files.private_files import private_file, private_folder
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, LOCK_FILE, Settings
 from kilter_service.run.backup import store
-from kilter_service.run.backup.findings import Findings
+from kilter_service.run.backup.store import Findings
 from kilter_service.run.backup.upgrade import replay_and_keep
 
 if TYPE_CHECKING:

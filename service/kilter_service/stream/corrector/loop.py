@@ -25,10 +25,17 @@ from kilter_core.correct import warm_up
 from kilter_service.ground.errors import ServiceError
 from kilter_service.stream.corrector import fast_path, keys, wire
 from kilter_service.stream.corrector.active import Active, nothing_active
-from kilter_service.stream.corrector.gate import Admitted, Gate, unsigned_refusal
 from kilter_service.stream.corrector.orphan import ORPHAN_S, Door, State
 from kilter_service.stream.corrector.session import ENCODING, close, open_listening
-from kilter_service.stream.corrector.slots import Served, Slots, address_from_key, parse_setpoint_key
+from kilter_service.stream.corrector.slots import (
+    Admitted,
+    Gate,
+    Served,
+    Slots,
+    address_from_key,
+    parse_setpoint_key,
+    unsigned_refusal,
+)
 from kilter_service.stream.corrector.specs import StreamSpec
 from kilter_service.stream.corrector.telemetry import PERIOD_S, Telemetry, TurnedAway
 from kilter_service.stream.corrector.wire import Status

@@ -19,8 +19,7 @@ import zenoh
 from kilter_service.stream.corrector import keys
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.fast_path import Answered
-from kilter_service.stream.corrector.gate import Gate
-from kilter_service.stream.corrector.slots import Served, Slots
+from kilter_service.stream.corrector.slots import Gate, Served, Slots
 from kilter_service.stream.corrector.specs import StreamSpec
 
 PERIOD_S = 0.1

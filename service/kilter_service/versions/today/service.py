@@ -24,8 +24,7 @@ from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions.drift import service as drift
 from kilter_service.versions.predictions.own_errors import larger
 from kilter_service.versions.today import sentences, store
-from kilter_service.versions.today.first import Reached
-from kilter_service.versions.today.standing import Known, assess
+from kilter_service.versions.today.standing import Known, Reached, assess
 from kilter_service.versions.today.store import Active, Evaluated, Made, Measured, Searched
 from kilter_service.web.observability.store import streams
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from kilter_files.formats.strangers import stranger
+from kilter_files.formats.registry import stranger
 from kilter_files.ground.errors import FileError
 from kilter_files.look.inspection import inspect
 

@@ -13,8 +13,6 @@ import numpy as np
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.rig.board.layout import DICTIONARIES, marker_family
-from kilter_files.rig.see.board_size import differing
-from kilter_files.rig.see.finder import LARGE, Finder, Markers
 from kilter_files.rig.see.intrinsics import Kept, check_known, fit_camera_with_report
 from kilter_files.rig.see.optics.camera import Camera
 from kilter_files.rig.see.pictures import Grey
@@ -23,7 +21,7 @@ from kilter_files.rig.see.refusals import REMEDIES, Refusal
 from kilter_files.rig.see.second import MOST_BIAS_PX, Second
 from kilter_files.rig.see.sources import Frame, Pictures
 from kilter_files.rig.see.target import Target
-from kilter_files.rig.see.views import FEW_CORNERS, View, detect_view
+from kilter_files.rig.see.views import FEW_CORNERS, LARGE, Finder, Markers, View, detect_view, differing
 from kilter_files.tables.joint_log import JointLog
 from kilter_files.tables.table import cells
 

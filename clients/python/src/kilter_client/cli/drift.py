@@ -11,9 +11,8 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.analyse import run_job
 from kilter_client.cli.files.upload import Device, InstrumentName, MeasuredAt, build_conditions, sent_file
-from kilter_client.cli.reports.drift_report import EXIT_CODES, show_history, show_robots
 from kilter_client.cli.reports.next_step import suggest_after_job
-from kilter_client.cli.reports.results import show_job
+from kilter_client.cli.reports.results import EXIT_CODES, show_history, show_job, show_robots
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import (
     ColumnMap,

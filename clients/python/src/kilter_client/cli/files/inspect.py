@@ -11,8 +11,7 @@ import typer
 from kilter_client.cli.files.joint_names import fetch_joint_names
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import emit, print_line
-from kilter_client.cli.terminal.tables import show_rows
+from kilter_client.cli.terminal.output import emit, print_line, show_rows
 from kilter_client.errors import UsageError
 from kilter_files import draft
 from kilter_files import inspect as look

@@ -21,9 +21,8 @@ from kilter_client.cli.reports.answer import fit_messages
 from kilter_client.cli.reports.next_step import suggest_after_upload
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import ColumnMap, File, Json, PayloadCentre, Robot
-from kilter_client.cli.terminal.output import emit, note, print_line, print_lines
+from kilter_client.cli.terminal.output import emit, note, number, print_line, print_lines, screen_columns, show_rows
 from kilter_client.cli.terminal.references import resolve_reference
-from kilter_client.cli.terminal.tables import number, screen_columns, show_rows
 from kilter_client.cli.terminal.wording import in_words, parameters_by_request_name
 from kilter_client.errors import KilterError, UsageError
 from kilter_client.verbs import campaigns

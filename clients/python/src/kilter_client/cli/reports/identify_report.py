@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from kilter_client.cli.reports.load_model_report import show_load_model
-from kilter_client.cli.terminal.output import print_line
-from kilter_client.cli.terminal.tables import number, show_rows
+from kilter_client.cli.terminal.output import number, print_line, show_rows
 from kilter_client.files import files_look
 from kilter_client.results.digits import decimals, ends, estimate
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_client.cli.terminal.output import print_line
-from kilter_client.cli.terminal.tables import number, show_rows
+from kilter_client.cli.terminal.output import number, print_line, show_rows
 
 HEAD = ("body", "", "stated", "found", "sigma", "stated sigma", "unit")
 

@@ -10,8 +10,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
 from kilter_client.cli.terminal.arguments import Json, Robot
-from kilter_client.cli.terminal.output import emit, note, print_line
-from kilter_client.cli.terminal.tables import show_rows
+from kilter_client.cli.terminal.output import emit, note, print_line, show_rows
 from kilter_client.errors import UsageError
 from kilter_client.requests.calls import meshes as calls
 from kilter_client.verbs.meshes import FORMS

@@ -10,8 +10,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import emit, print_line
-from kilter_client.cli.terminal.tables import show_rows
+from kilter_client.cli.terminal.output import emit, print_line, show_rows
 from kilter_client.requests.calls import instruments as calls
 from kilter_client.verbs.inputs import parse_day
 
