@@ -34,7 +34,7 @@ from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import Place
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import read_clock
-from kilter_core.observations.spread import evenly
+from kilter_core.observations.groups import evenly
 from kilter_core.parameters import degrees, mm
 from kilter_core.transforms import inverse, rotation_log, xyz_rpy_from_pose
 from kilter_core.types import QUANTILE, Bools, Floats, Ints

@@ -1,7 +1,7 @@
 from .clock import SINCE_1970_S as SINCE_1970_S
 from .clock import clock_warnings as clock_warnings
-from .copies import identical_repeats as identical_repeats
 from .directions import with_directions as with_directions
+from .groups import evenly as evenly
 from .motions import is_trajectory as is_trajectory
 from .motions import segments as segments
 from .repeats import numbered_poses as numbered_poses
@@ -13,6 +13,6 @@ from .rig import format_part_name as format_part_name
 from .rows import CONDITIONS as CONDITIONS
 from .rows import Conditions as Conditions
 from .rows import Observations as Observations
+from .shared_rows import identical_repeats as identical_repeats
 from .shared_rows import refuse_shared_rows as refuse_shared_rows
 from .shared_rows import rows_beyond_chance as rows_beyond_chance
-from .spread import evenly as evenly

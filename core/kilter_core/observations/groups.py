@@ -27,3 +27,8 @@ def unbiased_deviations(values: Floats, group: Ints, kept: Bools) -> tuple[Float
     count = np.bincount(group[kept], minlength=int(group.max(initial=-1)) + 1)
     factor = np.sqrt(np.maximum(count, 2) / np.maximum(count - 1, 1))[group][:, None]
     return subtract_group_means(values, group, kept) * factor, factor
+
+
+def evenly(count: int, most: int) -> Ints:
+    """Places of at most so many out of ``count``, shape (min(count, most),), evenly spread from the first to the last."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)

@@ -15,7 +15,7 @@ from kilter_core.errors import ObservationError
 from kilter_core.types import Bools, Floats
 
 ROTATES = 0.02  # markers that rotate with a joint by 30 degrees change by a quarter of their distances
-PARALLEL = math.cos(math.radians(2.0))
+COUPLED_PARALLEL = math.cos(math.radians(2.0))
 
 
 def checked_follows(follows: Mapping[int, int], prismatic: Bools) -> dict[int, int]:

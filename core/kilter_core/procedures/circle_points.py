@@ -19,7 +19,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError, TooFewPosesError
 from kilter_core.measurement.marker_shape import fit_poses, marker_shape
 from kilter_core.parameters import DEG, MM, mm
-from kilter_core.procedures.circle_coupling import PARALLEL as COUPLED
+from kilter_core.procedures.circle_coupling import COUPLED_PARALLEL
 from kilter_core.procedures.circle_coupling import checked_follows, keeps_direction, leader_point, refuse_coupled
 from kilter_core.transforms import align_z_axis, inverse, nearest_rotation, rotations_about
 from kilter_core.types import Bools, Floats, Ints
@@ -125,7 +125,7 @@ def _axis_or_pair(q: Floats, points: Floats, j: int, prismatic: Bools) -> AxisFi
             raise
         own = _axis(q, points.mean(axis=1, keepdims=True), j, False)
         for k in range(j + 1, q.shape[1]):
-            if not prismatic[k] and abs(_axis(q, points, k, False).direction @ own.direction) > COUPLED:
+            if not prismatic[k] and abs(_axis(q, points, k, False).direction @ own.direction) > COUPLED_PARALLEL:
                 refuse_coupled(j, k)
         raise
 
@@ -135,7 +135,7 @@ def _locate_leader_axis(q: Floats, middle: Floats, fit: AxisFit, follower: AxisF
     leader, last = pair
     before = [k for k in range(last) if k != leader]
     apart = float(np.abs(fit.others[before] - follower.others[before]).max(initial=0.0))
-    if apart > STILL or abs(fit.direction @ follower.direction) < COUPLED:
+    if apart > STILL or abs(fit.direction @ follower.direction) < COUPLED_PARALLEL:
         what = "the axes are not parallel" if apart <= STILL else "the joints before were elsewhere for their circles"
         raise ObservationError(
             f"Joint {last + 1} cannot follow joint {leader + 1}: {what}. Leave it out of follows, or measure both circles with "

@@ -14,8 +14,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.pose_weights import beside_rotation
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
-from kilter_core.observations.groups import subtract_group_means
-from kilter_core.observations.spread import evenly
+from kilter_core.observations.groups import evenly, subtract_group_means
 from kilter_core.types import Bools, Floats, Ints
 from kilter_core.watch.sockets import Measured
 

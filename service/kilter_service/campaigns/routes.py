@@ -20,8 +20,7 @@ from kilter_service.web.concurrency import compute
 from kilter_service.web.conditional import ConditionalRoute
 from kilter_service.web.forms import FORM, is_form, spool_form
 from kilter_service.web.idempotency.key import OnceOnly
-from kilter_service.web.page_query import PageOfList
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
+from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp, get_scratch
 
 router = APIRouter(prefix="/v1", tags=["campaigns"], route_class=ConditionalRoute)
 

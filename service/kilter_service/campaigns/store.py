@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import uuid
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,6 @@ from kilter_core.observations import with_directions
 from kilter_files.ground import NAMED_SESSIONS
 from kilter_files.ground.later import pa
 from kilter_service.campaigns.chunks import Chunk, read_chunk
-from kilter_service.campaigns.records import CampaignRecord, UploadRecord
 from kilter_service.contract.campaigns import NewCampaign
 from kilter_service.contract.columns import CONTACTS
 from kilter_service.contract.instruments import Instrument
@@ -28,7 +27,6 @@ from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import CampaignRow, ChunkRow, JobRow, UploadRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.ground.references import retired
 from kilter_service.ground.references import store as references
 from kilter_service.ground.tables.assemble import observations as assemble
 from kilter_service.ground.tables.assemble import with_default_load
@@ -42,6 +40,7 @@ if TYPE_CHECKING:
 
     from kilter_core.arm import Robot
     from kilter_core.observations import Observations
+
 
 MOST_NAMED = 500  # ids in one query
 FEWEST_HELD = 4  # rows of each socket, plane and bar that stay where only some are read: its place is found from them
@@ -130,7 +129,7 @@ def usable(session: Session, campaign_id: str) -> CampaignRecord:
 
     """
     found = whole(session, campaign_id)
-    retired.refuse("campaign", found.id, found.retired_at)
+    references.refuse_retired("campaign", found.id, found.retired_at)
     return found
 
 
@@ -362,3 +361,32 @@ def renumber_poses_and_sessions(parts: Iterable[Observations]) -> list[Observati
 def _tables(session: Session, upload_id: int) -> list[pa.Table]:
     query = select(ChunkRow.parquet, ChunkRow.sha256).where(ChunkRow.upload_id == upload_id).order_by(ChunkRow.number)
     return [read_chunk(blob, sha256) for blob, sha256 in session.execute(query)]
+
+
+@dataclass(frozen=True)
+class UploadRecord:
+    """A stored file of observations."""
+
+    sha256: str
+    rows: int
+    columns: list[str]
+    media_type: str
+    created_at: datetime
+
+
+@dataclass(frozen=True)
+class CampaignRecord:
+    """A stored campaign, without its uploads."""
+
+    id: str
+    robot_id: int
+    name: str
+    device: str
+    role: str
+    conditions: dict[str, Any]
+    notes: str
+    staged: bool
+    measured_at: datetime | None
+    instrument: str | None
+    created_at: datetime
+    retired_at: datetime | None

@@ -7,13 +7,55 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from kilter_service.contract.comparisons import PairedErrors
-from kilter_service.contract.fits import Covariance, FitDetails, Metrics, NullDirection, Parameter
+from kilter_service.contract.fits import Covariance, FitDetails, JointMotions, Metrics, NullDirection, Parameter
 from kilter_service.contract.headlines import HEADLINE, NEAR, count_noise_left, describe_fit
-from kilter_service.contract.joints import JointMotions
 from kilter_service.contract.references import RETIRED_AT, TITLE
 from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Celsius, Deg, Listed, Mm, Stored, Strict
+
+Lengths = list[Mm | None]
+
+
+class ResidualRows(Strict):
+    """What a version leaves of rows, measured minus predicted, as columns; every one has a value for each row."""
+
+    campaign: list[str] = Field(description="Id of the row's campaign.")
+    row: list[int] = Field(description="Number of the row in its campaign, from 1.")
+    dx_mm: Lengths = Field(description="Error along x, mm, the mean of the markers; null: nothing was seen.")
+    dy_mm: Lengths = Field(description="Error along y, mm.")
+    dz_mm: Lengths = Field(description="Error along z, mm.")
+    turn_deg: list[Deg | None] = Field(description="Error of the orientation, degrees; null: it was not measured.")
+    residual_sigma: list[float | None] = Field(
+        description="Length of what is left in standard deviations of a coordinate; rotations count too."
+    )
+    u95_x_mm: Lengths = Field(description="Half width of the 95 % interval that expects the error along x, mm.")
+    u95_y_mm: Lengths = Field(description="Half width of the 95 % interval along y, mm.")
+    u95_z_mm: Lengths = Field(description="Half width of the 95 % interval along z, mm.")
+    set_aside: list[bool] = Field(description="Whether the identification set the row aside.")
+    held_out: list[bool] = Field(description="Whether the row was held out of the fit.")
+
+
+class PairedErrors(Strict):
+    """What two versions leave of the same rows, base and tool as each version has them. Rows of one pose count once."""
+
+    campaigns: list[str] = Field(description="Ids of the campaigns.")
+    held_out: bool = Field(
+        description="Whether the rows were held out of both fits; false: there were none, so fitted rows are among them."
+    )
+    rows: int = Field(description="Rows compared.")
+    poses: int = Field(description="Poses compared.")
+    counted: Literal["rows", "poses"] = Field(description="What is counted: `rows` where no pose was repeated.")
+    better: int = Field(description="On how many b leaves less.")
+    worse: int = Field(description="On how many it leaves more.")
+    chance: Annotated[float, Field(ge=0, le=1)] = Field(
+        description="Probability of so uneven a count if neither were better: exact sign test, two-sided."
+    )
+    mean_a_mm: Mm = Field(description="Mean error that a leaves, mm.")
+    mean_b_mm: Mm = Field(description="Mean error that b leaves, mm.")
+    less_mm: Mm = Field(description="How much less b leaves, mean over what is counted, mm; negative: more.")
+    low_mm: Mm | None = Field(None, description="Lower end of its 95 % interval, mm; null: too few.")
+    high_mm: Mm | None = Field(None, description="Upper end of its 95 % interval, mm; null: too few.")
+    sentence: str = Field(description="The same in words, all lengths in one unit.")
 
 
 class JointPreview(Strict):

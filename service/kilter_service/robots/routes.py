@@ -30,8 +30,7 @@ from kilter_service.web.auth.access import Admin
 from kilter_service.web.bodies import spool_upload
 from kilter_service.web.concurrency import compute
 from kilter_service.web.conditional import ConditionalRoute
-from kilter_service.web.page_query import PageOfList
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
+from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp, get_scratch
 
 if TYPE_CHECKING:
     from kilter_core.procedures import AxisFit

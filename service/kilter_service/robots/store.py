@@ -14,7 +14,6 @@ from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import ActivationRow, CampaignRow, JobRow, RobotRow, UploadRow, VersionRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.ground.references import retired
 from kilter_service.ground.references import store as references
 from kilter_service.robots.compensation import parse_compensation
 from kilter_service.robots.records import RobotRecord
@@ -177,7 +176,7 @@ def refuse_retired_robot(session: Session, robot_id: int) -> None:
 
     """
     row = session.get_one(RobotRow, robot_id)
-    retired.refuse("robot", row.name, row.retired_at)
+    references.refuse_retired("robot", row.name, row.retired_at)
 
 
 def change(session: Session, name: str, settings: Mapping[str, Any]) -> None:

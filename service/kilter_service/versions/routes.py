@@ -7,12 +7,12 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Response
 
 from kilter_service.contract.references import Change, Tombstone
-from kilter_service.contract.residuals import ResidualRows
 from kilter_service.contract.units import MAX_NAMED
 from kilter_service.contract.versions import (
     ActivatedVersion,
     ActivationList,
     ActivationWish,
+    ResidualRows,
     Version,
     VersionDiff,
     VersionList,
@@ -28,8 +28,7 @@ from kilter_service.versions.predictions import preview as previews
 from kilter_service.versions.predictions import residuals as left
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.conditional import ConditionalRoute
-from kilter_service.web.page_query import PageOfList
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 EXPORTS = {form.media_type: FILE for form in FORMATS.values()} | {JSON: {"schema": {"type": "object"}}}

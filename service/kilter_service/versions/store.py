@@ -17,7 +17,6 @@ from kilter_service.ground.db import Session
 from kilter_service.ground.db.audited import note
 from kilter_service.ground.db.tables import ActivationRow, JobRow, ReplayRow, RobotRow, VersionRow
 from kilter_service.ground.paging import ALL, Page
-from kilter_service.ground.references import retired
 from kilter_service.ground.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.robots.resolved import hash_canonical_json
@@ -146,7 +145,7 @@ def usable(session: Session, version_id: str) -> VersionRecord:
 
     """
     found = get(session, version_id)
-    retired.refuse("version", found.id, found.retired_at)
+    references.refuse_retired("version", found.id, found.retired_at)
     return found
 
 

@@ -20,7 +20,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import LEAST_ROWS, group_contacts
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.observations.spread import evenly
+from kilter_core.observations.groups import evenly
 from kilter_core.parameters import DEG, MM, mm
 from kilter_core.types import Bools, Floats
 

@@ -19,7 +19,6 @@ from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow, TombstoneRow, VersionRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.ground.references.retired import COMMANDS
 
 Whose = Literal["campaign", "version", "robot"]
 
@@ -290,4 +289,25 @@ def refuse_cited(kind: Kind, id_: str, citing: Sequence[str], remedy: str) -> No
             code="cited",
             cited_by=list(citing),
             **{kind: id_},
+        )
+
+
+# The command that lists, names and retires what there is of a kind.
+COMMANDS = {"robot": "robot", "campaign": "measure campaigns", "version": "version"}
+
+
+def refuse_retired(kind: str, id_: str, retired_at: datetime | None) -> None:
+    """Refuse to work with what is retired.
+
+    Raises:
+        ServiceError: it is.
+
+    """
+    if retired_at is not None:
+        raise ServiceError(
+            f"{kind.capitalize()} {id_} is retired since {retired_at:%Y-%m-%d}: take another, or bring it back with "
+            f"`kilter {COMMANDS[kind]} restore {id_}`.",
+            code="retired",
+            kind=kind,
+            id=id_,
         )

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import store as campaigns
-from kilter_service.campaigns.records import CampaignRecord
+from kilter_service.campaigns.store import CampaignRecord
 from kilter_service.contract.jobs.fleet import NewFleetJob
 from kilter_service.contract.jobs.identify import IDENTIFY, IdentifyOptions
 from kilter_service.contract.jobs.job import NewJobOf
@@ -18,7 +18,7 @@ from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import ALL, Page
 from kilter_service.jobs import service, store
-from kilter_service.jobs.fleet.records import Planned
+from kilter_service.jobs.fleet.store import Planned
 from kilter_service.jobs.kinds import identify
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions

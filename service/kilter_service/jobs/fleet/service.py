@@ -24,7 +24,7 @@ from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.jobs.fleet import planning, store
-from kilter_service.jobs.fleet.records import FleetRecord, FleetRobotRecord
+from kilter_service.jobs.fleet.store import FleetRecord, FleetRobotRecord
 from kilter_service.jobs.kinds import identify
 from kilter_service.jobs.records import Asked
 from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_document

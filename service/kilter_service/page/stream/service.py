@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from kilter_service.contract.bridges import Bridge
 from kilter_service.contract.robot_reports import RobotReport
+from kilter_service.contract.streams import Bridge
 from kilter_service.contract.versions import Activation
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database

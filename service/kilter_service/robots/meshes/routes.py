@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
-from kilter_service.contract.meshes import Mesh, MeshList, MeshUnit, UrdfShapes
+from kilter_service.contract.robots import Mesh, MeshList, MeshUnit, UrdfShapes
 from kilter_service.ground.files.file_hash import check_digest
 from kilter_service.ground.limits import MAX_MESH_MB
 from kilter_service.robots.meshes import service

@@ -8,7 +8,7 @@ from typing import Literal
 
 from sqlalchemy import select
 
-from kilter_service.contract.meshes import MeshUnit
+from kilter_service.contract.robots import MeshUnit
 from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now

@@ -19,7 +19,7 @@ from kilter_service.ground.version import code_version
 from kilter_service.ground.wire import to_metres
 from kilter_service.versions.drift.service import Creeping, last_checks
 from kilter_service.web.observability import histograms, machine, store
-from kilter_service.web.observability.metrics import REGISTRY
+from kilter_service.web.observability.requests import REGISTRY
 
 reading = Failing(logging.getLogger("kilter.api"), "the metrics of the database cannot be read")
 

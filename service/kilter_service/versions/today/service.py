@@ -6,14 +6,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from kilter_service.contract.drift import Repair
-from kilter_service.contract.error_words import interval
 from kilter_service.contract.fits import Metrics, StageErrors
 from kilter_service.contract.gap_details import AtJoints, NamedEffect
 from kilter_service.contract.headlines import name_effects
 from kilter_service.contract.jobs.gap import GapResult
-from kilter_service.contract.standing import ErrorAt
-from kilter_service.contract.today import ErrorsToday, MeasuredCampaign, NamedMissing, SearchToday, Today
+from kilter_service.contract.today import ErrorAt, ErrorsToday, MeasuredCampaign, NamedMissing, SearchToday, Today
 from kilter_service.contract.units import ControllerCompensation
+from kilter_service.contract.words import interval
 from kilter_service.contract.written import as_written
 from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Database, Session

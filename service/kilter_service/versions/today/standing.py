@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from kilter_service.contract.drift import DriftSummary
-from kilter_service.contract.error_words import interval, said_of_error
-from kilter_service.contract.standing import FirstStage, FirstStep, NextStep, RobotState, Standing, StepKind
-from kilter_service.contract.today import UNUSED, Today
+from kilter_service.contract.today import UNUSED, FirstStage, FirstStep, NextStep, RobotState, Standing, StepKind, Today
+from kilter_service.contract.words import interval, said_of_error
 from kilter_service.ground.db.row import days_since
 from kilter_service.ground.texts import plural
 from kilter_service.versions.today.sentences import ago, largest
