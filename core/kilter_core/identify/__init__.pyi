@@ -14,8 +14,8 @@ from .comparison.model_comparison import setups as setups
 from .comparison.model_comparison import thin_poses as thin_poses
 from .estimate import refit_frames as refit_frames
 from .estimate import registration_only as registration_only
-from .fit.row_errors import RowErrors as RowErrors
-from .fit.row_errors import mean_marker_error as mean_marker_error
+from .fit.tukey import RowErrors as RowErrors
+from .fit.tukey import mean_marker_error as mean_marker_error
 from .fit.tukey import whitened_row_sizes as whitened_row_sizes
 from .fleet.versions import FleetVersion as FleetVersion
 from .fleet.versions import same_type as same_type
@@ -25,10 +25,10 @@ from .holdout import split as split
 from .methods.kalman import Prior as Prior
 from .options import IdentifyOptions as IdentifyOptions
 from .plausibility.another_arm import another_arm as another_arm
-from .plausibility.astray_rows import renumber_warnings as renumber_warnings
 from .plausibility.believable import reach as reach
 from .plausibility.belonging import WAY_OUT as WAY_OUT
 from .plausibility.belonging import refuse_mixed_up as refuse_mixed_up
+from .plausibility.belonging import renumber_warnings as renumber_warnings
 from .plausibility.placed import unit_factor as unit_factor
 from .plausibility.set_up_changes import SetUpChange as SetUpChange
 from .plausibility.set_up_changes import set_up_change as set_up_change

@@ -12,9 +12,15 @@ import numpy as np
 from kilter_core.arm.chain import FRAME_AXES, Chain, Element, frame_parameters, increment
 from kilter_core.arm.kernels import kinematics
 from kilter_core.arm.loads.chain import LoadChain
-from kilter_core.arm.loads.deflection import HANGING_ROUNDS, SIDED_ROUNDS, Deflection
 from kilter_core.arm.loads.slopes import LoadSlopes, payload_sensitivity
-from kilter_core.arm.loads.wrenches import Loads, axial_loads, row_load_wrenches
+from kilter_core.arm.loads.wrenches import (
+    HANGING_ROUNDS,
+    SIDED_ROUNDS,
+    Deflection,
+    Loads,
+    axial_loads,
+    row_load_wrenches,
+)
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Batch, Effect
 from kilter_core.errors import ObservationError

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.observations.clock import read_clock
-from kilter_core.observations.motions import is_trajectory
+from kilter_core.observations.groups import is_trajectory
 from kilter_core.observations.rows import Observations
 from kilter_core.types import Bools, Floats, Ints
 

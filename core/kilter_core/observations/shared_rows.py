@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.observations.motions import is_trajectory
+from kilter_core.observations.groups import is_trajectory
 from kilter_core.observations.repeats import numbered_rows
 from kilter_core.observations.rows import Observations
 from kilter_core.types import Bools, Floats, Ints

@@ -14,10 +14,9 @@ from kilter_core.observations import SINCE_1970_S
 from kilter_files.ground.later import pc
 from kilter_service.campaigns import store
 from kilter_service.campaigns.belonging import judged_whole
-from kilter_service.campaigns.chunks import Chunk, write_chunk
 from kilter_service.campaigns.row_rules.rules import RowRules, payload_warning
 from kilter_service.campaigns.row_rules.view_rules import views_rules
-from kilter_service.campaigns.store import CampaignRecord, UploadRecord
+from kilter_service.campaigns.store import CampaignRecord, Chunk, UploadRecord, write_chunk
 from kilter_service.contract.campaigns import (
     Campaign,
     CampaignList,

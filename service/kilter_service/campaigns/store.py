@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
 import uuid
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,8 +18,7 @@ from sqlalchemy import and_, delete, func, or_, select
 from kilter_core.errors import ObservationError
 from kilter_core.observations import with_directions
 from kilter_files.ground import NAMED_SESSIONS
-from kilter_files.ground.later import pa
-from kilter_service.campaigns.chunks import Chunk, read_chunk
+from kilter_files.ground.later import pa, parquet
 from kilter_service.contract.campaigns import NewCampaign
 from kilter_service.contract.columns import CONTACTS
 from kilter_service.contract.instruments import Instrument
@@ -390,3 +392,32 @@ class CampaignRecord:
     instrument: str | None
     created_at: datetime
     retired_at: datetime | None
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A Parquet file beside the upload, its rows and its hash; its bytes are read when it is stored."""
+
+    path: Path
+    rows: int
+    sha256: str
+
+
+def write_chunk(table: pa.Table, path: Path) -> Chunk:
+    """Write rows as Parquet (zstd)."""
+    parquet.write_table(table, path, compression="zstd")
+    return Chunk(path, table.num_rows, hashlib.sha256(path.read_bytes()).hexdigest())
+
+
+def read_chunk(blob: bytes, sha256: str) -> pa.Table:
+    """Read the rows of a stored chunk.
+
+    Raises:
+        ServiceError: the bytes are no longer those that were stored.
+
+    """
+    if hashlib.sha256(blob).hexdigest() != sha256:
+        raise ServiceError(
+            f"Stored observations are damaged (chunk {sha256[:12]}): restore the database from a backup."
+        )
+    return parquet.ParquetFile(io.BytesIO(blob)).read(use_threads=False)  # read_table imports datasets, 8 MB

@@ -1,4 +1,4 @@
-"""Sessions of signed streams."""
+"""Sessions of signed streams, and the bridges that use them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a JSON schema allows, in words that a sentence or a table can hold."""
+"""Words of comparisons, of errors, and of what a JSON schema allows, which a sentence or a table can hold."""
 
 from __future__ import annotations
 

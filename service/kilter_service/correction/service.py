@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_core.errors import ObservationError, OptionError
+from kilter_core.types import Floats
+from kilter_files.ground.later import pa
 from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
 from kilter_service.contract.columns import LOAD_PARTS, PAYLOAD_CENTRE
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.correction.wire import cells, with_verdict
 from kilter_service.ground import correction_outcome as outcome
 from kilter_service.ground.correction_limits import correction_options
-from kilter_service.ground.correction_outcome import OK
+from kilter_service.ground.correction_outcome import OK, flag_names
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.left_out import where_sentences
@@ -26,15 +27,13 @@ from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.assemble import observations, with_default_load
 from kilter_service.ground.tables.columns import Column, read_columns
 from kilter_service.ground.tables.writing import write_table
-from kilter_service.ground.wire import to_metres, to_mm
+from kilter_service.ground.wire import to_deg, to_metres, to_mm
 from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 from kilter_service.versions.records import VersionRecord
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
     from kilter_core.arm import Robot
     from kilter_core.correct import CorrectionOptions
     from kilter_core.model import Calibration
@@ -341,3 +340,29 @@ def _version(
         raise ServiceError(f"Version {version} is not of robot {robot!r}.", code="option_invalid", version=version)
     limits, rules = CorrectionLimits(**row.limits), versions.rules_of(session, version)
     return row, correction_options(limits, temperature_c, wanted.task, wanted.at_limit, wanted.hold, rules)
+
+
+def with_verdict(table: pa.Table, found: Outcome) -> pa.Table:
+    """Add to a trajectory what was removed of the error, what is left, half the interval that holds it, and the status."""
+    done = found.done
+    columns = (
+        _along("d", done.error_removed) | {"left_mm": cells(to_mm(found.remaining_errors))} | _along("left_", done.left)
+    )
+    if found.turns:
+        columns["left_deg"] = cells(to_deg(done.left_rad))
+    columns |= _along("u95_", found.u95)
+    columns["flags"] = pa.array([flag_names(one) for one in done.flags.tolist()], pa.string())
+    columns["status"] = pa.array(found.words, pa.string())
+    for name, column in columns.items():
+        table = table.append_column(name, column)
+    return table
+
+
+def _along(name: str, values: Floats) -> dict[str, pa.Array]:
+    """Columns in mm of vectors (N, 3) m."""
+    return {f"{name}{axis}_mm": cells(to_mm(values[:, k])) for k, axis in enumerate("xyz")}
+
+
+def cells(values: Floats) -> pa.Array:
+    """Return a column; a cell without a number is empty."""
+    return pa.array(values, pa.float64(), mask=np.isnan(values))

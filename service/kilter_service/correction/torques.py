@@ -9,8 +9,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from kilter_service.correction import service
 from kilter_service.correction.routes import CONTENT, NOTES, Centre, Payload, read_point
-from kilter_service.correction.service import read_trajectory
-from kilter_service.correction.wire import cells
+from kilter_service.correction.service import cells, read_trajectory
 from kilter_service.ground.core import core_motion
 from kilter_service.ground.db import Database
 from kilter_service.ground.ended_jobs import store as ended_jobs

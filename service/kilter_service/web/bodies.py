@@ -1,4 +1,4 @@
-"""Bodies of requests: measured before and while they are read, and parsed in a thread."""
+"""A body of two parts, ``multipart/form-data``: a document, and the file that it describes."""
 
 from __future__ import annotations
 
@@ -6,18 +6,78 @@ import asyncio
 import hashlib
 import json
 import re
-from collections.abc import AsyncIterator
+import shutil
+from collections.abc import AsyncGenerator, AsyncIterator
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
+from starlette.datastructures import UploadFile
+from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect
 
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.limits import MAX_DOCUMENT_DEPTH, MAX_DOCUMENT_KEYS, MAX_DOCUMENT_PARTS, MAX_NUMBER
 from kilter_service.ground.texts import ANY, LINE, LINES
+
+FORM = "multipart/form-data"
+
+
+def is_form(request: Request) -> bool:
+    """Whether the body says that it has parts."""
+    return request.headers.get("content-type", "").partition(";")[0].strip().lower() == FORM
+
+
+async def spool_form(
+    request: Request, path: Path, names: tuple[str, str], limits_mb: tuple[int, int]
+) -> tuple[bytes, str, str]:
+    """Write the file to ``path``; return the document, the media type of the file, and the SHA-256 of the whole body.
+
+    ``names`` are those of the document and of the file, ``limits_mb`` how large the document and the whole may be.
+
+    Raises:
+        ServiceError: the body is larger than the limit, packed, broken off, or has not these two parts.
+
+    """
+    digest = hashlib.sha256()
+
+    async def iter_hashed_chunks() -> AsyncGenerator[bytes, None]:
+        async for piece in iter_body_chunks(request, limits_mb[1], UPLOAD):
+            digest.update(piece)
+            yield piece
+
+    parser = MultiPartParser(
+        request.headers,
+        iter_hashed_chunks(),
+        max_files=1,
+        max_fields=1,
+        max_part_size=limits_mb[0] << 20,
+    )
+    try:
+        form = await parser.parse()
+    except (MultiPartException, KeyError, UnicodeError) as error:
+        raise ServiceError(
+            f"The body is not a form of the parts {names[0]} and {names[1]}: {error}.", code="payload_invalid"
+        ) from error
+    try:
+        document, file = (form.get(name) for name in names)
+        if not isinstance(document, str) or not isinstance(file, UploadFile):
+            raise ServiceError(
+                f"The form must have {names[0]}, JSON without a filename, and {names[1]}, a file with its Content-Type.",
+                code="payload_invalid",
+            )
+        await run_in_threadpool(_copy_upload, file, path)
+        return document.encode(), file.content_type or "", digest.hexdigest()
+    finally:
+        await form.close()
+
+
+def _copy_upload(file: UploadFile, path: Path) -> None:
+    with path.open("wb") as to:
+        shutil.copyfileobj(file.file, to)
+
 
 UPLOAD, DOCUMENT = "KILTER_MAX_UPLOAD_MB", "KILTER_MAX_DOCUMENT_MB"
 MESH = "a mesh"

@@ -16,7 +16,6 @@ from .joints.lerobot.moved import detect_joint_moves as detect_joint_moves
 from .joints.lerobot.moved import read_episodes as read_episodes
 from .logs.ballbar import BAR_SIGMA_MM as BAR_SIGMA_MM
 from .logs.ballbar import read_ballbar as read_ballbar
-from .opening import open_recording as open_recording
 from .programs.found import Program as Program
 from .programs.found import Stated as Stated
 from .programs.found import Track as Track
@@ -58,6 +57,7 @@ from .registry import all_readers as all_readers
 from .registry import find_reader as find_reader
 from .registry import has_format as has_format
 from .registry import list_formats as list_formats
+from .registry import open_recording as open_recording
 from .registry import readers_for as readers_for
 from .registry import refuse_stranger as refuse_stranger
 from .tracker_header import PRESETS as PRESETS

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from kilter_files.formats.logs.inclinometer import TIME
-from kilter_files.formats.opening import open_source
 from kilter_files.formats.reader import Head
-from kilter_files.formats.registry import binary_reader
+from kilter_files.formats.registry import binary_reader, open_source
 from kilter_files.formats.tables.mat import read_mat
 from kilter_files.formats.tables.tdms import Calibration, channels, read_channel
 from kilter_files.formats.tracker_header import canonical_column_name

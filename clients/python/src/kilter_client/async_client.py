@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
-from kilter_client.requests.calls import access, fleet, references, server
+from kilter_client.requests.calls import access, fleet, references
 from kilter_client.requests.connection import AsyncConnection, locate
 from kilter_client.requests.methods import make_async_method
 from kilter_client.requests.steps import Steps
@@ -112,8 +112,8 @@ class AsyncKilter:
     restore = make_async_method(keeping.restore)
     purge = make_async_method(keeping.purge)
     resolve = make_async_method(references.resolve)
-    health = make_async_method(server.health)
-    tombstones = make_async_method(server.tombstones)
+    health = make_async_method(access.health)
+    tombstones = make_async_method(access.tombstones)
     whoami = make_async_method(access.whoami)
     login_link = make_async_method(access.login_link)
     add_token = make_async_method(access.add_token)

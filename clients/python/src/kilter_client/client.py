@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from kilter_client.requests.calls import access, fleet, references, server
+from kilter_client.requests.calls import access, fleet, references
 from kilter_client.requests.connection import Connection, Reword, locate
 from kilter_client.requests.methods import waiting
 from kilter_client.requests.steps import Steps
@@ -124,8 +124,8 @@ class Kilter:
     restore = waiting(keeping.restore)
     purge = waiting(keeping.purge)
     resolve = waiting(references.resolve)
-    health = waiting(server.health)
-    tombstones = waiting(server.tombstones)
+    health = waiting(access.health)
+    tombstones = waiting(access.tombstones)
     whoami = waiting(access.whoami)
     login_link = waiting(access.login_link)
     add_token = waiting(access.add_token)

@@ -20,7 +20,7 @@ from kilter_core.gap.search.sources.source import Source
 from kilter_core.identify.comparison.model_comparison import Difference, errors_by_pose, lacking
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.observations.motions import segments
+from kilter_core.observations.groups import segments
 from kilter_core.parameters import mm
 from kilter_core.types import Floats
 

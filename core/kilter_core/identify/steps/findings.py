@@ -17,7 +17,7 @@ from kilter_core.identify.identifiable.identifiability import identifiable
 from kilter_core.identify.identifiable.load_model import far_from_stated, load_rows
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.another_arm import another_arm
-from kilter_core.identify.plausibility.astray_rows import unless_astray
+from kilter_core.identify.plausibility.belonging import unless_astray
 from kilter_core.identify.report import fit_warnings
 from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.scale_gauge import free_scale

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.identify.comparison.model_comparison import PoseErrors, elsewhere, geometry_alone
-from kilter_core.identify.fit.row_errors import RowErrors
+from kilter_core.identify.fit.tukey import RowErrors
 from kilter_core.identify.holdout import Folds, fold_splits
 from kilter_core.identify.learned import select_learned_effects
 from kilter_core.identify.methods.fit import fit_by_method

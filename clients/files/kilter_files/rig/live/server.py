@@ -23,8 +23,7 @@ from kilter_files.rig.board.opencv import opencv
 from kilter_files.rig.live.feeds import Shot
 from kilter_files.rig.see.optics.coverage import CELLS, evaluate_gates
 from kilter_files.rig.see.optics.intrinsics_fit import fit_intrinsics
-from kilter_files.rig.see.pictures import Grey
-from kilter_files.rig.see.refusals import Refusal
+from kilter_files.rig.see.pictures import Grey, Refusal
 from kilter_files.rig.see.run import Looker
 from kilter_files.rig.see.views import View
 

@@ -15,9 +15,8 @@ from kilter_files.ground.errors import FileError
 from kilter_files.rig.board.layout import DICTIONARIES, marker_family
 from kilter_files.rig.see.intrinsics import Kept, check_known, fit_camera_with_report
 from kilter_files.rig.see.optics.camera import Camera
-from kilter_files.rig.see.pictures import Grey
+from kilter_files.rig.see.pictures import REMEDIES, Grey, Refusal
 from kilter_files.rig.see.poses import Poses
-from kilter_files.rig.see.refusals import REMEDIES, Refusal
 from kilter_files.rig.see.second import MOST_BIAS_PX, Second
 from kilter_files.rig.see.sources import Frame, Pictures
 from kilter_files.rig.see.target import Target

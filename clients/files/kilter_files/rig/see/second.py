@@ -11,8 +11,7 @@ import numpy as np
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import UsageError
 from kilter_files.ground.later import need
-from kilter_files.rig.see.pictures import Grey
-from kilter_files.rig.see.refusals import Refusal
+from kilter_files.rig.see.pictures import Grey, Refusal
 from kilter_files.rig.see.target import Target
 from kilter_files.rig.see.views import View
 

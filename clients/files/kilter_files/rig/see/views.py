@@ -27,8 +27,7 @@ from kilter_files.rig.see.edges import (
     profile_reach,
     usual_blur,
 )
-from kilter_files.rig.see.pictures import Grey
-from kilter_files.rig.see.refusals import Refusal
+from kilter_files.rig.see.pictures import Grey, Refusal
 from kilter_files.rig.see.target import Target
 
 ENDS = 0.12  # of an edge at either end, left out: blur of the corner

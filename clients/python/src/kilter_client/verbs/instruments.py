@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 from kilter_client import typed
-from kilter_client.requests.calls import instruments as calls
+from kilter_client.requests.calls import campaigns
 from kilter_client.requests.steps import Steps
 from kilter_client.results.record import Records
 from kilter_client.verbs.inputs import parse_day
@@ -63,12 +63,12 @@ def add_instrument(
         "valid_until": parse_day(valid_until),
         "notes": notes,
     }
-    return typed.campaigns.Instrument.read((yield from calls.add(wanted)))
+    return typed.campaigns.Instrument.read((yield from campaigns.add_instrument(wanted)))
 
 
 def instruments() -> Steps[Records[typed.campaigns.Instrument]]:
     """Return the instruments by name, with permissible errors in um and um/m, and their certificates."""
     return Records(
         typed.campaigns.Instrument,
-        [typed.campaigns.Instrument.read(one) for one in (yield from calls.list_instruments())],
+        [typed.campaigns.Instrument.read(one) for one in (yield from campaigns.list_instruments())],
     )

@@ -10,12 +10,12 @@ from typing import Literal
 from kilter_client import typed
 from kilter_client.errors import UsageError
 from kilter_client.files import files_robots
-from kilter_client.requests.calls import meshes as calls
+from kilter_client.requests.calls import robots
 from kilter_client.requests.steps import Steps
 from kilter_client.results.record import Records
 from kilter_client.verbs.references import ResourceReference, reference
 
-FORMS: Mapping[str, calls.Form] = {".stl": "stl", ".obj": "obj"}
+FORMS: Mapping[str, robots.Form] = {".stl": "stl", ".obj": "obj"}
 
 
 def meshes(robot: ResourceReference) -> Steps[Records[typed.robots.Mesh]]:
@@ -25,7 +25,7 @@ def meshes(robot: ResourceReference) -> Steps[Records[typed.robots.Mesh]]:
         NotFoundError: there is no such robot.
 
     """
-    found = yield from calls.list_meshes(reference("robot", robot))
+    found = yield from robots.list_meshes(reference("robot", robot))
     return Records(typed.robots.Mesh, [typed.robots.Mesh.read(one) for one in found])
 
 
@@ -50,7 +50,7 @@ def set_mesh(
     if form is None:
         raise UsageError(f"{path}: give a file that ends in .stl or .obj.")
     return typed.robots.Mesh.read(
-        (yield from calls.put(reference("robot", robot), link, path.read_bytes(), form, unit))
+        (yield from robots.put_mesh(reference("robot", robot), link, path.read_bytes(), form, unit))
     )
 
 
@@ -71,10 +71,10 @@ def set_urdf_meshes(
     """
     name = reference("robot", robot)
     folders = {package: Path(fspath(folder)) for package, folder in (packages or {}).items()}
-    asked = yield from calls.of_urdf(name)
+    asked = yield from robots.list_urdf_meshes(name)
     made = []
     for one in files_robots.link_meshes(asked["shapes"], Path(fspath(urdf)), folders):
-        put = yield from calls.put(name, one.link, one.content, "stl", "mm")
+        put = yield from robots.put_mesh(name, one.link, one.content, "stl", "mm")
         made.append(typed.robots.Mesh.read(put))
     return Records(typed.robots.Mesh, made)
 
@@ -86,4 +86,4 @@ def remove_mesh(robot: ResourceReference, link: str) -> Steps[None]:
         NotFoundError: it has none.
 
     """
-    return (yield from calls.remove(reference("robot", robot), link))
+    return (yield from robots.remove_mesh(reference("robot", robot), link))

@@ -11,12 +11,10 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.files.calibrated_rows import stated_servos
-from kilter_client.cli.files.inspect import JointOrder, Topic
-from kilter_client.cli.files.joint_names import fetch_joint_names
+from kilter_client.cli.files.inspect import JointOrder, Topic, fetch_joint_names
 from kilter_client.cli.files.match import match
 from kilter_client.cli.files.readings import guess_pairing, is_recording, read_unstated
-from kilter_client.cli.files.rig_file import rig_conditions
-from kilter_client.cli.files.sending import send
+from kilter_client.cli.files.sending import rig_conditions, send
 from kilter_client.cli.reports.answer import fit_messages
 from kilter_client.cli.reports.next_step import suggest_after_upload
 from kilter_client.cli.terminal import arguments

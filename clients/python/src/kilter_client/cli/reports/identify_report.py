@@ -7,7 +7,7 @@ from typing import Any
 
 from kilter_client.cli.terminal.output import number, print_line, show_rows
 from kilter_client.files import files_look
-from kilter_client.results.digits import decimals, ends, estimate
+from kilter_client.results.record import decimals, ends, estimate
 
 NOMINAL_DIGITS = 7  # the nominal robot is exact
 MANY_WEIGHTS = 12  # learned weights from which a line stands for all of them

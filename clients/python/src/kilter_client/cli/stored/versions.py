@@ -18,7 +18,7 @@ from kilter_client.cli.terminal.references import OfRobot, resolve_reference
 from kilter_client.errors import UsageError
 from kilter_client.files import files_robots
 from kilter_client.requests.calls.versions import NOMINAL
-from kilter_client.results.digits import decimals, estimate
+from kilter_client.results.record import decimals, estimate
 from kilter_client.results.rows import write_file
 
 STATES = {
