@@ -36,13 +36,13 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.ground.references import store as retired
 from kilter_service.ground.tables import reading
+from kilter_service.ground.tables.assemble import rig_from_conditions
 from kilter_service.ground.tables.columns import has, read_columns
 from kilter_service.ground.tables.reading import Names
-from kilter_service.ground.tables.views import rig_from_conditions
 from kilter_service.ground.tables.writing import write_table
 from kilter_service.robots import store as robots
 from kilter_service.robots.instruments import store as instruments
-from kilter_service.robots.instruments.validity import remarks
+from kilter_service.robots.instruments.store import remarks
 from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_document
 
 if TYPE_CHECKING:

@@ -35,7 +35,7 @@ from kilter_service.ground.tables.assemble import with_default_load
 from kilter_service.ground.tables.columns import read_columns
 from kilter_service.robots import store as robots
 from kilter_service.robots.instruments import store as gauges
-from kilter_service.robots.instruments.validity import remarks
+from kilter_service.robots.instruments.store import remarks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -16,8 +16,7 @@ from kilter_service.ground.db import Database, Session
 from kilter_service.jobs import service, store
 from kilter_service.jobs.durations import PastRun, duration
 from kilter_service.jobs.inputs.default_load import find_unstated_load, load_not_stated
-from kilter_service.jobs.job_preview import JobPreview, Lack, count_poses
-from kilter_service.jobs.kind import JobInput, JobKind
+from kilter_service.jobs.kind import JobInput, JobKind, JobPreview, Lack, count_poses
 from kilter_service.jobs.records import JobRequest
 from kilter_service.jobs.registry import get_job_kind
 

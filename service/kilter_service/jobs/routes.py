@@ -23,8 +23,8 @@ from kilter_service.jobs import checking, service, store
 from kilter_service.jobs.refusals import refusal, without_kind
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.auth.following import limit_event_stream
-from kilter_service.web.conditional import FOR_GOOD, ConditionalRoute
 from kilter_service.web.idempotency.key import OnceOnly
+from kilter_service.web.routing import FOR_GOOD, ConditionalRoute
 from kilter_service.web.state import DatabaseOfApp, PageOfJobs
 
 # The life of jobs as server-sent events.

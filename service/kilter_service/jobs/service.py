@@ -18,8 +18,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.ground.references import store as references
 from kilter_service.jobs import store
-from kilter_service.jobs.job_preview import JobPreview
-from kilter_service.jobs.kind import JobKind
+from kilter_service.jobs.kind import JobKind, JobPreview
 from kilter_service.jobs.records import Asked, JobRecord, ListedJob, Place, ProgressRecord, WantedJobs
 from kilter_service.jobs.registry import get_job_kind
 from kilter_service.robots import store as robots

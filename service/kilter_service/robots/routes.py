@@ -29,7 +29,7 @@ from kilter_service.robots.wire import DOCUMENT
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.bodies import spool_upload
 from kilter_service.web.concurrency import compute
-from kilter_service.web.conditional import ConditionalRoute
+from kilter_service.web.routing import ConditionalRoute
 from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp, get_scratch
 
 if TYPE_CHECKING:

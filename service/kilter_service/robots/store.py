@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from datetime import datetime
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from sqlalchemy import Select, delete, func, select
 
+from kilter_service.contract.units import ControllerCompensation
 from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.caller import allowed_robots, may_see
 from kilter_service.ground.core import core_arm
@@ -16,7 +19,6 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.ground.references import store as references
 from kilter_service.robots.compensation import parse_compensation
-from kilter_service.robots.records import RobotRecord
 from kilter_service.robots.resolved import Resolved
 
 if TYPE_CHECKING:
@@ -297,3 +299,27 @@ def _record(row: RobotRow, campaigns: int, versions: int, active_version: str | 
         controller_compensation=parse_compensation(row.controller_compensation),
         notes=[str(note) for note in row.left_out],
     )
+
+
+@dataclass(frozen=True)
+class RobotRecord:
+    """A stored robot, and how much belongs to it. ``sha256`` is that of its chain, ``source_sha256`` that of the document.
+
+    ``notes`` say what of the document the chain leaves out, ``remarks`` what people noted.
+    """
+
+    id: int
+    name: str
+    document: dict[str, Any]
+    created_at: datetime
+    campaigns: int
+    versions: int
+    active_version: str | None
+    remarks: str
+    controller_compensation: ControllerCompensation
+    tolerance_mm: float | None
+    check_interval_days: int | None
+    retired_at: datetime | None
+    notes: list[str]
+    sha256: str
+    source_sha256: str

@@ -13,7 +13,7 @@ from kilter_service.contract.robots import RobotDocument
 from kilter_service.ground.core import core_model
 from kilter_service.ground.wire import DEG, MM
 from kilter_service.robots.compensation import statement
-from kilter_service.robots.records import RobotRecord
+from kilter_service.robots.store import RobotRecord
 
 if TYPE_CHECKING:
     from kilter_core.arm import Joint, Robot

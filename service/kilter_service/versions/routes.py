@@ -27,7 +27,7 @@ from kilter_service.versions.predictions import differences
 from kilter_service.versions.predictions import preview as previews
 from kilter_service.versions.predictions import residuals as left
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.conditional import ConditionalRoute
+from kilter_service.web.routing import ConditionalRoute
 from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp
 
 FILE = {"schema": {"type": "string", "format": "binary"}}

@@ -11,7 +11,7 @@ import numpy as np
 from kilter_files.ground import NAMED_SESSIONS
 from kilter_service.ground.core import core_watch
 from kilter_service.ground.wire import to_metres, to_metres_if_known, to_mm
-from kilter_service.robots.instruments.validity import permissible
+from kilter_service.robots.instruments.store import permissible
 
 if TYPE_CHECKING:
     from kilter_core.identify import Predictive

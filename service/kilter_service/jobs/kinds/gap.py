@@ -23,8 +23,7 @@ from kilter_service.ground.core import core_gap, core_motion
 from kilter_service.ground.wire import to_metres
 from kilter_service.jobs.inputs.plain import by_campaign, to_json_types
 from kilter_service.jobs.inputs.poses import Pose, poses_document
-from kilter_service.jobs.job_preview import JobPreview, Lack
-from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Lack, Progress, VersionContent
 from kilter_service.jobs.plotly_figures.gap import gap_figures
 from kilter_service.versions.store import HELD_OUT
 

@@ -31,8 +31,7 @@ from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.lease.store import Claim
 from kilter_service.jobs.registry import KINDS
 from kilter_service.jobs.retention.service import Retention
-from kilter_service.jobs.work.creeping import CreepingPosts
-from kilter_service.jobs.work.runner import Runner
+from kilter_service.jobs.work.runner import CreepingPosts, Runner
 from kilter_service.web.health import store as health
 
 LOOK_S = 0.1

@@ -12,7 +12,7 @@ from kilter_service.robots.meshes import service
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.bodies import MESH, spool_upload
 from kilter_service.web.concurrency import compute
-from kilter_service.web.conditional import ConditionalRoute
+from kilter_service.web.routing import ConditionalRoute
 from kilter_service.web.state import DatabaseOfApp, get_scratch
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)

@@ -24,7 +24,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.stream.corrector import keys
+from kilter_service.stream.corrector import endpoints
 
 CORRECTOR, OBSERVER, ROS = "kilter-corrector", "kilter-observer", "kilter-ros"
 # What each role may do on which keys, as zenoh's access control at the corrector; what is not allowed is denied.
@@ -102,7 +102,7 @@ def _rule(name: str, flow: str, messages: list[str], key_exprs: list[str]) -> di
 
 
 def _robot_key_expressions(site: str, robots: tuple[str, ...], parts: tuple[str, ...]) -> list[str]:
-    return [f"{keys.PREFIX}/{site}/{robot}/{part}" for robot in robots for part in parts]
+    return [f"{endpoints.PREFIX}/{site}/{robot}/{part}" for robot in robots for part in parts]
 
 
 def _controller(name: str, site: str, robots: tuple[str, ...]) -> list[dict[str, Any]]:

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import zenoh
 
-from kilter_service.stream.corrector import keys, wire
+from kilter_service.stream.corrector import endpoints, wire
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.session import ENCODING
 from kilter_service.stream.corrector.specs import Rules
@@ -214,7 +214,7 @@ def parse_setpoint_key(key: str) -> tuple[str, str, str] | None:
     if len(parts) != 7:
         return None
     try:
-        names = keys.RobotKeys(parts[2], parts[3])
+        names = endpoints.RobotKeys(parts[2], parts[3])
         return parts[3], names.stream(parts[5], "out"), names.stream(parts[5], "status")
     except ValueError:
         return None

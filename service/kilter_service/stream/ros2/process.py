@@ -26,7 +26,7 @@ from kilter_core.types import Floats
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.failure_log import Failing
 from kilter_service.ground.settings import Settings
-from kilter_service.stream.corrector import keys, wire
+from kilter_service.stream.corrector import endpoints, wire
 from kilter_service.stream.corrector.active import Active, VersionSource
 from kilter_service.stream.corrector.database_source import DatabaseSource
 from kilter_service.stream.corrector.endpoints import check_ros2
@@ -251,7 +251,7 @@ class Adaptor:
             refused = {k: n - before.get(k, 0) for k, n in counts.items() if k != "OK" and n != before.get(k, 0)}
             if refused:
                 log.warning("%s: not corrected and not passed on: %s", route.wanted, refused)
-            key = keys.RobotKeys(self._settings.site, route.robot).stream(f"ros2_{route.kind}", "status")
+            key = endpoints.RobotKeys(self._settings.site, route.robot).stream(f"ros2_{route.kind}", "status")
             document = {"wanted": route.wanted, "corrected": route.corrected, "counters": counts}
             self._session.put(key, json.dumps(document).encode(), encoding=zenoh.Encoding.APPLICATION_JSON)
 

@@ -23,7 +23,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.wire import to_metres, to_mm
 from kilter_service.robots import store as robots
 from kilter_service.robots.instruments import store as instruments
-from kilter_service.robots.instruments.validity import permissible, remarks
+from kilter_service.robots.instruments.store import permissible, remarks
 from kilter_service.versions import store as versions
 from kilter_service.versions.guard import AsItWas
 from kilter_service.versions.predictions.unfitted_rows import Archive

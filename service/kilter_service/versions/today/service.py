@@ -21,7 +21,7 @@ from kilter_service.robots import store as arms
 from kilter_service.robots.compensation import parse_compensation, sentence
 from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions.drift import service as drift
-from kilter_service.versions.predictions.own_errors import larger
+from kilter_service.versions.predictions.unfitted_rows import larger
 from kilter_service.versions.today import sentences, store
 from kilter_service.versions.today.standing import Known, Reached, assess
 from kilter_service.versions.today.store import Active, Evaluated, Made, Measured, Searched

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from kilter_service.contract.audit import AuditPage
+from kilter_service.contract.tokens import AuditPage
 from kilter_service.web.audit import service
 from kilter_service.web.routing import GuardedRoute
 from kilter_service.web.state import DatabaseOfApp, PageOfList
