@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from kilter_core.identify.comparison.model_comparison import Difference, PoseErrors, elsewhere
+from kilter_core.identify.comparison import Difference, PoseErrors, elsewhere
 from kilter_core.identify.estimate import new_frames, refit_frames
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.view_report import left_open, tell_less

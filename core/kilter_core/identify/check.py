@@ -27,7 +27,7 @@ from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.setup_frames import Frames, marginal, of_the_arm
 from kilter_core.identify.steps.start import build_start_model, refuse_missing_columns
 from kilter_core.identify.uncertainty.predictive import MEASURED
-from kilter_core.identify.views.cameras import with_cameras
+from kilter_core.identify.views import with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations

@@ -27,7 +27,7 @@ from kilter_core.identify.uncertainty.by_views import predictive_of_views, rig_s
 from kilter_core.identify.uncertainty.clustered import with_clustered_covariance
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.uncertainty.tool_error import beside_tool_error, by_tool_error
-from kilter_core.identify.views.cameras import rig_from_calibration, rig_from_values, with_cameras
+from kilter_core.identify.views import rig_from_calibration, rig_from_values, with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.view_scatter import ToolErrors, ViewScatter
 from kilter_core.model import Calibration

@@ -12,7 +12,7 @@ from kilter_core.effects import Effect
 from kilter_core.errors import ObservationError, RobotError
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.setup_frames import without_frames
-from kilter_core.identify.views.cameras import Cameras, with_cameras
+from kilter_core.identify.views import Cameras, with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.camera_model import project, undistort_pixels
 from kilter_core.measurement.camera.pixels import Pixels

@@ -12,7 +12,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.references import store as references
 from kilter_service.ground.references.store import TombstoneRecord, tombstone
 from kilter_service.robots import store as robots
-from kilter_service.robots.resolved import hash_canonical_json
+from kilter_service.robots.documents import hash_canonical_json
 
 
 def change(database: Database, campaign_id: str, wanted: Change) -> Campaign:

@@ -23,8 +23,7 @@ from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.tables.columns import read_columns
 from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.robots import check as checks
-from kilter_service.robots import documents as conversions
-from kilter_service.robots import nominal, service
+from kilter_service.robots import documents, nominal, service
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.bodies import spool_upload
@@ -158,7 +157,7 @@ def check(document: RobotDocument) -> RobotCheck:
 @router.post("/convert", response_model_exclude_none=True)
 def convert(document: RobotDocument, to: Target) -> RobotDocument:
     """Write a document in another convention, without adding it: the same poses at the same joint readings."""
-    return DOCUMENT.validate_python(conversions.convert(document, to))
+    return DOCUMENT.validate_python(documents.convert(document, to))
 
 
 @router.post(

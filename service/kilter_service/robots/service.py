@@ -13,8 +13,7 @@ from kilter_service.ground.paging import Page
 from kilter_service.ground.references import store as references
 from kilter_service.ground.references.store import TombstoneRecord, tombstone
 from kilter_service.robots import store, wire
-from kilter_service.robots.documents import without_settings
-from kilter_service.robots.resolved import resolve
+from kilter_service.robots.documents import resolve, without_settings
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot

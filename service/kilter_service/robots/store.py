@@ -19,7 +19,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.ground.references import store as references
 from kilter_service.robots.compensation import parse_compensation
-from kilter_service.robots.resolved import Resolved
+from kilter_service.robots.documents import Resolved
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot

@@ -1,7 +1,7 @@
 """What speaks against activating a version: its own identification, and measurements that it was not fitted to.
 
 It is compared with the nominal robot in frames of its own (registration only) and with the version that is active. Worse is
-what `kilter_core.identify.comparison.model_comparison` calls so. Where there is nothing to compare on, a warning says so
+what `kilter_core.identify.comparison` calls so. Where there is nothing to compare on, a warning says so
 and nothing is refused for it.
 """
 

@@ -19,7 +19,7 @@ from kilter_service.ground.db.tables import ActivationRow, JobRow, ReplayRow, Ro
 from kilter_service.ground.paging import ALL, Page
 from kilter_service.ground.references import store as references
 from kilter_service.robots import store as robots
-from kilter_service.robots.resolved import hash_canonical_json
+from kilter_service.robots.documents import hash_canonical_json
 from kilter_service.versions.answers.store import fetch_last_kept
 from kilter_service.versions.records import ActivationRecord, ListedVersion, VersionRecord
 

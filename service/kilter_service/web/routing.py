@@ -1,4 +1,4 @@
-"""Routes that ask for a token, and answers that a client may keep: each has an ETag, and is not sent again where it is there."""
+"""Routes that ask for a token, and answers that a client may keep: each has an ETag, and is not sent twice."""
 
 from __future__ import annotations
 

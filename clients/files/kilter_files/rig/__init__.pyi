@@ -47,7 +47,7 @@ from .see.poses import Poses as Poses
 from .see.poses import read_poses as read_poses
 from .see.run import Looker as Looker
 from .see.run import Seen as Seen
-from .see.second import create_second_detector as create_second_detector
+from .see.run import create_second_detector as create_second_detector
 from .see.sources import Pictures as Pictures
 from .see.sources import gather_source as gather_source
 from .see.target import check_apart as check_apart

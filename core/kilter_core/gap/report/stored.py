@@ -22,7 +22,7 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.prepare import with_masses
 from kilter_core.gap.study import SHIFT
-from kilter_core.identify.comparison.model_comparison import geometry_alone
+from kilter_core.identify.comparison import geometry_alone
 from kilter_core.identify.fleet.said import prior_dominated_mask
 from kilter_core.identify.identifiable.identifiability import identifiable, null_directions
 from kilter_core.identify.identifiable.load_model import load_rows

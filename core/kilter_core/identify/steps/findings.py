@@ -37,7 +37,7 @@ from kilter_core.identify.view_report import (
     with_own_scatter,
     wrong_views,
 )
-from kilter_core.identify.views.cameras import unknown_rig
+from kilter_core.identify.views import unknown_rig
 from kilter_core.measurement.camera.board_shape import board_shapes
 from kilter_core.measurement.camera.view_motion import Delay, timing
 from kilter_core.model.placed_rig import PlacedRig

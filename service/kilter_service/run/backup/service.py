@@ -29,7 +29,7 @@ from kilter_service.run.backup.store import Findings
 from kilter_service.run.backup.upgrade import replay_and_keep
 
 if TYPE_CHECKING:
-    from kilter_service.versions.replays.service import Change
+    from kilter_service.versions.replays import Change
 
 # The manifest of a backup: a hash for every table, over all of its rows, taken when the backup was written.
 #

@@ -26,7 +26,7 @@ from kilter_service.ground.db.seals import Sealer
 from kilter_service.ground.db.tables import CampaignRow, ChunkRow, MeshRow, RobotRow, UploadRow, VersionRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.texts import plural
-from kilter_service.robots.resolved import hash_canonical_json, source_sha256
+from kilter_service.robots.documents import hash_canonical_json, source_sha256
 from kilter_service.web.audit.service import verify_entries
 from kilter_service.web.audit.store import everything
 
