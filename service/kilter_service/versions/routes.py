@@ -20,7 +20,7 @@ from kilter_service.contract.versions import (
 )
 from kilter_service.ground.tables.reading import CSV, JSON, PARQUET
 from kilter_service.robots.exporters.registry import FORMATS
-from kilter_service.versions import activation, keeping, service
+from kilter_service.versions import activation, service
 from kilter_service.versions.addressed import AddressedVersion, FirstVersion, SecondVersion
 from kilter_service.versions.if_match import ExpectedState, tag_of_robot
 from kilter_service.versions.predictions import differences
@@ -73,25 +73,25 @@ def get(version: AddressedVersion, database: DatabaseOfApp) -> Version:
 @router.patch("/versions/{version}")
 def change(version: AddressedVersion, wanted: Change, database: DatabaseOfApp, _: Admin) -> Version:
     """Name a version, or note something on it; what it holds stays as it is."""
-    return keeping.change(database, version, wanted)
+    return service.change(database, version, wanted)
 
 
 @router.post("/versions/{version}/retire")
 def retire(version: AddressedVersion, database: DatabaseOfApp, actor: Admin) -> Version:
     """Take a version out of use; the active one cannot be."""
-    return keeping.retire(database, version, actor)
+    return service.retire(database, version, actor)
 
 
 @router.post("/versions/{version}/restore")
 def restore(version: AddressedVersion, database: DatabaseOfApp, _: Admin) -> Version:
     """Bring a retired version back into use."""
-    return keeping.restore(database, version)
+    return service.restore(database, version)
 
 
 @router.post("/versions/{version}/purge")
 def purge(version: AddressedVersion, database: DatabaseOfApp, actor: Admin) -> Tombstone:
     """Delete a version that nothing cites, for good; its hash is kept."""
-    return keeping.purge(database, version, actor)
+    return service.purge(database, version, actor)
 
 
 @router.post("/versions/{version}/activate")
