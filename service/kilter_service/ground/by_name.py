@@ -9,7 +9,7 @@ T = TypeVar("T")
 FIELDS = ("model_fields", "_fields", "__dataclass_fields__")  # where an answer, a tuple and a record name theirs
 
 
-def copy_fields(kind: type[T], source: object, **own: Any) -> T:
+def copy_fields(kind: type[T], source: object, /, **own: Any) -> T:
     """Return a record or an answer with what ``source`` has under the names of its fields; ``own`` is what it has not.
 
     Raises:

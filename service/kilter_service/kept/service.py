@@ -111,4 +111,4 @@ def tombstones(database: Database, robot: str | None, page: Page) -> TombstoneLi
     with database.reading() as session:
         found = store.tombstones(session, robot, page)
     shown, cursor = page.cut(found, lambda tombstone: in_time(tombstone.at, tombstone.id))
-    return TombstoneList(tombstones=[store.tombstone(one) for one in shown], next=cursor)
+    return TombstoneList(tombstones=list(shown), next=cursor)

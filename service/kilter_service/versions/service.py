@@ -5,12 +5,12 @@ from __future__ import annotations
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.contract.versions import ActivationList, Version, VersionList, VersionSummary
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.ground.references import store as references
-from kilter_service.ground.references.store import TombstoneRecord, tombstone
 from kilter_service.robots import store as robots
 from kilter_service.robots.exporters.exportable import Exportable
 from kilter_service.robots.exporters.registry import Exported, export, export_notes
@@ -24,7 +24,7 @@ def list_versions(database: Database, robot: str, page: Page, with_retired: bool
     with database.reading() as session:
         found = store.list_versions(session, robots.get(session, robot).id, page, with_retired)
     shown, cursor = page.cut(found, lambda version: in_time(version.created_at, version.id))
-    return VersionList(versions=[wire.summary_from_listed(version) for version in shown], next=cursor)
+    return VersionList(versions=list(shown), next=cursor)
 
 
 def active_of_robots(database: Database) -> dict[str, VersionSummary]:
@@ -127,10 +127,10 @@ def purge(database: Database, version_id: str, actor: str) -> Tombstone:
         _refuse_active(version, "purged")
         citing = store.citing_version(session, version.robot_id, version.id)
         references.refuse_cited("version", version.id, citing, "purge what can be purged first")
-        left = TombstoneRecord(version.id, "version", version.robot, version.name, version.sha256, actor, utc_now())
+        left = copy_fields(Tombstone, version, kind="version", by=actor, at=utc_now())
         references.add_tombstone(session, left)
         store.remove(session, version_id)
-    return tombstone(left)
+    return left
 
 
 def _refuse_active(version: VersionRecord, what: str) -> None:

@@ -29,7 +29,7 @@ from kilter_service.ground import left_out
 from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
 from kilter_service.versions.objections import objections_from_report
-from kilter_service.versions.records import ActivationRecord, ListedVersion, PreviewedPoses, VersionRecord
+from kilter_service.versions.records import ActivationRecord, PreviewedPoses, VersionRecord
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot
@@ -72,12 +72,6 @@ def _with_change(row: dict[str, Any]) -> dict[str, Any]:
 def summary(record: VersionRecord) -> VersionSummary:
     """Say what lists tell of a version."""
     return copy_fields(VersionSummary, record, **_read_out(record))
-
-
-def summary_from_listed(record: ListedVersion) -> VersionSummary:
-    """Say the same of a version in a list, whose documents were not read."""
-    effects = [effect["id"] for effect in record.effects]
-    return copy_fields(VersionSummary, record, effects=effects, metrics=as_written(Metrics, record.metrics))
 
 
 def _read_out(record: VersionRecord) -> dict[str, Any]:

@@ -163,7 +163,7 @@ def _columns(sheet: Sheet, convention: str) -> list[tuple[str, str]]:
         elif spellings.get(quantity) and unit in (*LENGTHS, *ANGLES):
             out.append((spellings[quantity], unit))
         else:
-            raise _unknown(sheet, name, plain in (*spellings, *masses.MASS_QUANTITIES))
+            raise _unknown(sheet, name, plain in (*spellings, *masses.QUANTITIES))
     masses.refuse_half_a_group(sheet, {quantity for quantity, _ in out})
     if convention == "dh" and any(quantity == "beta" for quantity, _ in out):
         raise FileError(
@@ -195,7 +195,7 @@ def _row(
     row: dict[str, Any] = {"type": kind}
     limits: dict[str, float] = {}
     for (quantity, unit), cell in zip(columns, cells, strict=True):
-        if not unit or quantity in masses.MASS_QUANTITIES or (not cell and quantity not in ("d", "beta")):
+        if not unit or quantity in masses.QUANTITIES or (not cell and quantity not in ("d", "beta")):
             continue
         factor, word = _factor(sheet, quantity, unit, kind)
         if factor is None:
@@ -222,7 +222,7 @@ def _weights(sheet: Sheet, columns: list[tuple[str, str]], line: int, cells: lis
     return {
         quantity: _number(sheet, line, quantity, cell) * LENGTHS.get(unit, 1.0) if cell else None
         for (quantity, unit), cell in zip(columns, cells, strict=True)
-        if quantity in masses.MASS_QUANTITIES
+        if quantity in masses.QUANTITIES
     }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
 from typing import Any, Literal, NamedTuple
 
@@ -21,26 +20,6 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 
 Whose = Literal["campaign", "version", "robot"]
-
-
-@dataclass(frozen=True)
-class TombstoneRecord:
-    """What is left of a campaign, a version or a robot."""
-
-    id: str
-    kind: Whose
-    robot: str
-    name: str
-    sha256: str
-    by: str
-    at: datetime
-
-
-def tombstone(record: TombstoneRecord) -> Tombstone:
-    """Say what is left of something that was purged."""
-    return Tombstone(**asdict(record))
-
-
 Table = type[CampaignRow] | type[VersionRow] | type[JobRow]
 TABLES: Mapping[Kind, Table] = {"campaign": CampaignRow, "version": VersionRow, "job": JobRow}
 PREFIXES: Mapping[Kind, str] = {"campaign": "cmp_", "version": "ver_", "job": "job_"}
@@ -242,12 +221,12 @@ def citing_campaign(session: Session, robot_id: int, campaign_id: str) -> list[s
     return [version for version, campaigns in rows if any(used["id"] == campaign_id for used in campaigns)]
 
 
-def add_tombstone(session: Session, record: TombstoneRecord) -> None:
+def add_tombstone(session: Session, left: Tombstone) -> None:
     """Keep what is left of something that is purged."""
-    session.add(TombstoneRow(**asdict(record)))
+    session.add(TombstoneRow(**left.model_dump()))
 
 
-def tombstones(session: Session, robot: str | None, page: Page) -> list[TombstoneRecord]:
+def tombstones(session: Session, robot: str | None, page: Page) -> list[Tombstone]:
     """Return what was purged, newest first, one more than the page shows."""
     row = TombstoneRow
     query = select(row).order_by(row.at.desc(), row.id)
@@ -258,14 +237,14 @@ def tombstones(session: Session, robot: str | None, page: Page) -> list[Tombston
     if page.moment is not None:
         moment, key = page.moment
         query = query.where(or_(row.at < moment, and_(row.at == moment, row.id > key)))
-    return [_tombstone(found) for found in session.execute(query.limit(page.fetch_limit)).scalars()]
+    return [copy_fields(Tombstone, found) for found in session.execute(query.limit(page.fetch_limit)).scalars()]
 
 
-def find_tombstone(session: Session, kind: str, id_: str) -> TombstoneRecord | None:
+def find_tombstone(session: Session, kind: str, id_: str) -> Tombstone | None:
     """Return what is left of something that was purged, if it was."""
     query = select(TombstoneRow).where(TombstoneRow.kind == kind, TombstoneRow.id == id_)
     row = session.execute(query.order_by(TombstoneRow.at.desc()).limit(1)).scalar_one_or_none()
-    return None if row is None else _tombstone(row)
+    return None if row is None else copy_fields(Tombstone, row)
 
 
 def gone(session: Session, kind: str, id_: str) -> str:
@@ -274,10 +253,6 @@ def gone(session: Session, kind: str, id_: str) -> str:
     if found is None or not may_see(found.robot):
         return ""
     return f" It was purged by {found.by} on {found.at:%Y-%m-%d %H:%M} UTC (sha256 {found.sha256[:12]})."
-
-
-def _tombstone(row: TombstoneRow) -> TombstoneRecord:
-    return copy_fields(TombstoneRecord, row)
 
 
 def refuse_cited(kind: Kind, id_: str, citing: Sequence[str], remedy: str) -> None:
