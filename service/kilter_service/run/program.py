@@ -28,7 +28,7 @@ with later(__name__):
     from kilter_service.ground import db
     from kilter_service.ground.db import failures, revision
     from kilter_service.ground.files import private_files
-    from kilter_service.jobs.retention import service as retention
+    from kilter_service.jobs.work import retention
     from kilter_service.jobs.work import worker as jobs
     from kilter_service.run import compiling, serving, supervisor
     from kilter_service.run.backup import commands

@@ -30,15 +30,14 @@ from kilter_service.jobs import store
 from kilter_service.jobs.fan_out import FanOut, fan_out
 from kilter_service.jobs.fleet import store as fleet
 from kilter_service.jobs.fleet.comparison import compare_with_previous
-from kilter_service.jobs.foreign import store as foreign_rows
 from kilter_service.jobs.inputs.default_load import with_load_warning
 from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.inputs.setups import LAID_AGAIN
 from kilter_service.jobs.kind import JobInput, JobOutput
-from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.lease.store import Claim
 from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import get_job_kind
+from kilter_service.jobs.work import store as work_store
+from kilter_service.jobs.work.store import Claim
 from kilter_service.versions import ability
 from kilter_service.versions.ability import CODE as CANNOT_CORRECT
 from kilter_service.versions.drift import service as drift
@@ -347,7 +346,7 @@ class Runner:
             return nullcontext()
         with self._database.reading() as session:
             kind = store.get(session, claim.job_id).kind
-            if not stores and outcome.error is not None and not foreign_rows.retires(kind, outcome.error[0]):
+            if not stores and outcome.error is not None and not work_store.retires(kind, outcome.error[0]):
                 return nullcontext()
             return on_behalf(store.job_requester(session, claim.job_id), ROUTE, {"job": claim.job_id})
 
@@ -362,12 +361,12 @@ class Runner:
 
 
 def _store(session: Session, claim: Claim, outcome: Outcome) -> None:
-    if not lease.holds(session, claim):
+    if not work_store.holds(session, claim):
         log.warning("job %s is no longer this worker's: what it computed is dropped", claim.job_id)
     elif outcome.error is not None:
         code, message = outcome.error
         store.fail(
-            session, claim.job_id, code, foreign_rows.retire_refused_campaign(session, claim.job_id, code, message)
+            session, claim.job_id, code, work_store.retire_refused_campaign(session, claim.job_id, code, message)
         )
     elif outcome.output is not None:
         version = outcome.output.version
@@ -398,7 +397,7 @@ class ProgressReporter:
         self._next = time_s + REPORT_S
         try:
             with self._database.noting() as session:
-                held = lease.advance(session, self._claim, fraction, stage)
+                held = work_store.advance(session, self._claim, fraction, stage)
         except DatabaseAwayError:
             self._next = time.monotonic() + AGAIN_S
             return

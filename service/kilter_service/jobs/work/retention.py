@@ -13,7 +13,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
-from kilter_service.jobs.retention import store
+from kilter_service.jobs.work import store
 
 log = logging.getLogger("kilter.worker")
 
@@ -54,7 +54,7 @@ def _purge_batch(database: Database, before: datetime, route: str) -> int:
     with on_behalf({"actor": "kilterd", "role": "admin"}, route, {}), database.transaction() as session:
         ids = store.ended_before(session, before, AT_ONCE)
         if ids:
-            store.remove(session, ids)
+            store.remove_jobs(session, ids)
         return len(ids)
 
 

@@ -1,4 +1,7 @@
-"""Rows of jobs as the queue they are. Every change is alone in the database (`Database.transaction`), so none can overlap."""
+"""Rows of jobs at work: who holds one, what is retired with one that was refused, and which are old enough to go.
+
+Every change is alone in the database (`Database.transaction`), so none can overlap.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from sqlalchemy import ColumnElement, Select, and_, delete, or_, select, update
+from sqlalchemy import ColumnElement, Select, String, and_, cast, delete, func, or_, select, update
 
+from kilter_service.contract.jobs.job import FINAL
 from kilter_service.ground.db import Session
+from kilter_service.ground.db.audited import note
 from kilter_service.ground.db.row import utc_now
-from kilter_service.ground.db.tables import NOT_OVER, HeartbeatRow, JobRow
+from kilter_service.ground.db.tables import (
+    NOT_OVER,
+    ActivationRow,
+    CampaignRow,
+    FleetRobotRow,
+    HeartbeatRow,
+    JobRow,
+    VersionRow,
+)
 from kilter_service.ground.ended_jobs import store as ended
+from kilter_service.ground.references import store as references
+from kilter_service.jobs.kinds.drift import REFUSED
 
 WORKER = "worker"  # the process of the heartbeats that count here
 MAX_ATTEMPTS = 10  # a job that has ended its worker this often would go on doing so
@@ -125,3 +140,84 @@ class Claim:
     job_id: str
     worker: str
     attempt: int
+
+
+REFUSED_KIND = "drift"
+RETIRED = (
+    " Campaign {campaign} was retired, so that nothing is compared with it; an administrator can bring it back "
+    "(`kilter measure campaigns restore {campaign}`)."
+)
+KEPT = (
+    " Campaign {campaign} is still in use, because {why}: ask an administrator to retire it (`kilter measure campaigns retire "
+    "{campaign}`) unless it shows this arm as it is, so that nothing is compared with it."
+)
+TO_FIT = "it was sent to be fitted"
+USED = "other jobs or versions name it"
+
+
+def retires(kind: str, code: str) -> bool:
+    """Whether the campaign of a job of a kind, refused with a code, is to be retired."""
+    return kind == REFUSED_KIND and code in REFUSED
+
+
+def retire_refused_campaign(session: Session, job_id: str, code: str, message: str) -> str:
+    """Retire the campaign of a check whose rows were refused, and say so behind the message of the refusal.
+
+    Such rows prove nothing of this arm: too few poses, another arm, tool or temperature. A campaign stays where it was sent to
+    be fitted, for it may be of an arm that was rebuilt, and where another job or a version names it: whoever restored it, or
+    learnt from it, knows more than the check.
+    """
+    row = session.get_one(JobRow, job_id)
+    if not retires(row.kind, code):
+        return message
+    (key,) = row.request["campaigns"]
+    campaign = session.get_one(CampaignRow, key)
+    why = TO_FIT if campaign.role == "train" else USED if _is_used(session, row, key) else None
+    if why is not None:
+        return message.rstrip() + KEPT.format(campaign=key, why=why)
+    references.retire(session, "campaign", key, str(row.asked_by.get("actor", "")))
+    return message.rstrip() + RETIRED.format(campaign=key)
+
+
+def _is_used(session: Session, job: JobRow, campaign: str) -> bool:
+    others = select(JobRow.id).where(
+        JobRow.robot_id == job.robot_id, JobRow.id != job.id, cast(JobRow.request, String).contains(campaign)
+    )
+    if session.execute(others.limit(1)).first() is not None:
+        return True
+    return bool(references.citing_campaign(session, job.robot_id, campaign))
+
+
+def ended_before(session: Session, moment: datetime, most: int) -> list[str]:
+    """Return the oldest jobs that were over before a moment and that nothing needs.
+
+    Needed are the jobs of versions, their evaluations while a robot is corrected with them, the newest completed search of
+    each robot, which says what is missing, all checks that were completed, which are a robot's history, and jobs of fleet
+    jobs, which list them.
+    """
+    row = JobRow
+    query = select(row.id).where(row.state.in_(FINAL), row.finished_at < moment, *_not_needed())
+    return list(session.execute(query.order_by(row.finished_at, row.id).limit(most)).scalars())
+
+
+def _not_needed() -> tuple[ColumnElement[bool], ...]:
+    row, version = JobRow, JobRow.result["version_id"].as_string()
+    last = select(func.max(ActivationRow.id)).group_by(ActivationRow.robot_id)
+    active = select(ActivationRow.version_id).where(ActivationRow.id.in_(last))
+    searched = (row.kind == "gap") & (row.state == "succeeded")
+    later = select(func.max(row.created_at)).where(searched).group_by(row.robot_id)
+    listed = select(FleetRobotRow.job_id).where(FleetRobotRow.job_id.is_not(None))
+    return (
+        row.id.not_in(select(VersionRow.job_id)),
+        row.id.not_in(listed),
+        ~((row.kind == "evaluate") & func.coalesce(version, "").in_(active)),
+        ~((row.kind == "drift") & (row.state == "succeeded")),
+        ~(searched & row.created_at.in_(later)),
+    )
+
+
+def remove_jobs(session: Session, ids: list[str]) -> None:
+    """Delete jobs; the audit names each."""
+    for job in ids:
+        note(session, f"jobs/{job}", "kept", "purged")
+    session.execute(delete(JobRow).where(JobRow.id.in_(ids)))
