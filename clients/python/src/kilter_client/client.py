@@ -11,9 +11,8 @@ from kilter_client.requests.methods import waiting
 from kilter_client.requests.steps import Steps
 from kilter_client.resources.documents import Campaigns, Robots, Versions
 from kilter_client.resources.jobs import Jobs
-from kilter_client.verbs import campaigns, drifts, instruments, jobs, keeping, programs, robots, versions
+from kilter_client.verbs import campaigns, drifts, jobs, keeping, programs, robots, versions
 from kilter_client.verbs import dry_run as dry_runs
-from kilter_client.verbs import meshes as shapes
 from kilter_client.verbs.error_wording import rephrase_error
 
 if TYPE_CHECKING:
@@ -81,12 +80,12 @@ class Kilter:
     drift_list = waiting(robots.drift_list)
     add_repair = waiting(robots.add_repair)
     remove_repair = waiting(robots.remove_repair)
-    meshes = waiting(shapes.meshes)
-    set_mesh = waiting(shapes.set_mesh)
-    set_urdf_meshes = waiting(shapes.set_urdf_meshes)
-    remove_mesh = waiting(shapes.remove_mesh)
-    add_instrument = waiting(instruments.add_instrument)
-    instruments = waiting(instruments.instruments)
+    meshes = waiting(robots.meshes)
+    set_mesh = waiting(robots.set_mesh)
+    set_urdf_meshes = waiting(robots.set_urdf_meshes)
+    remove_mesh = waiting(robots.remove_mesh)
+    add_instrument = waiting(campaigns.add_instrument)
+    instruments = waiting(campaigns.instruments)
     upload = waiting(campaigns.upload)
     dry_run = waiting(dry_runs.dry_run)
     campaign = waiting(campaigns.campaign)

@@ -20,9 +20,8 @@ from kilter_client.errors import UsageError
 from kilter_client.results.shown import MODELS as STAGES
 from kilter_client.twin.drives import read_drives
 from kilter_client.twin.onto import lay_onto
-from kilter_client.twin.settled import Settings, load_model, model_errors, read_measured_rows
+from kilter_client.twin.settled import Settings, ViewErrors, load_model, model_errors, read_measured_rows
 from kilter_client.twin.usd import USD_SUFFIXES, lay_over
-from kilter_client.twin.views import ViewErrors
 from kilter_files.ground.later import np
 
 if TYPE_CHECKING:

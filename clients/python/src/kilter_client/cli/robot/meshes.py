@@ -13,7 +13,7 @@ from kilter_client.cli.terminal.arguments import Json, Robot
 from kilter_client.cli.terminal.output import emit, note, print_line, show_rows
 from kilter_client.errors import UsageError
 from kilter_client.requests.calls import robots
-from kilter_client.verbs.meshes import FORMS
+from kilter_client.verbs.robots import FORMS
 from kilter_files.robots import link_meshes
 
 mesh = typer.Typer(
