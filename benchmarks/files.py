@@ -26,7 +26,7 @@ import numpy as np
 READ = """
 import json, sys, time
 from pathlib import Path
-from kilter_files.formats.opening import open_recording
+from kilter_files.formats.registry import open_recording
 from kilter_files.match.dwells import RestOptions, find_dwells
 from kilter_files.match.matching import marker_columns
 from kilter_client.cli.files.parts import cut_parquet_parts

@@ -50,11 +50,11 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture(autouse=True, scope="session")
 def wide_screen() -> Iterator[None]:
     """Commands print each sentence on one line; ``tests/clients/test_screens.py`` says what fits on a screen."""
-    from kilter_client.cli.terminal import tables
+    from kilter_client.cli.terminal import output
 
-    usual, tables.WIDE = tables.WIDE, 10_000
+    usual, output.WIDE = output.WIDE, 10_000
     yield
-    tables.WIDE = usual
+    output.WIDE = usual
 
 
 COLLECTIONS = (50_000, 20, 20)  # Python: 700, 10, 10

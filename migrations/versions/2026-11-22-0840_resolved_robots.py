@@ -49,7 +49,7 @@ def upgrade() -> None:
 
 def _resolve(connection: sa.Connection, robot_id: int, name: str, posted: dict[str, Any]) -> None:
     from kilter_core.errors import CoreError
-    from kilter_service.robots.resolved import resolve, source_sha256
+    from kilter_service.robots.documents import resolve, source_sha256
 
     mine = ROBOTS.c.id == robot_id
     connection.execute(sa.update(ROBOTS).where(mine).values(source_sha256=source_sha256(posted)))

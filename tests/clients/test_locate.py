@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from kilter_client import ServerUnreachableError
-from kilter_client.requests.server_address import Place, locate
+from kilter_client.requests.connection import Place, locate
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.cli.terminal.name_words import begin_command, name_ids
+from kilter_client.cli.terminal.output import begin_command, name_ids
 from tests.clients.arms_with_play import ArmWithPlay
 
 QUICK = ["--effects", "backlash,encoder_scale", "--option", "resamples=5", "--option", "bootstraps=99"]

@@ -17,7 +17,7 @@ from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.cli.reports.results import show_result
 from kilter_client.errors import ApiError
-from kilter_client.results.digits import decimals, ends, estimate
+from kilter_client.results.record import decimals, ends, estimate
 
 Capture = pytest.CaptureFixture[str]
 

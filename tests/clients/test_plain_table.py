@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from kilter_client.cli.terminal.tables import table
+from kilter_client.cli.terminal.output import table
 
 HEAD = ("effect", "what")
 ROWS = [("backlash", "reversal error with the direction of the joint's last motion"), ("x", "")]

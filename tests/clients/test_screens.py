@@ -19,7 +19,7 @@ from kilter_client.cli.reports.activation_report import show_today
 from kilter_client.cli.reports.answer import fit_messages, format_answer
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.stored.versions import _show_diff
-from kilter_client.cli.terminal import tables
+from kilter_client.cli.terminal import output
 from kilter_client.cli.terminal.session_notes import is_note_due
 from tests.clients.arms_with_play import ArmWithPlay
 
@@ -50,7 +50,7 @@ class Screen:
 
 @pytest.fixture(autouse=True)
 def usual_screen(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tables, "WIDE", COLUMNS)
+    monkeypatch.setattr(output, "WIDE", COLUMNS)
 
 
 @pytest.mark.timeout(600)
@@ -165,7 +165,7 @@ def test_a_table_has_no_empty_column_and_large_numbers_no_exponent() -> None:
     lines = format_answer({"headline": "Found", "found": found}, [], COLUMNS)
     assert "moves tool by" not in " ".join(lines)
     assert "spring" in " ".join(lines)
-    assert [tables.number(value, 3) for value in (1746.2, 0.03278, 12.34, 999.7)] == ["1746", "0.0328", "12.3", "1000"]
+    assert [output.number(value, 3) for value in (1746.2, 0.03278, 12.34, 999.7)] == ["1746", "0.0328", "12.3", "1000"]
 
 
 def test_a_comparison_of_versions_fits_a_screen_and_masses_that_were_carried_come_last(capsys: Capture) -> None:

@@ -250,7 +250,7 @@ assert made.content.decode().splitlines() == ["q1_deg,x_mm", "10.0,500.0", "20.0
 assert run(["upload", "arm", str(file), "--device", "toy", "--dry-run"]) == 0
 from kilter_files import DEVICES
 from kilter_files.formats.registry import list_formats
-from kilter_files.look.inspection import inspect
+from kilter_files.look.drafts import inspect
 from kilter_service.page.drop.child import _inspect_file
 from kilter_service.page.drop.service import ways
 assert (inspect(file)["kind"], inspect(file)["rows"]) == ("toy", 2)

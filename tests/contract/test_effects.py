@@ -27,7 +27,7 @@ from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration, Prediction, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.transforms import rotation_log
-from kilter_files.look.unusual import below_zero
+from kilter_files.look.summaries import below_zero
 from tests.core.correct.reference import CorrectOptions, correct
 
 Floats = NDArray[np.float64]

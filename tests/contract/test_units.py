@@ -42,7 +42,7 @@ STILL = {
     "core/kilter_core/gap/search/sources/rounding.py": 1,
     "core/kilter_core/gap/search/rows/row_warnings.py": 1,
     "core/kilter_core/identify/identifiable/load_model.py": 2,
-    "core/kilter_core/identify/comparison/model_comparison.py": 1,
+    "core/kilter_core/identify/comparison.py": 1,
     "core/kilter_core/identify/options.py": 3,
     "core/kilter_core/identify/plausibility/belonging.py": 1,
     "core/kilter_core/identify/plausibility/mix_ups.py": 3,

@@ -20,7 +20,7 @@ from kilter_client.stream import CorrectedStream
 from kilter_client.streaming.corrector import StreamError
 from kilter_core.model import Calibration
 from kilter_service.ground.settings import Settings
-from kilter_service.run.zenoh_config import authority
+from kilter_service.run.zenoh_config import folders as issued
 from kilter_service.run.zenoh_config.folders import load_or_make_authority, write_folders
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.process import Corrector
@@ -221,8 +221,8 @@ def test_a_controller_of_another_authority_is_named(cell: Cell, tmp_path: Path) 
 
 def expired(monkeypatch: pytest.MonkeyPatch) -> None:
     """Certificates from now on have ended already."""
-    monkeypatch.setattr(authority, "EARLIER", datetime.timedelta(days=30))
-    monkeypatch.setattr(authority, "CERTIFICATE_DAYS", -1)
+    monkeypatch.setattr(issued, "EARLIER", datetime.timedelta(days=30))
+    monkeypatch.setattr(issued, "CERTIFICATE_DAYS", -1)
 
 
 def test_an_expired_certificate_of_a_controller_is_named_and_the_remedy_helps(

@@ -11,7 +11,7 @@ import pytest
 
 from kilter_client.signing import Session, on_this_machine
 from kilter_client.stream import CorrectedStream
-from kilter_client.streaming import sessions
+from kilter_client.streaming import link
 from kilter_service.stream.corrector.process import Corrector
 from tests.corrector.live import ROBOT, Q, open_stream, until
 
@@ -84,7 +84,7 @@ def test_a_session_whose_secret_is_gone_is_followed_by_another(
     corrector: Corrector, rotate: Callable[[float], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As after a rotation without overlap, or a clock that was set forward beyond it: nothing is answered any more."""
-    monkeypatch.setattr(sessions, "UNANSWERED_S", 0.2)
+    monkeypatch.setattr(link, "UNANSWERED_S", 0.2)
     with open_stream(corrector, "orphaned", signed=True, deadline_s=0.05) as stream:
         first = session_of(stream)
         until(lambda: stream.correct(Q).source == "corrected")

@@ -28,7 +28,7 @@ from kilter_service.ground.db import Database, revision
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.stream.corrector.session import config, with_free_port
-from kilter_service.stream.ros2 import names
+from kilter_service.stream.ros2 import process as names
 from kilter_service.stream.ros2.process import follow, run
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

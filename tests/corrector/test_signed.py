@@ -18,8 +18,7 @@ from kilter_client.signing import Session, Signer
 from kilter_core.model import Calibration
 from kilter_service.stream.corrector import wire
 from kilter_service.stream.corrector.active import Active
-from kilter_service.stream.corrector.gate import Address, Admitted, Gate
-from kilter_service.stream.corrector.slots import Guard
+from kilter_service.stream.corrector.slots import Address, Admitted, Gate, Guard
 from kilter_service.stream.corrector.stream import Stream
 from kilter_service.stream.corrector.wire import Flag, Status
 from kilter_service.stream.signing.masters import Master, Masters

@@ -17,7 +17,7 @@ from kilter_core.plan.iso9283_poses import iso_poses
 from kilter_core.twin import thesis_katana
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
-from kilter_service.jobs.lease import store as lease
+from kilter_service.jobs.work import store
 from kilter_service.jobs.work.runner import Runner
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.token import admin_token
@@ -77,7 +77,7 @@ def measured(file: Path, poses: int, seed: int) -> Path:
 def work(database: Database, kind: str) -> None:
     """Run the job that waits, as a worker does."""
     with database.transaction() as session:
-        claim = lease.claim(session, "here", [kind])
+        claim = store.claim(session, "here", [kind])
     assert claim is not None
     Runner(database).run(claim)
 

@@ -15,8 +15,8 @@ from playwright.sync_api import Browser
 from sqlalchemy import select
 
 from kilter_core.twin import thesis_katana
-from kilter_service.contract.error_words import interval
 from kilter_service.contract.fits import Errors
+from kilter_service.contract.words import interval
 from kilter_service.ground.db.tables import JobRow, RobotRow
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion

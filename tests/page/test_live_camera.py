@@ -11,9 +11,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from kilter_files.rig.live.feeds import newest, open_feed
-from kilter_files.rig.live.server import serve_live_page
-from kilter_files.rig.live.session import Session, follow
-from kilter_files.rig.live.taken import Taken
+from kilter_files.rig.live.server import Session, Taken, follow, serve_live_page
 from kilter_files.rig.see.run import Looker
 from kilter_files.rig.see.target import read_target
 from tests.clients.files.rig.live.cameras import jpeg, mjpeg, picture

@@ -15,7 +15,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
-from kilter_service.jobs.lease import store as lease
+from kilter_service.jobs.work import store
 from kilter_service.jobs.work.runner import Runner
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.token import admin_token
@@ -67,7 +67,7 @@ class Clicks:
 def work(database: Database) -> None:
     """Run the job that waits, as a worker does."""
     with database.transaction() as session:
-        claim = lease.claim(session, "here", ["rezero"])
+        claim = store.claim(session, "here", ["rezero"])
     assert claim is not None
     Runner(database).run(claim)
 

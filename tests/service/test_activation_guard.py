@@ -21,7 +21,7 @@ from kilter_service.contract.versions import ActivationWish
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow, VersionRow
 from kilter_service.jobs import store as jobs
-from kilter_service.jobs.lease import store as lease
+from kilter_service.jobs.work import store as lease
 from kilter_service.jobs.work.runner import Runner
 from kilter_service.robots import store as robots
 from kilter_service.versions import activation, guard, store

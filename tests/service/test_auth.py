@@ -9,8 +9,7 @@ from fastapi import FastAPI
 
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
-from kilter_service.web.auth.listen_rules import check_binding
-from kilter_service.web.auth.token import admin_token
+from kilter_service.web.auth.token import admin_token, check_binding
 
 Serve = Callable[[FastAPI], httpx.Client]
 

@@ -27,7 +27,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs.fan_out import cluster as engine
 from kilter_service.jobs.fan_out import fan_out
 from kilter_service.jobs.fan_out import spread as part
-from kilter_service.jobs.lease import store as lease
+from kilter_service.jobs.work import store
 from kilter_service.jobs.work.runner import Runner
 from tests.blind.generator import cases
 from tests.blind.run import run as benchmark
@@ -179,7 +179,7 @@ def run_job(client: httpx.Client, database: Database, katana: Katana, address: s
     }  # fmt: skip
     job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
     with database.transaction() as session:
-        claim = lease.claim(session, "here", ["identify"])
+        claim = store.claim(session, "here", ["identify"])
     assert claim is not None
     Runner(database, each=fan_out(1, address)).run(claim)
     done: dict[str, Any] = client.get(f"/v1/jobs/{job}").raise_for_status().json()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from kilter_service.ground.db import Database
-from kilter_service.jobs.retention import store as retention
+from kilter_service.jobs.work import store
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 from kilter_service.versions.drift.charts import KeptCharts, control_charts
@@ -112,7 +112,7 @@ def test_what_creeps_is_seen_by_all_checks_together(
     assert {len(chart["up"]) for chart in found["charts"]} == {3}
 
     with database.reading() as session:  # however old, checks are kept: they are the history
-        gone = retention.ended_before(session, datetime.now(UTC) + timedelta(days=1), 1000)
+        gone = store.ended_before(session, datetime.now(UTC) + timedelta(days=1), 1000)
     assert not set(gone) & {one["job_id"] for one in watched.history()["history"]}
     assert other.history()["sentence"] == "It has no active version that could be checked."
 

@@ -17,8 +17,8 @@ from kilter_service.ground.ended_jobs.store import AT_MOST_MS
 from kilter_service.ground.settings import Settings
 from kilter_service.jobs import store
 from kilter_service.jobs.fleet import store as fleet
-from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.retention import service as retention
+from kilter_service.jobs.work import retention
+from kilter_service.jobs.work import store as lease
 from kilter_service.versions.metrics import service as metrics
 from tests.service.conftest import Katana
 

@@ -11,7 +11,7 @@ from sqlalchemy import func, select
 
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow, VersionRow
-from kilter_service.jobs.lease import store as lease
+from kilter_service.jobs.work import store
 from kilter_service.jobs.work.runner import Runner
 from tests.service.conftest import Katana
 
@@ -50,7 +50,7 @@ def work(database: Database, most: int = 100) -> int:
     runner = Runner(database)
     for done in range(most):
         with database.transaction() as session:
-            claim = lease.claim(session, "here", ["identify"])
+            claim = store.claim(session, "here", ["identify"])
         if claim is None:
             return done
         runner.run(claim)
@@ -164,7 +164,7 @@ def test_cancel_ends_what_is_not_over(client: httpx.Client, database: Database) 
     fleet = submit(client, options=LEVEL_1)["id"]
     work(database, most=1)
     with database.transaction() as session:
-        claim = lease.claim(session, "there", ["identify"])
+        claim = store.claim(session, "there", ["identify"])
     assert claim is not None
     done = client.post(f"/v1/fleet-jobs/{fleet}/cancel").raise_for_status().json()
     assert (done["state"], done["counts"]["cancelled"], done["counts"]["succeeded"]) == ("cancelled", 2, 1)

@@ -10,8 +10,8 @@ import pytest
 
 from kilter_service.ground.caller import CALLER, Caller, as_document
 from kilter_service.ground.db import Database
-from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.store import fleet_versions
+from kilter_service.jobs.work import store
 from kilter_service.jobs.work.runner import Runner
 from kilter_service.robots import store as robots
 from tests.core.identify.fleet.simulated import Arm, Type, document, poses
@@ -159,7 +159,7 @@ def test_poses_are_planned_with_what_the_type_tells(
 
 def run_one(database: Database, kind: str) -> None:
     with database.transaction() as session:
-        claim = lease.claim(session, "here", [kind])
+        claim = store.claim(session, "here", [kind])
     assert claim is not None
     Runner(database).run(claim)
 

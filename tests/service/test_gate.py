@@ -19,8 +19,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.run.app import create_app
-from kilter_service.web.auth.listen_rules import check_binding
-from kilter_service.web.auth.token import admin_token
+from kilter_service.web.auth.token import admin_token, check_binding
 from tests.service.forked import ForkedPopen
 
 from .conftest import REPOSITORY, ready

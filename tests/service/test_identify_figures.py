@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.identify.fit.row_errors import RowErrors
+from kilter_core.identify.fit.tukey import RowErrors
 from kilter_core.observations import Observations
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.jobs.kind import JobInput

@@ -14,7 +14,7 @@ from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import JobRow, RobotRow
 from kilter_service.ground.paging import Page
 from kilter_service.jobs import store
-from kilter_service.jobs.lease import store as lease
+from kilter_service.jobs.work import store as lease
 
 JOBS, ROBOTS, WAITING = 8_000, 40, 3
 

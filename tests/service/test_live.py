@@ -14,10 +14,9 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
 from kilter_service.stream.corrector.fast_path import bin_edges_us
 from kilter_service.stream.live import followers
-from kilter_service.stream.live.heard import WHY, Heard
+from kilter_service.stream.live.heard import WHY, Heard, bypass
 from kilter_service.stream.live.heard import _edges_us as edges_us
 from kilter_service.stream.live.session import Place
-from kilter_service.stream.live.shown import bypass
 from kilter_service.stream.signing.masters import load_masters
 from kilter_service.stream.signing.sealed import opened_document
 

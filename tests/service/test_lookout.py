@@ -12,7 +12,7 @@ from sqlalchemy import event, select
 from kilter_service.ground.db import Database, DatabaseAwayError
 from kilter_service.ground.db.database import Lookout
 from kilter_service.ground.db.tables import RobotRow
-from kilter_service.jobs.lease import store as lease
+from kilter_service.jobs.work import store
 from kilter_service.jobs.work.runner import Runner
 from kilter_service.jobs.work.worker import QueueConsumer
 from kilter_service.stream.corrector.database_source import DatabaseSource
@@ -86,7 +86,7 @@ def test_an_idle_queue_and_an_idle_corrector_open_no_session(
     assert claim is not None
     assert claim.job_id == queued
     with database.reading() as session:
-        assert lease.holds(session, claim)
+        assert store.holds(session, claim)
     client.patch("/v1/robots/katana", json={"controller_compensation": "factory"}).raise_for_status()
     assert source.stamp() != idle
     source.close()

@@ -53,7 +53,7 @@ def test_the_api_starts_without_scipy() -> None:
 LIGHT = """
 import sys
 import numpy as np
-import kilter_core.evaluate.prediction, kilter_core.identify.comparison.model_comparison, kilter_core.measurement
+import kilter_core.evaluate.prediction, kilter_core.identify.comparison, kilter_core.measurement
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.observations.repeats import numbered_poses

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from kilter_client.cli.reports.next_step import suggest_for_version
 from kilter_client.cli.reports.results import show_job
-from kilter_core.identify.comparison.model_comparison import PoseErrors
+from kilter_core.identify.comparison import PoseErrors
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.db import Database
 from kilter_service.versions.objections import objections_from_report

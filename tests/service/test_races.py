@@ -21,8 +21,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow
 from kilter_service.ground.settings import Settings
 from kilter_service.robots import store as robots
-from kilter_service.robots.documents import core_document
-from kilter_service.robots.resolved import resolve
+from kilter_service.robots.documents import core_document, resolve
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
 from tests.service.postgresql import programs, running_postgresql

@@ -14,7 +14,7 @@ from fastapi import FastAPI
 
 from kilter_client import Kilter
 from kilter_client.requests.steps import post
-from kilter_service.contract.frames import Frame, NewFrame
+from kilter_service.contract.kinematics import Frame, NewFrame
 from kilter_service.contract.tokens import NewToken
 from kilter_service.ground.caller import CALLER, Caller
 from kilter_service.ground.db import Database
@@ -22,11 +22,10 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.robots.frames import service as frames
 from kilter_service.run.app import create_app
-from kilter_service.web import connections
-from kilter_service.web.auth import slow_bodies
-from kilter_service.web.auth.rates import MOST_SENDERS, Rates
+from kilter_service.web import connections, gate
 from kilter_service.web.auth.token import admin_token
 from kilter_service.web.connections import TimedConnection
+from kilter_service.web.gate import MOST_SENDERS, Rates
 from kilter_service.web.tokens import service as tokens
 
 from .conftest import served
@@ -108,7 +107,7 @@ def quick(
     settings: Settings, database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[httpx.Client, dict[str, str]]]:
     """A server that waits for a moment only, on its own connections."""
-    monkeypatch.setattr(slow_bodies, "GRACE_S", 0.5)
+    monkeypatch.setattr(gate, "GRACE_S", 0.5)
     monkeypatch.setattr(connections, "HEAD_S", 0.5)
     with served(create_app(settings), http=TimedConnection) as client:
         yield client, {"Authorization": f"Bearer {admin_token(settings)}"}

@@ -276,7 +276,7 @@ def test_nothing_is_parsed_or_computed_on_the_event_loop(
     from kilter_service.correction import service as correction
     from kilter_service.ground.tables import reading
     from kilter_service.robots import check
-    from kilter_service.robots import documents as convert
+    from kilter_service.robots import documents as resolved
     from kilter_service.robots import routes as circles
     from kilter_service.robots import service as robots
 
@@ -294,7 +294,7 @@ def test_nothing_is_parsed_or_computed_on_the_event_loop(
 
     watched = [
         (bodies, "_parse_json"), (reading, "column_names"), (campaigns, "upload"), (correction, "correct"),
-        (check, "check"), (circles, "found_robot"), (convert, "convert"), (robots, "add"), (frames, "find_frame"),
+        (check, "check"), (circles, "found_robot"), (resolved, "convert"), (robots, "add"), (frames, "find_frame"),
     ]  # fmt: skip
     for module, name in watched:
         watch(module, name)

@@ -13,7 +13,7 @@ import pytest
 from pyarrow import parquet
 
 from kilter_core.observations import Observations
-from kilter_service.contract.residuals import ResidualRows
+from kilter_service.contract.versions import ResidualRows
 from kilter_service.ground.db import Database
 from kilter_service.versions import store
 

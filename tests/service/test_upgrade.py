@@ -20,7 +20,7 @@ from kilter_core.correct.program import CorrectionOptions, CorrectionProgram, Tr
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import DATABASE_FILE, Settings
-from kilter_service.robots.resolved import hash_canonical_json
+from kilter_service.robots.documents import hash_canonical_json
 from kilter_service.run.backup import upgrade
 from kilter_service.run.backup.service import verify
 from kilter_service.stream.corrector.database_source import DatabaseSource

@@ -24,7 +24,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.webhook import Webhook
-from kilter_service.jobs.work.creeping import CreepingPosts
+from kilter_service.jobs.work.runner import CreepingPosts
 from tests.core.watch.drifting import some_arm
 from tests.service.conftest import WorkerProcess, wait_for
 from tests.service.watched_robot import Until, Watched

@@ -20,10 +20,10 @@ from kilter_service.ground.db import Database, revision
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import HeartbeatRow, JobRow, VersionRow
 from kilter_service.ground.settings import Settings
-from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.lease.store import Claim
+from kilter_service.jobs.work import store
 from kilter_service.jobs.work import worker as workers
 from kilter_service.jobs.work.runner import Runner
+from kilter_service.jobs.work.store import Claim
 from kilter_service.jobs.work.worker import Watch
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.token import admin_token
@@ -139,7 +139,7 @@ def test_another_worker_finishes_the_job_of_a_killed_one(fleet: Fleet, campaign:
     assert done["state"] == "succeeded", done
     assert fleet.versions_of(job) == 1
     with fleet.database.reading() as session:
-        assert len(lease.beats(session)) == 1  # that of the dead one is gone
+        assert len(store.beats(session)) == 1  # that of the dead one is gone
 
 
 def test_a_job_is_cancelled_at_another_api_and_even_when_its_worker_is_dead(fleet: Fleet, campaign: str) -> None:
@@ -186,9 +186,9 @@ def test_what_a_replaced_run_computed_is_dropped(client: httpx.Client, database:
     slow, quick = Runner(database), Runner(database)
     outcome = slow._compute(first)
     with database.transaction() as session:
-        assert lease.orphans(session) == [first.job_id]
-        assert lease.orphans(session) == []  # a second sweep finds nothing
-        second = lease.claim(session, "quick", ["identify"])
+        assert store.orphans(session) == [first.job_id]
+        assert store.orphans(session) == []  # a second sweep finds nothing
+        second = store.claim(session, "quick", ["identify"])
     assert second == Claim(first.job_id, "quick", 2)
     slow._finish(first, outcome)
     assert client.get(f"/v1/jobs/{first.job_id}").json()["state"] == "running"
@@ -205,7 +205,7 @@ def _claimed(client: httpx.Client, database: Database, katana: Any, worker: str)
     asked = {"kind": "identify", "robot": "katana", "campaigns": [katana.campaign(client, 60)], "options": {"level": 1}}
     job = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
     with database.transaction() as session:
-        claim = lease.claim(session, worker, ["identify"])
+        claim = store.claim(session, worker, ["identify"])
     assert claim is not None
     assert claim.job_id == job
     return claim
@@ -214,11 +214,11 @@ def _claimed(client: httpx.Client, database: Database, katana: Any, worker: str)
 def test_a_job_that_ends_ten_workers_fails(client: httpx.Client, database: Database, katana: Any) -> None:
     claim = _claimed(client, database, katana, "w1")
     with database.transaction() as session:
-        for attempt in range(2, lease.MAX_ATTEMPTS + 1):
-            lease.orphans(session)
-            assert lease.claim(session, f"w{attempt}", ["identify"]) == Claim(claim.job_id, f"w{attempt}", attempt)
-        assert lease.orphans(session) == [claim.job_id]
-        assert lease.claim(session, "w11", ["identify"]) is None
+        for attempt in range(2, store.MAX_ATTEMPTS + 1):
+            store.orphans(session)
+            assert store.claim(session, f"w{attempt}", ["identify"]) == Claim(claim.job_id, f"w{attempt}", attempt)
+        assert store.orphans(session) == [claim.job_id]
+        assert store.claim(session, "w11", ["identify"]) is None
     failed = client.get(f"/v1/jobs/{claim.job_id}").json()
     assert failed["state"] == "failed"
     assert "died 10 times" in failed["error"]["message"]
@@ -228,14 +228,14 @@ def test_a_claim_whose_answer_was_lost_is_found_again(client: httpx.Client, data
     """The connection may break after the database has stored the claim: the worker runs nothing, the row says it does."""
     claim = _claimed(client, database, katana, "here")
     with database.transaction() as session:
-        free = {name: lease.query_for_free_jobs(["identify"], name) for name in ("there", "here")}
+        free = {name: store.query_for_free_jobs(["identify"], name) for name in ("there", "here")}
         assert session.execute(free["there"]).first() is None
         assert session.execute(free["here"]).first() is not None
-        assert lease.claim(session, "here", ["identify"]) == Claim(claim.job_id, "here", 2)
-        assert not lease.holds(session, claim)
-        lease.give_back(session, "here")
-        assert lease.claim(session, "there", ["gap"]) is None
-        assert lease.claim(session, "there", ["identify"]) == Claim(claim.job_id, "there", 3)
+        assert store.claim(session, "here", ["identify"]) == Claim(claim.job_id, "here", 2)
+        assert not store.holds(session, claim)
+        store.give_back(session, "here")
+        assert store.claim(session, "there", ["gap"]) is None
+        assert store.claim(session, "there", ["identify"]) == Claim(claim.job_id, "there", 3)
 
 
 def test_silence_is_measured_by_the_own_clock() -> None:
@@ -269,7 +269,7 @@ def test_a_worker_of_older_code_ends_and_its_job_waits_for_the_next(
         member.beat()
     member.leave()
     with database.transaction() as session:
-        assert lease.claim(session, "new", ["identify"]) == Claim(claim.job_id, "new", 2)
+        assert store.claim(session, "new", ["identify"]) == Claim(claim.job_id, "new", 2)
 
 
 def test_a_job_that_ran_under_an_older_kilter_starts_again(
@@ -280,7 +280,7 @@ def test_a_job_that_ran_under_an_older_kilter_starts_again(
     member = workers.Member(database, "new")
     member.join(alone=False)
     with database.transaction() as session:
-        assert lease.claim(session, member.id, ["identify"]) == Claim(claim.job_id, member.id, 2)
+        assert store.claim(session, member.id, ["identify"]) == Claim(claim.job_id, member.id, 2)
 
 
 def test_sqlite_has_one_worker(settings: Settings, database: Database, worker: WorkerProcess, until: Until) -> None:

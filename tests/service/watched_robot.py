@@ -13,8 +13,8 @@ from pydantic import TypeAdapter
 from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.ground.db import Database
 from kilter_service.jobs import store as jobs
-from kilter_service.jobs.lease import store as lease
 from kilter_service.jobs.registry import get_job_kind
+from kilter_service.jobs.work import store
 from kilter_service.jobs.work.runner import Runner
 from kilter_service.robots import store as robots
 from tests.core.watch.drifting import DriftingArm, some_poses
@@ -112,7 +112,7 @@ class Watched:
         job = TypeAdapter[Any](NewJob).validate_python({"kind": kind, "robot": self.name, "campaigns": campaigns})
         with database.transaction() as session:
             made = jobs.add(session, robots.get(session, self.name).id, job)
-            claim = lease.claim(session, "here", [kind])
+            claim = store.claim(session, "here", [kind])
         assert claim is not None
         assert claim.job_id == made
         Runner(database).run(claim)

@@ -53,7 +53,7 @@ def _row(parameter: Any) -> str:
         return ""
     long = sorted(names, key=lambda text: not text.startswith("--"))
     value = "" if parameter.is_flag else f" `{_value(parameter)}`"
-    return f"| {', '.join(f'`{text}`' for text in long)}{value} | {_cell(parameter)} |"
+    return f"| {', '.join(f'`{text}`' for text in long)}{value} | {_command_cell(parameter)} |"
 
 
 def _value(parameter: Any) -> str:
@@ -67,7 +67,7 @@ def _value(parameter: Any) -> str:
     return kinds[shown[0]] if shown else "TEXT"
 
 
-def _cell(parameter: Any) -> str:
+def _command_cell(parameter: Any) -> str:
     said = [(parameter.help or "").replace("|", "\\|").replace("...", "…")]
     if parameter.multiple and "repeat" not in said[0].lower():
         said.append("May be given again.")

@@ -19,12 +19,11 @@ if TYPE_CHECKING:
     DEVICES: Mapping[str, Callable[[Path], Table]]
 
 with later(__name__):
-    from kilter_files.formats import opening, reader, registry, tracker_header
+    from kilter_files.formats import reader, registry, tracker_header
     from kilter_files.formats.joints import joint_log
     from kilter_files.ground import units
-    from kilter_files.look import drafts, inspection
+    from kilter_files.look import drafts
     from kilter_files.maps import column_map as column_maps
-    from kilter_files.maps import joined as joins
     from kilter_files.maps import mapped
     from kilter_files.rig import points
     from kilter_files.tables import joint_log as joint_logs
@@ -106,7 +105,7 @@ def inspect(path: Path | str, **said: Any) -> dict[str, Any]:
         FileError: the file cannot be read at all, with place and remedy.
 
     """
-    return inspection.inspect(Path(path), reader.Hints(**said))
+    return drafts.inspect(Path(path), reader.Hints(**said))
 
 
 def draft(path: Path | str, robot: Sequence[str] = ()) -> Draft:
@@ -137,13 +136,15 @@ def read_joints(path: Path, column_map: Path | None = None, hints: LogHints | No
 def _read_with_map(path: Path, column_map: Path | None, joined: Path | None) -> Table:
     """Read a file and those of the map's [join] tables into contract columns; without a map it has these already."""
     if column_map is None:
-        first = opening.open_source(path, None, source.Layout())
+        first = registry.open_source(path, None, source.Layout())
         chosen = column_maps.contract_map(first)
     else:
         chosen = column_maps.read_map(column_map, registry.readers_for(reader.MAP))
-        first = opening.open_source(path, chosen.form, chosen.layout)
-    places = joins.further_files(path, chosen.joins, chosen.path, joined)
-    others = [opening.open_source(place, one.form, one.layout) for place, one in zip(places, chosen.joins, strict=True)]
+        first = registry.open_source(path, chosen.form, chosen.layout)
+    places = column_maps.further_files(path, chosen.joins, chosen.path, joined)
+    others = [
+        registry.open_source(place, one.form, one.layout) for place, one in zip(places, chosen.joins, strict=True)
+    ]
     return mapped.apply_column_map(first, chosen, others)
 
 

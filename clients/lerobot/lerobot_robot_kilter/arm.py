@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_client.bridges.correction import Correction
-from kilter_client.bridges.guard import Guard
+from kilter_client.bridges.correction import Correction, Guard
 from kilter_client.errors import ConflictError, UsageError
 from kilter_core.correct import LARGEST, OK
 from kilter_files.formats import BY_RANGE, DEGREES, TICK_DEG, read_calibration, servo_name_for_joint

@@ -5,9 +5,9 @@ from .conversions.documents import drive_document as drive_document
 from .conversions.documents import load_document as load_document
 from .conversions.documents import pose_document as pose_document
 from .conversions.documents import robot_document as robot_document
-from .conversions.frames import JointFrames as JointFrames
-from .conversions.frames import joint_frames as joint_frames
+from .conversions.screws import JointFrames as JointFrames
 from .conversions.screws import Screws as Screws
+from .conversions.screws import joint_frames as joint_frames
 from .conversions.screws import screws_of_chain as screws_of_chain
 from .conversions.tables import angles_and_lengths as angles_and_lengths
 from .documents.document import robot_from_document as robot_from_document

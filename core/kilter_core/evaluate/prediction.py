@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from kilter_core.identify.comparison.model_comparison import Difference, PoseErrors, elsewhere
+from kilter_core.identify.comparison import Difference, PoseErrors, elsewhere
 from kilter_core.identify.estimate import new_frames, refit_frames
-from kilter_core.identify.uncertainty.left_open import left_open
 from kilter_core.identify.uncertainty.predictive import Predictive
-from kilter_core.identify.view_report import tell_less
+from kilter_core.identify.view_report import left_open, tell_less
 from kilter_core.measurement import Measurement, Residual
 from kilter_core.measurement.metrics import Errors
 from kilter_core.model import Calibration

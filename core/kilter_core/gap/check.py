@@ -30,11 +30,11 @@ from kilter_core.gap.search.rows.outliers import outliers
 from kilter_core.gap.search.scan import Scorer, null_distribution
 from kilter_core.gap.search.select import HIDING, Selector
 from kilter_core.gap.study import beginning, refuse_other_confirmation, split_held_out_rows
-from kilter_core.identify.comparison.model_comparison import count_poses, thin_poses
+from kilter_core.identify.comparison import count_poses, thin_poses
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.observations.motions import is_trajectory
+from kilter_core.observations.groups import is_trajectory
 from kilter_core.types import unheard
 
 # How long a search would take here, said before it is made: its beginning is made and timed, the rest follows from

@@ -17,7 +17,7 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.complete_form import MissingDirection, missing_directions
 from kilter_core.gap.search.prepare import Prepared
 from kilter_core.gap.study import Study
-from kilter_core.identify.comparison.model_comparison import Difference
+from kilter_core.identify.comparison import Difference
 
 
 @dataclass(frozen=True)

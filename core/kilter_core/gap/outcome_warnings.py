@@ -19,7 +19,7 @@ from kilter_core.gap.report.told_apart import ToldApart
 from kilter_core.gap.search.linear.complete_form import incomplete_warnings
 from kilter_core.gap.search.linear.in_space import fit_rms
 from kilter_core.gap.study import Study
-from kilter_core.identify.comparison.model_comparison import (
+from kilter_core.identify.comparison import (
     CONFIRM,
     WORSE_THAN_GEOMETRY,
     PoseErrors,

@@ -25,7 +25,7 @@ from kilter_core.identify.holdout import split
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
 from kilter_core.identify.rows.measurement_of_rows import as_inputs
 from kilter_core.identify.seen_poses import seen_poses
-from kilter_core.identify.views.planned_views import PlannedViews
+from kilter_core.identify.views import PlannedViews
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import group_contacts, placements
 from kilter_core.model import Calibration

@@ -21,14 +21,13 @@ from kilter_core.identify.fleet.versions import FleetVersion
 from kilter_core.identify.identifiable.identifiability import NullDirection, identifiable, null_directions
 from kilter_core.identify.learned import select_learned_effects
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.report import known_of_fit, null_rows, still_joints
+from kilter_core.identify.report import known_of_fit, null_rows, still_joints, within_a_turn
 from kilter_core.identify.rows.measurement_of_rows import measurement_for
 from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.setup_frames import Frames, marginal, of_the_arm
 from kilter_core.identify.steps.start import build_start_model, refuse_missing_columns
 from kilter_core.identify.uncertainty.predictive import MEASURED
-from kilter_core.identify.uncertainty.workspace_uncertainty import within_a_turn
-from kilter_core.identify.views.cameras import with_cameras
+from kilter_core.identify.views import with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations

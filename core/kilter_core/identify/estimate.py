@@ -14,10 +14,10 @@ from kilter_core.identify.carried_masses import of_masses
 from kilter_core.identify.fit.least_squares import Fit, Problem, Weights, build_fit, freedom_by_group, solve
 from kilter_core.identify.fit.tukey import redescend
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.views.cameras import with_rig
+from kilter_core.identify.views import with_rig
 from kilter_core.measurement import Measurement, Residual
+from kilter_core.measurement.frames import register
 from kilter_core.measurement.kind import POINTS, TURNS
-from kilter_core.measurement.registration import register
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.types import Bools, Floats, Ints, Progress
 

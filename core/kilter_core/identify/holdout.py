@@ -21,7 +21,7 @@ import numpy as np
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.measurement.contacts import has_contacts, placements
 from kilter_core.observations import Observations
-from kilter_core.observations.motions import is_trajectory, segments
+from kilter_core.observations.groups import is_trajectory, segments
 from kilter_core.types import Floats, Ints
 
 FEWEST_PLACEMENTS = 2  # one to fit, one to hold out

@@ -16,7 +16,7 @@ from scipy.special import ndtr
 
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.plausibility.views.unrelated_views import scale_sentence
-from kilter_core.identify.views.cameras import Cameras, rig_from_calibration, unknown_rig
+from kilter_core.identify.views import Cameras, rig_from_calibration, unknown_rig
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.transforms import inverse
 from kilter_core.types import QUANTILE, Floats

@@ -15,7 +15,7 @@ from kilter_core.errors import ObservationError
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.run import identify
 from kilter_core.identify.view_report import WRONG_VIEWS
-from kilter_core.identify.views.planned_views import PlannedViews
+from kilter_core.identify.views import PlannedViews
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.board_poses import board_poses
 from kilter_core.measurement.pose_weights import DEVIATIONS, typical_deviations, weights

@@ -21,10 +21,10 @@ from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify.estimate import bounded_loss, frames_alone
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
-from kilter_core.identify.views.cameras import Cameras, rig_from_calibration
+from kilter_core.identify.views import Cameras, rig_from_calibration
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts
-from kilter_core.measurement.registration import register
+from kilter_core.measurement.frames import register
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter, degrees, mm

@@ -9,9 +9,8 @@ import numpy as np
 
 from kilter_core.arm.loads.slopes import LoadSlopes
 from kilter_core.effects import BASE, TOOL, Batch, Derivative, Local
-from kilter_core.model.chain_rule import Total
 from kilter_core.model.load_errors import Reader, Slope
-from kilter_core.model.prediction import ABOUT, JOINT_ROWS
+from kilter_core.model.prediction import ABOUT, JOINT_ROWS, Total
 from kilter_core.types import Floats, Ints
 
 

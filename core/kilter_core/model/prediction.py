@@ -2,15 +2,134 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kilter_core.effects import Effect
-from kilter_core.model.chain_rule import Total
+from kilter_core.arm.kernels import columns as kernel
+from kilter_core.arm.loads.slopes import LoadSlopes
+from kilter_core.effects import BASE, TOOL, Derivative, Effect, Local
+from kilter_core.model.load_errors import Slope
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.types import Bools, Floats, Ints
+
+UNTURNED = np.eye(3)  # base and tool have twists in their own axes
+
+
+@dataclass(frozen=True)
+class ToolColumns:
+    """Derivatives of N tool poses by the joints, ``JQ (N, 6, n)``, and by the twists behind them, ``JX (N, 6, 6 n + 12)``.
+
+    ``frames (n, 3, 3)`` rotate the frame after each joint's element into the joint frame.
+    """
+
+    frames: Floats
+    JQ: Floats
+    JX: Floats
+
+    def put(self, out: Floats, column: int, d: Derivative) -> None:
+        """Add what a derivative moves to a column of ``out (N, 6, K)``."""
+        if d.dq is not None:
+            kernel.put_turn(out, column, self.JQ, d.joint, np.ascontiguousarray(d.dq, dtype=np.float64))
+        if d.xi is not None:
+            slot = self._slot(d.joint)
+            frame = self.frames[slot] if slot < len(self.frames) else UNTURNED
+            kernel.put_twist(out, column, self.JX, slot, frame, np.ascontiguousarray(d.xi, dtype=np.float64))
+
+    def _slot(self, joint: int) -> int:
+        n = len(self.frames)
+        return {BASE: n, TOOL: n + 1}.get(joint, joint)
+
+    def twist(self, joint: int, xi: Floats) -> Floats:
+        """Motion (N, 6) of the tool by a twist (N, 6) at a joint, :data:`BASE` or :data:`TOOL`."""
+        slot = self._slot(joint)
+        if slot < len(self.frames):
+            xi = (xi.reshape(-1, 2, 3) @ self.frames[slot].T).reshape(-1, 6)
+        return np.asarray(np.einsum("nij,nj->ni", self.JX[:, :, 6 * slot : 6 * slot + 6], xi))
+
+    def by_loads(self, local: Local) -> Iterator[tuple[Floats, int | None]]:
+        """Motion (N, 6) by the load of each joint (its number) and of the base (None), for slopes by the loads."""
+        n = self.JQ.shape[2]
+        if local.dq is not None:
+            moved = np.any(local.dq != 0.0, axis=0)
+            yield from ((self.JQ[:, :, j] * local.dq[:, [j]], j) for j in range(n) if moved[j])
+        if local.xi is not None:
+            moved = np.any(local.xi != 0.0, axis=(0, 2))
+            yield from ((self.twist(j, local.xi[:, j]), j) for j in range(n) if moved[j])
+        if local.base is not None:
+            yield self.twist(BASE, local.base), None
+
+    def put_loads(
+        self, out: Floats, slopes: Iterable[Slope], by: LoadSlopes, errors: Sequence[tuple[int, int]]
+    ) -> None:
+        """Add to columns of ``out`` what load errors move through the ``slopes``; ``errors`` are columns and load errors."""
+        places, own = (np.array(k, dtype=np.int64) for k in zip(*errors, strict=True))
+        for slope in slopes:
+            load = by.component_slopes(slope.name, slope.part)
+            for moved, j in self.by_loads(slope.local):
+                kernel.put_loads(out, places, np.ascontiguousarray(moved), load if j is None else load[..., j], own)
+
+
+@dataclass(frozen=True)
+class Total:
+    """Summed local corrections: ``dq (N, n)``, twists ``xi (N, n + 2, 6)`` (empty when none), position ``stretch (N, 1)``.
+
+    ``frames (n, 3, 3)`` are those of :class:`ToolColumns`, in which the twists of the joints are.
+    """
+
+    dq: Floats
+    xi: Floats
+    stretch: Floats | None
+    parts: tuple[tuple[int, Local], ...]
+    frames: Floats
+
+    def joint_rotations(self) -> Floats:
+        """What each joint, and last the base, rotates by (N, n + 1, 4): its correction, then about the axes of its frame."""
+        rows, n = self.dq.shape
+        out = np.zeros((rows, n + 1, 4))
+        if len(self.xi):
+            out[:, :n, 1:] = np.einsum("jba,njb->nja", self.frames, self.xi[:, :n, 3:])
+            out[:, n, 1:] = self.xi[:, n, 3:]
+        out[:, :n, 0] = self.dq
+        out[:, :n, 3] += self.dq
+        return out
+
+    @staticmethod
+    def from_local_corrections(
+        parts: tuple[tuple[int, Local], ...], moves: Sequence[bool], rows: int, frames: Floats
+    ) -> Total:
+        """Sum the ``parts`` that have values (``moves``), each with the place of its first, over N ``rows``.
+
+        ``frames`` are those of ToolColumns.
+        """
+        n = len(frames)
+        dq, stretch = np.zeros((rows, n)), None
+        twisted = any(a is not None for _, local in parts for a in (local.xi, local.base, local.tool))
+        xi = np.zeros((rows if twisted else 0, n + 2, 6))
+        for (_, local), moving in zip(parts, moves, strict=True):
+            if local.scale is not None:
+                stretch = (1.0 if stretch is None else stretch) + local.scale[:, None]
+            if not moving:  # a search has hundreds of effects without values beside a few with
+                continue
+            if local.dq is not None:
+                dq += local.dq
+            if local.xi is not None:
+                xi[:, :n] += _in_element_frames(local.xi, frames)
+            if local.base is not None:
+                xi[:, n] += local.base
+            if local.tool is not None:
+                xi[:, n + 1] += local.tool
+        return Total(dq, xi, stretch, parts, frames)
+
+
+def _in_element_frames(xi: Floats, frames: Floats) -> Floats:
+    """Rotate twists (N, n, 6) from the joint frames into the frames after the joints' elements."""
+    if np.array_equal(frames, np.broadcast_to(np.eye(3), frames.shape)):
+        return xi
+    split = xi.reshape(len(xi), len(frames), 2, 3)
+    return np.asarray(np.einsum("jab,njkb->njka", frames, split).reshape(xi.shape))
+
 
 NOTHING = np.zeros(0, dtype=np.int64)  # no parameter
 TOOL_ROWS = 6  # of a Jacobian: position, then rotation vector of the tool

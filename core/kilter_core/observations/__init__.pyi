@@ -1,10 +1,10 @@
 from .clock import SINCE_1970_S as SINCE_1970_S
 from .clock import clock_warnings as clock_warnings
-from .copies import identical_repeats as identical_repeats
 from .directions import with_directions as with_directions
-from .motions import is_log as is_log
-from .motions import is_trajectory as is_trajectory
-from .motions import segments as segments
+from .groups import evenly as evenly
+from .groups import is_log as is_log
+from .groups import is_trajectory as is_trajectory
+from .groups import segments as segments
 from .repeats import numbered_poses as numbered_poses
 from .repeats import rounded_poses as rounded_poses
 from .rig import Board as Board
@@ -14,6 +14,6 @@ from .rig import format_part_name as format_part_name
 from .rows import CONDITIONS as CONDITIONS
 from .rows import Conditions as Conditions
 from .rows import Observations as Observations
+from .shared_rows import identical_repeats as identical_repeats
 from .shared_rows import refuse_shared_rows as refuse_shared_rows
 from .shared_rows import rows_beyond_chance as rows_beyond_chance
-from .spread import evenly as evenly

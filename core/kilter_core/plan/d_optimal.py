@@ -16,7 +16,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
-from kilter_core.observations.neutral import with_neutral_conditions
+from kilter_core.observations.directions import with_neutral_conditions
 from kilter_core.parameters import Prior
 from kilter_core.types import Floats, Ints
 

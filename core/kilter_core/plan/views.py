@@ -12,7 +12,7 @@ from kilter_core.effects import Effect
 from kilter_core.errors import ObservationError, RobotError
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.setup_frames import without_frames
-from kilter_core.identify.views.cameras import Cameras, with_cameras
+from kilter_core.identify.views import Cameras, with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.camera_model import project, undistort_pixels
 from kilter_core.measurement.camera.pixels import Pixels
@@ -20,7 +20,7 @@ from kilter_core.model import Calibration, Prediction, RobotModel
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
-from kilter_core.observations.neutral import with_neutral_conditions
+from kilter_core.observations.directions import with_neutral_conditions
 from kilter_core.plan.d_optimal import POOL, conditions, looked_for, most_informative, with_loads
 from kilter_core.transforms import inverse, inverses
 from kilter_core.types import Bools, Floats, Ints

@@ -1,10 +1,10 @@
 from .circle_points import AxisFit as AxisFit
 from .circle_points import robot_from_circles as robot_from_circles
+from .inclinometers import JointParameter as JointParameter
 from .inclinometers import Log as Log
 from .inclinometers import calibration_from_inclinations as calibration_from_inclinations
 from .inclinometers import joint_parameters as joint_parameters
 from .inclinometers import weightless_joints as weightless_joints
-from .joint_fit import JointParameter as JointParameter
 from .link_encoders import LinkJoint as LinkJoint
 from .link_encoders import calibration_from_encoders as calibration_from_encoders
 from .link_encoders import link_joints as link_joints

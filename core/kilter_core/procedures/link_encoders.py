@@ -17,7 +17,7 @@ from kilter_core.effects import make_effect
 from kilter_core.errors import ObservationError, TooFewPosesError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.procedures.joint_fit import JointParameter, LinearFit, residual_norm
+from kilter_core.procedures.inclinometers import JointParameter, LinearFit, residual_norm
 from kilter_core.types import Bools, Floats, Ints
 
 NAMES = (("compliance", "rad/(N m)"), ("backlash", "rad"), ("encoder_delay", "s"))

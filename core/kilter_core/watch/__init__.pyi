@@ -6,14 +6,14 @@ from .arm_check import check as check
 from .arm_check import far_off as far_off
 from .causes import Cause as Cause
 from .causes import apply_cause as apply_cause
-from .conditions import UNSTATED_K as UNSTATED_K
-from .conditions import Conditions as Conditions
 from .history import Chart as Chart
 from .history import alarm_limit as alarm_limit
 from .history import chart as chart
 from .history import cusum_limit as cusum_limit
 from .history import learned_setup as learned_setup
 from .history import limit_of as limit_of
+from .innovation import UNSTATED_K as UNSTATED_K
+from .innovation import Conditions as Conditions
 from .poses import CheckPlan as CheckPlan
 from .poses import Faint as Faint
 from .poses import check_poses as check_poses

@@ -23,8 +23,7 @@ from kilter_core.observations import Observations
 from kilter_core.parameters import mm
 from kilter_core.types import QUANTILE, Floats
 from kilter_core.watch.causes import Cause, Column, apply_cause, cause_columns
-from kilter_core.watch.conditions import STATED, Conditions
-from kilter_core.watch.innovation import Innovation
+from kilter_core.watch.innovation import STATED, Conditions, Innovation
 from kilter_core.watch.sockets import Measured, held_by_sockets, noise_of_seating, place_rows_in_sockets
 
 MOST = 9.0  # times the variance of the version's noise that a day's may have: three times the noise

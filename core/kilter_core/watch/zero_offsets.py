@@ -22,8 +22,7 @@ from kilter_core.parameters import mm
 from kilter_core.types import QUANTILE, Floats, Ints
 from kilter_core.watch.arm_check import Check, Judged, absorb_frame_increments, check
 from kilter_core.watch.causes import Cause
-from kilter_core.watch.conditions import STATED, Conditions
-from kilter_core.watch.innovation import Innovation
+from kilter_core.watch.innovation import STATED, Conditions, Innovation
 from kilter_core.watch.sockets import held_by_sockets
 
 PASSES = 5

@@ -10,9 +10,8 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.references import store as references
-from kilter_service.ground.references.records import TombstoneRecord, tombstone
 from kilter_service.robots import store as robots
-from kilter_service.robots.resolved import hash_canonical_json
+from kilter_service.robots.documents import hash_canonical_json
 
 
 def change(database: Database, campaign_id: str, wanted: Change) -> Campaign:
@@ -64,7 +63,7 @@ def purge(database: Database, campaign_id: str, actor: str) -> Tombstone:
         citing = references.citing_campaign(session, campaign.robot_id, campaign.id)
         citing += store.unfinished_jobs(session, campaign.id)
         references.refuse_cited("campaign", campaign.id, citing, "purge those first")
-        left = TombstoneRecord(
+        left = Tombstone(
             id=campaign.id,
             kind="campaign",
             robot=robots.by_id(session, campaign.robot_id).name,
@@ -75,4 +74,4 @@ def purge(database: Database, campaign_id: str, actor: str) -> Tombstone:
         )
         references.add_tombstone(session, left)
         store.delete_whole(session, campaign_id)
-    return tombstone(left)
+    return left

@@ -15,13 +15,11 @@ from kilter_service.contract.references import Change, Tombstone
 from kilter_service.ground.files.file_hash import check_digest
 from kilter_service.ground.tables import reading
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.bodies import parse_json, spool_upload
+from kilter_service.web.bodies import FORM, is_form, parse_json, spool_form, spool_upload
 from kilter_service.web.concurrency import compute
-from kilter_service.web.conditional import ConditionalRoute
-from kilter_service.web.forms import FORM, is_form, spool_form
 from kilter_service.web.idempotency.key import OnceOnly
-from kilter_service.web.page_query import PageOfList
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
+from kilter_service.web.routing import ConditionalRoute
+from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp, get_scratch
 
 router = APIRouter(prefix="/v1", tags=["campaigns"], route_class=ConditionalRoute)
 

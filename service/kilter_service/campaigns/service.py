@@ -12,30 +12,42 @@ from pydantic import TypeAdapter
 from kilter_core.errors import ObservationError
 from kilter_core.observations import SINCE_1970_S
 from kilter_files.ground.later import pc
-from kilter_service.campaigns import store, wire
+from kilter_service.campaigns import store
 from kilter_service.campaigns.belonging import judged_whole
-from kilter_service.campaigns.chunks import Chunk, write_chunk
-from kilter_service.campaigns.records import CampaignRecord
 from kilter_service.campaigns.row_rules.rules import RowRules, payload_warning
 from kilter_service.campaigns.row_rules.view_rules import views_rules
-from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
+from kilter_service.campaigns.store import CampaignRecord, Chunk, UploadRecord, write_chunk
+from kilter_service.contract.campaigns import (
+    Campaign,
+    CampaignList,
+    CheckedRows,
+    Conditions,
+    NewCampaign,
+    Parts,
+    Upload,
+    Uploaded,
+)
 from kilter_service.contract.columns import CONTACTS, TILTS
+from kilter_service.contract.instruments import Instrument
 from kilter_service.contract.remarks import Remark
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
-from kilter_service.ground.references import retired
+from kilter_service.ground.references import store as retired
 from kilter_service.ground.tables import reading
+from kilter_service.ground.tables.assemble import rig_from_conditions
 from kilter_service.ground.tables.columns import has, read_columns
 from kilter_service.ground.tables.reading import Names
-from kilter_service.ground.tables.views import rig_from_conditions
 from kilter_service.ground.tables.writing import write_table
 from kilter_service.robots import store as robots
 from kilter_service.robots.instruments import store as instruments
+from kilter_service.robots.instruments.store import remarks
 from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_document
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot
+
 
 STAGED_FOR = timedelta(days=7)
 AHEAD = timedelta(hours=1)  # by which the clock of whoever measured may be fast
@@ -162,7 +174,7 @@ def list_campaigns(
         found, cursor = page.cut(read, lambda campaign: in_time(campaign.created_at, campaign.id))
         uploads = store.uploads_of_all(session, [campaign.id for campaign in found])
         used = instruments.of_names(session, {one.instrument for one in found if one.instrument})
-    shown_ones = [wire.campaign(one, owner.name, uploads[one.id], used) for one in found]
+    shown_ones = [describe_campaign(one, owner.name, uploads[one.id], used) for one in found]
     return CampaignList(campaigns=shown_ones, next=cursor)
 
 
@@ -273,7 +285,7 @@ def load_campaign(session: Session, campaign_id: str) -> Campaign:
     """Return a campaign as it is shown."""
     record = store.get(session, campaign_id)
     robot, uploads = robots.by_id(session, record.robot_id).name, store.uploads_of_campaign(session, campaign_id)
-    return wire.campaign(record, robot, uploads, instruments.of_names(session, _instrument_names(record)))
+    return describe_campaign(record, robot, uploads, instruments.of_names(session, _instrument_names(record)))
 
 
 def _instrument_names(record: CampaignRecord) -> list[str]:
@@ -302,12 +314,12 @@ def _remarks(warnings: Sequence[dict[str, Any]]) -> list[Remark]:
 
 
 def _upload_by_hash(session: Session, campaign_id: str, sha256: str, *, new: bool) -> Uploaded | None:
-    retired.refuse("campaign", campaign_id, store.get(session, campaign_id).retired_at)
+    retired.refuse_retired("campaign", campaign_id, store.get(session, campaign_id).retired_at)
     uploads = store.uploads_of_campaign(session, campaign_id)
     total = sum(upload.rows for upload in uploads)
     for upload in uploads:
         if upload.sha256 == sha256:
-            return wire.upload_result(campaign_id, upload, total, new=new)
+            return upload_result(campaign_id, upload, total, new=new)
     return None
 
 
@@ -375,3 +387,24 @@ def refuse_other_servos(session: Session, campaign_id: str) -> None:
     campaign = store.get(session, campaign_id)
     robot = robots.by_id(session, campaign.robot_id).name
     refuse_other_zeros(session, campaign.robot_id, robot, campaign.name, campaign.conditions)
+
+
+def describe_campaign(
+    record: CampaignRecord, robot: str, uploads: Sequence[UploadRecord], instruments: Mapping[str, Instrument]
+) -> Campaign:
+    """Say all of a campaign of the robot of this name."""
+    used = instruments.get(record.instrument or "")
+    return copy_fields(
+        Campaign,
+        record,
+        robot=robot,
+        conditions=Conditions(**record.conditions),
+        warnings=remarks(used, record.measured_at, record.created_at),
+        rows=sum(one.rows for one in uploads),
+        uploads=[copy_fields(Upload, one) for one in uploads],
+    )
+
+
+def upload_result(campaign_id: str, record: UploadRecord, total: int, *, new: bool) -> Uploaded:
+    """Say what an upload became."""
+    return copy_fields(Uploaded, record, campaign_id=campaign_id, total_rows=total, new=new)

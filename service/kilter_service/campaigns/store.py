@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
 import uuid
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,32 +18,31 @@ from sqlalchemy import and_, delete, func, or_, select
 from kilter_core.errors import ObservationError
 from kilter_core.observations import with_directions
 from kilter_files.ground import NAMED_SESSIONS
-from kilter_files.ground.later import pa
-from kilter_service.campaigns.chunks import Chunk, read_chunk
-from kilter_service.campaigns.records import CampaignRecord, UploadRecord
+from kilter_files.ground.later import pa, parquet
 from kilter_service.contract.campaigns import NewCampaign
 from kilter_service.contract.columns import CONTACTS
 from kilter_service.contract.instruments import Instrument
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.contract.remarks import Remark
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import CampaignRow, ChunkRow, JobRow, UploadRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.ground.references import retired
 from kilter_service.ground.references import store as references
 from kilter_service.ground.tables.assemble import observations as assemble
 from kilter_service.ground.tables.assemble import with_default_load
 from kilter_service.ground.tables.columns import read_columns
 from kilter_service.robots import store as robots
 from kilter_service.robots.instruments import store as gauges
-from kilter_service.robots.instruments.validity import remarks
+from kilter_service.robots.instruments.store import remarks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from kilter_core.arm import Robot
     from kilter_core.observations import Observations
+
 
 MOST_NAMED = 500  # ids in one query
 FEWEST_HELD = 4  # rows of each socket, plane and bar that stay where only some are read: its place is found from them
@@ -97,20 +99,7 @@ def get(session: Session, campaign_id: str) -> CampaignRecord:
 
 
 def _record(row: CampaignRow) -> CampaignRecord:
-    return CampaignRecord(
-        row.id,
-        row.robot_id,
-        row.name,
-        row.device,
-        row.role,
-        row.conditions,
-        row.notes,
-        row.staged,
-        row.measured_at,
-        row.instrument,
-        row.created_at,
-        row.retired_at,
-    )
+    return copy_fields(CampaignRecord, row)
 
 
 def _row(session: Session, campaign_id: str) -> CampaignRow:
@@ -142,7 +131,7 @@ def usable(session: Session, campaign_id: str) -> CampaignRecord:
 
     """
     found = whole(session, campaign_id)
-    retired.refuse("campaign", found.id, found.retired_at)
+    references.refuse_retired("campaign", found.id, found.retired_at)
     return found
 
 
@@ -247,8 +236,7 @@ def uploads_of_all(session: Session, campaign_ids: Sequence[str]) -> dict[str, l
         some = campaign_ids[first : first + MOST_NAMED]
         query = select(UploadRow).where(UploadRow.campaign_id.in_(some)).order_by(UploadRow.id)
         for row in session.execute(query).scalars():
-            record = UploadRecord(row.sha256, row.rows, row.columns, row.media_type, row.created_at)
-            found[row.campaign_id].append(record)
+            found[row.campaign_id].append(copy_fields(UploadRecord, row))
     return found
 
 
@@ -375,3 +363,61 @@ def renumber_poses_and_sessions(parts: Iterable[Observations]) -> list[Observati
 def _tables(session: Session, upload_id: int) -> list[pa.Table]:
     query = select(ChunkRow.parquet, ChunkRow.sha256).where(ChunkRow.upload_id == upload_id).order_by(ChunkRow.number)
     return [read_chunk(blob, sha256) for blob, sha256 in session.execute(query)]
+
+
+@dataclass(frozen=True)
+class UploadRecord:
+    """A stored file of observations."""
+
+    sha256: str
+    rows: int
+    columns: list[str]
+    media_type: str
+    created_at: datetime
+
+
+@dataclass(frozen=True)
+class CampaignRecord:
+    """A stored campaign, without its uploads."""
+
+    id: str
+    robot_id: int
+    name: str
+    device: str
+    role: str
+    conditions: dict[str, Any]
+    notes: str
+    staged: bool
+    measured_at: datetime | None
+    instrument: str | None
+    created_at: datetime
+    retired_at: datetime | None
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A Parquet file beside the upload, its rows and its hash; its bytes are read when it is stored."""
+
+    path: Path
+    rows: int
+    sha256: str
+
+
+def write_chunk(table: pa.Table, path: Path) -> Chunk:
+    """Write rows as Parquet (zstd)."""
+    parquet.write_table(table, path, compression="zstd")
+    return Chunk(path, table.num_rows, hashlib.sha256(path.read_bytes()).hexdigest())
+
+
+def read_chunk(blob: bytes, sha256: str) -> pa.Table:
+    """Read the rows of a stored chunk.
+
+    Raises:
+        ServiceError: the bytes are no longer those that were stored.
+
+    """
+    if hashlib.sha256(blob).hexdigest() != sha256:
+        raise ServiceError(
+            f"Stored observations are damaged (chunk {sha256[:12]}): restore the database from a backup."
+        )
+    return parquet.ParquetFile(io.BytesIO(blob)).read(use_threads=False)  # read_table imports datasets, 8 MB

@@ -3,15 +3,95 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field
 
 from kilter_service.contract.budgets import Budget
 from kilter_service.contract.cameras import BoardFound, CameraFound, PixelsFound
-from kilter_service.contract.fleet_priors import PriorUsed
-from kilter_service.contract.identifiable_sums import IdentifiableSum
 from kilter_service.contract.units import Deg, Metres, Mm, Rad, Stored
+
+
+class Motion(Stored):
+    """A motion of a joint, before and after what was found of it is taken off."""
+
+    campaign: str | None = Field(None, description="Id of the campaign.")
+    use: str | None = Field(None, description="`fitted` or `predicted`.")
+    raw_deg: Deg | None = Field(None, description="Standard deviation of link minus motor angle, degrees.")
+    left_deg: Deg | None = Field(None, description="What is left of it, degrees.")
+
+
+class JointMotions(Stored):
+    """A joint with an encoder on its link side."""
+
+    joint: str = Field(description="Name of the joint.")
+    dead: str | None = Field(None, description="Why its channel says nothing; null: it does.")
+    motions: list[Motion] | None = Field(None, description="Its motions, fitted and predicted.")
+
+
+class FleetVersion(Stored):
+    """A version of another robot of the type."""
+
+    robot: str = Field(description="Name of the robot.")
+    version: str = Field(description="Id of its version.")
+    reason: str | None = Field(None, description="Why a prior does without it; null: it is part of it.")
+
+
+class LeftOneOut(Stored):
+    """A robot as the others of its type predict it."""
+
+    robot: str = Field(description="Name of the robot.")
+    chi_square: float | None = Field(None, description="Chi-square of its parameters against the others' prior.")
+    compared: int | None = Field(None, description="Parameters that were compared.")
+    p_value: float | None = Field(None, description="Chance of as large a chi-square for a robot of the type.")
+
+
+class PriorUsed(Stored):
+    """What other robots of the type said beforehand, and how far this arm was believed to be as they are."""
+
+    source: str | None = Field(None, description="`fleet`: versions of other robots of the type.")
+    state: Literal["used", "widened", "dropped"] | None = Field(
+        None,
+        description="`used` as it is; `widened`, since this arm is odder than most, `odd` in some parameters, or moved by "
+        "the type farther than its rows allow; `dropped`, since it is not as its type.",
+    )
+    widened_by: float | None = Field(None, description="Factor of its standard deviations; null: dropped.")
+    limited_by: float | None = Field(
+        None,
+        description="Part of that factor, so that the type may move the tool by 0.26 of the error that is expected "
+        "without it, and no more; 1: none. Null: stored without.",
+    )
+    chi_square: float | None = Field(None, description="Chi-square of the arm against its type.")
+    compared: int | None = Field(None, description="Directions that were compared.")
+    p_value: float | None = Field(None, description="Chance of as large a chi-square for a robot of the type.")
+    odd: list[str] | None = Field(
+        None, description="Parameters in which the arm is not as its type: the rows alone say."
+    )
+    parameters: list[str] | None = Field(None, description="Parameters that rest on the prior and not on the rows.")
+    sentence: str | None = Field(None, description="All of that in words.")
+    versions: list[FleetVersion] | None = Field(None, description="The versions it rests on.")
+    left_out: list[FleetVersion] | None = Field(None, description="Versions of another gauge, which it does without.")
+    left_one_out: list[LeftOneOut] | None = Field(None, description="how well the robots predict each other.")
+
+
+class Term(Stored):
+    """A parameter's part in a sum."""
+
+    name: str = Field(description="Name of the parameter.")
+    coefficient: float = Field(description="What it is multiplied by, each in its own unit.")
+
+
+class IdentifiableSum(Stored):
+    """A sum of parameters that the data know where they do not tell its members."""
+
+    parameters: list[Term] = Field(description="Its terms.")
+    value: float = Field(description="Value of the sum.")
+    unit: str = Field(description="Unit of the numbers: that of the first parameter.")
+    sigma: float = Field(description="Standard deviation.")
+    lower: float = Field(description="Lower end of the 95 % interval.")
+    upper: float = Field(description="Upper end of the 95 % interval.")
+    sentence: str = Field(description="The same in words.")
+
 
 AT_NOMINAL = 1e-9  # of a value, or of its unit: what rounding leaves of no change
 MOSTLY = 0.5  # more than half of a number is what it mostly is

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from kilter_service.contract.complete_models import CpcFlange, CpcRow, McpcFlange, McpcRow, PoeAxis, SModelRow
 from kilter_service.contract.units import (
     COMPENSATION,
     DRIVE,
@@ -14,10 +14,12 @@ from kilter_service.contract.units import (
     MAX_JOINTS,
     ControllerCompensation,
     Deg,
+    Direction,
     Drive,
     JointType,
     Kg,
     KgM2,
+    Listed,
     Load,
     Mm,
     MPerS2,
@@ -27,6 +29,126 @@ from kilter_service.contract.units import (
     Pose,
     Strict,
 )
+
+MeshUnit = Literal["mm", "m"]
+
+
+class Mesh(Strict):
+    """The shape of a link. It is drawn only: no load and no identification uses it."""
+
+    robot: str = Field(description="Name of the robot.")
+    link: str = Field(description="Name of the joint that moves the link, or `base`.")
+    format: Literal["stl", "obj"] = Field(description="Format of the file.")
+    unit: MeshUnit = Field(description="Unit of the coordinates of the file: mm or m.")
+    triangles: int = Field(description="Number of triangles.")
+    sha256: str = Field(description="SHA-256 of the file, 64 hexadecimal digits.")
+    created_at: datetime = Field(description="When it was stored.")
+
+
+class UrdfShape(Strict):
+    """A shape that the robot's URDF gives a link: a file, or a box, cylinder or sphere."""
+
+    link: str = Field(description="Name of the joint that moves the link, or `base`.")
+    urdf_link: str = Field(description="The URDF's name of the link.")
+    file: str | None = Field(
+        None, description="File of the mesh, in the URDF's words; null: a body of the sizes below."
+    )
+    scale: tuple[float, float, float] = Field((1.0, 1.0, 1.0), description="Factors of the file's coordinates to m.")
+    box_mm: tuple[float, float, float] | None = Field(None, description="Sizes of a box about its centre, mm.")
+    cylinder_mm: tuple[float, float] | None = Field(
+        None, description="Radius and length of a cylinder along z about its centre, mm."
+    )
+    sphere_mm: float | None = Field(None, description="Radius of a sphere, mm.")
+    transform: list[list[float]] = Field(
+        description="Rows (4 by 4) that take the shape's own coordinates in mm to those of the link's mesh."
+    )
+
+
+class UrdfShapes(Strict):
+    """What the robot's URDF draws of the arm."""
+
+    shapes: list[UrdfShape] = Field(description="Shapes, from base to tool.")
+    left_out: list[str] = Field(description="The URDF's links behind joints that follow another: they have no mesh.")
+
+
+class MeshList(Listed):
+    """The shapes of a robot's links, from base to tool."""
+
+    meshes: list[Mesh] = Field(description="Shapes, from base to tool.")
+
+
+TYPE = "Whether the joint is revolute or prismatic."
+ZERO = "Added to the joint reading, degrees; mm for a prismatic joint."
+
+
+class PoeAxis(Strict):
+    """A moving axis at zero, in the base frame; the joint that drives it, times ratio (default: the next joint)."""
+
+    direction: Direction = Field(
+        description="Direction of the axis with all joints at zero; its length does not matter."
+    )
+    point_mm: PointMm = Field((0.0, 0.0, 0.0), description="A point on the axis with all joints at zero, mm.")
+    type: JointType = Field("revolute", description=TYPE)
+    joint: Annotated[str, Field(min_length=1, max_length=64)] | None = Field(
+        None, description="Name of the joint that drives the axis; null: the next joint."
+    )
+    ratio: float = Field(1.0, description="Motion of the axis per motion of the joint, no unit.")
+    drive: Drive | None = Field(None, description=DRIVE)
+
+
+class CpcRow(Strict):
+    """Direction of the next axis in the frame before, and its shift; then the joint."""
+
+    b: Direction = Field(description="Direction of the axis in the frame before, a vector of any length.")
+    x_mm: Mm = Field(0.0, description="Shift of the axis along x, mm.")
+    y_mm: Mm = Field(0.0, description="Shift of the axis along y, mm.")
+    theta_offset_deg: Deg = Field(0.0, description=ZERO)
+    type: JointType = Field("revolute", description=TYPE)
+
+
+class CpcFlange(Strict):
+    """R(b) Rz(beta) Tx Ty Tz after the last joint."""
+
+    b: Direction = Field((0.0, 0.0, 1.0), description="Direction of the flange's z axis in the last joint's frame.")
+    beta_deg: Deg = Field(0.0, description="Rotation about that direction, degrees.")
+    x_mm: Mm = Field(0.0, description="Shift along x, mm.")
+    y_mm: Mm = Field(0.0, description="Shift along y, mm.")
+    z_mm: Mm = Field(0.0, description="Shift along z, mm.")
+
+
+class McpcRow(Strict):
+    """Rx(alpha) Ry(beta) Tx(x) Ty(y), then the joint."""
+
+    alpha_deg: Deg = Field(0.0, description="Rotation about x, degrees.")
+    beta_deg: Deg = Field(0.0, description="Rotation about y, degrees.")
+    x_mm: Mm = Field(0.0, description="Shift along x, mm.")
+    y_mm: Mm = Field(0.0, description="Shift along y, mm.")
+    theta_offset_deg: Deg = Field(0.0, description=ZERO)
+    type: JointType = Field("revolute", description=TYPE)
+
+
+class McpcFlange(Strict):
+    """Rx(alpha) Ry(beta) Rz(gamma) Tx Ty Tz after the last joint."""
+
+    alpha_deg: Deg = Field(0.0, description="Rotation about x, degrees.")
+    beta_deg: Deg = Field(0.0, description="Rotation about y, degrees.")
+    gamma_deg: Deg = Field(0.0, description="Rotation about z, degrees.")
+    x_mm: Mm = Field(0.0, description="Shift along x, mm.")
+    y_mm: Mm = Field(0.0, description="Shift along y, mm.")
+    z_mm: Mm = Field(0.0, description="Shift along z, mm.")
+
+
+class SModelRow(Strict):
+    """Tz(d) Rz(theta) Tx(a) Rx(alpha) Rz(gamma) Tz(b)."""
+
+    theta_offset_deg: Deg = Field(0.0, description=ZERO)
+    d_mm: Mm = Field(0.0, description="Shift along the joint's axis, mm.")
+    a_mm: Mm = Field(0.0, description="Length of the link, mm.")
+    alpha_deg: Deg = Field(0.0, description="Twist of the link, degrees.")
+    gamma_deg: Deg = Field(0.0, description="Rotation of the link's frame about the next axis, degrees.")
+    b_mm: Mm = Field(0.0, description="Shift of the link's frame along the next axis, mm.")
+    type: JointType = Field("revolute", description=TYPE)
+
 
 Axis = Literal["Rx", "Ry", "Rz", "Tx", "Ty", "Tz"]
 JOINTS = "Joints from base to tool; at most 32. Null: named j1, j2, ... without limits."

@@ -7,14 +7,108 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from kilter_service.contract.comparisons import PairedErrors
-from kilter_service.contract.fits import Covariance, FitDetails, Metrics, NullDirection, Parameter
+from kilter_service.contract.fits import Covariance, FitDetails, JointMotions, Metrics, NullDirection, Parameter
 from kilter_service.contract.headlines import HEADLINE, NEAR, count_noise_left, describe_fit
-from kilter_service.contract.joints import JointMotions
-from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.references import RETIRED_AT, TITLE
 from kilter_service.contract.remarks import Remark
-from kilter_service.contract.units import Deg, Listed, Mm, Stored, Strict
+from kilter_service.contract.units import Celsius, Deg, Listed, Mm, Stored, Strict
+
+Lengths = list[Mm | None]
+
+
+class ResidualRows(Strict):
+    """What a version leaves of rows, measured minus predicted, as columns; every one has a value for each row."""
+
+    campaign: list[str] = Field(description="Id of the row's campaign.")
+    row: list[int] = Field(description="Number of the row in its campaign, from 1.")
+    dx_mm: Lengths = Field(description="Error along x, mm, the mean of the markers; null: nothing was seen.")
+    dy_mm: Lengths = Field(description="Error along y, mm.")
+    dz_mm: Lengths = Field(description="Error along z, mm.")
+    turn_deg: list[Deg | None] = Field(description="Error of the orientation, degrees; null: it was not measured.")
+    residual_sigma: list[float | None] = Field(
+        description="Length of what is left in standard deviations of a coordinate; rotations count too."
+    )
+    u95_x_mm: Lengths = Field(description="Half width of the 95 % interval that expects the error along x, mm.")
+    u95_y_mm: Lengths = Field(description="Half width of the 95 % interval along y, mm.")
+    u95_z_mm: Lengths = Field(description="Half width of the 95 % interval along z, mm.")
+    set_aside: list[bool] = Field(description="Whether the identification set the row aside.")
+    held_out: list[bool] = Field(description="Whether the row was held out of the fit.")
+
+
+class PairedErrors(Strict):
+    """What two versions leave of the same rows, base and tool as each version has them. Rows of one pose count once."""
+
+    campaigns: list[str] = Field(description="Ids of the campaigns.")
+    held_out: bool = Field(
+        description="Whether the rows were held out of both fits; false: there were none, so fitted rows are among them."
+    )
+    rows: int = Field(description="Rows compared.")
+    poses: int = Field(description="Poses compared.")
+    counted: Literal["rows", "poses"] = Field(description="What is counted: `rows` where no pose was repeated.")
+    better: int = Field(description="On how many b leaves less.")
+    worse: int = Field(description="On how many it leaves more.")
+    chance: Annotated[float, Field(ge=0, le=1)] = Field(
+        description="Probability of so uneven a count if neither were better: exact sign test, two-sided."
+    )
+    mean_a_mm: Mm = Field(description="Mean error that a leaves, mm.")
+    mean_b_mm: Mm = Field(description="Mean error that b leaves, mm.")
+    less_mm: Mm = Field(description="How much less b leaves, mean over what is counted, mm; negative: more.")
+    low_mm: Mm | None = Field(None, description="Lower end of its 95 % interval, mm; null: too few.")
+    high_mm: Mm | None = Field(None, description="Upper end of its 95 % interval, mm; null: too few.")
+    sentence: str = Field(description="The same in words, all lengths in one unit.")
+
+
+class JointPreview(Strict):
+    """The largest correction of a joint."""
+
+    joint: str = Field(description="Name of the joint.")
+    largest_deg: Deg | None = Field(
+        None, description="Largest correction, degrees; null: prismatic, or nothing was corrected."
+    )
+    largest_mm: Mm | None = Field(None, description="Largest correction, mm; null: revolute, or nothing was corrected.")
+    largest_at: list[float] | None = Field(None, description="The joints there: degrees, mm for prismatic ones.")
+
+
+class VersionPreview(Strict):
+    """How a version would correct, without activating it: what `correct` does with these poses, within its limits."""
+
+    version_id: str = Field(description="Id of the version.")
+    within: Literal["campaigns", "limits"] = Field(
+        description="Poses looked at: `campaigns`, where the robot was driven before; `limits`, anywhere in its limits."
+    )
+    poses: int = Field(description="How many poses were looked at.")
+    corrected: int = Field(description="How many of them get corrected joints, damped and limited ones among them.")
+    damped: int = Field(
+        0,
+        description="How many of these keep more of their error than is stated: a singularity is near, or out of reach.",
+    )
+    limited: int = Field(
+        0, description="How many of these keep more of their error than is stated because the correction is at a limit."
+    )
+    refused: dict[str, int] = Field(
+        description="The others, by why they would be refused, such as `CORRECTION_TOO_LARGE` for its limits."
+    )
+    mean_mm: Mm | None = Field(
+        description="Mean movement of the tool by the correction, mm; null: nothing was corrected."
+    )
+    largest_mm: Mm | None = Field(description="Largest movement of the tool by the correction, mm; null: as above.")
+    largest_at: list[float] | None = Field(description="The joints there: degrees, mm for prismatic ones.")
+    left_mm: Mm | None = Field(
+        None, description="The most that a correction leaves of the tool's error by the version, mm; null: as above."
+    )
+    left_at: list[float] | None = Field(None, description="The joints there: degrees, mm for prismatic ones.")
+    joints: list[JointPreview] = Field(description="The largest correction of each joint.")
+    unsupported_effects: list[str] = Field(
+        description="Ids of its effects that would not be corrected where rows state joints and loads alone, as in a stream."
+    )
+    corrected_where_stated: dict[str, list[str]] = Field(
+        {},
+        description="Those of them that rows of a file are corrected for, by id with the columns that rows must state.",
+    )
+    not_corrected: str = Field("", description="Both in words; empty: nothing is left out.")
+    temperature_c: Celsius | None = Field(
+        description="Temperature it was looked at with, degrees Celsius; null: not known."
+    )
 
 
 class CorrectionLimits(Strict):

@@ -1,9 +1,63 @@
-"""What a JSON schema allows, in words that a sentence or a table can hold."""
+"""Words of comparisons, of errors, and of what a JSON schema allows, which a sentence or a table can hold."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
+
+from kilter_service.contract.fits import Errors
+
+SMALLEST = 1e-6  # of probabilities that anybody tells apart
+
+
+def unit_of_length(length_mm: float) -> tuple[str, float]:
+    """The unit in which people read a length, and how many there are in a millimetre."""
+    return ("µm", 1e3) if abs(length_mm) < 0.1 else ("mm", 1.0)
+
+
+def said_of_lengths(largest_mm: float, *lengths_mm: float) -> list[str]:
+    """Write lengths in the unit of the largest, as finely as three digits of it."""
+    unit, scale = unit_of_length(largest_mm)
+    digits = max(DIGITS - 1 - math.floor(math.log10(scale * abs(largest_mm))), 0) if largest_mm else 0
+    return [f"{round(scale * one, digits) + 0.0:.{digits}f} {unit}" for one in lengths_mm]
+
+
+def said_of_chance(value: float) -> str:
+    """Write a probability: as a number where people read it so, as a power of ten where it is tiny."""
+    if value < SMALLEST:
+        return f"below {SMALLEST:.0e}".replace("e-0", "e-")
+    return f"{value:.0e}".replace("e-0", "e-") if value < 1e-3 else f"{value:.2g}"
+
+
+DIGITS = 3  # of a mean error in a sentence
+QUANTILE = 1.96  # of the standard normal at 97.5 %
+
+
+def interval(found: Errors, n: int | None) -> tuple[float, float] | None:
+    """Return the 95 % interval of a mean error over ``n`` points, mm; None where the spread is not known."""
+    if not n or n < 2 or found.rms_mm is None:
+        return None
+    variance = max(found.rms_mm**2 - found.mean_mm**2, 0.0) * n / (n - 1)
+    half = QUANTILE * math.sqrt(variance / n)
+    return max(found.mean_mm - half, 0.0), found.mean_mm + half
+
+
+def widest(found: Errors, n: int | None) -> float:
+    """Return the largest of a mean error, the ends of its interval and its 95 % quantile, mm: its unit is that of all."""
+    beside = (found.mean_mm, found.p95_mm, *(interval(found, n) or ()))
+    return float(max(one for one in beside if one is not None))
+
+
+def said_of_error(value_mm: float, largest_mm: float) -> str:
+    """Write an error in the unit of the largest, with three digits of its own."""
+    unit, scale = unit_of_length(largest_mm)
+    scaled = scale * value_mm
+    if not scaled or not math.isfinite(scaled):
+        return f"{scaled:g} {unit}"
+    decimals = max(DIGITS - 1 - math.floor(math.log10(abs(scaled))), 0)
+    return f"{round(scaled, decimals):.{decimals}f} {unit}"
+
 
 SYMBOLS = {"um": "micrometres", "degC": "°C"}
 PLAIN = {"boolean": "true or false", "string": "text", "object": "an object"}

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from kilter_core.errors import OptionError
 from kilter_service.correction import service
-from kilter_service.correction.load import Carried
+from kilter_service.correction.service import Carried
 from kilter_service.ground.db import Database
 from kilter_service.ground.tables import reading
 from kilter_service.web.bodies import spool_upload

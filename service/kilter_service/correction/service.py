@@ -3,40 +3,113 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.errors import ObservationError
+from kilter_core.errors import ObservationError, OptionError
+from kilter_core.types import Floats
+from kilter_files.ground.later import pa
+from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
 from kilter_service.contract.columns import LOAD_PARTS, PAYLOAD_CENTRE
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.correction import load
-from kilter_service.correction.wire import cells, with_verdict
 from kilter_service.ground import correction_outcome as outcome
 from kilter_service.ground.correction_limits import correction_options
-from kilter_service.ground.correction_outcome import OK
+from kilter_service.ground.correction_outcome import OK, flag_names
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.left_out import where_sentences
 from kilter_service.ground.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_CELLS, MAX_TRAJECTORY_ROWS
 from kilter_service.ground.tables import reading
-from kilter_service.ground.tables.assemble import observations
+from kilter_service.ground.tables.assemble import observations, with_default_load
 from kilter_service.ground.tables.columns import Column, read_columns
 from kilter_service.ground.tables.writing import write_table
-from kilter_service.ground.wire import to_mm
+from kilter_service.ground.wire import to_deg, to_metres, to_mm
 from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 from kilter_service.versions.records import VersionRecord
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
+    from kilter_core.arm import Robot
     from kilter_core.correct import CorrectionOptions
+    from kilter_core.model import Calibration
+    from kilter_core.observations import Observations
     from kilter_service.ground.correction_outcome import Outcome
+
+
+FOLLOW_THE_LOAD = frozenset({"moments", "payload_kg"})
+
+
+class Carried(NamedTuple):
+    """Mass (kg) and centre (mm, tool frame) as the request states them for the whole path; None: not stated."""
+
+    payload_kg: float | None = None
+    payload_com_mm: tuple[float, float, float] | None = None
+
+
+def under(rows: Observations, carried: Carried, robot: Robot) -> Observations:
+    """Return the rows with the load of the request, or the robot's own, where they state none.
+
+    Raises:
+        OptionError: the rows state a payload and so does the request, or the request says where but not how heavy.
+
+    """
+    if carried.payload_kg is None:
+        if carried.payload_com_mm is not None:
+            raise OptionError(
+                "payload_com_mm says where the payload has its centre, not how heavy it is: give payload_kg too.",
+                option="payload_com_mm",
+            )
+        return with_default_load(rows, robot)
+    if rows.payload_kg is not None:
+        raise OptionError(
+            "The path has a column payload_kg, and payload_kg is given for the whole path too: give one of them.",
+            option="payload_kg",
+        )
+    return rows.carrying(carried.payload_kg, [to_metres(value) for value in carried.payload_com_mm or (0.0, 0.0, 0.0)])
+
+
+def load_notes(
+    calibration: Calibration, stated: bool, not_corrected: Collection[str], carried: Carried
+) -> tuple[str, ...]:
+    """Say which load was taken where the path states none, and what that means for effects that follow the load."""
+    following = _following(calibration, not_corrected)
+    if stated or carried.payload_kg is not None or not following:
+        return ()
+    load = calibration.robot.load
+    if load is not None:
+        return (
+            f"The path states no payload: the robot's default load was taken, {describe_load(load.mass, load.com)}.",
+        )
+    return (
+        f"{counted_as_nothing('The path states', following)} It was corrected as with nothing on the tool. "
+        f"{REMEDY.format(whole='path')}",
+    )
+
+
+def describe_load(mass: float, com: Sequence[float]) -> str:
+    """Say a load in words."""
+    at = ", ".join(f"{to_mm(value):.6g}" for value in com)
+    return f"{mass:.6g} kg at ({at}) mm in the tool frame"
+
+
+def _following(calibration: Calibration, not_corrected: Collection[str]) -> list[str]:
+    """Effects of the arm with values that read the load, by name."""
+    model = calibration.model
+    return [
+        key
+        for (key, where), effect in zip(model.effect_slices().items(), model.effects, strict=True)
+        if effect.stage != "measurement"
+        and not effect.nuisance
+        and effect.needs & FOLLOW_THE_LOAD
+        and key not in not_corrected
+        and np.any(calibration.values[where])
+    ]
+
 
 # What a trajectory may say; whatever else a file of observations has is a measurement.
 QUANTITIES = frozenset(
@@ -143,7 +216,7 @@ def _yaml(value: float) -> str:
 
 ROS2 = "ros2-yaml"
 MOST_NAMED = 20  # rows that a refusal names
-NOTHING_STATED = load.Carried()
+NOTHING_STATED = Carried()
 
 
 class Wanted(NamedTuple):
@@ -185,7 +258,7 @@ def correct(
     media: str,
     wanted: Wanted = AS_ALWAYS,
     temperature_c: float | None = None,
-    carried: load.Carried = NOTHING_STATED,
+    carried: Carried = NOTHING_STATED,
 ) -> Answer:
     """Correct a trajectory.
 
@@ -204,12 +277,12 @@ def correct(
     kinds = [joint.kind for joint in calibration.robot.joints]
     table, columns = read_trajectory(path, media, kinds, MAX_ROS2_ROWS if wanted.form == ROS2 else MAX_TRAJECTORY_ROWS)
     stated = observations(table, columns, {})
-    rows = load.under(stated, carried, calibration.robot)
+    rows = under(stated, carried, calibration.robot)
     found = outcome.correct(calibration, rows, options, known)
     if wanted.strict:
         _refuse_what_is_left(found)
     left_out = found.done.not_corrected
-    told = load.load_notes(calibration, stated.payload_kg is not None, left_out, carried)
+    told = load_notes(calibration, stated.payload_kg is not None, left_out, carried)
     where = where_sentences(found.done.where_stated)
     notes = (*told, *where, *outcome.summary(found), *([compensated] if compensated else ()))
     if wanted.form == ROS2:
@@ -267,3 +340,29 @@ def _version(
         raise ServiceError(f"Version {version} is not of robot {robot!r}.", code="option_invalid", version=version)
     limits, rules = CorrectionLimits(**row.limits), versions.rules_of(session, version)
     return row, correction_options(limits, temperature_c, wanted.task, wanted.at_limit, wanted.hold, rules)
+
+
+def with_verdict(table: pa.Table, found: Outcome) -> pa.Table:
+    """Add to a trajectory what was removed of the error, what is left, half the interval that holds it, and the status."""
+    done = found.done
+    columns = (
+        _along("d", done.error_removed) | {"left_mm": cells(to_mm(found.remaining_errors))} | _along("left_", done.left)
+    )
+    if found.turns:
+        columns["left_deg"] = cells(to_deg(done.left_rad))
+    columns |= _along("u95_", found.u95)
+    columns["flags"] = pa.array([flag_names(one) for one in done.flags.tolist()], pa.string())
+    columns["status"] = pa.array(found.words, pa.string())
+    for name, column in columns.items():
+        table = table.append_column(name, column)
+    return table
+
+
+def _along(name: str, values: Floats) -> dict[str, pa.Array]:
+    """Columns in mm of vectors (N, 3) m."""
+    return {f"{name}{axis}_mm": cells(to_mm(values[:, k])) for k, axis in enumerate("xyz")}
+
+
+def cells(values: Floats) -> pa.Array:
+    """Return a column; a cell without a number is empty."""
+    return pa.array(values, pa.float64(), mask=np.isnan(values))

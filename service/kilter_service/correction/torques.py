@@ -7,10 +7,9 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
-from kilter_service.correction import load
+from kilter_service.correction import service
 from kilter_service.correction.routes import CONTENT, NOTES, Centre, Payload, read_point
-from kilter_service.correction.service import read_trajectory
-from kilter_service.correction.wire import cells
+from kilter_service.correction.service import cells, read_trajectory
 from kilter_service.ground.core import core_motion
 from kilter_service.ground.db import Database
 from kilter_service.ground.ended_jobs import store as ended_jobs
@@ -56,13 +55,13 @@ async def torques(
     with get_scratch(request).folder_for("torques") as folder:
         path = folder / "body"
         await spool_upload(request, path, settings.max_upload_mb)
-        carried = load.Carried(payload_kg, read_point(payload_com_mm))
+        carried = service.Carried(payload_kg, read_point(payload_com_mm))
         content, notes = await compute(request, add_torques, database, robot, path, media, search, carried)
     return Response(content, media_type=media, headers={NOTES: " | ".join(notes)})
 
 
 def add_torques(
-    database: Database, robot: str, path: Path, media: str, search: str | None, carried: load.Carried
+    database: Database, robot: str, path: Path, media: str, search: str | None, carried: service.Carried
 ) -> tuple[bytes, tuple[str, ...]]:
     """Return a path with its torques in the format it came in, and what to know of them.
 
@@ -77,7 +76,7 @@ def add_torques(
         job, name, document = ended_jobs.get_search_in_torques(session, stored.id, search)
         arm = stored.robot()
     table, columns = read_trajectory(path, media, [joint.kind for joint in arm.joints])
-    rows = load.under(observations(table, columns, {}), carried, arm)
+    rows = service.under(observations(table, columns, {}), carried, arm)
     model = core_motion.TorqueModel.from_document(arm, document)
     tau = model.torques(core_motion.path_of_rows(rows))
     for j in model.joints:

@@ -9,7 +9,7 @@ import numpy as np
 
 from kilter_core.observations import evenly
 from kilter_service.ground.core import core_evaluate, core_measurement
-from kilter_service.robots.instruments.validity import permissible
+from kilter_service.robots.instruments.store import permissible
 
 if TYPE_CHECKING:
     from kilter_core.identify import Identification, Predictive

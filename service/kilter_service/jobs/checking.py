@@ -11,15 +11,14 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.campaigns.unstated_load import REMEDY
 from kilter_service.contract.jobs.check import CheckedCampaign
 from kilter_service.contract.jobs.registry import JobCheck, NewJob
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Database, Session
-from kilter_service.jobs import service, store, wire
+from kilter_service.jobs import service, store
 from kilter_service.jobs.durations import PastRun, duration
-from kilter_service.jobs.inputs.default_load import find_unstated_load
-from kilter_service.jobs.job_preview import JobPreview, Lack, count_poses
-from kilter_service.jobs.kind import JobInput, JobKind
+from kilter_service.jobs.inputs.default_load import find_unstated_load, load_not_stated
+from kilter_service.jobs.kind import JobInput, JobKind, JobPreview, Lack, count_poses
 from kilter_service.jobs.records import JobRequest
 from kilter_service.jobs.registry import get_job_kind
-from kilter_service.jobs.sentences import load_not_stated
 
 MOST_ROWS = 100_000  # read of all campaigns together; what takes more is thinned
 
@@ -56,7 +55,7 @@ def check(database: Database, job: NewJob) -> JobCheck:
         found = _preview(kind, loaded)
     rows = sum(campaign.rows for campaign in loaded.used if campaign.use != "confirmation")
     expected = duration(job.kind, rows, request, loaded.past, found.seconds)
-    return wire.check(job.kind, job.robot, loaded.version, found, loaded.used, expected)
+    return service.describe_check(job.kind, job.robot, loaded.version, found, loaded.used, expected)
 
 
 def _load(session: Session, job: NewJob, kind: JobKind, request: JobRequest) -> _Loaded:
@@ -73,13 +72,10 @@ def _load(session: Session, job: NewJob, kind: JobKind, request: JobRequest) -> 
         robot_id,
         store.starting_version(session, robot_id, kind, request),
         [
-            CheckedCampaign(
-                id=one.id,
-                name=one.name,
-                role=one.role,
-                use=one.use,
+            copy_fields(
+                CheckedCampaign,
+                one,
                 device=campaigns.device(session, one.id),
-                rows=one.rows,
                 poses=count_poses(rows[one.id]) if one.id in rows else None,
             )
             for one in used

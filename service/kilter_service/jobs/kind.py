@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from kilter_core.errors import ObservationError
+from kilter_core.errors import CoreError, ObservationError
 from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.settings import Queue
@@ -17,14 +18,65 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from kilter_core.arm import Robot
-    from kilter_core.identify import FleetVersion
+    from kilter_core.gap import GapCheck
+    from kilter_core.identify import FleetVersion, IdentificationCheck
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_core.types import Each
     from kilter_service.contract.instruments import Instrument
     from kilter_service.contract.remarks import Remark
-    from kilter_service.jobs.job_preview import JobPreview
     from kilter_service.versions.drift.records import StoredCheck
+
+
+How = Literal["campaigns", "fraction", "folds", "unasked", "none"]
+
+
+@dataclass(frozen=True)
+class Lack:
+    """What a job would run without: what, why, and what to measure or to give."""
+
+    what: str
+    reason: str
+    remedy: str
+
+
+@dataclass
+class JobPreview:
+    """What was found; a kind fills it as far as it comes. ``rows`` are those to learn from, with what is held out."""
+
+    rows: int = 0
+    poses: int = 0
+    how: How = "none"
+    held_rows: int = 0
+    held_poses: int = 0
+    problems: list[CoreError] = field(default_factory=list)
+    missing: list[Lack] = field(default_factory=list)
+    limited: list[str] = field(default_factory=list)
+    identification: IdentificationCheck | None = None
+    search: GapCheck | None = None
+    seconds: float | None = None  # that the job would take, where its beginning says so
+
+    @contextmanager
+    def noting_refusals(self) -> Iterator[None]:
+        """Note why the job would fail, instead of failing."""
+        try:
+            yield
+        except CoreError as error:
+            self.problems.append(error)
+
+    def count_fitted_rows(self, *parts: Observations) -> None:
+        """Count the rows that are fitted, split or compared; of parts that are taken one by one, poses of each."""
+        self.rows, self.poses = sum(len(rows) for rows in parts), sum(count_poses(rows) for rows in parts)
+
+    def hold(self, how: How, *parts: Observations) -> None:
+        """Count what is held out."""
+        self.how = how
+        self.held_rows, self.held_poses = sum(len(rows) for rows in parts), sum(count_poses(rows) for rows in parts)
+
+
+def count_poses(rows: Observations) -> int:
+    """Count distinct poses."""
+    return int(rows.pose_groups().max()) + 1 if len(rows) else 0
 
 
 @dataclass(frozen=True)

@@ -19,14 +19,13 @@ from kilter_service.contract.jobs.job import FINAL, JobList
 from kilter_service.contract.jobs.registry import Job, JobCheck, NewJob
 from kilter_service.ground.db import Database
 from kilter_service.ground.failure_log import Failing
-from kilter_service.jobs import checking, service, store, wire
+from kilter_service.jobs import checking, service, store
 from kilter_service.jobs.refusals import refusal, without_kind
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.auth.following import limit_event_stream
-from kilter_service.web.conditional import FOR_GOOD, ConditionalRoute
 from kilter_service.web.idempotency.key import OnceOnly
-from kilter_service.web.page_query import PageOfJobs
-from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web.routing import FOR_GOOD, ConditionalRoute
+from kilter_service.web.state import DatabaseOfApp, PageOfJobs
 
 # The life of jobs as server-sent events.
 #
@@ -148,7 +147,7 @@ class Followers:
 def _load_changed_jobs(database: Database, known: Mapping[str, str]) -> dict[str, tuple[str, News]]:
     """Return the progress and the news of the jobs whose progress is another than the one that is known."""
     with database.reading() as session:
-        found = {job.id: (job.state, wire.progress_json(job)) for job in store.progress(session, list(known))}
+        found = {job.id: (job.state, service.progress_json(job)) for job in store.progress(session, list(known))}
     changed = {job_id: (state, said) for job_id, (state, said) in found.items() if said != known[job_id]}
     return {job_id: (said, _news(database, job_id, state, said)) for job_id, (state, said) in changed.items()}
 

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from pydantic import TypeAdapter
 
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.jobs.job import FINAL, Folds, JobList, JobSummary
-from kilter_service.contract.jobs.registry import Job, NewJob
+from kilter_service.contract.jobs.check import CheckedCampaign, Duration, HeldOut, JobProblem, Missing
+from kilter_service.contract.jobs.job import FINAL, Folds, JobError, JobList, JobSummary, Progress
+from kilter_service.contract.jobs.registry import Job, JobCheck, NewJob
 from kilter_service.contract.jobs.shared import NEWEST
+from kilter_service.contract.written import as_written
+from kilter_service.ground.by_name import copy_fields
+from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.ended_jobs import store as ended_jobs
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.ground.references import store as references
-from kilter_service.jobs import store, wire
-from kilter_service.jobs.kind import JobKind
-from kilter_service.jobs.records import Asked, Place, WantedJobs
+from kilter_service.jobs import store
+from kilter_service.jobs.kind import JobKind, JobPreview
+from kilter_service.jobs.records import Asked, JobRecord, ListedJob, Place, ProgressRecord, WantedJobs
 from kilter_service.jobs.registry import get_job_kind
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
@@ -48,7 +54,7 @@ def submit(database: Database, job: NewJob, once: Once = NOT_REPEATED) -> Job:
             return known
         asked = Asked(logs.request_id(), tracing.traceparent())
         job_id = store.add(session, validate_job(session, job, kind), job, asked)  # robot and campaigns are still there
-        queued = once.keep(session, body, wire.job(store.get(session, job_id)))
+        queued = once.keep(session, body, describe_job(store.get(session, job_id)))
     return queued
 
 
@@ -165,7 +171,7 @@ def _check_version(session: Session, robot_id: int, version: str) -> None:
 def get(database: Database, job_id: str) -> Job:
     """Return a job."""
     with database.reading() as session:
-        return wire.job(store.get(session, job_id))
+        return describe_job(store.get(session, job_id))
 
 
 def list_jobs(database: Database, robot: str | None, page: Page) -> JobList:
@@ -173,7 +179,7 @@ def list_jobs(database: Database, robot: str | None, page: Page) -> JobList:
     with database.reading() as session:
         found = store.newest_jobs(session, robot, page)
     shown, cursor = page.cut(found, lambda job: in_time(job.created_at, job.id))
-    return JobList(jobs=[wire.summary(job) for job in shown], next=cursor)
+    return JobList(jobs=[summarise_job(job) for job in shown], next=cursor)
 
 
 def find_jobs(
@@ -186,7 +192,7 @@ def find_jobs(
         count, total = store.count_jobs(session, wanted)
         at = min(page, max(-(-count // at_once), 1))
         found = store.wanted_jobs(session, wanted, (at - 1) * at_once, at_once)
-    return [wire.summary(job) for job in found], at, count, total
+    return [summarise_job(job) for job in found], at, count, total
 
 
 def succeeded_evaluations(database: Database, version_id: str) -> list[str]:
@@ -220,3 +226,60 @@ def cancel(database: Database, job_id: str) -> Job:
             raise ServiceError(f"Job {job_id} has {row.state}: nothing is left to cancel.", code="job_finished")
         store.cancel(session, job_id)  # the worker, if one lives, notices at its next progress report
     return get(database, job_id)
+
+
+def progress_json(record: ProgressRecord) -> str:
+    """Write how far a job is, as its events say it."""
+    told = copy_fields(Progress, record)
+    return f'{{"id":"{record.id}","state":"{record.state}","progress":{told.model_dump_json()}}}'
+
+
+def describe_job(record: JobRecord) -> Job:
+    """Say all of a job; what an earlier release wrote in another form is left out."""
+    kind = get_job_kind(record.kind).contract
+    return copy_fields(
+        kind.job,
+        record,
+        **_read_out(record),
+        campaigns=record.request.campaigns,
+        validation=record.request.validation,
+        confirmation=record.request.confirmation,
+        options=as_written(kind.options, record.request.options),
+        result=None if record.result is None else as_written(kind.result, record.result),
+    )
+
+
+def summarise_job(record: ListedJob) -> JobSummary:
+    """Say what lists tell of a job."""
+    return copy_fields(JobSummary, record, **_read_out(record))
+
+
+def _read_out(record: ListedJob) -> dict[str, Any]:
+    """What a list tells that no field of the record holds."""
+    return {
+        "name": display_name(record),
+        "progress": copy_fields(Progress, record),
+        "error": None if record.error is None else JobError(**record.error),
+    }
+
+
+def describe_check(
+    kind: str, robot: str, version: str | None, found: JobPreview, campaigns: list[CheckedCampaign], duration: Duration
+) -> JobCheck:
+    """Say what a job would do."""
+    job_kind = get_job_kind(kind)
+    return job_kind.contract.preview(
+        kind=kind,
+        robot=robot,
+        version=version,
+        would_run=not found.problems,
+        problems=[copy_fields(JobProblem, error) for error in found.problems],
+        campaigns=campaigns,
+        rows=found.rows,
+        poses=found.poses,
+        held_out=HeldOut(how=found.how, rows=found.held_rows, poses=found.held_poses),
+        missing=[copy_fields(Missing, one) for one in found.missing],
+        limited=found.limited,
+        duration_s=duration,
+        **job_kind.describe_preview(found),
+    )

@@ -15,6 +15,7 @@ from kilter_service.contract.jobs.job import FINAL
 from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.contract.jobs.shared import NEWEST
 from kilter_service.contract.versions import Objection
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.called import job_noun
 from kilter_service.ground.caller import allowed_robots, as_document
 from kilter_service.ground.core import core_identify, core_motion
@@ -217,22 +218,11 @@ def open_of_robots(session: Session) -> dict[str, int]:
 
 
 def _record(session: Session, row: JobRow) -> JobRecord:
-    return JobRecord(
-        id=row.id,
-        kind=row.kind,
-        robot_id=row.robot_id,
+    return copy_fields(
+        JobRecord,
+        row,
         robot=session.get_one(RobotRow, row.robot_id).name,
-        name=row.name,
-        state=row.state,
-        fraction=row.fraction,
-        stage=row.stage,
-        error=row.error,
-        created_at=row.created_at,
-        started_at=row.started_at,
-        finished_at=row.finished_at,
         request=JobRequest.from_document(row.request),
-        attempts=row.attempts,
-        result=row.result,
         asked=Asked(row.request_id, row.traceparent),
         asked_by=row.asked_by.get("actor", ""),
     )

@@ -8,9 +8,8 @@ from fastapi import APIRouter, Query
 
 from kilter_service.contract.references import Kind, ResolvedReference, TombstoneList
 from kilter_service.kept import service
-from kilter_service.web.page_query import PageOfList
 from kilter_service.web.routing import GuardedRoute
-from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web.state import DatabaseOfApp, PageOfList
 
 router = APIRouter(prefix="/v1", tags=["references"], route_class=GuardedRoute)
 

@@ -9,7 +9,7 @@ from kilter_service.contract.references import By, Kind, ResolvedReference, Tomb
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
-from kilter_service.ground.references import records, store
+from kilter_service.ground.references import store
 from kilter_service.ground.references.store import LATEST, PREFIXES, Found
 from kilter_service.robots import store as robots
 
@@ -111,4 +111,4 @@ def tombstones(database: Database, robot: str | None, page: Page) -> TombstoneLi
     with database.reading() as session:
         found = store.tombstones(session, robot, page)
     shown, cursor = page.cut(found, lambda tombstone: in_time(tombstone.at, tombstone.id))
-    return TombstoneList(tombstones=[records.tombstone(one) for one in shown], next=cursor)
+    return TombstoneList(tombstones=list(shown), next=cursor)

@@ -16,8 +16,7 @@ from importlib.resources import files
 from fastapi import APIRouter, Request, Response
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.web.conditional import FOR_GOOD
-from kilter_service.web.routing import GuardedRoute
+from kilter_service.web.routing import FOR_GOOD, GuardedRoute
 
 router = APIRouter(include_in_schema=False, route_class=GuardedRoute)
 FOLDER = "static"

@@ -7,6 +7,7 @@ import numpy as np
 from kilter_core.errors import OptionError
 from kilter_service.contract.kinematics import Flanges, JointRows, Posture, Postures
 from kilter_service.contract.units import Pose
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.core import core_arm, core_model
 from kilter_service.ground.db import Database
 from kilter_service.ground.wire import to_deg, to_rad
@@ -50,19 +51,6 @@ def inverse(database: Database, name: str, wanted: Flanges) -> Postures:
         )
     rows = [core_model.reaching(axes, core_arm.parse_pose(pose.model_dump())) for pose in wanted.flanges]
     return Postures(
-        postures=[
-            [
-                Posture(
-                    joints_deg=to_deg(one.q).tolist(),
-                    front=one.front,
-                    elbow_up=one.elbow_up,
-                    wrist=one.wrist,
-                    singular=one.singular,
-                    named=one.named,
-                )
-                for one in row
-            ]
-            for row, _ in rows
-        ],
+        postures=[[copy_fields(Posture, one, joints_deg=to_deg(one.q).tolist()) for one in row] for row, _ in rows],
         certain=[certain for _, certain in rows],
     )

@@ -23,15 +23,13 @@ from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.tables.columns import read_columns
 from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.robots import check as checks
-from kilter_service.robots import documents as conversions
-from kilter_service.robots import nominal, service
+from kilter_service.robots import documents, nominal, service
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.bodies import spool_upload
 from kilter_service.web.concurrency import compute
-from kilter_service.web.conditional import ConditionalRoute
-from kilter_service.web.page_query import PageOfList
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
+from kilter_service.web.routing import ConditionalRoute
+from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp, get_scratch
 
 if TYPE_CHECKING:
     from kilter_core.procedures import AxisFit
@@ -159,7 +157,7 @@ def check(document: RobotDocument) -> RobotCheck:
 @router.post("/convert", response_model_exclude_none=True)
 def convert(document: RobotDocument, to: Target) -> RobotDocument:
     """Write a document in another convention, without adding it: the same poses at the same joint readings."""
-    return DOCUMENT.validate_python(conversions.convert(document, to))
+    return DOCUMENT.validate_python(documents.convert(document, to))
 
 
 @router.post(

@@ -11,10 +11,8 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.paging import Page
 from kilter_service.ground.references import store as references
-from kilter_service.ground.references.records import TombstoneRecord, tombstone
 from kilter_service.robots import store, wire
-from kilter_service.robots.documents import without_settings
-from kilter_service.robots.resolved import resolve
+from kilter_service.robots.documents import resolve, without_settings
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot
@@ -103,6 +101,6 @@ def purge(database: Database, name: str, actor: str) -> Tombstone:
     with database.transaction() as session:
         stored = store.get(session, name)
         store.remove(session, name)
-        left = TombstoneRecord(name, "robot", name, name, stored.sha256, actor, utc_now())
+        left = Tombstone(id=name, kind="robot", robot=name, name=name, sha256=stored.sha256, by=actor, at=utc_now())
         references.add_tombstone(session, left)
-    return tombstone(left)
+    return left

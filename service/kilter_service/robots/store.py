@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from datetime import datetime
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from sqlalchemy import Select, delete, func, select
 
+from kilter_service.contract.units import ControllerCompensation
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.caller import allowed_robots, may_see
 from kilter_service.ground.core import core_arm
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import ActivationRow, CampaignRow, JobRow, RobotRow, UploadRow, VersionRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.ground.references import retired
 from kilter_service.ground.references import store as references
 from kilter_service.robots.compensation import parse_compensation
-from kilter_service.robots.records import RobotRecord
-from kilter_service.robots.resolved import Resolved
+from kilter_service.robots.documents import Resolved
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot
@@ -104,16 +106,7 @@ def find(session: Session, name: str) -> StoredRobot | None:
 
 
 def _robot_from_row(row: RobotRow) -> StoredRobot:
-    return StoredRobot(
-        row.id,
-        row.name,
-        row.document,
-        row.chain,
-        row.sha256,
-        row.source_sha256,
-        [str(note) for note in row.left_out],
-        row.controller_compensation,
-    )
+    return copy_fields(StoredRobot, row, notes=[str(note) for note in row.left_out])
 
 
 def get(session: Session, name: str) -> StoredRobot:
@@ -185,7 +178,7 @@ def refuse_retired_robot(session: Session, robot_id: int) -> None:
 
     """
     row = session.get_one(RobotRow, robot_id)
-    retired.refuse("robot", row.name, row.retired_at)
+    references.refuse_retired("robot", row.name, row.retired_at)
 
 
 def change(session: Session, name: str, settings: Mapping[str, Any]) -> None:
@@ -297,20 +290,36 @@ def _records() -> Select[RobotRow, int, int, str | None]:
 
 
 def _record(row: RobotRow, campaigns: int, versions: int, active_version: str | None) -> RobotRecord:
-    return RobotRecord(
-        id=row.id,
-        name=row.name,
-        document=row.document,
-        created_at=row.created_at,
+    return copy_fields(
+        RobotRecord,
+        row,
         campaigns=campaigns,
         versions=versions,
         active_version=active_version,
-        remarks=row.remarks,
         controller_compensation=parse_compensation(row.controller_compensation),
-        tolerance_mm=row.tolerance_mm,
-        check_interval_days=row.check_interval_days,
-        retired_at=row.retired_at,
         notes=[str(note) for note in row.left_out],
-        sha256=row.sha256,
-        source_sha256=row.source_sha256,
     )
+
+
+@dataclass(frozen=True)
+class RobotRecord:
+    """A stored robot, and how much belongs to it. ``sha256`` is that of its chain, ``source_sha256`` that of the document.
+
+    ``notes`` say what of the document the chain leaves out, ``remarks`` what people noted.
+    """
+
+    id: int
+    name: str
+    document: dict[str, Any]
+    created_at: datetime
+    campaigns: int
+    versions: int
+    active_version: str | None
+    remarks: str
+    controller_compensation: ControllerCompensation
+    tolerance_mm: float | None
+    check_interval_days: int | None
+    retired_at: datetime | None
+    notes: list[str]
+    sha256: str
+    source_sha256: str

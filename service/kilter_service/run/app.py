@@ -40,13 +40,11 @@ from kilter_service.versions.today.routes import router as today
 from kilter_service.web import problems
 from kilter_service.web.audit.refusals import Refusals
 from kilter_service.web.audit.routes import router as audit
-from kilter_service.web.auth.openapi_security import openapi_with_security, serve_openapi
-from kilter_service.web.auth.rates import Rates
-from kilter_service.web.auth.slow_bodies import Unhurried
 from kilter_service.web.auth.token import admin_token
 from kilter_service.web.concurrency import rooms_with
+from kilter_service.web.docs_page import openapi_with_security, serve_openapi
 from kilter_service.web.docs_page import router as docs_page
-from kilter_service.web.gate import Gate
+from kilter_service.web.gate import Gate, Rates, Unhurried
 from kilter_service.web.health.routes import router as health
 from kilter_service.web.observability.requests import Observed
 from kilter_service.web.token_routes import router as tokens

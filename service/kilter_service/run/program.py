@@ -28,7 +28,7 @@ with later(__name__):
     from kilter_service.ground import db
     from kilter_service.ground.db import failures, revision
     from kilter_service.ground.files import private_files
-    from kilter_service.jobs.retention import service as retention
+    from kilter_service.jobs.work import retention
     from kilter_service.jobs.work import worker as jobs
     from kilter_service.run import compiling, serving, supervisor
     from kilter_service.run.backup import commands
@@ -37,7 +37,7 @@ with later(__name__):
     from kilter_service.stream.corrector import process as corrector_process
     from kilter_service.stream.ros2 import process as ros2_process
     from kilter_service.web.audit import service as audits
-    from kilter_service.web.auth import listen_rules, token
+    from kilter_service.web.auth import token
 
 ASIDE = frozenset({"compile", "doctor"})  # which change nothing in the data folder
 TRACED = frozenset({"api", "worker"})
@@ -66,7 +66,7 @@ def api(settings: Settings, arguments: argparse.Namespace) -> None:
     if arguments.fd is not None:
         serving.serve(settings, socket.socket(fileno=arguments.fd))
         return
-    listen_rules.check_binding(settings)
+    token.check_binding(settings)
     token.admin_token(settings)
     with serving.listener(settings) as opened, private_files.ServerFile(settings.server_file) as file:
         serving.check_database(settings)

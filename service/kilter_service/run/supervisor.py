@@ -23,14 +23,12 @@ from kilter_files.ground.later import later
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.files.migration_lock import migration_lock
 from kilter_service.ground.files.private_files import ServerFile, private_folder
-from kilter_service.ground.processes.child import Child
-from kilter_service.ground.processes.child_output import ChildOutput
+from kilter_service.ground.processes.child import Child, ChildOutput
 from kilter_service.ground.settings import LOCK_FILE, Settings
 from kilter_service.run.serving import listener, listening_url
 from kilter_service.stream.corrector.endpoints import check_free, check_listening
 from kilter_service.stream.corrector.orphan import goes_on_alone
-from kilter_service.web.auth.listen_rules import check_binding
-from kilter_service.web.auth.token import admin_token
+from kilter_service.web.auth.token import admin_token, check_binding
 
 with later(__name__):
     from kilter_service.run.backup import upgrade

@@ -10,8 +10,7 @@ import numpy as np
 
 from kilter_core.errors import CoreError
 from kilter_core.observations import evenly
-from kilter_service.contract.previews import VersionPreview
-from kilter_service.contract.versions import CorrectionLimits, Objection
+from kilter_service.contract.versions import CorrectionLimits, Objection, VersionPreview
 from kilter_service.ground.db import Database
 from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.versions import store, wire

@@ -14,13 +14,12 @@ from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
-from kilter_service.versions import store, wire
+from kilter_service.versions import replays, store, wire
 from kilter_service.versions.ability import CODE as CANNOT
 from kilter_service.versions.ability import Ability, ability
 from kilter_service.versions.answers import store as kept_answers
 from kilter_service.versions.guard import Verdict, judge
 from kilter_service.versions.if_match import ANY_STATE, Expected
-from kilter_service.versions.replays import service as replays
 
 ACTIVATE, ROLLBACK = "activate", "rollback"
 ATTEMPTS = 5

@@ -1,7 +1,7 @@
 """What speaks against activating a version: its own identification, and measurements that it was not fitted to.
 
 It is compared with the nominal robot in frames of its own (registration only) and with the version that is active. Worse is
-what `kilter_core.identify.comparison.model_comparison` calls so. Where there is nothing to compare on, a warning says so
+what `kilter_core.identify.comparison` calls so. Where there is nothing to compare on, a warning says so
 and nothing is refused for it.
 """
 
@@ -26,7 +26,7 @@ from kilter_service.robots import store as robots
 from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions import store, wire
 from kilter_service.versions.objections import objections_from_report, of_calibration
-from kilter_service.versions.predictions import own_errors
+from kilter_service.versions.predictions import unfitted_rows
 from kilter_service.versions.predictions.unfitted_rows import Archive, Unseen
 from kilter_service.versions.store import Training
 
@@ -115,7 +115,7 @@ def _verdict(cases: Cases, own: list[Objection], report: Mapping[str, Any], riva
         or (verdict.compared is not None and verdict.compared.active is not None)
     ):
         return verdict
-    objections, remarks = own_errors.compare_with_active(report, rival, verdict.active)
+    objections, remarks = unfitted_rows.compare_with_active(report, rival, verdict.active)
     if not objections and not remarks:
         objections, remarks = cases.fitted.compare_fitted_rows()
     return replace(verdict, objections=(*verdict.objections, *objections), warnings=(*verdict.warnings, *remarks))
@@ -238,8 +238,8 @@ class Case:
             f"leaves {to_mm(float(new.mean())):.4g} mm there, version {self.active} {to_mm(float(rival.mean())):.4g} mm."
         )
         if core_identify.Difference.from_paired_errors(new, rival).worse:
-            return [Objection(code=own_errors.CODE, message=message + own_errors.REMEDY)], []
-        return [], [{"code": own_errors.COMPARED, "message": message}]
+            return [Objection(code=unfitted_rows.CODE, message=message + unfitted_rows.REMEDY)], []
+        return [], [{"code": unfitted_rows.COMPARED, "message": message}]
 
     def _compare_campaigns(self) -> list[Part | None]:
         for message in self.unseen.left_out.values():

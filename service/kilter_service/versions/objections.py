@@ -27,7 +27,7 @@ HELD_OUT_CODES = CODES[:2]
 ERRORS_OF_DOUBT, SHARE_OF_DOUBT = (
     2.0,
     0.01,
-)  # as in kilter_core.identify.comparison.model_comparison: standard errors, and of the simpler model's error
+)  # as in kilter_core.identify.comparison: standard errors, and of the simpler model's error
 SIMPLER = {
     "registration_only": "base and tool alone",
     "geometry_fitted": "the geometry alone",

@@ -45,25 +45,6 @@ class VersionRecord:
 
 
 @dataclass(frozen=True)
-class ListedVersion:
-    """What a list tells of a version; of its documents the effects and the metrics alone are read."""
-
-    id: str
-    robot: str
-    active: bool
-    parent_id: str | None
-    job_id: str
-    created_at: datetime
-    code_version: str
-    name: str
-    notes: str
-    retired_at: datetime | None
-    number: int
-    effects: list[dict[str, Any]]
-    metrics: dict[str, Any]
-
-
-@dataclass(frozen=True)
 class ActivationRecord:
     """An entry of the log of active versions; ``id`` grows from entry to entry."""
 

@@ -6,30 +6,29 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Response
 
-from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.references import Change, Tombstone
-from kilter_service.contract.residuals import ResidualRows
 from kilter_service.contract.units import MAX_NAMED
 from kilter_service.contract.versions import (
     ActivatedVersion,
     ActivationList,
     ActivationWish,
+    ResidualRows,
     Version,
     VersionDiff,
     VersionList,
+    VersionPreview,
 )
 from kilter_service.ground.tables.reading import CSV, JSON, PARQUET
 from kilter_service.robots.exporters.registry import FORMATS
-from kilter_service.versions import activation, keeping, service
+from kilter_service.versions import activation, service
 from kilter_service.versions.addressed import AddressedVersion, FirstVersion, SecondVersion
 from kilter_service.versions.if_match import ExpectedState, tag_of_robot
 from kilter_service.versions.predictions import differences
 from kilter_service.versions.predictions import preview as previews
 from kilter_service.versions.predictions import residuals as left
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.conditional import ConditionalRoute
-from kilter_service.web.page_query import PageOfList
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.routing import ConditionalRoute
+from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 EXPORTS = {form.media_type: FILE for form in FORMATS.values()} | {JSON: {"schema": {"type": "object"}}}
@@ -74,25 +73,25 @@ def get(version: AddressedVersion, database: DatabaseOfApp) -> Version:
 @router.patch("/versions/{version}")
 def change(version: AddressedVersion, wanted: Change, database: DatabaseOfApp, _: Admin) -> Version:
     """Name a version, or note something on it; what it holds stays as it is."""
-    return keeping.change(database, version, wanted)
+    return service.change(database, version, wanted)
 
 
 @router.post("/versions/{version}/retire")
 def retire(version: AddressedVersion, database: DatabaseOfApp, actor: Admin) -> Version:
     """Take a version out of use; the active one cannot be."""
-    return keeping.retire(database, version, actor)
+    return service.retire(database, version, actor)
 
 
 @router.post("/versions/{version}/restore")
 def restore(version: AddressedVersion, database: DatabaseOfApp, _: Admin) -> Version:
     """Bring a retired version back into use."""
-    return keeping.restore(database, version)
+    return service.restore(database, version)
 
 
 @router.post("/versions/{version}/purge")
 def purge(version: AddressedVersion, database: DatabaseOfApp, actor: Admin) -> Tombstone:
     """Delete a version that nothing cites, for good; its hash is kept."""
-    return keeping.purge(database, version, actor)
+    return service.purge(database, version, actor)
 
 
 @router.post("/versions/{version}/activate")

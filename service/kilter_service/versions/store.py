@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import Select, and_, func, or_, select
 
+from kilter_service.contract.fits import Metrics
 from kilter_service.contract.jobs.job import FINAL
-from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.contract.versions import CorrectionLimits, VersionSummary
+from kilter_service.contract.written import as_written
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.core import core_identify, core_model
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.audited import note
 from kilter_service.ground.db.tables import ActivationRow, JobRow, ReplayRow, RobotRow, VersionRow
 from kilter_service.ground.paging import ALL, Page
-from kilter_service.ground.references import retired
 from kilter_service.ground.references import store as references
 from kilter_service.robots import store as robots
-from kilter_service.robots.resolved import hash_canonical_json
+from kilter_service.robots.documents import hash_canonical_json
 from kilter_service.versions.answers.store import fetch_last_kept
-from kilter_service.versions.records import ActivationRecord, ListedVersion, VersionRecord
+from kilter_service.versions.records import ActivationRecord, VersionRecord
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
@@ -134,10 +136,7 @@ def _row(session: Session, version_id: str) -> VersionRow:
 
 
 def _record(row: VersionRow, robot: str, last: ActivationRecord | None) -> VersionRecord:
-    facts = {
-        field.name: getattr(row, field.name) for field in fields(VersionRecord) if field.name not in ("robot", "active")
-    }
-    return VersionRecord(robot=robot, active=last is not None and last.version_id == row.id, **facts)
+    return copy_fields(VersionRecord, row, robot=robot, active=last is not None and last.version_id == row.id)
 
 
 def usable(session: Session, version_id: str) -> VersionRecord:
@@ -148,7 +147,7 @@ def usable(session: Session, version_id: str) -> VersionRecord:
 
     """
     found = get(session, version_id)
-    retired.refuse("version", found.id, found.retired_at)
+    references.refuse_retired("version", found.id, found.retired_at)
     return found
 
 
@@ -174,7 +173,9 @@ def of_robot(session: Session, robot_id: int, page: Page = ALL, with_retired: bo
     return [_record(found, robot, last) for found in session.execute(query).scalars()]
 
 
-def list_versions(session: Session, robot_id: int, page: Page = ALL, with_retired: bool = False) -> list[ListedVersion]:
+def list_versions(
+    session: Session, robot_id: int, page: Page = ALL, with_retired: bool = False
+) -> list[VersionSummary]:
     """Return the same as a list tells it. Covariances and reports, a hundred kB of each version, stay unread."""
     row = VersionRow
     columns = (
@@ -187,28 +188,21 @@ def list_versions(session: Session, robot_id: int, page: Page = ALL, with_retire
         row.notes,
         row.retired_at,
         row.number,
-        row.calibration["effects"],
-        row.report["metrics"],
+        row.calibration["effects"].label("document"),
+        row.report["metrics"].label("errors"),
     )
     robot, last = robots.by_id(session, robot_id).name, active_entry(session, robot_id)
     found = session.execute(_of_robot(select(*columns), robot_id, page, with_retired))
     return [
-        ListedVersion(
-            id=key,
+        copy_fields(
+            VersionSummary,
+            one,
             robot=robot,
-            active=last is not None and last.version_id == key,
-            parent_id=parent,
-            job_id=job,
-            created_at=created,
-            code_version=code,
-            name=name,
-            notes=notes,
-            retired_at=retired_at,
-            number=number,
-            effects=effects or [],
-            metrics=metrics or {},
+            active=last is not None and last.version_id == one.id,
+            effects=[effect["id"] for effect in one.document or []],
+            metrics=as_written(Metrics, one.errors or {}),
         )
-        for key, parent, job, created, code, name, notes, retired_at, number, effects, metrics in found
+        for one in found
     ]
 
 
@@ -299,9 +293,7 @@ def activations(session: Session, robot_id: int, page: Page = ALL) -> list[Activ
 
 
 def _entry(row: ActivationRow) -> ActivationRecord:
-    return ActivationRecord(
-        row.id, row.robot_id, row.version_id, row.action, row.actor, row.at, row.forced, row.reason, row.objections
-    )
+    return copy_fields(ActivationRecord, row)
 
 
 def activate(

@@ -11,41 +11,41 @@ import numpy as np
 from kilter_core.types import Floats
 from kilter_files.ground.later import pa
 from kilter_service.contract.fits import Covariance, Metrics, NullDirection, Parameter
-from kilter_service.contract.previews import JointPreview, VersionPreview
 from kilter_service.contract.remarks import Remark
 from kilter_service.contract.versions import (
     Activation,
     CorrectionLimits,
     Details,
+    JointPreview,
     Objection,
     Rival,
     UsedCampaign,
     Version,
+    VersionPreview,
     VersionSummary,
 )
 from kilter_service.contract.written import as_written
 from kilter_service.ground import left_out
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
 from kilter_service.versions.objections import objections_from_report
-from kilter_service.versions.records import ActivationRecord, ListedVersion, PreviewedPoses, VersionRecord
+from kilter_service.versions.records import ActivationRecord, PreviewedPoses, VersionRecord
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot
     from kilter_core.identify import Difference
 
 
-READ_OUT = ("effects", "metrics")  # of a summary, what no field of the record holds
 OF_ITS_OWN = ("parameters", "null_directions", "noise_mm", "warnings", "metrics")  # parts of a report with fields
 
 
 def version(record: VersionRecord) -> Version:
     """Say all a version holds."""
     report, limits = record.report, CorrectionLimits(**record.limits)
-    return Version(
-        **_summary_fields(record),
-        sha256=record.sha256,
-        hash_scheme=record.hash_scheme,
-        robot_sha256=record.robot_sha256,
+    return copy_fields(
+        Version,
+        record,
+        **_read_out(record),
         campaigns=as_written(list[UsedCampaign], record.campaigns),
         limits=limits,
         parameters=as_written(list[Parameter], [_with_change(row) for row in report.get("parameters") or []]),
@@ -71,27 +71,18 @@ def _with_change(row: dict[str, Any]) -> dict[str, Any]:
 
 def summary(record: VersionRecord) -> VersionSummary:
     """Say what lists tell of a version."""
-    return VersionSummary(**_summary_fields(record))
+    return copy_fields(VersionSummary, record, **_read_out(record))
 
 
-def summary_from_listed(record: ListedVersion) -> VersionSummary:
-    """Say the same of a version in a list, whose documents were not read."""
-    own = {name: getattr(record, name) for name in VersionSummary.model_fields if name not in READ_OUT}
-    effects = [effect["id"] for effect in record.effects]
-    return VersionSummary(**own, effects=effects, metrics=as_written(Metrics, record.metrics))
-
-
-def _summary_fields(record: VersionRecord) -> dict[str, Any]:
-    """What a list tells: the record's own fields, and what is read out of its documents."""
-    own = {name: getattr(record, name) for name in VersionSummary.model_fields if name not in READ_OUT}
+def _read_out(record: VersionRecord) -> dict[str, Any]:
+    """What a list tells that no field of the record holds."""
     effects = [effect["id"] for effect in record.calibration["effects"]]
-    return own | {"effects": effects, "metrics": as_written(Metrics, record.report.get("metrics") or {})}
+    return {"effects": effects, "metrics": as_written(Metrics, record.report.get("metrics") or {})}
 
 
 def activation(record: ActivationRecord) -> Activation:
     """Say what an entry of the log tells."""
-    own = {name: getattr(record, name) for name in Activation.model_fields if name != "objections"}
-    return Activation(**own, objections=as_written(list[Objection], record.objections))
+    return copy_fields(Activation, record, objections=as_written(list[Objection], record.objections))
 
 
 def rival(difference: Difference, errors: Floats) -> Rival:

@@ -1,21 +1,83 @@
-"""Bodies of requests: measured before and while they are read, and parsed in a thread."""
+"""A body of two parts, ``multipart/form-data``: a document, and the file that it describes."""
 
 from __future__ import annotations
 
 import asyncio
 import hashlib
 import json
-from collections.abc import AsyncIterator
+import re
+import shutil
+from collections.abc import AsyncGenerator, AsyncIterator
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
+from starlette.datastructures import UploadFile
+from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.limits import MAX_DOCUMENT_KEYS, MAX_DOCUMENT_PARTS
-from kilter_service.web.request_values import MOST_PLACE, TOO_DEEP, check_document
+from kilter_service.ground.limits import MAX_DOCUMENT_DEPTH, MAX_DOCUMENT_KEYS, MAX_DOCUMENT_PARTS, MAX_NUMBER
+from kilter_service.ground.texts import ANY, LINE, LINES
+
+FORM = "multipart/form-data"
+
+
+def is_form(request: Request) -> bool:
+    """Whether the body says that it has parts."""
+    return request.headers.get("content-type", "").partition(";")[0].strip().lower() == FORM
+
+
+async def spool_form(
+    request: Request, path: Path, names: tuple[str, str], limits_mb: tuple[int, int]
+) -> tuple[bytes, str, str]:
+    """Write the file to ``path``; return the document, the media type of the file, and the SHA-256 of the whole body.
+
+    ``names`` are those of the document and of the file, ``limits_mb`` how large the document and the whole may be.
+
+    Raises:
+        ServiceError: the body is larger than the limit, packed, broken off, or has not these two parts.
+
+    """
+    digest = hashlib.sha256()
+
+    async def iter_hashed_chunks() -> AsyncGenerator[bytes, None]:
+        async for piece in iter_body_chunks(request, limits_mb[1], UPLOAD):
+            digest.update(piece)
+            yield piece
+
+    parser = MultiPartParser(
+        request.headers,
+        iter_hashed_chunks(),
+        max_files=1,
+        max_fields=1,
+        max_part_size=limits_mb[0] << 20,
+    )
+    try:
+        form = await parser.parse()
+    except (MultiPartException, KeyError, UnicodeError) as error:
+        raise ServiceError(
+            f"The body is not a form of the parts {names[0]} and {names[1]}: {error}.", code="payload_invalid"
+        ) from error
+    try:
+        document, file = (form.get(name) for name in names)
+        if not isinstance(document, str) or not isinstance(file, UploadFile):
+            raise ServiceError(
+                f"The form must have {names[0]}, JSON without a filename, and {names[1]}, a file with its Content-Type.",
+                code="payload_invalid",
+            )
+        await run_in_threadpool(_copy_upload, file, path)
+        return document.encode(), file.content_type or "", digest.hexdigest()
+    finally:
+        await form.close()
+
+
+def _copy_upload(file: UploadFile, path: Path) -> None:
+    with path.open("wb") as to:
+        shutil.copyfileobj(file.file, to)
+
 
 UPLOAD, DOCUMENT = "KILTER_MAX_UPLOAD_MB", "KILTER_MAX_DOCUMENT_MB"
 MESH = "a mesh"
@@ -152,3 +214,80 @@ def _few(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _no_constant(name: str) -> float:
     raise ServiceError(f"The body holds {name}, which is not JSON: give a number or null.", code="payload_invalid")
+
+
+TOO_DEEP = f"The body is nested deeper than {MAX_DOCUMENT_DEPTH} levels: no document of Kilter is."
+MOST_PLACE = 200  # characters of a place in a refusal
+# Fields with several lines, and files that are sent within a document; every other text is a name or one line.
+FIELDS = {"notes": LINES, "remarks": LINES, "reason": LINES, "source": LINES, "urdf": ANY}
+
+
+def check_address(request: Request) -> None:
+    """Look at the texts in a request's address.
+
+    Raises:
+        ServiceError: one has NUL.
+
+    """
+    for name, value in request.path_params.items():
+        refuse(str(value), f"path.{name}", ANY)
+    for name, value in request.query_params.multi_items():
+        refuse(value, f"query.{name}", LINE if name == "name" else ANY)
+
+
+def check_names(request: Request, known: frozenset[str]) -> None:
+    """Look at the names of the parameters in a request's address: one that is misspelt would have no effect.
+
+    Raises:
+        ServiceError: one is not in ``known``.
+
+    """
+    for name in request.query_params:
+        if name not in known:
+            near = get_close_matches(name, known, 1)
+            meant = f"; did you mean {near[0]}?" if near else f"; it takes {', '.join(sorted(known)) or 'none'}."
+            raise invalid(f"query.{name}", f"is not a parameter of this address{meant}".rstrip("."))
+
+
+def check_document(document: Any) -> None:
+    """Look at all values of a JSON document.
+
+    Raises:
+        ServiceError: a text with a character that nobody sees, a number beyond all measurements, or too deep a nesting.
+
+    """
+    waiting: list[tuple[tuple[str, ...], Any]] = [(("body",), document)]
+    while waiting:
+        place, value = waiting.pop()
+        if len(place) > MAX_DOCUMENT_DEPTH:
+            raise ServiceError(TOO_DEEP, code="payload_invalid")
+        if isinstance(value, dict):
+            for name, part in value.items():
+                refuse(name, ".".join(place), LINE)
+                waiting.append(((*place, name), part))
+        elif isinstance(value, list):
+            waiting += [((*place, str(number)), part) for number, part in enumerate(value)]
+        elif isinstance(value, str):
+            refuse(value, ".".join(place), FIELDS.get(place[-1], LINE))
+        elif isinstance(value, int | float) and not -MAX_NUMBER <= value <= MAX_NUMBER:
+            raise invalid(".".join(place), f"is beyond {MAX_NUMBER:.0e}: give a number of the size of a measurement")
+
+
+def refuse(text: str, place: str, marks: re.Pattern[str]) -> None:
+    """Refuse a text that has one of ``marks``.
+
+    Raises:
+        ServiceError: it has one.
+
+    """
+    if found := marks.search(text):
+        raise invalid(
+            place, f"has the invisible character U+{ord(found[0]):04X} at {found.start() + 1}: leave that character out"
+        )
+
+
+def invalid(place: str, message: str) -> ServiceError:
+    """Return the refusal of a value at a place of the request."""
+    place = place[:MOST_PLACE]
+    errors = [{"place": place, "message": message, "type": "value_error"}]
+    return ServiceError(f"{place} {message}.", code="payload_invalid", errors=errors)

@@ -6,10 +6,14 @@ Host header, the Origin header or what the browser says of the site it is from.
 
 from __future__ import annotations
 
+import asyncio
+import math
 import socket
+import time
+from collections.abc import Callable
 
 from fastapi import Request
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings, parse_name_list
@@ -74,3 +78,90 @@ def _check_origin(request: Request, host: str) -> None:
             "`kilter` or the library. A proxy must pass on the Host header as it is.",
             code="origin_refused",
         )
+
+
+BURST_S = 10.0  # what a sender has saved up after that many seconds of silence
+MOST_SENDERS = 10_000
+
+
+class Rates:
+    """A bucket for each sender, which fills with time; every request takes one from it."""
+
+    def __init__(self, per_second: float, clock: Callable[[], float] = time.monotonic) -> None:
+        self._rate, self._clock = per_second, clock
+        self._full = max(1.0, per_second * BURST_S)
+        self._buckets: dict[str, tuple[float, float]] = {}  # what is in it, and when that was
+
+    def count_request(self, sender: str) -> None:
+        """Count a request.
+
+        Raises:
+            ServiceError: the sender has asked too often; the context says when to ask again.
+
+        """
+        moment = self._clock()
+        left = self._remaining_tokens(sender, moment)
+        if left < 1.0:
+            wait_s = max(1, math.ceil((1.0 - left) / self._rate))
+            raise ServiceError(
+                f"More than {self._rate:g} requests a second that compute or change something: send this one again in "
+                f"{wait_s} s (KILTER_RATE on the server is the limit).",
+                code="rate_limited",
+                retry_after_s=wait_s,
+            )
+        if len(self._buckets) >= MOST_SENDERS and sender not in self._buckets:
+            self._buckets = {
+                name: was for name, was in self._buckets.items() if self._remaining_tokens(name, moment) < self._full
+            }
+        self._buckets[sender] = (left - 1.0, moment)
+
+    def _remaining_tokens(self, sender: str, moment: float) -> float:
+        left, since = self._buckets.get(sender, (self._full, moment))
+        return min(self._full, left + (moment - since) * self._rate)
+
+
+GRACE_S = 30.0  # of waiting, for any body
+LEAST_BYTES_S = 10_000.0  # what a sender must reach on average after that
+
+
+class Unhurried:
+    """Count the time that is spent waiting for a body; that in which the server reads or computes does not count."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one connection."""
+        await self.app(scope, _Body(receive).receive_message if scope["type"] == "http" else receive, send)
+
+
+class _Body:
+    def __init__(self, receive: Receive) -> None:
+        self._receive, self._whole = receive, False
+        self._waited, self._bytes = 0.0, 0
+
+    async def receive_message(self) -> Message:
+        """Return what comes next of a request.
+
+        Raises:
+            ServiceError: it did not come in time.
+
+        """
+        if self._whole:  # what follows is that the sender goes away, whenever it likes
+            return await self._receive()
+        clock = asyncio.get_running_loop().time
+        since, allowed = clock(), GRACE_S + self._bytes / LEAST_BYTES_S
+        try:
+            async with asyncio.timeout(max(0.0, allowed - self._waited)):
+                message = await self._receive()
+        except TimeoutError as error:
+            raise ServiceError(
+                f"The request was not whole after {allowed:.0f} s of waiting; nothing was stored. Send it again over a faster "
+                f"connection (at least {LEAST_BYTES_S / 1000:.0f} kB/s), a long recording in parts.",
+                code="request_too_slow",
+                retry_after_s=1,
+            ) from error
+        self._waited += clock() - since
+        self._bytes += len(message.get("body", b""))
+        self._whole = not message.get("more_body", False)
+        return message

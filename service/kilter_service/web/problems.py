@@ -19,8 +19,7 @@ from kilter_service.contract.problems import Problem
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import PROBLEMS
 from kilter_service.web.audit import refusals
-from kilter_service.web.observability.metrics import REFUSALS
-from kilter_service.web.observability.requests import new_request_id
+from kilter_service.web.observability.requests import REFUSALS, new_request_id
 
 log = logging.getLogger("kilter.api")
 

@@ -7,9 +7,8 @@ from fastapi import APIRouter, Request, Response
 from kilter_service.contract.tokens import Identity, LoginLink, MadeToken, NewLoginLink, NewToken, Token, TokenList
 from kilter_service.web.auth.access import Admin, get_caller
 from kilter_service.web.logins import service as logins
-from kilter_service.web.page_query import PageOfList
 from kilter_service.web.routing import GuardedRoute
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp
 from kilter_service.web.tokens import service
 
 router = APIRouter(prefix="/v1", tags=["access"], route_class=GuardedRoute)

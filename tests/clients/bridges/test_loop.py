@@ -15,8 +15,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from kilter_client.bridges.correction import Correction
-from kilter_client.bridges.guard import Guard
+from kilter_client.bridges.correction import Correction, Guard
 from kilter_client.bridges.loop import Loop, Request, without_collections
 from kilter_client.bridges.news import Kind, Line, pair
 from kilter_client.bridges.rsi import From, RsiWire

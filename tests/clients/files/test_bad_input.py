@@ -202,7 +202,7 @@ def seed_of(folder: Path, kind: str) -> bytes:
 
 @pytest.mark.parametrize("kind", ["mat", "parquet", "tdms", "csv", "long", "points"])
 def test_damaged_files_of_every_other_importer(tmp_path: Path, kind: str) -> None:
-    from kilter_files.formats.opening import open_recording
+    from kilter_files.formats.registry import open_recording
 
     seed = seed_of(tmp_path, kind)
     path, column_map = tmp_path / f"damaged.{'csv' if kind in ('long', 'points') else kind}", tmp_path / "map.toml"

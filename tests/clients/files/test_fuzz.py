@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from kilter_client import FileError
-from kilter_files.look.inspection import inspect
+from kilter_files.look.drafts import inspect
 from tests.clients.files.formats.test_recordings import c3d_bytes
 from tests.clients.files.rig.test_rig import write_tdms
 from tests.clients.files.simulated import write_csv, write_n3d

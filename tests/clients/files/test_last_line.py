@@ -11,7 +11,7 @@ import pytest
 
 from kilter_client.cli import run
 from kilter_client.errors import FileError
-from kilter_files.rig.height import read_heights
+from kilter_files.rig.drawn_circle import read_heights
 
 TEXTS = {
     "markers": ("Frame,A x,A y,A z\n", "{k},{k}.5,2,3\n"),

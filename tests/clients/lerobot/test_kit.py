@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from kilter_client import Kilter
-from kilter_client.requests.server_address import locate
+from kilter_client.requests.connection import locate
 from tests.clients.files.formats.test_lerobot import calibration
 from tests.clients.lerobot.so101_arm import tool_mm
 from tests.clients.lerobot.so101_twin import Twin, gravity_nm, ticks

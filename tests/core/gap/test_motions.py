@@ -13,7 +13,7 @@ from kilter_core.gap.noise.motion import blocks, correlation_length, split_into_
 from kilter_core.gap.search.linear.tails import tail
 from kilter_core.identify.holdout import split
 from kilter_core.observations import Observations
-from kilter_core.observations.motions import is_trajectory, segments
+from kilter_core.observations.groups import is_trajectory, segments
 from tests.core.gap.simulated import katana
 
 EFFECTS = ("backlash", "axial_compliance", "eccentricity", "encoder_scale", "link_bending", "unknown_joint_curve")

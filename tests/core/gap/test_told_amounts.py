@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kilter_client.cli.reports.gap_report import show_gap
-from kilter_client.cli.terminal.tables import number
+from kilter_client.cli.terminal.output import number
 from kilter_core.gap import GapOptions, effect_search, find_gap
 from kilter_core.gap import effect_search as module
 from kilter_core.gap.effect_search import refit_with_wider_priors

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_core.identify import identify
-from kilter_core.identify.plausibility.astray_rows import astray_warnings, renumber_warnings
-from kilter_core.identify.plausibility.belonging import refuse_mixed_up
+from kilter_core.identify.plausibility.belonging import astray_warnings, refuse_mixed_up, renumber_warnings
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.identify.test_plausibility import ARMS, campaign

@@ -12,7 +12,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.identify import Folds, Identification, IdentifyOptions, identify
-from kilter_core.identify.comparison.model_comparison import MEAN, RMS, grown, worse_warning
+from kilter_core.identify.comparison import MEAN, RMS, grown, worse_warning
 from kilter_core.observations import Observations
 from tests.core.campaigns import joints, measured, table_errors
 from tests.core.gap.simulated import campaign, katana

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.uncertainty.workspace_uncertainty import workspace_uncertainty
+from kilter_core.identify.report import workspace_uncertainty
 from kilter_core.observations import Observations
 from tests.core.campaigns import measured, table_errors
 from tests.core.truth import ur10

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.views.cameras import with_cameras
+from kilter_core.identify.views import with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.camera_model import project, undistort_pixels
-from kilter_core.measurement.camera.hand_eye import solve_axzb
+from kilter_core.measurement.camera.rig_fit import solve_axzb
 from kilter_core.measurement.camera.views import Views, equivalent_tool_motions, sight, sight_and_slopes, sight_by_tool
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig

@@ -11,7 +11,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.registration import register
+from kilter_core.measurement.frames import register
 from kilter_core.model import RobotModel
 from tests.core.campaigns import joints, measured
 from tests.core.truth import Arm, some_arm, some_pose, ur10

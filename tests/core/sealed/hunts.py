@@ -21,7 +21,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.errors import CoreError
 from kilter_core.gap import GapOptions, GapReport, find_gap
 from kilter_core.identify import identify
-from kilter_core.identify.comparison.model_comparison import Difference, errors_by_pose
+from kilter_core.identify.comparison import Difference, errors_by_pose
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 from tests.core.real import real_campaign

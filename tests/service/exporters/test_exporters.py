@@ -28,10 +28,10 @@ from kilter_core.transforms import pose_from_xyz_rpy
 from kilter_core.twin import Twin, thesis_katana
 from kilter_service.contract.versions import CorrectionLimits, Version
 from kilter_service.ground.errors import ServiceError
+from kilter_service.robots.documents import resolve
 from kilter_service.robots.exporters.exportable import Exportable
 from kilter_service.robots.exporters.registry import Exported, export
 from kilter_service.robots.importers.urdf import chain_document
-from kilter_service.robots.resolved import resolve
 from kilter_service.robots.store import StoredRobot
 
 Floats = NDArray[np.float64]

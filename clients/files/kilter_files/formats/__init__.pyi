@@ -12,11 +12,10 @@ from .joints.lerobot.calibration import read_calibration as read_calibration
 from .joints.lerobot.calibration import refuse_outside as refuse_outside
 from .joints.lerobot.calibration import servo_name_for_joint as servo_name_for_joint
 from .joints.lerobot.calibration import with_zero_offsets as with_zero_offsets
-from .joints.lerobot.episodes import read_episodes as read_episodes
 from .joints.lerobot.moved import detect_joint_moves as detect_joint_moves
+from .joints.lerobot.moved import read_episodes as read_episodes
 from .logs.ballbar import BAR_SIGMA_MM as BAR_SIGMA_MM
 from .logs.ballbar import read_ballbar as read_ballbar
-from .opening import open_recording as open_recording
 from .programs.found import Program as Program
 from .programs.found import Stated as Stated
 from .programs.found import Track as Track
@@ -24,6 +23,9 @@ from .programs.found import written as written
 from .programs.marks import add_correction_mark as add_correction_mark
 from .programs.marks import is_correction_mark as is_correction_mark
 from .programs.marks import refuse_corrected as refuse_corrected
+from .programs.notations import Rigid as Rigid
+from .programs.notations import of_document as of_document
+from .programs.notations import to_document as to_document
 from .programs.one_target import Branch as Branch
 from .programs.one_target import JointTarget as JointTarget
 from .programs.one_target import PoseTarget as PoseTarget
@@ -41,11 +43,8 @@ from .programs.poses.postures import select_following_posture as select_followin
 from .programs.poses.track import parse_track as parse_track
 from .programs.reading import dialect_of_file as dialect_of_file
 from .programs.reading import read_programs as read_programs
+from .programs.reading import remedies as remedies
 from .programs.reading import targets_in_visit_order as targets_in_visit_order
-from .programs.remedies import remedies as remedies
-from .programs.rigid import Rigid as Rigid
-from .programs.rigid import of_document as of_document
-from .programs.rigid import to_document as to_document
 from .reader import DEVICE as DEVICE
 from .reader import MAP as MAP
 from .reader import MATCH as MATCH
@@ -58,6 +57,7 @@ from .registry import all_readers as all_readers
 from .registry import find_reader as find_reader
 from .registry import has_format as has_format
 from .registry import list_formats as list_formats
+from .registry import open_recording as open_recording
 from .registry import readers_for as readers_for
 from .registry import refuse_stranger as refuse_stranger
 from .tracker_header import PRESETS as PRESETS

@@ -1,17 +1,65 @@
-"""The one list of readers, in the order in which they are asked whether a file is theirs."""
+"""All readers, and what opens a file by its own: as a table for a column map, or as a recording of markers."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from kilter_files.formats.reader import USES, Document, Head, Hints, Reader
-from kilter_files.formats.strangers import stranger
+from kilter_files.formats.reader import MAP, USES, Document, Head, Hints, Reader, RecordingReader
 from kilter_files.formats.zipped import ZIP, of_zip
-from kilter_files.ground.errors import fault
+from kilter_files.ground.errors import FileError, fault
+from kilter_files.tables.source import Layout, Source
+
+if TYPE_CHECKING:
+    from kilter_files.tables.recording import Recording
+
+
+def endings() -> Mapping[str, str]:
+    """Return the format of every known ending of a table."""
+    return {ending: name for name, reader in readers_for(MAP).items() for ending in reader.endings}
+
+
+def open_source(path: Path, form: str | None, layout: Layout) -> Source:
+    """Read ``path`` in ``form`` (the name of a reader; None: by the file's ending).
+
+    Raises:
+        FileError: an ending that says nothing, or a file its reader refuses.
+
+    """
+    form = form or _by_content(path) or endings().get(path.suffix.lower())
+    if form is None:
+        raise FileError(
+            f"{path}: the ending {path.suffix!r} names no known format. "
+            f"Set 'format' under [file] to one of {', '.join(readers_for(MAP))}.",
+            file=str(path),
+        )
+    found: Source = readers_for(MAP)[form].read(path, Hints(layout=layout))
+    return found
+
+
+def _by_content(path: Path) -> str | None:
+    """KUKA's data lists end in .dat, and programs are sent as .txt: what they hold tells them from tables."""
+    return "program" if path.suffix.lower() in (".dat", ".txt") and has_format(path, "program") else None
+
+
+def open_recording(
+    path: Path, rate_hz: float | None = None, allow_cut: bool = False, unit: str | None = None
+) -> Recording:
+    """Read a recording of markers or tools: C3D, NDI floating point, or text; ``unit`` overrides what the file states.
+
+    Raises:
+        FileError: the file of another device, or a damaged one.
+
+    """
+    reader = binary_reader(Head(path)) or all_readers()["text"]
+    if not isinstance(reader, RecordingReader):
+        raise fault(path, f"is {reader.is_a}, not a recording of markers", reader.instead)
+    return reader.read(path, Hints(rate_hz, allow_cut, unit=unit))
+
 
 # modules of `kilter_files.formats.readers`: what first bytes show before what only columns show
 READERS = (
@@ -116,3 +164,52 @@ def list_formats() -> Iterator[tuple[str, str, tuple[str, ...], str]]:
         for reader in readers_for(use).values():
             for name, title in reader.names_and_titles():
                 yield use, name, reader.endings, title
+
+
+FIND = "Corners of a board in it are found with kilter measure see, which takes the joints too; upload what comes out"
+EXPORT = "Export the numbers."
+PICTURE = f"{FIND}. A scanned pencil sheet is read with kilter measure sheet-read; of a screenshot export the numbers."
+VIDEO = f"{FIND}."
+BY_BYTES: Mapping[bytes, tuple[str, str]] = {
+    b"\x89HDF": ("an HDF5 file (MATLAB 7.3)", "Save it in MATLAB with '-v7'."),
+    b"\x1f\x8b": ("compressed with gzip", "Unpack it first."),
+    b"%PDF": ("a PDF", f"{EXPORT} A scanned pencil sheet is read with kilter measure sheet-read."),
+    b"\x1aE\xdf\xa3": ("a video", VIDEO),
+}
+PICTURES = re.compile(
+    rb"\x89PNG|\xff\xd8\xff|BM.{4}\0{4}|II\*\0|MM\0\*|RIFF.{4}WEBP|P[2-6]\s+\d+\s+\d+\s", re.DOTALL
+)  # PNG, JPEG, BMP, TIFF, WebP, PGM and PPM
+VIDEOS = re.compile(rb"RIFF.{4}AVI |.{4}ftyp", re.DOTALL)
+DOCUMENTS: tuple[tuple[re.Pattern[bytes], str, str], ...] = (
+    (
+        re.compile(rb'\s*\{(?=.*"cameras"\s*:)', re.DOTALL),
+        "the description of cameras and boards that kilter measure see writes beside its views",
+        "Give it with them: kilter upload ROBOT views.csv --cameras THIS; on the page drop the views first, and it after them.",
+    ),
+    (
+        re.compile(rb'\s*\{(?=.*"kind"\s*:\s*"(?:charuco|apriltag)")', re.DOTALL),
+        "the description of a printed board",
+        "Give it to kilter measure see (--board) with the pictures, and upload what comes out.",
+    ),
+    (
+        re.compile(
+            rb"(?=.*(?:camera_matrix|camera_model)\b)(?=.*\b(?:image_width|distortion_coefficients|distortion_model)\b)",
+            re.DOTALL,
+        ),
+        "a description of the intrinsics of a camera",
+        "Give it to kilter measure see (--camera) with the pictures, and upload what comes out.",
+    ),
+)
+
+
+def stranger(start: bytes) -> tuple[str, str] | None:
+    """Return what a file that begins so is, and where it belongs; None of one that may hold measurements."""
+    for magic, said in BY_BYTES.items():
+        if start.startswith(magic):
+            return said
+    if PICTURES.match(start):
+        return "a picture", PICTURE
+    if VIDEOS.match(start):
+        return "a video", VIDEO
+    text = start.removeprefix(b"\xef\xbb\xbf")
+    return next(((what, remedy) for shape, what, remedy in DOCUMENTS if shape.match(text)), None)

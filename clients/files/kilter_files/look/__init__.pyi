@@ -1,9 +1,9 @@
 from .drafts import Draft as Draft
 from .drafts import draft as draft
-from .inspection import inspect as inspect
-from .refused import otherwise_separated as otherwise_separated
-from .refused import refusals as refusals
+from .drafts import inspect as inspect
 from .summaries import in_shown_unit as in_shown_unit
 from .summaries import numeric_columns as numeric_columns
+from .summaries import otherwise_separated as otherwise_separated
+from .summaries import refusals as refusals
 from .summaries import summary as summary
-from .unusual import why_unusual as why_unusual
+from .summaries import why_unusual as why_unusual

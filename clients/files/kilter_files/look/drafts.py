@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from kilter_files.formats.unknown.guess import ASK_INSTRUMENT, COMMANDED, COMPUTED, Columns, Entry
-from kilter_files.formats.unknown.names import name_as_words
+from kilter_files.formats.reader import NO_HINTS, Document, Hints
+from kilter_files.formats.registry import describe
+from kilter_files.formats.unknown.guess import ASK_INSTRUMENT, COMMANDED, COMPUTED, Columns, Entry, name_as_words
 from kilter_files.formats.unknown.table_shape import TableShape
 from kilter_files.formats.unknown.turns import Turned
 from kilter_files.formats.unknown.understood import Understood, joined_names, understand
@@ -237,3 +238,17 @@ def _good_first(state: str) -> tuple[bool, str]:
 
 def _toml_literal(value: str | int) -> str:
     return str(value) if isinstance(value, int) else json.dumps(value, ensure_ascii=False)
+
+
+def inspect(path: Path, hints: Hints = NO_HINTS) -> Document:
+    """Understand a file by its content; ``problems`` say what would be refused, ``warnings`` what to look at.
+
+    ``ready`` says whether ``kilter upload`` takes it without a map, ``device`` as what.
+
+    Raises:
+        FileError: the file cannot be read at all, with place and remedy.
+
+    """
+    found = describe(path, hints)
+    size = path.stat().st_size if path.is_file() else sum(file.stat().st_size for file in path.iterdir())
+    return {"file": str(path), "size_bytes": size} | found

@@ -13,10 +13,8 @@ from kilter_files.ground.names import number_of_session
 from kilter_files.ground.orientation import Quaternion, from_euler, from_matrix, upright
 from kilter_files.ground.time_stamps import continuous_seconds, parse_stamp_column, times_of_rows
 from kilter_files.ground.units import JOINT, MARKER, TIMESTAMP, column_unit, converter
-from kilter_files.maps.column_map import ColumnMap, Keep
+from kilter_files.maps.column_map import ColumnMap, Keep, Orientation, add_joined, joined_columns
 from kilter_files.maps.columns import Column, expand_patterns
-from kilter_files.maps.joined import add_joined, joined_columns
-from kilter_files.maps.orientation import Orientation
 from kilter_files.tables.source import Source, row_line_numbers
 from kilter_files.tables.table import Table
 from kilter_files.tables.text_source import TextSource

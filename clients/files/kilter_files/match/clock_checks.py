@@ -18,6 +18,7 @@ from kilter_files.match.lag_evidence import (
     GRID_S,
     REACH_S,
     Frames,
+    Registration,
     Window,
     best_windows,
     likeness,
@@ -27,7 +28,6 @@ from kilter_files.match.lag_evidence import (
     squares_by_model,
     squares_by_speed,
 )
-from kilter_files.match.registration import Registration
 from kilter_files.tables.joint_log import JointLog
 
 STEP_SHARE = 0.25  # of the price of a jump, for one step of the grid: clocks that drift apart take one now and then

@@ -15,14 +15,14 @@ from kilter_files.match.arm import Arm
 from kilter_files.match.clock_checks import Checks
 from kilter_files.match.dwells import Thinned
 from kilter_files.match.knocks import Knock, knocks_of_frames, knocks_of_rows
-from kilter_files.match.lag_evidence import spread
-from kilter_files.match.registration import (
+from kilter_files.match.lag_evidence import (
     NOISE_MM,
     Registration,
     error_columns,
     fit_arm_errors,
     marker_jacobian,
     register,
+    spread,
 )
 from kilter_files.tables.joint_log import JointLog
 from kilter_files.tables.recording import Recording

@@ -18,7 +18,7 @@ from kilter_files.ground.units import MARKER
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, Prepared
 
 with later(__name__):  # they need numpy, which rows without markers do not
-    from kilter_files.match import knocks, step_search
+    from kilter_files.match import knocks
 
 A_MARKER = re.compile(rb"m[1-9]\d?[xyz]_")
 SHOWN = 4
@@ -51,7 +51,7 @@ def _check_knocks(path: Path, prepared: Prepared, unchecked: bool) -> list[str]:
     if points is None or not found:
         return []
     names = tuple(f"m{k}" for k in numbers)
-    exchanged = step_search.changed_places(points, round(found[0].from_s))
+    exchanged = knocks.changed_places(points, round(found[0].from_s))
     if exchanged:
         who = " and ".join(repr(names[k]) for k in exchanged)
         what = f"markers {who} change places between rows {found[0].from_s:.0f} and {found[0].to_s:.0f}"

@@ -1,7 +1,7 @@
 from .ballbar_join import join_ballbar as join_ballbar
 from .board.cube import check_cube as check_cube
+from .board.cube import save_board as save_board
 from .board.cube import save_cube as save_cube
-from .board.drawing import save_board as save_board
 from .board.layout import USUAL as USUAL
 from .board.layout import Board as Board
 from .board.layout import check_board as check_board
@@ -9,10 +9,10 @@ from .drawn_circle import Circle as Circle
 from .drawn_circle import Frame as Frame
 from .drawn_circle import JoinOptions as JoinOptions
 from .drawn_circle import join as join
+from .drawn_circle import read_calibration as read_calibration
+from .drawn_circle import read_heights as read_heights
 from .drawn_circle import read_points as read_points
 from .drawn_circle import register as register
-from .height import read_calibration as read_calibration
-from .height import read_heights as read_heights
 from .kit.coverage import Capture as Capture
 from .kit.coverage import Rig as Rig
 from .kit.coverage import Row as Row
@@ -33,10 +33,10 @@ from .kit.words import steps as steps
 from .live.feeds import Folder as Folder
 from .live.feeds import newest as newest
 from .live.feeds import open_feed as open_feed
+from .live.server import Session as Session
+from .live.server import Taken as Taken
+from .live.server import follow as follow
 from .live.server import serve_live_page as serve_live_page
-from .live.session import Session as Session
-from .live.session import follow as follow
-from .live.taken import Taken as Taken
 from .readings import read_readings as read_readings
 from .see.as_parquet import check_pyarrow as check_pyarrow
 from .see.as_parquet import write_parquet as write_parquet
@@ -47,7 +47,7 @@ from .see.poses import Poses as Poses
 from .see.poses import read_poses as read_poses
 from .see.run import Looker as Looker
 from .see.run import Seen as Seen
-from .see.second import create_second_detector as create_second_detector
+from .see.run import create_second_detector as create_second_detector
 from .see.sources import Pictures as Pictures
 from .see.sources import gather_source as gather_source
 from .see.target import check_apart as check_apart

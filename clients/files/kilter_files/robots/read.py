@@ -15,8 +15,7 @@ from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.ground.names import did_you_mean
 from kilter_files.robots.table import read_table
 from kilter_files.robots.text import read_text
-from kilter_files.robots.universal import read_universal
-from kilter_files.robots.universal_dh import holds_dh
+from kilter_files.robots.universal import holds_dh, read_universal
 from kilter_files.robots.urdf_coupling import uncoupled_urdf
 
 Item = dict[str, Any]

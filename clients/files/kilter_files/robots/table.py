@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import math
 import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +15,114 @@ from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.ground.later import need
 from kilter_files.ground.names import did_you_mean
 from kilter_files.ground.workbook_formulas import REMEDY, describe_cells, formulas_without_value
-from kilter_files.robots import masses
-from kilter_files.robots.masses import Sheet
 from kilter_files.robots.text import read_text
+
+CENTRE = ("com_x", "com_y", "com_z")
+INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+LENGTHS = {"mm": 1.0, "m": 1e3}
+MASS_QUANTITIES = ("mass", *CENTRE, *INERTIA)
+UNITS = {"mass": ("kg",), **dict.fromkeys(CENTRE, tuple(LENGTHS)), **dict.fromkeys(INERTIA, ("kg_m2",))}
+NAMES = tuple(f"{quantity}_{units[0]}" for quantity, units in UNITS.items())
+Cells = Mapping[str, float | None]
+
+
+def mass_column(plain: str) -> tuple[str, str] | None:
+    """Return quantity and unit of a column about masses; None for any other name."""
+    return next(((q, unit) for q, units in UNITS.items() for unit in units if plain == f"{q}_{unit}"), None)
+
+
+def refuse_half_a_group(sheet: Sheet, present: set[str]) -> None:
+    """Mass and centre go together, and so do the six numbers of the inertia.
+
+    Raises:
+        FileError: a column is missing; the message names it.
+
+    """
+    wanted = ("mass", *CENTRE, *(INERTIA if present & set(INERTIA) else ()))
+    missing = [q for q in wanted if q not in present] if present & set(MASS_QUANTITIES) else []
+    if missing:
+        column = f"{missing[0]}_{UNITS[missing[0]][0]}"
+        raise FileError(
+            f"{sheet.path}: has masses, but no column {column!r}. Give {', '.join(NAMES[:4])}, and all of "
+            f"{', '.join(NAMES[4:])} or none of them.",
+            file=str(sheet.path),
+            column=column,
+        )
+
+
+def links(sheet: Sheet, rows: list[tuple[int, Cells]]) -> list[dict[str, Any]]:
+    """Return the links of a robot document from each row's line and cells; none where no cell is filled.
+
+    Raises:
+        FileError: some cells are filled and another is not, or a mass is negative; the message names row and column.
+
+    """
+    filled = {quantity for _, cells in rows for quantity, value in cells.items() if value is not None}
+    if not filled:
+        return []
+    inertia = bool(filled & set(INERTIA))
+    return [_link(sheet, line, cells, inertia) for line, cells in rows]
+
+
+def _link(sheet: Sheet, line: int, cells: Cells, inertia: bool) -> dict[str, Any]:
+    mass = _mass_number(sheet, line, cells, "mass")
+    if mass < 0:
+        raise _error(sheet, line, "mass", f"{mass:g} kg: a mass cannot be negative.")
+    if mass == 0 and all(value is None for quantity, value in cells.items() if quantity != "mass"):
+        return {"mass_kg": 0.0}  # no mass, so no centre either
+    link: dict[str, Any] = {"mass_kg": mass, "com_mm": [_mass_number(sheet, line, cells, q) for q in CENTRE]}
+    if inertia:
+        link["inertia_kg_m2"] = [_mass_number(sheet, line, cells, q) for q in INERTIA]
+        _refuse_no_body(sheet, line, link["inertia_kg_m2"])
+    return link
+
+
+def _refuse_no_body(sheet: Sheet, line: int, values: list[float]) -> None:
+    """A product of inertia above what its two moments allow is a swapped column or a wrong unit."""
+    xx, yy, zz, xy, xz, yz = values
+    for name, moment in zip(INERTIA, (xx, yy, zz), strict=False):
+        if moment < 0:
+            raise _error(sheet, line, name, f"{moment:g} kg m2: a moment of inertia cannot be negative.")
+    for name, product, a, b in (("ixy", xy, xx, yy), ("ixz", xz, xx, zz), ("iyz", yz, yy, zz)):
+        most = math.sqrt(a * b) * (1 + 1e-6) + 1e-12  # figures of a table are rounded
+        if abs(product) > most:
+            raise _error(sheet, line, name, f"{product:g} kg m2 is more than the moments allow, {most:.4g} kg m2.")
+
+
+def _mass_number(sheet: Sheet, line: int, cells: Cells, quantity: str) -> float:
+    value = cells.get(quantity)
+    if value is None:
+        raise _error(
+            sheet,
+            line,
+            quantity,
+            "is empty while others are filled. Give every row its mass and centre of mass, 0 kg where a link has none.",
+        )
+    return value
+
+
+def _error(sheet: Sheet, line: int, quantity: str, what: str) -> FileError:
+    column = next((n for n in sheet.names if (mass_column(plain_name(n)) or ("",))[0] == quantity), quantity)
+    return FileError(
+        f"{sheet.path}, line {line}, column {column!r}: {what}", file=str(sheet.path), line=line, column=column
+    )
+
+
+def plain_name(name: str) -> str:
+    """Return a column's name as it is compared: small letters, no spaces."""
+    return name.strip().lower().replace(" ", "_")
+
+
+@dataclass
+class Sheet:
+    """Cells of a table with the line each row stood on, and its comments."""
+
+    path: Path
+    names: list[str]
+    rows: list[tuple[int, list[str]]]
+    comments: list[str] = field(default_factory=list)
+    decimal: str = "."
+
 
 MAX_BYTES = 20_000_000  # unpacked: a table of a robot is a few kilobytes
 MAX_ROWS = 200
@@ -82,7 +189,6 @@ QUANTITIES = {
     "lower": ("lower", "min"),
     "upper": ("upper", "max"),
 }
-LENGTHS = masses.LENGTHS
 ANGLES = {"deg": 1.0, "rad": 180.0 / math.pi}
 TEXTS = ("joint", "type")
 KINDS = {"revolute": "revolute", "r": "revolute", "prismatic": "prismatic", "p": "prismatic", "": "revolute"}
@@ -134,7 +240,7 @@ def _document(sheet: Sheet, convention: str, name: str) -> dict[str, Any]:
     if not sheet.rows:
         raise FileError(f"{sheet.path}: has no rows below its header.", file=str(sheet.path))
     rows, joints = [], []
-    weights: list[tuple[int, masses.Cells]] = []
+    weights: list[tuple[int, Cells]] = []
     for number, (line, cells) in enumerate(sheet.rows, 1):
         if len(cells) != len(sheet.names):
             message = f"{len(cells)} cells where the header has {len(sheet.names)}."
@@ -145,7 +251,7 @@ def _document(sheet: Sheet, convention: str, name: str) -> dict[str, Any]:
         joints.append({"name": joint.pop("name", None) or f"j{number}", **joint})
     document: dict[str, Any] = {"name": name, "convention": convention, "joints": joints, "rows": rows}
     document |= {key: frame for key in ("base", "tool") if (frame := _frame(sheet, key))}
-    more = {"links": masses.links(sheet, weights), "gravity_m_s2": _gravity(sheet), "load": _load(sheet)}
+    more = {"links": links(sheet, weights), "gravity_m_s2": _gravity(sheet), "load": _load(sheet)}
     return document | {key: value for key, value in more.items() if value}
 
 
@@ -154,17 +260,17 @@ def _columns(sheet: Sheet, convention: str) -> list[tuple[str, str]]:
     spellings = {spelling: quantity for quantity, names in QUANTITIES.items() for spelling in names}
     out = []
     for name in sheet.names:
-        plain = masses.plain_name(name)
+        plain = plain_name(name)
         quantity, _, unit = plain.rpartition("_")
         if plain in TEXTS:
             out.append((plain, ""))
-        elif weight := masses.mass_column(plain):
+        elif weight := mass_column(plain):
             out.append(weight)
         elif spellings.get(quantity) and unit in (*LENGTHS, *ANGLES):
             out.append((spellings[quantity], unit))
         else:
-            raise _unknown(sheet, name, plain in (*spellings, *masses.QUANTITIES))
-    masses.refuse_half_a_group(sheet, {quantity for quantity, _ in out})
+            raise _unknown(sheet, name, plain in (*spellings, *MASS_QUANTITIES))
+    refuse_half_a_group(sheet, {quantity for quantity, _ in out})
     if convention == "dh" and any(quantity == "beta" for quantity, _ in out):
         raise FileError(
             f"{sheet.path}: a dh table has no beta; use --convention mdh.", file=str(sheet.path), column="beta"
@@ -174,7 +280,7 @@ def _columns(sheet: Sheet, convention: str) -> list[tuple[str, str]]:
 
 def _unknown(sheet: Sheet, name: str, lacks_unit: bool) -> FileError:
     known = [f"{quantity}_{'mm' if quantity in 'da' else 'deg'}" for quantity in QUANTITIES]
-    known += [*TEXTS, *masses.NAMES]
+    known += [*TEXTS, *NAMES]
     why = "has no unit: write it as, for example, alpha_deg or a_mm" if lacks_unit else "is not known"
     return FileError(
         f"{sheet.path}, column {name!r} {why}{did_you_mean(name, known)}. Known are {', '.join(known)} "
@@ -195,7 +301,7 @@ def _row(
     row: dict[str, Any] = {"type": kind}
     limits: dict[str, float] = {}
     for (quantity, unit), cell in zip(columns, cells, strict=True):
-        if not unit or quantity in masses.QUANTITIES or (not cell and quantity not in ("d", "beta")):
+        if not unit or quantity in MASS_QUANTITIES or (not cell and quantity not in ("d", "beta")):
             continue
         factor, word = _factor(sheet, quantity, unit, kind)
         if factor is None:
@@ -222,7 +328,7 @@ def _weights(sheet: Sheet, columns: list[tuple[str, str]], line: int, cells: lis
     return {
         quantity: _number(sheet, line, quantity, cell) * LENGTHS.get(unit, 1.0) if cell else None
         for (quantity, unit), cell in zip(columns, cells, strict=True)
-        if quantity in masses.QUANTITIES
+        if quantity in MASS_QUANTITIES
     }
 
 

@@ -1,7 +1,7 @@
-from .cut_recording import cut_to_interval as cut_to_interval
-from .cut_recording import drop_markers as drop_markers
 from .joint_log import JointLog as JointLog
 from .recording import Recording as Recording
+from .recording import cut_to_interval as cut_to_interval
+from .recording import drop_markers as drop_markers
 from .table import CSV_TYPE as CSV_TYPE
 from .table import JSON_TYPE as JSON_TYPE
 from .table import PARQUET_TYPE as PARQUET_TYPE

@@ -5,17 +5,14 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
-from kilter_client.requests.calls import access, fleet, references, server
-from kilter_client.requests.connection import AsyncConnection
+from kilter_client.requests.calls import access, fleet, references
+from kilter_client.requests.connection import AsyncConnection, locate
 from kilter_client.requests.methods import make_async_method
-from kilter_client.requests.server_address import locate
 from kilter_client.requests.steps import Steps
 from kilter_client.verbs import campaigns as measured
 from kilter_client.verbs import drifts, keeping, programs
 from kilter_client.verbs import dry_run as dry_runs
-from kilter_client.verbs import instruments as gauges
 from kilter_client.verbs import jobs as computed
-from kilter_client.verbs import meshes as shapes
 from kilter_client.verbs import robots as described
 from kilter_client.verbs import versions as made
 from kilter_client.verbs.error_wording import rephrase_error
@@ -67,12 +64,12 @@ class AsyncKilter:
     add_repair = make_async_method(described.add_repair)
     remove_repair = make_async_method(described.remove_repair)
     robots = make_async_method(described.robots)
-    meshes = make_async_method(shapes.meshes)
-    set_mesh = make_async_method(shapes.set_mesh)
-    set_urdf_meshes = make_async_method(shapes.set_urdf_meshes)
-    remove_mesh = make_async_method(shapes.remove_mesh)
-    add_instrument = make_async_method(gauges.add_instrument)
-    instruments = make_async_method(gauges.instruments)
+    meshes = make_async_method(described.meshes)
+    set_mesh = make_async_method(described.set_mesh)
+    set_urdf_meshes = make_async_method(described.set_urdf_meshes)
+    remove_mesh = make_async_method(described.remove_mesh)
+    add_instrument = make_async_method(measured.add_instrument)
+    instruments = make_async_method(measured.instruments)
     upload = make_async_method(measured.upload)
     dry_run = make_async_method(dry_runs.dry_run)
     campaign = make_async_method(measured.campaign)
@@ -113,8 +110,8 @@ class AsyncKilter:
     restore = make_async_method(keeping.restore)
     purge = make_async_method(keeping.purge)
     resolve = make_async_method(references.resolve)
-    health = make_async_method(server.health)
-    tombstones = make_async_method(server.tombstones)
+    health = make_async_method(access.health)
+    tombstones = make_async_method(access.tombstones)
     whoami = make_async_method(access.whoami)
     login_link = make_async_method(access.login_link)
     add_token = make_async_method(access.add_token)

@@ -5,16 +5,14 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from kilter_client.requests.calls import access, fleet, references, server
-from kilter_client.requests.connection import Connection, Reword
+from kilter_client.requests.calls import access, fleet, references
+from kilter_client.requests.connection import Connection, Reword, locate
 from kilter_client.requests.methods import waiting
-from kilter_client.requests.server_address import locate
 from kilter_client.requests.steps import Steps
 from kilter_client.resources.documents import Campaigns, Robots, Versions
 from kilter_client.resources.jobs import Jobs
-from kilter_client.verbs import campaigns, drifts, instruments, jobs, keeping, programs, robots, versions
+from kilter_client.verbs import campaigns, drifts, jobs, keeping, programs, robots, versions
 from kilter_client.verbs import dry_run as dry_runs
-from kilter_client.verbs import meshes as shapes
 from kilter_client.verbs.error_wording import rephrase_error
 
 if TYPE_CHECKING:
@@ -82,12 +80,12 @@ class Kilter:
     drift_list = waiting(robots.drift_list)
     add_repair = waiting(robots.add_repair)
     remove_repair = waiting(robots.remove_repair)
-    meshes = waiting(shapes.meshes)
-    set_mesh = waiting(shapes.set_mesh)
-    set_urdf_meshes = waiting(shapes.set_urdf_meshes)
-    remove_mesh = waiting(shapes.remove_mesh)
-    add_instrument = waiting(instruments.add_instrument)
-    instruments = waiting(instruments.instruments)
+    meshes = waiting(robots.meshes)
+    set_mesh = waiting(robots.set_mesh)
+    set_urdf_meshes = waiting(robots.set_urdf_meshes)
+    remove_mesh = waiting(robots.remove_mesh)
+    add_instrument = waiting(campaigns.add_instrument)
+    instruments = waiting(campaigns.instruments)
     upload = waiting(campaigns.upload)
     dry_run = waiting(dry_runs.dry_run)
     campaign = waiting(campaigns.campaign)
@@ -125,8 +123,8 @@ class Kilter:
     restore = waiting(keeping.restore)
     purge = waiting(keeping.purge)
     resolve = waiting(references.resolve)
-    health = waiting(server.health)
-    tombstones = waiting(server.tombstones)
+    health = waiting(access.health)
+    tombstones = waiting(access.tombstones)
     whoami = waiting(access.whoami)
     login_link = waiting(access.login_link)
     add_token = waiting(access.add_token)

@@ -32,8 +32,7 @@ from kilter_client.streaming.certificates import why_not
 from kilter_client.streaming.corrector import StreamError, find_corrector
 from kilter_client.streaming.frames import QD, QDD, RESET, SETTLED, Answer
 from kilter_client.streaming.held_correction import Carried, farthest
-from kilter_client.streaming.link import AGAIN, GONE, Link, Place
-from kilter_client.streaming.sessions import Sessions
+from kilter_client.streaming.link import AGAIN, GONE, Link, Place, Sessions
 from kilter_client.streaming.setpoint import Setpoint, Statistics
 
 __all__ = ["CorrectedStream", "Setpoint", "Statistics", "StreamError", "corrected", "find_corrector"]

@@ -1,8 +1,7 @@
 """One arm in other words: joint axes (product of exponentials), DH and MDH tables, joint frames; the poses stay the same."""
 
 from kilter_core.arm.conversions.documents import drive_document, load_document, pose_document, robot_document
-from kilter_core.arm.conversions.frames import JointFrames, joint_frames
-from kilter_core.arm.conversions.screws import Screws, chain_frames, screws_of_chain
+from kilter_core.arm.conversions.screws import JointFrames, Screws, chain_frames, joint_frames, screws_of_chain
 from kilter_core.arm.conversions.tables import Table, link_table
 
 __all__ = [

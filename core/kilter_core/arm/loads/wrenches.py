@@ -3,7 +3,7 @@
 The sign is that of the *load*: what gravity and inertia of the outboard links do to the joint, so a positive
 compliance makes a horizontal arm droop. Moments are taken on the chain of the robot that is given: the nominal one, or one
 with constants that an earlier fit found (:class:`~kilter_core.arm.loads.chain.LoadChain`); at the joint readings, or where a
-:class:`~kilter_core.arm.loads.deflection.Deflection` says that the arm hangs.
+:class:`~kilter_core.arm.loads.wrenches.Deflection` says that the arm hangs.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kilter_core.arm.chain import axis_frame
+from kilter_core.arm.chain import Chain, axis_frame
 from kilter_core.arm.kernels.newton_euler import load_wrenches
-from kilter_core.arm.loads.deflection import Deflection, twisted_elements
 from kilter_core.arm.robot import Robot
 from kilter_core.observations import Observations
 from kilter_core.transforms import pose_from_twist, rotations_about
@@ -290,3 +289,40 @@ def axial_loads(robot: Robot, loads: Loads) -> Floats:
     revolute = [joint.kind == "revolute" for joint in robot.joints]
     own = np.where(revolute, loads.joints[:, :, ABOUT], loads.joints[:, :, ALONG])
     return own if loads.linked is None else own + loads.linked
+
+
+# Rounds of loads where the arm hangs, after those at the readings, in predictions and in the corrector alike: with backlash and
+# clearance in their middle, and then on their sides.
+HANGING_ROUNDS, SIDED_ROUNDS = 3, 2
+
+
+@dataclass(frozen=True)
+class Deflection:
+    """Of N rows: ``dq (N, n)``, added to the joint readings, rad or m, and ``xi (N, n, 6)``, twists behind the joints.
+
+    A twist is (v, w), m and rad, in the frame after the joint's element; ``xi`` may be empty, (0, n, 6): none.
+    """
+
+    dq: Floats
+    xi: Floats
+
+    def __add__(self, other: Deflection) -> Deflection:
+        if not len(self.xi) or not len(other.xi):
+            return Deflection(self.dq + other.dq, self.xi if len(self.xi) else other.xi)
+        return Deflection(self.dq + other.dq, self.xi + other.xi)
+
+    @staticmethod
+    def none(rows: int, joints: int) -> Deflection:
+        """Of a rigid arm."""
+        return Deflection(np.zeros((rows, joints)), np.zeros((0, joints, 6)))
+
+    def select(self, rows: slice) -> Deflection:
+        """Of some of the rows."""
+        return Deflection(self.dq[rows], self.xi[rows] if len(self.xi) else self.xi)
+
+
+def twisted_elements(chain: Chain) -> Ints:
+    """Joint (E,) whose twist stands behind each element, -1 where none does."""
+    slot = np.full(len(chain.elements), -1, dtype=np.int64)
+    slot[list(chain.primary)] = np.arange(chain.n_joints)
+    return slot

@@ -17,10 +17,10 @@ from kilter_core.errors import CoreError
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.linearized import fit_nonlinear_values
 from kilter_core.gap.search.sources.source import Source
-from kilter_core.identify.comparison.model_comparison import Difference, errors_by_pose, lacking
+from kilter_core.identify.comparison import Difference, errors_by_pose, lacking
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.observations.motions import segments
+from kilter_core.observations.groups import segments
 from kilter_core.parameters import mm
 from kilter_core.types import Floats
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.observations import Observations
-from kilter_core.observations.motions import segments
+from kilter_core.observations.groups import segments
 from kilter_core.types import Bools, Floats, Ints
 
 MOST_WINDOWS = 6000

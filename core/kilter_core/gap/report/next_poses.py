@@ -18,7 +18,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.sources.source import Source
-from kilter_core.identify.views.planned_views import PlannedViews
+from kilter_core.identify.views import PlannedViews
 from kilter_core.model import Calibration
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations

@@ -22,15 +22,20 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.prepare import with_masses
 from kilter_core.gap.study import SHIFT
-from kilter_core.identify.comparison.model_comparison import geometry_alone
+from kilter_core.identify.comparison import geometry_alone
 from kilter_core.identify.fleet.said import prior_dominated_mask
 from kilter_core.identify.identifiable.identifiability import identifiable, null_directions
 from kilter_core.identify.identifiable.load_model import load_rows
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import frame_sources, register_nominal, wanted_frames
-from kilter_core.identify.report import build_parameter_rows, known_parameters, null_rows, unobservable_names
+from kilter_core.identify.report import (
+    build_parameter_rows,
+    estimate_workspace_spread,
+    known_parameters,
+    null_rows,
+    unobservable_names,
+)
 from kilter_core.identify.uncertainty.predictive import CHANCE, EXACT, Predictive
-from kilter_core.identify.uncertainty.workspace_uncertainty import estimate_workspace_spread
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts as held_rows
 from kilter_core.measurement.kind import POINTS

@@ -10,7 +10,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS, Effect
 from kilter_core.errors import OptionError
 from kilter_core.observations import CONDITIONS, Observations
-from kilter_core.observations.motions import is_trajectory
+from kilter_core.observations.groups import is_trajectory
 from kilter_core.parameters import Parameter
 from kilter_core.types import Bools
 

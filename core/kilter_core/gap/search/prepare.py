@@ -50,8 +50,8 @@ from kilter_core.measurement.contacts import has_contacts
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.load_errors import load_sign_blur as shared_blur
 from kilter_core.observations import Observations
-from kilter_core.observations.copies import identical_repeats
-from kilter_core.observations.motions import FEWEST_ROWS, is_trajectory
+from kilter_core.observations.groups import FEWEST_ROWS, is_trajectory
+from kilter_core.observations.shared_rows import identical_repeats
 from kilter_core.types import Bools, Floats, Ints, Progress, unheard
 
 NOT_FITTED = "geometry_not_fitted"

@@ -18,7 +18,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.kind import POINTS
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.observations.spread import evenly
+from kilter_core.observations.groups import evenly
 from kilter_core.types import Floats, Ints
 
 CLEARLY = 2.5  # times less that must be left with a set-up for each campaign: loads and drift of an arm take less

@@ -13,7 +13,7 @@ from kilter_core.identify.scale_gauge import with_likeliest_scale
 from kilter_core.identify.setup_frames import without_frames
 from kilter_core.identify.steps.start import Study
 from kilter_core.identify.uncertainty.tool_error import beside_tool_error
-from kilter_core.identify.views.cameras import with_cameras
+from kilter_core.identify.views import with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.types import Progress

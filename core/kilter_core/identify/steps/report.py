@@ -11,8 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from kilter_core.identify.carried_masses import beside_masses, describe_masses
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.fit.row_errors import RowErrors
-from kilter_core.identify.fit.tukey import set_aside
+from kilter_core.identify.fit.tukey import RowErrors, set_aside
 from kilter_core.identify.fleet.prior import FleetPrior
 from kilter_core.identify.fleet.said import prior_document
 from kilter_core.identify.identifiable.identifiability import STRUCTURAL, NullDirection, null_directions

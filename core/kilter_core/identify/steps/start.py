@@ -15,8 +15,7 @@ from kilter_core.identify.fleet.versions import FleetVersion
 from kilter_core.identify.holdout import Folds, split
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.plausibility.astray_rows import of_held_out
-from kilter_core.identify.plausibility.belonging import refuse_mixed_up
+from kilter_core.identify.plausibility.belonging import of_held_out, refuse_mixed_up
 from kilter_core.identify.rows.measurement_of_rows import as_inputs, between_rows, measurement_for
 from kilter_core.identify.setup_frames import Frames
 from kilter_core.model import Calibration

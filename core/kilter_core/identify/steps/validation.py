@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.identify.comparison.model_comparison import PoseErrors, elsewhere, geometry_alone
-from kilter_core.identify.fit.row_errors import RowErrors
+from kilter_core.identify.comparison import PoseErrors, elsewhere, geometry_alone
+from kilter_core.identify.fit.tukey import RowErrors
 from kilter_core.identify.holdout import Folds, fold_splits
 from kilter_core.identify.learned import select_learned_effects
 from kilter_core.identify.methods.fit import fit_by_method
@@ -22,7 +22,7 @@ from kilter_core.identify.steps.fit import Fitted, name_stages
 from kilter_core.identify.steps.start import Study
 from kilter_core.identify.uncertainty.tool_error import beside_tool_error
 from kilter_core.identify.view_report import held_views
-from kilter_core.identify.views.cameras import with_cameras
+from kilter_core.identify.views import with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.view_scatter import ToolErrors
 from kilter_core.measurement.metrics import Errors, metrics_document

@@ -22,7 +22,7 @@ from kilter_core.identify.uncertainty.clustered import (
     shrink_score_covariance,
 )
 from kilter_core.identify.uncertainty.predictive import Predictive
-from kilter_core.identify.views.cameras import rig_from_values, unknown_rig
+from kilter_core.identify.views import rig_from_values, unknown_rig
 from kilter_core.measurement.camera.view_scatter import ViewScatter
 from kilter_core.model.placed_rig import PlacedRig, Unknown
 from kilter_core.parameters import Parameter

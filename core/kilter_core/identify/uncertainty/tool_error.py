@@ -16,7 +16,7 @@ import numpy as np
 from kilter_core.identify.fit.least_squares import Fit, build_fit
 from kilter_core.identify.uncertainty.by_views import by_poses, view_scatter
 from kilter_core.identify.uncertainty.clustered import products
-from kilter_core.identify.views.cameras import rig_from_values, unknown_rig
+from kilter_core.identify.views import rig_from_values, unknown_rig
 from kilter_core.measurement import Block
 from kilter_core.measurement.camera.view_scatter import SMALLEST_M, SMALLEST_RAD, ViewScatter
 from kilter_core.measurement.camera.views import sight_by_tool

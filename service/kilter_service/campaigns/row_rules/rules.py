@@ -17,7 +17,7 @@ from kilter_service.campaigns.row_rules.view_rules import ViewRules
 from kilter_service.contract.columns import BASE, CONTACTS, NAMED, PLACE, TILTS
 from kilter_service.ground.core import core_identify
 from kilter_service.ground.tables.columns import Column
-from kilter_service.robots.likely_payload import heaviest_likely_payload, longest_reach
+from kilter_service.robots.check import heaviest_likely_payload, longest_reach
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -12,8 +12,8 @@ from kilter_core.errors import ObservationError
 from kilter_core.observations import Rig
 from kilter_core.types import Bools, Floats
 from kilter_service.contract.columns import NAMED, PIXELS
+from kilter_service.ground.tables.assemble import rig_from_conditions
 from kilter_service.ground.tables.columns import Column, has
-from kilter_service.ground.tables.views import rig_from_conditions
 
 EDGE = 0.5  # px: the picture ends half a pixel beyond the centres of its outermost pixels
 

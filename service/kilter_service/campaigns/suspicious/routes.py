@@ -5,8 +5,8 @@ from __future__ import annotations
 from fastapi import APIRouter
 
 from kilter_service.campaigns.suspicious import service
-from kilter_service.contract.suspicious import SuspiciousRows
-from kilter_service.web.conditional import ConditionalRoute
+from kilter_service.contract.campaigns import SuspiciousRows
+from kilter_service.web.routing import ConditionalRoute
 from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(prefix="/v1/campaigns", tags=["campaigns"], route_class=ConditionalRoute)

@@ -9,12 +9,11 @@ from typing import Any
 
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.kept_facts import cached_campaign_facts
+from kilter_service.campaigns.facts import cached_campaign_facts
 from kilter_service.campaigns.suspicious import store
 from kilter_service.campaigns.suspicious.store import Said
-from kilter_service.contract.campaigns import Campaign
+from kilter_service.contract.campaigns import Campaign, SaidBy, SuspiciousRow, SuspiciousRows
 from kilter_service.contract.fits import SetAside
-from kilter_service.contract.suspicious import SaidBy, SuspiciousRow, SuspiciousRows
 from kilter_service.contract.written import as_written
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError

@@ -8,8 +8,7 @@ from pydantic import Field
 
 from kilter_service.contract.effect_curves import EffectCurve
 from kilter_service.contract.figures import GapFigures
-from kilter_service.contract.fits import LoadNumber, NullDirection, Reference, SetAside
-from kilter_service.contract.fleet_priors import PriorUsed
+from kilter_service.contract.fits import LoadNumber, NullDirection, PriorUsed, Reference, SetAside
 from kilter_service.contract.gap_details import (
     Adequacy,
     AliasMatrix,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from datetime import datetime, timedelta
 from typing import Any, Literal, NamedTuple
 
 from sqlalchemy import ColumnElement, Select, and_, literal, or_, select
 
-from kilter_service.contract.references import Kind
+from kilter_service.contract.references import Kind, Tombstone
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.called import name_unnamed_job
 from kilter_service.ground.caller import allowed_robots, may_see
 from kilter_service.ground.db import Session
@@ -18,9 +18,8 @@ from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow, TombstoneRow, VersionRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.ground.references.records import TombstoneRecord, Whose
-from kilter_service.ground.references.retired import COMMANDS
 
+Whose = Literal["campaign", "version", "robot"]
 Table = type[CampaignRow] | type[VersionRow] | type[JobRow]
 TABLES: Mapping[Kind, Table] = {"campaign": CampaignRow, "version": VersionRow, "job": JobRow}
 PREFIXES: Mapping[Kind, str] = {"campaign": "cmp_", "version": "ver_", "job": "job_"}
@@ -222,12 +221,12 @@ def citing_campaign(session: Session, robot_id: int, campaign_id: str) -> list[s
     return [version for version, campaigns in rows if any(used["id"] == campaign_id for used in campaigns)]
 
 
-def add_tombstone(session: Session, record: TombstoneRecord) -> None:
+def add_tombstone(session: Session, left: Tombstone) -> None:
     """Keep what is left of something that is purged."""
-    session.add(TombstoneRow(**asdict(record)))
+    session.add(TombstoneRow(**left.model_dump()))
 
 
-def tombstones(session: Session, robot: str | None, page: Page) -> list[TombstoneRecord]:
+def tombstones(session: Session, robot: str | None, page: Page) -> list[Tombstone]:
     """Return what was purged, newest first, one more than the page shows."""
     row = TombstoneRow
     query = select(row).order_by(row.at.desc(), row.id)
@@ -238,14 +237,14 @@ def tombstones(session: Session, robot: str | None, page: Page) -> list[Tombston
     if page.moment is not None:
         moment, key = page.moment
         query = query.where(or_(row.at < moment, and_(row.at == moment, row.id > key)))
-    return [_tombstone(found) for found in session.execute(query.limit(page.fetch_limit)).scalars()]
+    return [copy_fields(Tombstone, found) for found in session.execute(query.limit(page.fetch_limit)).scalars()]
 
 
-def find_tombstone(session: Session, kind: str, id_: str) -> TombstoneRecord | None:
+def find_tombstone(session: Session, kind: str, id_: str) -> Tombstone | None:
     """Return what is left of something that was purged, if it was."""
     query = select(TombstoneRow).where(TombstoneRow.kind == kind, TombstoneRow.id == id_)
     row = session.execute(query.order_by(TombstoneRow.at.desc()).limit(1)).scalar_one_or_none()
-    return None if row is None else _tombstone(row)
+    return None if row is None else copy_fields(Tombstone, row)
 
 
 def gone(session: Session, kind: str, id_: str) -> str:
@@ -254,11 +253,6 @@ def gone(session: Session, kind: str, id_: str) -> str:
     if found is None or not may_see(found.robot):
         return ""
     return f" It was purged by {found.by} on {found.at:%Y-%m-%d %H:%M} UTC (sha256 {found.sha256[:12]})."
-
-
-def _tombstone(row: TombstoneRow) -> TombstoneRecord:
-    kind: Whose = row.kind  # type: ignore[assignment]  # checked when it was stored, and again by the model
-    return TombstoneRecord(row.id, kind, row.robot, row.name, row.sha256, row.by, row.at)
 
 
 def refuse_cited(kind: Kind, id_: str, citing: Sequence[str], remedy: str) -> None:
@@ -270,4 +264,25 @@ def refuse_cited(kind: Kind, id_: str, citing: Sequence[str], remedy: str) -> No
             code="cited",
             cited_by=list(citing),
             **{kind: id_},
+        )
+
+
+# The command that lists, names and retires what there is of a kind.
+COMMANDS = {"robot": "robot", "campaign": "measure campaigns", "version": "version"}
+
+
+def refuse_retired(kind: str, id_: str, retired_at: datetime | None) -> None:
+    """Refuse to work with what is retired.
+
+    Raises:
+        ServiceError: it is.
+
+    """
+    if retired_at is not None:
+        raise ServiceError(
+            f"{kind.capitalize()} {id_} is retired since {retired_at:%Y-%m-%d}: take another, or bring it back with "
+            f"`kilter {COMMANDS[kind]} restore {id_}`.",
+            code="retired",
+            kind=kind,
+            id=id_,
         )

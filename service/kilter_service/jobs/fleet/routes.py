@@ -7,10 +7,9 @@ from fastapi import APIRouter, Response
 from kilter_service.contract.jobs.fleet import FleetJob, FleetJobList, FleetJobSummary, NewFleetJob
 from kilter_service.jobs.fleet import service
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.conditional import ConditionalRoute
 from kilter_service.web.idempotency.key import OnceOnly
-from kilter_service.web.page_query import PageOfJobs
-from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web.routing import ConditionalRoute
+from kilter_service.web.state import DatabaseOfApp, PageOfJobs
 
 router = APIRouter(prefix="/v1/fleet-jobs", tags=["jobs"], route_class=ConditionalRoute)
 

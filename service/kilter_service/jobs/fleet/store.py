@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
 from typing import Any
 
 from sqlalchemy import func, or_, select
 
 from kilter_service.contract.jobs.fleet import NewFleetJob
-from kilter_service.contract.jobs.job import FINAL
+from kilter_service.contract.jobs.identify import IdentifyOptions
+from kilter_service.contract.jobs.job import FINAL, NewJobOf
 from kilter_service.ground.caller import allowed_robots
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
@@ -17,7 +20,6 @@ from kilter_service.ground.db.tables import FleetJobRow, FleetRobotRow, JobRow, 
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.jobs import store as jobs
-from kilter_service.jobs.fleet.records import FleetRecord, FleetRobotRecord, Planned, StateCount
 from kilter_service.jobs.records import Asked
 
 GONE = ("robot_not_found", "The robot was deleted or retired while the fleet job was made.")
@@ -153,3 +155,49 @@ def judge(session: Session, job_id: str, judged: Mapping[str, Any]) -> None:
     row = session.execute(query).scalar_one_or_none()
     if row is not None:
         row.judged = dict(judged)
+
+
+@dataclass(frozen=True)
+class Planned:
+    """What one robot is going to get: a job, or a refusal (its code and sentence). ``before`` is its active version."""
+
+    robot_id: int
+    before: str | None
+    job: NewJobOf[IdentifyOptions] | None = None
+    refusal: tuple[str, str] | None = None
+
+
+@dataclass(frozen=True)
+class FleetRobotRecord:
+    """A robot of a fleet job, as it is stored with its job and version; ``state`` None: it was refused."""
+
+    robot: str
+    before_id: str | None
+    refusal: Mapping[str, str] | None
+    judged: Mapping[str, Any] | None
+    job_id: str | None
+    request: Mapping[str, Any] | None
+    state: str | None
+    error: Mapping[str, str] | None
+    version_id: str | None
+
+
+@dataclass(frozen=True)
+class StateCount:
+    """The jobs of a fleet job in one state (None: the robots without a job): how many, how far, and the last end."""
+
+    state: str | None
+    number: int
+    fraction: float
+    finished_at: datetime | None
+
+
+@dataclass(frozen=True)
+class FleetRecord:
+    """A fleet job with the counts of its jobs."""
+
+    id: str
+    name: str
+    created_at: datetime
+    cancelled_at: datetime | None
+    counts: Sequence[StateCount]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from kilter_core.errors import Finding
+from collections.abc import Mapping
+from typing import Any
+
+from kilter_core.errors import Finding, Sentences
+from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
 from kilter_service.contract.jobs.registry import KINDS
 from kilter_service.ground.core import core_effects, core_observations
 from kilter_service.jobs.kind import JobInput, JobOutput
-from kilter_service.jobs.sentences import SENTENCES
 
 READ = frozenset({"moments", "payload_kg"})
 THESIS = ("clearance_tilt", "backlash_load", "axial_compliance")  # of level 3 without named effects
@@ -53,3 +56,23 @@ def _default_load(job: JobInput) -> Finding | None:
     names = [job.names.get(c, c) for c in job.default_load]
     said = {"names": names, "mass_kg": load.mass, "com_m": load.com}
     return Finding("default_load_used", {"campaigns": list(job.default_load)}, said)
+
+
+def load_not_stated(said: Mapping[str, Any]) -> str:
+    """Say which campaigns state no payload, and which effects follow it."""
+    state = "state" if len(said["campaigns"]) > 1 else "states"
+    return counted_as_nothing(f"{', '.join(said['names'])} {state}", said["effects"])
+
+
+def _default_load_used(said: Mapping[str, Any]) -> str:
+    at = ", ".join(f"{value * 1e3:.6g}" for value in said["com_m"])
+    return (
+        f"{', '.join(said['names'])}: no payload is stated, so the robot's default load counts, {said['mass_kg']:.6g} kg at "
+        f"({at}) mm in the tool frame. If it carried another, state payload_kg."
+    )
+
+
+SENTENCES: Sentences = {
+    "load_not_stated": lambda said: f"{load_not_stated(said)} {REMEDY.format(whole='campaign')}",
+    "default_load_used": _default_load_used,
+}

@@ -9,8 +9,7 @@ from kilter_service.contract.fits import with_earlier_names
 from kilter_service.contract.jobs.evaluate import EVALUATE, EvaluateOptions
 from kilter_service.ground.core import core_evaluate, core_identify, core_model
 from kilter_service.jobs.budgets import uncertainty_budget
-from kilter_service.jobs.job_preview import JobPreview, Lack
-from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Lack, Progress
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration

@@ -18,13 +18,13 @@ from kilter_service.contract.gap_details import Detectable, Untestable
 from kilter_service.contract.jobs.check import Testability
 from kilter_service.contract.jobs.gap import GAP, GapOptions
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.core import core_gap, core_motion, core_observations
 from kilter_service.ground.wire import to_metres
 from kilter_service.jobs.inputs.plain import by_campaign, to_json_types
 from kilter_service.jobs.inputs.poses import Pose, poses_document
 from kilter_service.jobs.inputs.torques import as_session, refuse_effects_of_torques, search_torques
-from kilter_service.jobs.job_preview import JobPreview, Lack
-from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Lack, Progress, VersionContent
 from kilter_service.jobs.plotly_figures.gap import gap_figures
 from kilter_service.versions.store import HELD_OUT
 
@@ -268,21 +268,12 @@ def _testability(found: GapCheck) -> Testability:
     testable = []
     for one in found.testable:
         unit, scale = display_unit_and_scale(one.unit)
-        testable.append(
-            Detectable(
-                id=one.id,
-                parameter=one.parameter,
-                unit=unit,
-                smallest_detectable=one.smallest * scale,
-                visibility=one.visibility,
-            )
-        )
+        testable.append(copy_fields(Detectable, one, unit=unit, smallest_detectable=one.smallest * scale))
     untestable = [
-        Untestable(
-            id=u.id,
+        copy_fields(
+            Untestable,
+            u,
             joints=None if u.joints is None else [j + 1 for j in u.joints],
-            reason=u.reason,
-            remedy=u.remedy,
             missing=u.missing or None,
         )
         for u in found.not_testable

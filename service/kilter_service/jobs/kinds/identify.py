@@ -22,8 +22,7 @@ from kilter_service.jobs.budgets import add_to_metrics
 from kilter_service.jobs.inputs.plain import by_campaign, to_json_types
 from kilter_service.jobs.inputs.setups import FRAMES, LAID_AGAIN, Setups
 from kilter_service.jobs.inputs.torques import are_logs, fit_torques, refuse_effects_of_torques
-from kilter_service.jobs.job_preview import JobPreview, Lack
-from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Lack, Progress, VersionContent
 from kilter_service.jobs.plotly_figures.identify import identify_figures, uncertainty_figure
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from kilter_service.contract.jobs.joint_parameters import JOINT_PARAMETERS
 from kilter_service.contract.jobs.joint_parameters import JointParametersOptions as Options
 from kilter_service.ground.core import core_plan, core_procedures
 from kilter_service.ground.wire import joint_scale, joint_scale_back, joint_units, to_deg, to_metres, to_rad
-from kilter_service.jobs.job_preview import JobPreview, Lack
-from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress, VersionContent
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Lack, Progress, VersionContent
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot

@@ -11,8 +11,7 @@ from kilter_core.parameters import mm
 from kilter_service.contract.jobs.payload import PAYLOAD, PayloadOptions
 from kilter_service.ground.core import core_motion
 from kilter_service.jobs.inputs.plain import to_json_types
-from kilter_service.jobs.job_preview import JobPreview
-from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Progress
 
 if TYPE_CHECKING:
     from kilter_core.motion import CarriedBody

@@ -16,8 +16,7 @@ from kilter_service.ground.core import core_effects, core_gap, core_identify, co
 from kilter_service.ground.wire import to_metres, to_metres_if_known
 from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.inputs.poses import Pose, poses_document, poses_from_rows
-from kilter_service.jobs.job_preview import JobPreview, Lack
-from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Lack, Progress
 from kilter_service.versions.drift import wire
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ import numpy as np
 
 from kilter_core.errors import CancelledError, CoreError
 from kilter_core.observations import evenly
+from kilter_service.contract.drift import ControlChart, DriftHistory
 from kilter_service.contract.jobs.drift import DriftResult
 from kilter_service.contract.written import as_written
 from kilter_service.ground.caller import on_behalf
@@ -21,7 +22,7 @@ from kilter_service.ground.core import core_effects, core_identify, core_model
 from kilter_service.ground.db import Database, DatabaseAwayError, Session
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.db.row import utc_now
-from kilter_service.ground.failure_log import log_failure
+from kilter_service.ground.failure_log import Failing, log_failure
 from kilter_service.ground.processes.memory import return_freed_memory
 from kilter_service.ground.webhook import Webhook
 from kilter_service.ground.wire import to_mm
@@ -29,18 +30,19 @@ from kilter_service.jobs import store
 from kilter_service.jobs.fan_out import FanOut, fan_out
 from kilter_service.jobs.fleet import store as fleet
 from kilter_service.jobs.fleet.comparison import compare_with_previous
-from kilter_service.jobs.foreign import store as foreign_rows
 from kilter_service.jobs.inputs.default_load import with_load_warning
 from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.inputs.setups import LAID_AGAIN
 from kilter_service.jobs.kind import JobInput, JobOutput
-from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.lease.store import Claim
 from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import get_job_kind
-from kilter_service.jobs.work.creeping import CreepingPosts
+from kilter_service.jobs.work import store as work_store
+from kilter_service.jobs.work.store import Claim
 from kilter_service.versions import ability
 from kilter_service.versions.ability import CODE as CANNOT_CORRECT
+from kilter_service.versions.drift import service as drift
+from kilter_service.versions.drift import store as drifts
+from kilter_service.versions.drift.charts import height
 from kilter_service.versions.objections import objections_from_report
 from kilter_service.versions.predictions import preview
 from kilter_service.versions.suggested import WORKSPACE, suggest_limits
@@ -50,6 +52,7 @@ if TYPE_CHECKING:
     from kilter_core.errors import Finding
     from kilter_core.observations import Observations
     from kilter_service.jobs.kind import JobInput, JobOutput
+
 
 KINDS = ("identify", "gap")
 
@@ -343,7 +346,7 @@ class Runner:
             return nullcontext()
         with self._database.reading() as session:
             kind = store.get(session, claim.job_id).kind
-            if not stores and outcome.error is not None and not foreign_rows.retires(kind, outcome.error[0]):
+            if not stores and outcome.error is not None and not work_store.retires(kind, outcome.error[0]):
                 return nullcontext()
             return on_behalf(store.job_requester(session, claim.job_id), ROUTE, {"job": claim.job_id})
 
@@ -358,12 +361,12 @@ class Runner:
 
 
 def _store(session: Session, claim: Claim, outcome: Outcome) -> None:
-    if not lease.holds(session, claim):
+    if not work_store.holds(session, claim):
         log.warning("job %s is no longer this worker's: what it computed is dropped", claim.job_id)
     elif outcome.error is not None:
         code, message = outcome.error
         store.fail(
-            session, claim.job_id, code, foreign_rows.retire_refused_campaign(session, claim.job_id, code, message)
+            session, claim.job_id, code, work_store.retire_refused_campaign(session, claim.job_id, code, message)
         )
     elif outcome.output is not None:
         version = outcome.output.version
@@ -394,9 +397,86 @@ class ProgressReporter:
         self._next = time_s + REPORT_S
         try:
             with self._database.noting() as session:
-                held = lease.advance(session, self._claim, fraction, stage)
+                held = work_store.advance(session, self._claim, fraction, stage)
         except DatabaseAwayError:
             self._next = time.monotonic() + AGAIN_S
             return
         if not held:
             raise CancelledError(f"Job {self._claim.job_id} was cancelled.")
+
+
+EVERY_S = 60.0  # how often robots that creep are looked at: a repair or another version ends it without a check
+BEGAN, ENDED = "creeping_began", "creeping_ended"
+REMEDY = (
+    "`kilter watch drift {robot}` shows the sums. Check with more poses, which name the cause; then repair the arm, "
+    "re-zero what "
+    "moved (kilter watch rezero), or identify it anew."
+)
+
+
+class CreepingPosts:
+    """Looks at the sums of a robot after each of its checks, and at those of robots that creep every minute.
+
+    What was told stands in the database, so that it is told once by any number of workers and after any restart.
+    """
+
+    def __init__(self, database: Database, webhook: Webhook, clock: Callable[[], float] = time.monotonic) -> None:
+        self._database, self._webhook, self._clock = database, webhook, clock
+        self._next_s = clock()
+        self._failing = Failing(logging.getLogger("kilter.worker"), "whether robots creep could not be told")
+
+    def post_changes_if_due(self) -> None:
+        """See whether robots that were told to creep still do, when it is time."""
+        if self._clock() < self._next_s:
+            return
+        self._next_s = self._clock() + EVERY_S
+        self._trying(self._post_changes)
+
+    def post_changes_after_check(self, robot: str) -> None:
+        """See what a check has changed."""
+        self._trying(lambda: self._post_changes_of_robot(robot))
+
+    def _post_changes(self) -> None:
+        with self._database.reading() as session:
+            told = drifts.told_creeping(session)
+        for robot in told:
+            self._post_changes_of_robot(robot)
+
+    def _trying(self, see: Callable[[], None]) -> None:
+        try:
+            see()
+        except Exception as error:  # nothing of this holds up a job or ends the worker
+            self._failing.report_failure(error)
+        else:
+            self._failing.report_success()
+
+    def _post_changes_of_robot(self, robot: str) -> None:
+        found = drift.of_robot(self._database, robot)
+        if found.state == "creeping" and found.last is not None:
+            with self._database.transaction() as session:
+                began = drifts.note_creeping(session, robot, found.last.job_id)
+            if began:
+                self._webhook.enqueue_message(f"{found.last.job_id}-{BEGAN}", _message(BEGAN, found.last.job_id, found))
+            return
+        with self._database.transaction() as session:
+            job = drifts.forget_creeping(session, robot)
+        if job is not None:
+            self._webhook.enqueue_message(f"{job}-{ENDED}", _message(ENDED, job, found))
+
+
+def _message(event: str, job: str, found: DriftHistory) -> dict[str, Any]:
+    alarmed: list[ControlChart] = sorted((one for one in found.charts if one.alarms), key=height, reverse=True)
+    alarmed = alarmed if event == BEGAN else []
+    since = alarmed[0].since if alarmed else None
+    return {
+        "event": event,
+        "job_id": job,
+        "robot": found.robot,
+        "version_id": found.version_id,
+        "at": utc_now().isoformat(),
+        "state": found.state,
+        "sentence": found.sentence,
+        "remedy": REMEDY.format(robot=found.robot) if event == BEGAN else "",
+        "since": None if since is None else since.isoformat(),
+        "causes": [{"name": one.name, "words": one.words} for one in alarmed],
+    }

@@ -27,12 +27,11 @@ from kilter_service.ground.processes.memory import end_before_others
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.webhook import Webhook
 from kilter_service.jobs.fan_out import fan_out
-from kilter_service.jobs.lease import store as lease
-from kilter_service.jobs.lease.store import Claim
 from kilter_service.jobs.registry import KINDS
-from kilter_service.jobs.retention.service import Retention
-from kilter_service.jobs.work.creeping import CreepingPosts
-from kilter_service.jobs.work.runner import Runner
+from kilter_service.jobs.work import store
+from kilter_service.jobs.work.retention import Retention
+from kilter_service.jobs.work.runner import CreepingPosts, Runner
+from kilter_service.jobs.work.store import Claim
 from kilter_service.web.health import store as health
 
 LOOK_S = 0.1
@@ -176,9 +175,9 @@ class Member:
         """Say so the first time. Where there is one worker only, whatever ran before has ended."""
         with self._database.transaction() as session:
             if alone:
-                lease.bury(session, lease.beats(session))
-            health.beat(session, lease.WORKER, self.id, os.getpid(), self._details())
-            if back := lease.orphans(session):
+                store.bury(session, store.beats(session))
+            health.beat(session, store.WORKER, self.id, os.getpid(), self._details())
+            if back := store.orphans(session):
                 log.warning("queued again, their worker had ended: %s", ", ".join(back))
 
     def beat(self) -> None:
@@ -190,7 +189,7 @@ class Member:
         """
         try:
             with self._database.transaction() as session:
-                health.beat(session, lease.WORKER, self.id, os.getpid(), self._details())
+                health.beat(session, store.WORKER, self.id, os.getpid(), self._details())
             if time.monotonic() > self._check_at:
                 revision.check(self._database)
                 self._check_at = time.monotonic() + CHECK_S
@@ -221,13 +220,13 @@ class Member:
 
     def _sweep(self) -> None:
         with self._database.reading() as session:
-            beats, holders = lease.beats(session), lease.holders(session)
+            beats, holders = store.beats(session), store.holders(session)
         silent = self._watch.silent({name: at for name, at in beats.items() if name != self.id})
         if not silent and holders <= set(beats):
             return
         with self._database.transaction() as session:
-            lease.bury(session, silent)
-            back = lease.orphans(session)
+            store.bury(session, silent)
+            back = store.orphans(session)
         for name in silent:
             log.warning("worker %s has been silent for %.0f s", name, SILENT_S)
         if back:
@@ -237,8 +236,8 @@ class Member:
         """Give back what this worker has; when that cannot be written, the others notice its silence."""
         try:
             with self._database.transaction() as session:
-                health.silence(session, lease.WORKER, self.id)
-                lease.give_back(session, self.id)
+                health.silence(session, store.WORKER, self.id)
+                store.give_back(session, self.id)
         except DatabaseAwayError:
             log.warning("worker %s could not say that it ends", self.id)
 
@@ -252,7 +251,7 @@ class QueueConsumer:
         self._database, self._runner, self._worker, self._stop = database, runner, worker, stop
         self._kinds = kinds
         # Many workers may ask; only one at a time may change.
-        self._lookout = Lookout(database, lease.query_for_free_jobs(kinds, worker))
+        self._lookout = Lookout(database, store.query_for_free_jobs(kinds, worker))
 
     def start(self, name: str) -> None:
         """Begin, in a thread that ends with the process."""
@@ -277,4 +276,4 @@ class QueueConsumer:
         if not self._lookout.rows():
             return None
         with self._database.transaction() as session:
-            return None if self._stop.is_set() else lease.claim(session, self._worker, self._kinds)
+            return None if self._stop.is_set() else store.claim(session, self._worker, self._kinds)

@@ -9,7 +9,7 @@ from typing import Any
 
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import service as campaigns
-from kilter_service.contract.audit import AuditEntry
+from kilter_service.contract.tokens import AuditEntry
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError

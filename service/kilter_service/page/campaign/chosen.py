@@ -14,7 +14,7 @@ from kilter_core.errors import CoreError
 from kilter_files.ground.later import pa
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.kept_facts import campaign_cache_key
+from kilter_service.campaigns.facts import campaign_cache_key
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database

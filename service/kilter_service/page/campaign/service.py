@@ -12,12 +12,10 @@ import numpy as np
 from kilter_core.errors import CoreError, ObservationError
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.facts import display_unit_and_factor
-from kilter_service.campaigns.kept_facts import cached_campaign_facts, campaign_cache_key
+from kilter_service.campaigns.facts import cached_campaign_facts, campaign_cache_key, display_unit_and_factor
 from kilter_service.campaigns.suspicious import service as suspicious
-from kilter_service.contract.campaigns import Campaign
+from kilter_service.contract.campaigns import Campaign, SuspiciousRows
 from kilter_service.contract.drift import Repair
-from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.versions import Version
 from kilter_service.ground.db import Database
 from kilter_service.ground.paging import Page

@@ -13,7 +13,7 @@ from kilter_core.observations import format_part_name
 from kilter_service.contract.campaigns import Board, Camera, Conditions
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.processes import sandbox
-from kilter_service.ground.tables.views import rig_from_conditions
+from kilter_service.ground.tables.assemble import rig_from_conditions
 from kilter_service.page.drop.drafts import Draft
 
 PARTS: Mapping[str, type[Camera] | type[Board]] = {"cameras": Camera, "boards": Board}

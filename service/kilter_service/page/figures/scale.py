@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import date, timedelta
 
-from kilter_service.contract.comparison_words import unit_of_length
+from kilter_service.contract.words import unit_of_length
 
 TICKS = 6  # about so many along an axis
 DATES = 5  # dates that have room along an axis

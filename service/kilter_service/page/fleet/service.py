@@ -10,8 +10,7 @@ from datetime import datetime
 from markupsafe import Markup
 
 from kilter_service.contract.robot_reports import RobotSummary
-from kilter_service.contract.standing import NextStep
-from kilter_service.contract.today import Today
+from kilter_service.contract.today import NextStep, Today
 from kilter_service.contract.versions import VersionSummary
 from kilter_service.ground.db import Database
 from kilter_service.ground.paging import Page

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kilter_service.contract.jobs.drift import DriftCause, DriftJob, DriftResult
-from kilter_service.contract.standing import NextStep
+from kilter_service.contract.today import NextStep
 from kilter_service.ground.db import Database
 from kilter_service.page.figures.plot import BLUE, RED, Plot
 from kilter_service.page.figures.scale import category_axis, lengths

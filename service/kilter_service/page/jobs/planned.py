@@ -14,8 +14,7 @@ from kilter_core.errors import CoreError
 from kilter_core.types import Floats
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.facts import display_unit_and_factor
-from kilter_service.campaigns.kept_facts import campaign_cache_key
+from kilter_service.campaigns.facts import campaign_cache_key, display_unit_and_factor
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.jobs.gap import GAP

@@ -21,7 +21,7 @@ from kilter_files.rig import (
 )
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.kept_facts import campaign_cache_key
+from kilter_service.campaigns.facts import campaign_cache_key
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.versions import Version

@@ -11,6 +11,7 @@ from kilter_files.look import why_unusual
 from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.suspicious import service as suspicious
+from kilter_service.contract.campaigns import SuspiciousRows
 from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import Parameter, StageErrors
 from kilter_service.contract.jobs.evaluate import EVALUATE, Iso9283
@@ -18,7 +19,6 @@ from kilter_service.contract.jobs.gap import GAP, GapResult
 from kilter_service.contract.jobs.identify import IDENTIFY
 from kilter_service.contract.jobs.registry import Job
 from kilter_service.contract.robot_reports import RobotReport
-from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.versions import Activation, Version
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database

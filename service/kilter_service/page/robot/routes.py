@@ -11,8 +11,8 @@ from fastapi.responses import HTMLResponse, JSONResponse
 from pydantic import ValidationError
 
 from kilter_service.contract.drift import NewRepair
-from kilter_service.contract.meshes import MeshUnit
 from kilter_service.contract.references import RobotChange
+from kilter_service.contract.robots import MeshUnit
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.limits import MAX_MESH_MB

@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.suspicious import service as suspicious
-from kilter_service.contract.campaigns import Campaign
+from kilter_service.contract.campaigns import Campaign, SuspiciousRows
 from kilter_service.contract.jobs.gap import GAP, GapResult
 from kilter_service.contract.jobs.job import JobSummary
 from kilter_service.contract.robot_reports import RobotReport
-from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.today import Today
 from kilter_service.contract.versions import Activation, Version, VersionSummary
 from kilter_service.ground.db import Database

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from kilter_service.contract.meshes import Mesh
 from kilter_service.contract.robot_reports import RobotReport
+from kilter_service.contract.robots import Mesh
 from kilter_service.ground.db import Database
 from kilter_service.ground.limits import MAX_MESH_MB, MAX_TRIANGLES
 from kilter_service.robots import service as robots

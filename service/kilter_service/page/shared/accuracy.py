@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from kilter_service.contract.error_words import interval, widest
 from kilter_service.contract.fits import Errors, Metrics, StageErrors
 from kilter_service.contract.today import UNUSED, Today
+from kilter_service.contract.words import interval, widest
 from kilter_service.versions.today.sentences import largest
 
 

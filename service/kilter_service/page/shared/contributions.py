@@ -10,10 +10,10 @@ from kilter_service.ground.db import Database
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.figures.scale import category_axis, lengths
 from kilter_service.page.words import in_columns
-from kilter_service.versions.predictions.contributions import contributions
+from kilter_service.versions.predictions.at_pose import contributions
 
 if TYPE_CHECKING:
-    from kilter_service.versions.predictions.contributions import Contribution
+    from kilter_service.versions.predictions.at_pose import Contribution
 
 COLOURS = ("", "")  # those of plots
 

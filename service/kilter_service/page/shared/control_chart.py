@@ -9,8 +9,7 @@ from datetime import datetime
 from itertools import pairwise
 
 from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftMark, DriftSummary
-from kilter_service.contract.standing import ErrorAt
-from kilter_service.contract.today import Today
+from kilter_service.contract.today import ErrorAt, Today
 from kilter_service.ground.texts import plural
 from kilter_service.page.figures.plot import GREY, Plot
 from kilter_service.page.figures.scale import Axis, Days, days_around, lengths

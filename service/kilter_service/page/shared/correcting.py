@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from kilter_service.contract.bridges import Bridge
+from kilter_service.contract.streams import Bridge
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
 from kilter_service.robots.compensation import CORRECTS, WORDS

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kilter_service.contract.standing import Standing
-from kilter_service.contract.today import Today
+from kilter_service.contract.today import Standing, Today
 from kilter_service.page.shared.correcting import OFF, TWICE, Correcting
 
 LOUDNESS = ("bad", "warn", "faint", "good")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from kilter_service.contract.bridges import Bridge
 from kilter_service.contract.robot_reports import RobotReport
+from kilter_service.contract.streams import Bridge
 from kilter_service.contract.versions import Activation
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
@@ -18,9 +18,8 @@ from kilter_service.page.shared.correcting import Correcting, corrector
 from kilter_service.robots import service as robots
 from kilter_service.stream.bridges import service as known_bridges
 from kilter_service.stream.live import service as live
-from kilter_service.stream.live.heard import WHY
+from kilter_service.stream.live.heard import WHY, RobotShown, Second
 from kilter_service.stream.live.session import read_corrector_place
-from kilter_service.stream.live.shown import RobotShown, Second
 from kilter_service.versions import service as versions
 
 CALM_MM = 0.05  # a correction that is smaller is drawn small

@@ -9,8 +9,7 @@ import numpy as np
 
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.contract.comparisons import PairedErrors
-from kilter_service.contract.versions import ParameterChange, Version, VersionDiff
+from kilter_service.contract.versions import PairedErrors, ParameterChange, Version, VersionDiff
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kilter_core.errors import CoreError
-from kilter_service.contract.previews import VersionPreview
-from kilter_service.contract.versions import Version
+from kilter_service.contract.versions import Version, VersionPreview
 from kilter_service.ground.db import Database
 from kilter_service.page.shared.accuracy import Accuracy, accuracy_from_metrics
 from kilter_service.robots import service as robots

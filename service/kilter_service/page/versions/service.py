@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from kilter_service.campaigns.suspicious import service as suspicious
+from kilter_service.contract.campaigns import SuspiciousRows
 from kilter_service.contract.fits import Parameter
 from kilter_service.contract.robot_reports import RobotReport
-from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.today import Today
 from kilter_service.contract.versions import Activation, Version, VersionSummary
 from kilter_service.ground.called import display_name

@@ -6,12 +6,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from xml.etree.ElementTree import Element, SubElement
 
+import numpy as np
+
+from kilter_core.arm import Screws
+from kilter_core.model import Loss, acts_at_rest, geometry_loss, workspace
+from kilter_core.types import Floats
 from kilter_service.contract.versions import Version
-from kilter_service.ground.core import core_model
+from kilter_service.ground.core import core_model, transforms
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot
+    from kilter_core.effects import Effect
+    from kilter_core.model import Calibration
 
 
 class Arm(Protocol):
@@ -54,3 +62,73 @@ class Written(NamedTuple):
 
     text: str | bytes | Callable[[], str | bytes]
     notes: tuple[str, ...] = ()
+
+
+SAID_MM = 1e-6  # smaller differences are rounding
+
+
+def omissions(calibration: Calibration, arm: Screws | None = None) -> tuple[str, ...]:
+    """Say which effects a file of the identified geometry (or ``arm``, base to tool) leaves out, and the distance left."""
+    return (*left_out(calibration), distance(geometry_loss(calibration, arm)))
+
+
+def left_out(calibration: Calibration) -> tuple[str, ...]:
+    """Name the effects of the arm, none of which the file can hold, and how far each moves the tool."""
+    sizes = displacements_mm(calibration)
+    arm = [effect for effect in calibration.model.effects if effect.stage != "measurement"]
+    return tuple(f"Left out: {_describe_effect(effect, sizes.get(effect.id))}." for effect in arm)
+
+
+def masses_as_stated(robot: Robot) -> tuple[str, ...]:
+    """Say what a table of masses leaves out: how well they are known."""
+    if not any(link.mass_sigma is not None or link.com_sigma is not None for link in robot.links):
+        return ()
+    return ("Left out: the standard deviations of masses and centres; the numbers are those the robot states.",)
+
+
+def displacements_mm(calibration: Calibration) -> dict[str, tuple[float, float]]:
+    """Root mean square and largest displacement (mm) of the tool by each effect, over the workspace at rest."""
+    kept = calibration.with_effects([effect for effect in calibration.model.effects if acts_at_rest(effect)])
+    found = kept.model.contribution(workspace(calibration.robot), kept.values)
+    moved = {name.partition("#")[0]: np.linalg.norm(d, axis=1) * 1e3 for name, d in found.items()}
+    return {name: (float(np.sqrt(np.mean(d**2))), float(d.max())) for name, d in moved.items()}
+
+
+def _describe_effect(effect: Effect, size: tuple[float, float] | None) -> str:
+    if size is None:
+        return f"{effect.id}, which acts with {', '.join(sorted(effect.needs - {'moments'}))}"
+    return f"{effect.id}, {size[0]:.3f} mm rms and {size[1]:.3f} mm at most over the workspace, at rest without load"
+
+
+def distance(loss: Loss) -> str:
+    """Say how far the file's arm is from the identified one."""
+    if loss.max_m * 1e3 < SAID_MM:
+        return "Nothing is lost: the poses are those of the version."
+    return (
+        f"Lost: the file's tool point differs from the version's by {loss.rms_m * 1e3:.4f} mm rms, "
+        f"{loss.max_m * 1e3:.4f} mm at most, its orientation by {np.degrees(loss.max_rad):.4f} deg at most, "
+        "over the workspace."
+    )
+
+
+CUT = -np.radians(179.0)
+
+
+def set_origin(joint: Element, T: Floats) -> None:
+    """Write a pose (4, 4) as the origin of a joint, with every digit that counts."""
+    origin = joint.find("origin")
+    origin = SubElement(joint, "origin") if origin is None else origin
+    xyz, rpy = transforms.xyz_rpy_from_pose(T)
+    origin.set("xyz", numbers(xyz))
+    origin.attrib.pop("quat_xyzw", None)
+    origin.set("rpy", numbers(away_from_the_cut(rpy)))
+
+
+def away_from_the_cut(angles: Floats) -> Floats:
+    """Angles (rad) from -179 to 181 degrees: drawings have 180 degrees often, whose sign rounding must not change."""
+    return np.where(angles < CUT, angles + 2.0 * np.pi, angles)
+
+
+def numbers(values: Floats) -> str:
+    """Numbers as an attribute of URDF."""
+    return " ".join(repr(float(value) + 0.0) for value in values)

@@ -11,8 +11,7 @@ import numpy as np
 from kilter_core.arm import joint_frames
 from kilter_core.model import flange_screws, wanted_tool
 from kilter_core.types import Floats
-from kilter_service.robots.exporters.exportable import Exportable, Written
-from kilter_service.robots.exporters.omissions import omissions
+from kilter_service.robots.exporters.exportable import Exportable, Written, omissions
 from kilter_service.robots.exporters.registry import program_name
 
 if TYPE_CHECKING:

@@ -16,9 +16,14 @@ from kilter_core.identify import Predictive, known_zeros
 from kilter_core.model import ClosestTable, closest_table
 from kilter_core.transforms import rotation_between, xyz_rpy_from_pose
 from kilter_service.ground.texts import text_cell
-from kilter_service.robots.exporters.exportable import Exportable, Written
-from kilter_service.robots.exporters.omissions import distance, left_out, masses_as_stated
-from kilter_service.robots.exporters.urdf_words import away_from_the_cut
+from kilter_service.robots.exporters.exportable import (
+    Exportable,
+    Written,
+    away_from_the_cut,
+    distance,
+    left_out,
+    masses_as_stated,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

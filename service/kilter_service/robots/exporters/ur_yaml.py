@@ -11,8 +11,7 @@ from kilter_core.errors import RobotError
 from kilter_core.model import arm_screws, flange_screws, wanted_tool
 from kilter_core.transforms import inverse, xyz_rpy_from_pose
 from kilter_core.types import Floats
-from kilter_service.robots.exporters.exportable import Exportable, Written
-from kilter_service.robots.exporters.omissions import omissions
+from kilter_service.robots.exporters.exportable import Exportable, Written, omissions
 from kilter_service.robots.importers.urdf_tree import parse
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")

@@ -10,10 +10,8 @@ from scipy.spatial.transform import Rotation
 from kilter_core.model import FlangeFrames, flange_frames
 from kilter_core.transforms import inverse
 from kilter_core.types import Floats
-from kilter_service.robots.exporters.exportable import Exportable, Written
-from kilter_service.robots.exporters.omissions import omissions
+from kilter_service.robots.exporters.exportable import Exportable, Written, omissions, set_origin
 from kilter_service.robots.exporters.urdf_new import new_urdf
-from kilter_service.robots.exporters.urdf_words import set_origin
 from kilter_service.robots.importers.urdf import chain_document
 from kilter_service.robots.importers.urdf_tree import UrdfJoint, parse
 from kilter_service.robots.importers.xml_text import read_xml

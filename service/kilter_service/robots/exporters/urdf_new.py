@@ -12,7 +12,7 @@ import numpy as np
 from kilter_core.errors import RobotError
 from kilter_core.types import Floats
 from kilter_service.ground.core import core_arm, core_model
-from kilter_service.robots.exporters.urdf_words import numbers, set_origin
+from kilter_service.robots.exporters.exportable import numbers, set_origin
 
 if TYPE_CHECKING:
     from kilter_core.arm import Joint, JointFrames, Link, Robot, Screws

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from kilter_service.contract.frames import Frame, NewFrame
+from kilter_service.contract.kinematics import Frame, NewFrame
 from kilter_service.robots.frames import service
 from kilter_service.web.routing import GuardedRoute
 

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
 from kilter_core.errors import ObservationError
-from kilter_service.contract.frames import Frame, NewFrame
-from kilter_service.ground.core import core_procedures
-from kilter_service.robots.frames import wire
+from kilter_service.contract.kinematics import Frame, NewFrame, OffPoint
+from kilter_service.contract.units import PointMm, Pose
+from kilter_service.ground.core import core_arm, core_procedures
+
+if TYPE_CHECKING:
+    from kilter_core.procedures import ReferenceFrame
 
 
 def find_frame(frame: NewFrame) -> Frame:
@@ -20,13 +29,25 @@ def find_frame(frame: NewFrame) -> Frame:
     if frame.points is not None:
         names = [point.name or str(k) for k, point in enumerate(frame.points, 1)]
         made = core_procedures.frame_of_points(
-            wire.metres([p.known_mm for p in frame.points]), wire.metres([p.measured_mm for p in frame.points])
+            metres([p.known_mm for p in frame.points]), metres([p.measured_mm for p in frame.points])
         )
     else:
         assert frame.features is not None
         f = frame.features
         names = [f"plane {k}" for k in range(1, len(f.plane_mm) + 1)]
-        made = core_procedures.frame_of_features(
-            wire.metres(f.plane_mm), wire.metres(f.line_mm), wire.metres([f.origin_mm])[0]
-        )
-    return wire.frame(made, names)
+        made = core_procedures.frame_of_features(metres(f.plane_mm), metres(f.line_mm), metres([f.origin_mm])[0])
+    return describe_frame(made, names)
+
+
+MM = 1e-3
+
+
+def metres(points: Sequence[PointMm]) -> NDArray[np.float64]:
+    """Return points (N, 3) in m."""
+    return np.array(points, dtype=np.float64) * MM
+
+
+def describe_frame(made: ReferenceFrame, names: Sequence[str]) -> Frame:
+    """Say where a frame is, and how well its points fit."""
+    left = [OffPoint(name=name, left_mm=float(off) / MM) for name, off in zip(names, made.left, strict=True)]
+    return Frame(pose=Pose.model_validate(core_arm.pose_document(made.pose)), rms_mm=made.rms / MM, points=left)

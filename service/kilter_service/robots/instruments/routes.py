@@ -7,9 +7,8 @@ from fastapi import APIRouter, Response
 from kilter_service.contract.instruments import Instrument, InstrumentList, NewInstrument
 from kilter_service.robots.instruments import service
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.conditional import ConditionalRoute
-from kilter_service.web.page_query import PageOfList
-from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web.routing import ConditionalRoute
+from kilter_service.web.state import DatabaseOfApp, PageOfList
 
 router = APIRouter(prefix="/v1/instruments", tags=["instruments"], route_class=ConditionalRoute)
 

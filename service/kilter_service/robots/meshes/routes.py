@@ -5,14 +5,14 @@ from __future__ import annotations
 from fastapi import APIRouter, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
-from kilter_service.contract.meshes import Mesh, MeshList, MeshUnit, UrdfShapes
+from kilter_service.contract.robots import Mesh, MeshList, MeshUnit, UrdfShapes
 from kilter_service.ground.files.file_hash import check_digest
 from kilter_service.ground.limits import MAX_MESH_MB
 from kilter_service.robots.meshes import service
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.bodies import MESH, spool_upload
 from kilter_service.web.concurrency import compute
-from kilter_service.web.conditional import ConditionalRoute
+from kilter_service.web.routing import ConditionalRoute
 from kilter_service.web.state import DatabaseOfApp, get_scratch
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from kilter_service.contract.meshes import Mesh, MeshList, MeshUnit, UrdfShape, UrdfShapes
+from kilter_service.contract.robots import Mesh, MeshList, MeshUnit, UrdfShape, UrdfShapes
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
@@ -163,15 +164,7 @@ def remove(database: Database, robot: str, link: str) -> None:
 
 
 def _mesh_from_record(robot: str, record: MeshRecord) -> Mesh:
-    return Mesh(
-        robot=robot,
-        link=record.link,
-        format=record.format,
-        unit=record.unit,
-        triangles=record.triangles,
-        sha256=record.sha256,
-        created_at=record.created_at,
-    )
+    return copy_fields(Mesh, record, robot=robot)
 
 
 def triangles(content: bytes, form: str) -> Triangles:

@@ -8,7 +8,8 @@ from typing import Literal
 
 from sqlalchemy import select
 
-from kilter_service.contract.meshes import MeshUnit
+from kilter_service.contract.robots import MeshUnit
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import MeshRow
@@ -62,7 +63,7 @@ def _row(session: Session, robot_id: int, link: str) -> MeshRow:
 
 
 def _record(row: MeshRow) -> MeshRecord:
-    return MeshRecord(row.link, row.format, row.unit, row.triangles, row.sha256, row.created_at)  # type: ignore[arg-type]
+    return copy_fields(MeshRecord, row)
 
 
 @dataclass(frozen=True)

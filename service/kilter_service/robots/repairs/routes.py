@@ -7,7 +7,7 @@ from fastapi import APIRouter
 from kilter_service.contract.drift import NewRepair, Repair
 from kilter_service.robots.repairs import service
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.conditional import ConditionalRoute
+from kilter_service.web.routing import ConditionalRoute
 from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)

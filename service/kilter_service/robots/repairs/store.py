@@ -8,6 +8,7 @@ from datetime import datetime
 from sqlalchemy import select
 
 from kilter_service.contract.drift import NewRepair, Repair, RepairKind
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import CampaignRow, RepairRow
 from kilter_service.ground.errors import ServiceError
@@ -61,13 +62,4 @@ def last_repair(session: Session, robot_id: int) -> Repair | None:
 
 
 def _repair(row: RepairRow) -> Repair:
-    return Repair(
-        id=row.id,
-        at=row.at,
-        what=row.what,
-        by=row.actor,
-        created_at=row.created_at,
-        kind=row.kind,
-        campaign_id=row.campaign_id,
-        rows=row.rows,
-    )
+    return copy_fields(Repair, row, by=row.actor)

@@ -25,11 +25,11 @@ from kilter_service.ground.files.file_hash import check_hash, has_hash, hash_fil
 from kilter_service.ground.files.private_files import private_file, private_folder
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, LOCK_FILE, Settings
 from kilter_service.run.backup import store
-from kilter_service.run.backup.findings import Findings
+from kilter_service.run.backup.store import Findings
 from kilter_service.run.backup.upgrade import replay_and_keep
 
 if TYPE_CHECKING:
-    from kilter_service.versions.replays.service import Change
+    from kilter_service.versions.replays import Change
 
 # The manifest of a backup: a hash for every table, over all of its rows, taken when the backup was written.
 #

@@ -21,11 +21,11 @@ from kilter_service.ground.files.private_files import private_file
 from kilter_service.ground.settings import Settings
 
 if TYPE_CHECKING:
-    from kilter_service.versions.replays.service import Change
+    from kilter_service.versions.replays import Change
 
 with later(__name__):  # a database without active versions needs no core
+    from kilter_service.versions import replays
     from kilter_service.versions import store as versions
-    from kilter_service.versions.replays import service as replays
 
 log = logging.getLogger("kilter.serve")
 

@@ -13,7 +13,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 
 if TYPE_CHECKING:
-    from kilter_service.run.zenoh_config.authority import Issued
+    from kilter_service.run.zenoh_config.folders import Issued
 
 EXAMPLE = "kilterd zenoh-config --out /etc/kilter/zenoh --host cell7.lab --controller left=arm1,arm2"
 RECORD = "roles.json"
@@ -98,7 +98,7 @@ def _controller(text: str) -> tuple[str, list[str]]:
 
 
 def _issued_from_arguments(given: argparse.Namespace) -> Issued | None:
-    from kilter_service.run.zenoh_config.authority import Issued
+    from kilter_service.run.zenoh_config.folders import Issued
 
     files = (given.certificate, given.key, given.authorities)
     if not any(files):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path
 
-from kilter_service.contract.bridges import Bridge, BridgeList, BridgeNews
+from kilter_service.contract.streams import Bridge, BridgeList, BridgeNews
 from kilter_service.stream.bridges import service
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.routing import GuardedRoute

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from kilter_service.contract.bridges import Bridge, BridgeList, BridgeNews
+from kilter_service.contract.streams import Bridge, BridgeList, BridgeNews
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.ground.db import Database
 from kilter_service.robots import store as robots

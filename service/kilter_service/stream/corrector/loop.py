@@ -23,12 +23,19 @@ import zenoh
 
 from kilter_core.correct import warm_up
 from kilter_service.ground.errors import ServiceError
-from kilter_service.stream.corrector import fast_path, keys, wire
+from kilter_service.stream.corrector import endpoints, fast_path, wire
 from kilter_service.stream.corrector.active import Active, nothing_active
-from kilter_service.stream.corrector.gate import Admitted, Gate, unsigned_refusal
 from kilter_service.stream.corrector.orphan import ORPHAN_S, Door, State
 from kilter_service.stream.corrector.session import ENCODING, close, open_listening
-from kilter_service.stream.corrector.slots import Served, Slots, address_from_key, parse_setpoint_key
+from kilter_service.stream.corrector.slots import (
+    Admitted,
+    Gate,
+    Served,
+    Slots,
+    address_from_key,
+    parse_setpoint_key,
+    unsigned_refusal,
+)
 from kilter_service.stream.corrector.specs import StreamSpec
 from kilter_service.stream.corrector.telemetry import PERIOD_S, Telemetry, TurnedAway
 from kilter_service.stream.corrector.wire import Status
@@ -73,7 +80,7 @@ class StreamLoop:
         self.turned_away = TurnedAway()
         self._wake_up = wake_up
         self._subscriber = session.declare_subscriber(
-            keys.every_input(spec.site), zenoh.handlers.RingChannel(spec.rules.ring)
+            endpoints.every_input(spec.site), zenoh.handlers.RingChannel(spec.rules.ring)
         )
 
     def run(self) -> None:
@@ -197,7 +204,7 @@ class HousekeepingThread(threading.Thread):
         self._reported_s = 0.0
         self._telemetry = Telemetry(loop.session, loop.spec, loop.gate, loop.slots, loop.active, loop.turned_away)
         loop.session.declare_queryable(
-            keys.every_active(loop.spec.site), zenoh.handlers.Callback(self._queue_query, indirect=False)
+            endpoints.every_active(loop.spec.site), zenoh.handlers.Callback(self._queue_query, indirect=False)
         )
 
     def _queue_query(self, query: zenoh.Query) -> None:
@@ -259,7 +266,7 @@ class HousekeepingThread(threading.Thread):
 
     def _use(self, active: Active) -> None:
         """Announce the version first, then use it: a controller knows every epoch before it meets it."""
-        robot = keys.RobotKeys(self._loop.spec.site, active.robot)
+        robot = endpoints.RobotKeys(self._loop.spec.site, active.robot)
         self._announce(active.robot, active.announcement())
         if active.robot not in self._loop.active:
             self._loop.gate.forget()  # frames refused until now must not be the first that are taken
@@ -274,7 +281,7 @@ class HousekeepingThread(threading.Thread):
 
     def _announce(self, robot: str, document: bytes) -> None:
         spec = self._loop.spec
-        key = keys.RobotKeys(spec.site, robot).active
+        key = endpoints.RobotKeys(spec.site, robot).active
         signed = self._loop.gate.masters.sign_announcement(key, spec.site, robot, document)
         self._loop.session.put(
             key,
@@ -289,13 +296,13 @@ class HousekeepingThread(threading.Thread):
             with self._queries.popleft() as query:
                 found = False
                 for active in list(self._loop.active.values()):
-                    key = keys.RobotKeys(self._loop.spec.site, active.robot).active
+                    key = endpoints.RobotKeys(self._loop.spec.site, active.robot).active
                     if zenoh.KeyExpr(key).intersects(query.key_expr):
                         found = True
                         self._reply(query, key, active.robot, active.announcement())
                 asked = str(query.key_expr)
                 if not found and "*" not in asked:  # so that silence never means that nothing is active
-                    robot = keys.robot_from_key(asked)
+                    robot = endpoints.robot_from_key(asked)
                     self._reply(query, asked, robot, nothing_active(robot))
 
     def _reply(self, query: zenoh.Query, key: str, robot: str, document: bytes) -> None:
@@ -337,7 +344,7 @@ class HousekeepingThread(threading.Thread):
                 priority=zenoh.Priority.DATA_LOW,
                 congestion_control=zenoh.CongestionControl.DROP,
             )
-            place = {"robot": served.robot, "stream": keys.stream_from_key(served.status_key)}
+            place = {"robot": served.robot, "stream": endpoints.stream_from_key(served.status_key)}
             told.append({**place, **document, "by_time": counters.by_time, **self._telemetry.latest(served)})
         # A supervisor that does not read must not hold up this thread: then it is not told.
         if told and self._pipe is not None and select.select([], [self._pipe], [], 0)[1]:

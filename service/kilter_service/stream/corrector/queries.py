@@ -17,7 +17,7 @@ import zenoh
 from kilter_core.correct import walk_from_rest, warm_up
 from kilter_core.errors import ObservationError
 from kilter_core.types import Floats
-from kilter_service.stream.corrector import keys, wire
+from kilter_service.stream.corrector import endpoints, wire
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.session import ENCODING, close, open_inside
 from kilter_service.stream.corrector.specs import QuerySpec, Rules
@@ -153,7 +153,7 @@ class Queries:
         self._pipe = pipe
         self._thread = threading.Thread(target=self._follow, name="versions")
         self._queryable = session.declare_queryable(
-            keys.every_query(spec.site, "*"), zenoh.handlers.FifoChannel(32), complete=True
+            endpoints.every_query(spec.site, "*"), zenoh.handlers.FifoChannel(32), complete=True
         )
 
     def run(self) -> None:
@@ -172,7 +172,7 @@ class Queries:
 
     def _answer(self, query: zenoh.Query) -> None:
         key = str(query.key_expr)
-        robot = keys.robot_from_key(key)
+        robot = endpoints.robot_from_key(key)
         active = self.active.get(robot)
         if key.endswith("/@rpc/describe"):
             document = self._sign_reply(query, describe(robot, active, self._spec.unsigned))
@@ -200,7 +200,7 @@ class Queries:
                 return None
             raise QueryError(Status.UNSIGNED.name, UNSIGNED)
         stream = query.parameters.get("stream") or ""
-        robot = keys.robot_from_key(str(query.key_expr))
+        robot = endpoints.robot_from_key(str(query.key_expr))
         key = self._masters.session_key(sealed.session_id_from_frame(data), self._spec.site, robot, stream)
         expires_s = Session(*sealed.ID.unpack(sealed.session_id_from_frame(data))).expires_s
         if key is None or not sealed.fits(key, sealed.QUESTION, data) or expires_s < time.time():
@@ -221,7 +221,7 @@ class Queries:
         question = data[-sealed.TRAILER :] if sealed.is_signed(data) else data
         stream = query.parameters.get("stream")
         return questions.reply(
-            self._masters, question, key, self._spec.site, keys.robot_from_key(key), stream, document
+            self._masters, question, key, self._spec.site, endpoints.robot_from_key(key), stream, document
         )
 
     def _follow(self) -> None:

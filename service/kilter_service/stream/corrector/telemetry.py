@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from kilter_service.stream.corrector import keys
+from kilter_service.stream.corrector import endpoints
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.fast_path import Answered
-from kilter_service.stream.corrector.gate import Gate
-from kilter_service.stream.corrector.slots import Served, Slots
+from kilter_service.stream.corrector.slots import Gate, Served, Slots
 from kilter_service.stream.corrector.specs import StreamSpec
 
 PERIOD_S = 0.1
@@ -39,7 +38,7 @@ class TurnedAway:
 
     def count(self, out: str, status: str) -> None:
         """Count a refusal; ``out`` is the key of its answer. Whoever sends chooses the names, so there are not many."""
-        place = (keys.robot_from_key(out), keys.stream_from_key(out))
+        place = (endpoints.robot_from_key(out), endpoints.stream_from_key(out))
         if place not in self.counts and len(self.counts) >= self.MOST:
             self.counts, self.seen_ns = {}, {}
         counted = self.counts.setdefault(place, {})
@@ -90,7 +89,7 @@ class Telemetry:
         An entry is the time of day in ns, the correction of each joint (rad or m), and how far the tool moves (m).
         """
         last, now = served.stream.last_answer, time.time_ns()
-        place = (served.robot, keys.stream_from_key(served.status_key))
+        place = (served.robot, endpoints.stream_from_key(served.status_key))
         minute = self._minutes.setdefault(place, deque(maxlen=MINUTE))
         if last is None:
             return {}
@@ -105,7 +104,7 @@ class Telemetry:
     def publish_changes(self) -> None:
         """Publish what moved since the last time, and everything once a second, as far as somebody listens."""
         away, served = self._turned_away, self._slots.served.values()
-        streams = {(one.robot, keys.stream_from_key(one.status_key)): one for one in list(served)}
+        streams = {(one.robot, endpoints.stream_from_key(one.status_key)): one for one in list(served)}
         self._follow(away.counts.keys() | streams.keys())
         now = time.monotonic()
         everything = now - self._all_s >= ALL_S
@@ -131,7 +130,7 @@ class Telemetry:
             self._ways.pop(gone).undeclare()  # type: ignore[no-untyped-call]
         for robot, stream in places - self._ways.keys():
             self._ways[robot, stream] = self._session.declare_publisher(
-                keys.RobotKeys(self._spec.site, robot).stream(stream, "live"),
+                endpoints.RobotKeys(self._spec.site, robot).stream(stream, "live"),
                 priority=zenoh.Priority.BACKGROUND,
                 congestion_control=zenoh.CongestionControl.DROP,
             )
@@ -141,7 +140,9 @@ class Telemetry:
         told = {"instance": self._spec.instance, "at_ns": time.time_ns(), "moment_ns": time.monotonic_ns()}
         body = json.dumps(told | document).encode()
         site, masters = self._spec.site, self._gate.masters
-        return masters.sign_announcement(keys.RobotKeys(site, place[0]).stream(place[1], "live"), site, place[0], body)
+        return masters.sign_announcement(
+            endpoints.RobotKeys(site, place[0]).stream(place[1], "live"), site, place[0], body
+        )
 
     def _document(self, served: Served) -> dict[str, Any]:
         active = self._active.get(served.robot)

@@ -17,11 +17,10 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.failure_log import Failing
 from kilter_service.ground.settings import Settings
-from kilter_service.stream.corrector.keys import robot_from_key, stream_from_key
+from kilter_service.stream.corrector.endpoints import robot_from_key, stream_from_key
 from kilter_service.stream.live import store
-from kilter_service.stream.live.heard import Heard
+from kilter_service.stream.live.heard import Heard, Reach, RobotShown, bypass
 from kilter_service.stream.live.session import LiveSession, Message, open_or_reuse_session
-from kilter_service.stream.live.shown import Reach, RobotShown, bypass
 from kilter_service.stream.signing.masters import Masters, load_masters
 
 log = logging.getLogger("kilter.api")

@@ -8,9 +8,8 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
 from kilter_service.stream.live import store
 from kilter_service.stream.live.followers import ALIVE_S
-from kilter_service.stream.live.heard import Heard
+from kilter_service.stream.live.heard import Heard, Reach, RobotShown, Second, bypass
 from kilter_service.stream.live.session import read_corrector_place
-from kilter_service.stream.live.shown import Reach, RobotShown, Second, bypass
 
 
 def load_minutes(database: Database, robot: str) -> dict[str, list[Second]]:

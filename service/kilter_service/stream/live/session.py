@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from kilter_service.ground.settings import Settings
-from kilter_service.stream.corrector import keys
+from kilter_service.stream.corrector import endpoints
 
 
 class Place(NamedTuple):
@@ -59,7 +59,7 @@ class LiveSession:
         self._session: Any = zenoh.open(made)
         self._no_message: type[Exception] = zenoh.ZError
         self._subscriber = self._session.declare_subscriber(
-            keys.every_live(place.site), zenoh.handlers.RingChannel(1024)
+            endpoints.every_live(place.site), zenoh.handlers.RingChannel(1024)
         )
 
     @property

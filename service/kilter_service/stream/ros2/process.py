@@ -6,9 +6,11 @@ router of ROS as a client.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import signal
+import struct
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -16,6 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from types import FrameType
+from typing import NamedTuple
 
 import numpy as np
 import zenoh
@@ -26,16 +29,94 @@ from kilter_core.types import Floats
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.failure_log import Failing
 from kilter_service.ground.settings import Settings
-from kilter_service.stream.corrector import keys, wire
+from kilter_service.stream.corrector import endpoints, wire
 from kilter_service.stream.corrector.active import Active, VersionSource
 from kilter_service.stream.corrector.database_source import DatabaseSource
 from kilter_service.stream.corrector.endpoints import check_ros2
 from kilter_service.stream.corrector.session import close, config
 from kilter_service.stream.corrector.stream import Stream
 from kilter_service.stream.corrector.wire import Flag, Status
-from kilter_service.stream.ros2 import cdr, names
-from kilter_service.stream.ros2.names import JOINT_STATE, JOINT_TRAJECTORY, Attachment, MessageType
+from kilter_service.stream.ros2 import cdr
 from kilter_service.web.health.pulse import Pulse
+
+_ATTACHMENT = struct.Struct("<qqB16s")
+NODE = "kilter"
+# Reliable, volatile, the last ten: what a ROS 2 publisher or subscription has unless it says otherwise.
+QOS = "::,10:,:,:,,"
+
+
+@dataclass(frozen=True)
+class MessageType:
+    """A type of ROS 2 with the hash of its definition (REP 2016), which never changes."""
+
+    name: str
+    rihs01: str
+
+    @property
+    def dds(self) -> str:
+        """Name of the type on the wire."""
+        package, _, kind = self.name.partition("/")
+        return f"{package}::msg::dds_::{kind}_"
+
+
+JOINT_STATE = MessageType(
+    "sensor_msgs/JointState", "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
+)
+JOINT_TRAJECTORY = MessageType(
+    "trajectory_msgs/JointTrajectory", "RIHS01_179b33eba59d676f6d967ac71fe35e7ca2f64b2f3928f4a018cec115e213796e"
+)
+
+
+def rmw_key(domain: int, topic: str, message: MessageType) -> str:
+    """Key on which rmw_zenoh publishes a topic."""
+    return f"{domain}/{topic.strip('/')}/{message.dds}/{message.rihs01}"
+
+
+def rmw_keys(domain: int, topic: str, message: MessageType) -> str:
+    """Key expression of a topic whatever the publisher says of the type's hash."""
+    return f"{domain}/{topic.strip('/')}/{message.dds}/*"
+
+
+def bridge_key(topic: str) -> str:
+    """Key under which zenoh-bridge-ros2dds carries a topic."""
+    return topic.strip("/")
+
+
+def node_token(domain: int, zid: str) -> str:
+    """Liveliness token of the node, for ``ros2 node list``."""
+    return f"@ros2_lv/{domain}/{zid}/0/0/NN/%/%/{NODE}"
+
+
+def topic_token(domain: int, zid: str, entity: int, kind: str, topic: str, message: MessageType) -> str:
+    """Liveliness token of a publisher (kind "MP") or subscription ("MS"), for ``ros2 topic list`` and ``info``."""
+    where = f"@ros2_lv/{domain}/{zid}/0/{entity}/{kind}/%/%/{NODE}"
+    return f"{where}/{topic.replace('/', '%')}/{message.dds}/{message.rihs01}/{QOS}"
+
+
+def publisher_gid(token: str) -> bytes:
+    """16 bytes that identify a publisher; any constant ones will do."""
+    return hashlib.blake2b(token.encode(), digest_size=16).digest()
+
+
+class Attachment(NamedTuple):
+    """What rmw_zenoh sends along: number of the message, time of sending (ns since 1970), publisher."""
+
+    seq: int
+    sent_ns: int
+    gid: bytes
+
+    def encode(self) -> bytes:
+        """33 bytes; a ROS process that gets others throws the message away, or worse."""
+        return _ATTACHMENT.pack(self.seq, self.sent_ns, len(self.gid), self.gid)
+
+
+def decode_attachment(data: bytes | None) -> Attachment | None:
+    """Read an attachment; None when it is not one."""
+    if data is None or len(data) != _ATTACHMENT.size:
+        return None
+    seq, sent_ns, size, gid = _ATTACHMENT.unpack(data)
+    return Attachment(seq, sent_ns, gid) if size == len(gid) and seq >= 0 and sent_ns >= 0 else None
+
 
 # Messages of ROS 2 in, corrected messages out; by the same rules as the stream and the trajectory query.
 #
@@ -224,7 +305,7 @@ class Adaptor:
         self._said: dict[str, dict[str, int]] = {}
         self.routes = routes(settings)
         if self._rmw:
-            self._announce(names.node_token(settings.ros2_domain, self._zid))
+            self._announce(node_token(settings.ros2_domain, self._zid))
         self._threads = [
             threading.Thread(target=self._relay, args=(route, 10 * (k + 1)), name=route.corrected)
             for k, route in enumerate(self.routes)
@@ -251,7 +332,7 @@ class Adaptor:
             refused = {k: n - before.get(k, 0) for k, n in counts.items() if k != "OK" and n != before.get(k, 0)}
             if refused:
                 log.warning("%s: not corrected and not passed on: %s", route.wanted, refused)
-            key = keys.RobotKeys(self._settings.site, route.robot).stream(f"ros2_{route.kind}", "status")
+            key = endpoints.RobotKeys(self._settings.site, route.robot).stream(f"ros2_{route.kind}", "status")
             document = {"wanted": route.wanted, "corrected": route.corrected, "counters": counts}
             self._session.put(key, json.dumps(document).encode(), encoding=zenoh.Encoding.APPLICATION_JSON)
 
@@ -261,14 +342,14 @@ class Adaptor:
     def _relay(self, route: Route, entity: int) -> None:
         domain = self._settings.ros2_domain
         if self._rmw:
-            wanted = names.rmw_keys(domain, route.wanted, route.message)
-            corrected = names.rmw_key(domain, route.corrected, route.message)
-            token = names.topic_token(domain, self._zid, entity + 1, "MP", route.corrected, route.message)
-            self._announce(names.topic_token(domain, self._zid, entity, "MS", route.wanted, route.message))
+            wanted = rmw_keys(domain, route.wanted, route.message)
+            corrected = rmw_key(domain, route.corrected, route.message)
+            token = topic_token(domain, self._zid, entity + 1, "MP", route.corrected, route.message)
+            self._announce(topic_token(domain, self._zid, entity, "MS", route.wanted, route.message))
             self._announce(token)
-            gid = names.publisher_gid(token)
+            gid = publisher_gid(token)
         else:
-            wanted, corrected, gid = names.bridge_key(route.wanted), names.bridge_key(route.corrected), b""
+            wanted, corrected, gid = bridge_key(route.wanted), bridge_key(route.corrected), b""
         subscriber = self._session.declare_subscriber(wanted, zenoh.handlers.RingChannel(256))
         publisher = self._session.declare_publisher(
             corrected, priority=zenoh.Priority.REAL_TIME, congestion_control=zenoh.CongestionControl.DROP, express=False
@@ -287,7 +368,7 @@ class Adaptor:
 
     def _answer(self, route: Route, sample: zenoh.Sample) -> bytes | None:
         arrival_ns = time.monotonic_ns()
-        attachment = names.decode_attachment(sample.attachment.to_bytes() if sample.attachment else None)
+        attachment = decode_attachment(sample.attachment.to_bytes() if sample.attachment else None)
         if self._rmw and attachment is None:
             route.relay.counts["ATTACHMENT"] += 1
             return None

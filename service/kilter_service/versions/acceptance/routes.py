@@ -10,7 +10,7 @@ from kilter_service.contract.acceptance import Acceptance
 from kilter_service.contract.units import MAX_NAMED, Name
 from kilter_service.versions.acceptance import service
 from kilter_service.versions.acceptance.service import Wish
-from kilter_service.web.conditional import ConditionalRoute
+from kilter_service.web.routing import ConditionalRoute
 from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)

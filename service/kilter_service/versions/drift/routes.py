@@ -6,7 +6,7 @@ from fastapi import APIRouter
 
 from kilter_service.contract.drift import DriftHistory, DriftList
 from kilter_service.versions.drift import service
-from kilter_service.web.conditional import ConditionalRoute
+from kilter_service.web.routing import ConditionalRoute
 from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(prefix="/v1", tags=["robots"], route_class=ConditionalRoute)

@@ -20,6 +20,7 @@ from kilter_service.contract.drift import (
     Repair,
     State,
 )
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
 from kilter_service.robots import store as robots
@@ -31,16 +32,14 @@ from kilter_service.versions.drift.records import Activated, StoredCheck
 
 def check(one: StoredCheck) -> CheckOfRobot:
     """Say what a check said."""
-    return CheckOfRobot(
-        job_id=one.job_id,
-        campaign_id=one.campaign_id,
+    return copy_fields(
+        CheckOfRobot,
+        one,
         version_id=str(one.result["version_id"]),
-        at=one.at,
         verdict=one.result["verdict"],
         sentence=str(one.result["sentence"]),
         p_value=float(one.result["p_value"]),
         temperature_c=one.result.get("temperature_c"),
-        whole=one.whole,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -14,11 +14,12 @@ from kilter_core.types import QUANTILE, Floats
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.stream_messages import Status
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.core import core_correct, core_identify, transforms
+from kilter_service.ground.core import core_correct, core_identify, core_model, transforms
 from kilter_service.ground.correction_limits import correction_options
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.tables.assemble import with_default_load
+from kilter_service.ground.wire import to_mm
 from kilter_service.versions import store
 
 if TYPE_CHECKING:
@@ -141,3 +142,26 @@ def _contribution_with_interval(
     variance = float(np.einsum("i,ij,j", along, known.covariance[np.ix_(place, place)], along))
     half = QUANTILE * math.sqrt(max(variance, 0.0))
     return Part(name, size, size - half, size + half)
+
+
+class Contribution(NamedTuple):
+    """Movement of the tool by an effect, mm; None where it acts only with what poses alone do not state."""
+
+    effect: str
+    rms_mm: float | None
+    largest_mm: float | None
+
+
+def contributions(database: Database, version_id: str) -> tuple[int, list[Contribution]]:
+    """Return the number of poses, and the effects of a version, the largest first."""
+    with database.reading() as session:
+        calibration = store.calibration(session, version_id)
+    arm = [effect for effect in calibration.model.effects if effect.stage != "measurement"]
+    kept = calibration.with_effects([effect for effect in arm if core_model.acts_at_rest(effect)])
+    rows = core_model.workspace(calibration.robot)
+    moved = {}
+    for name, shift in kept.model.contribution(rows, kept.values).items():
+        size = to_mm(np.linalg.norm(shift, axis=1))
+        moved[name.partition("#")[0]] = (float(np.sqrt(np.mean(size**2))), float(size.max()))
+    found = [Contribution(effect.id, *moved.get(effect.id, (None, None))) for effect in arm]
+    return len(rows), sorted(found, key=lambda one: -(one.rms_mm or 0.0))

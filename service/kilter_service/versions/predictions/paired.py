@@ -11,8 +11,8 @@ import numpy as np
 from kilter_core.observations import numbered_poses
 from kilter_files.ground.later import special
 from kilter_service.campaigns import looking
-from kilter_service.contract.comparison_words import said_of_chance, said_of_lengths
-from kilter_service.contract.comparisons import PairedErrors
+from kilter_service.contract.versions import PairedErrors
+from kilter_service.contract.words import said_of_chance, said_of_lengths
 from kilter_service.ground.db import Database
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.versions.predictions import residuals as left

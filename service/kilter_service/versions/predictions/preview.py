@@ -13,8 +13,7 @@ import numpy as np
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.previews import VersionPreview
-from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.contract.versions import CorrectionLimits, VersionPreview
 from kilter_service.ground import correction_outcome as outcome
 from kilter_service.ground.correction_limits import correction_options
 from kilter_service.ground.db import Database

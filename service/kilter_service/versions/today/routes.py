@@ -6,7 +6,7 @@ from fastapi import APIRouter
 
 from kilter_service.contract.today import Today
 from kilter_service.versions.today import service
-from kilter_service.web.conditional import ConditionalRoute
+from kilter_service.web.routing import ConditionalRoute
 from kilter_service.web.state import DatabaseOfApp
 
 router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)

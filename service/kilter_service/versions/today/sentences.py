@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 
-from kilter_service.contract.error_words import interval, said_of_error, widest
 from kilter_service.contract.today import ErrorsToday, Today
+from kilter_service.contract.words import interval, said_of_error, widest
 from kilter_service.ground.texts import plural
 
 SOURCES = {

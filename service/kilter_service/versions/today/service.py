@@ -6,25 +6,24 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from kilter_service.contract.drift import Repair
-from kilter_service.contract.error_words import interval
 from kilter_service.contract.fits import Metrics, StageErrors
 from kilter_service.contract.gap_details import AtJoints, NamedEffect
 from kilter_service.contract.headlines import name_effects
 from kilter_service.contract.jobs.gap import GapResult
-from kilter_service.contract.standing import ErrorAt
-from kilter_service.contract.today import ErrorsToday, MeasuredCampaign, NamedMissing, SearchToday, Today
+from kilter_service.contract.today import ErrorAt, ErrorsToday, MeasuredCampaign, NamedMissing, SearchToday, Today
 from kilter_service.contract.units import ControllerCompensation
+from kilter_service.contract.words import interval
 from kilter_service.contract.written import as_written
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
 from kilter_service.robots import store as arms
 from kilter_service.robots.compensation import parse_compensation, sentence
 from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions.drift import service as drift
-from kilter_service.versions.predictions.own_errors import larger
+from kilter_service.versions.predictions.unfitted_rows import larger
 from kilter_service.versions.today import sentences, store
-from kilter_service.versions.today.first import Reached
-from kilter_service.versions.today.standing import Known, assess
+from kilter_service.versions.today.standing import Known, Reached, assess
 from kilter_service.versions.today.store import Active, Evaluated, Made, Measured, Searched
 from kilter_service.web.observability.store import streams
 
@@ -346,11 +345,9 @@ def _errors(
 
 def _campaign(found: Measured) -> MeasuredCampaign:
     days = days_since(found.measured_at)
-    return MeasuredCampaign(
-        id=found.id,
-        name=found.name,
-        measured_at=found.measured_at,
-        stated=found.stated,
+    return copy_fields(
+        MeasuredCampaign,
+        found,
         age_days=days,
         when=sentences.describe_measurement_time(found.measured_at, days, stated=found.stated),
     )

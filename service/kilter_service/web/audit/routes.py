@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from kilter_service.contract.audit import AuditPage
+from kilter_service.contract.tokens import AuditPage
 from kilter_service.web.audit import service
-from kilter_service.web.page_query import PageOfList
 from kilter_service.web.routing import GuardedRoute
-from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web.state import DatabaseOfApp, PageOfList
 
 router = APIRouter(prefix="/v1", tags=["access"], route_class=GuardedRoute)
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from kilter_service.contract.audit import AuditEntry, AuditPage
+from kilter_service.contract.tokens import AuditEntry, AuditPage
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.audited import hash_entry
 from kilter_service.ground.errors import ServiceError

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import shutil
+import threading
 import time
 from collections.abc import Callable
 from functools import cache, partial
@@ -19,7 +20,6 @@ from kilter_service.ground.failure_log import Failing
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.version import code_version
 from kilter_service.web.health import store
-from kilter_service.web.health.clock import SetClock
 
 log = logging.getLogger("kilter.api")
 looks = {
@@ -174,3 +174,30 @@ def _ahead(found: list[store.Heartbeat]) -> str | None:
         f"{ahead[0].name} spoke {-ahead[0].age_s:.0f} s in the future: set the clocks of the machines to the same time; "
         "where one clock was set back, and it stays silent, start it"
     )
+
+
+LEAST_S = 2.0  # a clock that is disciplined creeps, and is never set by so much
+
+
+class SetClock:
+    """Compares the time of day with the monotonic clock each time it is asked."""
+
+    def __init__(
+        self, for_s: float, clock: Callable[[], float] = time.time, steady: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._for_s, self._clock, self._steady = for_s, clock, steady
+        self._lock = threading.Lock()
+        self._between = clock() - steady()
+        self._sets: list[tuple[float, float]] = []
+
+    def sets_s(self) -> list[float]:
+        """By how much it was set in the last seconds, forward positive; each as a heartbeat from before it shows it."""
+        with self._lock:
+            steady_s = self._steady()
+            between = self._clock() - steady_s
+            self._sets = [(at, s) for at, s in self._sets if steady_s - at < self._for_s]
+            by = between - self._between
+            if abs(by) > LEAST_S:
+                self._sets = [(at, s + by) for at, s in self._sets] + [(steady_s, by)]
+            self._between = between
+            return [s for _, s in self._sets]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import logging
 import secrets
-from dataclasses import asdict
 from datetime import timedelta
 
 from kilter_service.contract.tokens import MadeToken, NewToken, Token, TokenList
@@ -15,7 +14,6 @@ from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.web.tokens import store
-from kilter_service.web.tokens.store import TokenRecord
 
 log = logging.getLogger("kilter.api")
 
@@ -40,7 +38,7 @@ def add(database: Database, wanted: NewToken, actor: str) -> MadeToken:
     expires = None if wanted.days is None else utc_now() + timedelta(days=wanted.days)
     with database.transaction() as session:
         made = store.add(session, hash_secret(secret), wanted.name, wanted.role, wanted.robots, expires, actor)
-    return MadeToken(**asdict(made), token=secret)
+    return MadeToken(**made.model_dump(), token=secret)
 
 
 def list_tokens(database: Database, page: Page) -> TokenList:
@@ -48,16 +46,16 @@ def list_tokens(database: Database, page: Page) -> TokenList:
     with database.reading() as session:
         found = store.tokens_on_page(session, page)
     shown, cursor = page.cut(found, lambda token: in_time(token.created_at, token.id))
-    return TokenList(tokens=[Token(**asdict(token)) for token in shown], next=cursor)
+    return TokenList(tokens=list(shown), next=cursor)
 
 
 def revoke(database: Database, token_id: str, actor: str) -> Token:
     """End a token at once."""
     with database.transaction() as session:
-        return Token(**asdict(store.revoke(session, token_id, actor)))
+        return store.revoke(session, token_id, actor)
 
 
-def get_valid_token(database: Database, sha256: str) -> TokenRecord:
+def get_valid_token(database: Database, sha256: str) -> Token:
     """Return the token whose secret has this hash, if it still holds.
 
     Raises:

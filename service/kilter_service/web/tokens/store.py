@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
 
 from sqlalchemy import and_, or_, select
 
-from kilter_service.contract.tokens import Role
+from kilter_service.contract.tokens import Role, Token
+from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.caller import CALLER
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
@@ -26,7 +26,7 @@ def add(
     robots: Sequence[str] | None,
     expires_at: datetime | None,
     actor: str,
-) -> TokenRecord:
+) -> Token:
     """Store a new token by the hash of its secret.
 
     Raises:
@@ -54,26 +54,26 @@ def add(
     )
     session.add(row)
     session.flush()
-    return _record(row)
+    return copy_fields(Token, row)
 
 
-def by_hash(session: Session, sha256: str) -> TokenRecord | None:
+def by_hash(session: Session, sha256: str) -> Token | None:
     """Return the token whose secret has this hash."""
     row = session.execute(select(TokenRow).where(TokenRow.sha256 == sha256)).scalar_one_or_none()
-    return None if row is None else _record(row)
+    return None if row is None else copy_fields(Token, row)
 
 
-def tokens_on_page(session: Session, page: Page) -> list[TokenRecord]:
+def tokens_on_page(session: Session, page: Page) -> list[Token]:
     """Return tokens, newest first, one more than the page shows; those that ended too."""
     row = TokenRow
     query = select(row).order_by(row.created_at.desc(), row.id)
     if page.moment is not None:
         moment, key = page.moment
         query = query.where(or_(row.created_at < moment, and_(row.created_at == moment, row.id > key)))
-    return [_record(found) for found in session.execute(query.limit(page.fetch_limit)).scalars()]
+    return [copy_fields(Token, found) for found in session.execute(query.limit(page.fetch_limit)).scalars()]
 
 
-def revoke(session: Session, token_id: str, actor: str) -> TokenRecord:
+def revoke(session: Session, token_id: str, actor: str) -> Token:
     """End a token; nothing changes when it was revoked already.
 
     Raises:
@@ -90,7 +90,7 @@ def revoke(session: Session, token_id: str, actor: str) -> TokenRecord:
     if row.revoked_at is None:
         row.revoked_at, row.revoked_by = utc_now(), actor
         session.flush()
-    return _record(row)
+    return copy_fields(Token, row)
 
 
 def left_s(session: Session) -> float:
@@ -110,33 +110,3 @@ def left_s(session: Session) -> float:
             f"Token {row.name!r} has ended: ask an admin for a new one.", code="token_ended", name=row.name
         )
     return left
-
-
-def _record(row: TokenRow) -> TokenRecord:
-    role: Role = row.role  # type: ignore[assignment]  # checked when it was stored, and again by the model
-    return TokenRecord(
-        row.id,
-        row.name,
-        role,
-        row.robots,
-        row.created_at,
-        row.created_by,
-        row.expires_at,
-        row.revoked_at,
-        row.revoked_by,
-    )
-
-
-@dataclass(frozen=True)
-class TokenRecord:
-    """A token; ``robots`` None: of all robots."""
-
-    id: str
-    name: str
-    role: Role
-    robots: list[str] | None
-    created_at: datetime
-    created_by: str
-    expires_at: datetime | None
-    revoked_at: datetime | None
-    revoked_by: str

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kilter_client import FileError
-from kilter_files.formats.opening import open_recording
+from kilter_files.formats.registry import open_recording
 from tests.clients.files.formats.test_recordings import c3d_bytes
 from tests.clients.files.simulated import write_csv, write_n3d
 

@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from pyarrow import parquet
 
-from kilter_files.formats.joints.lerobot.episodes import read_episodes
-from kilter_files.formats.joints.lerobot.moved import Move, detect_joint_moves
+from kilter_files.formats.joints.lerobot.moved import Move, detect_joint_moves, read_episodes
 from kilter_files.formats.reader import LogHints
 from kilter_files.ground.errors import FileError
 from tests.clients.files.formats.test_lerobot import JOINTS, SERVOS, VERSIONS, calibration, dataset, hints

@@ -26,7 +26,7 @@ from kilter_files.formats.programs.found import Dialect, Program
 from kilter_files.formats.programs.reading import read_program
 from kilter_files.formats.programs.targets import read_targets
 from kilter_files.formats.reader import LogHints
-from kilter_files.look.inspection import inspect
+from kilter_files.look.drafts import inspect
 from tests.clients.answered import document
 from tests.clients.files.simulated import arm, wander, write_n3d
 from tests.clients.files.test_fuzz import EDITS, edited

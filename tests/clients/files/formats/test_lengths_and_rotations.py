@@ -10,11 +10,10 @@ import pytest
 from pyarrow import parquet
 
 from kilter_files import read_joints
-from kilter_files.formats.joints.lerobot.episodes import read_episodes
-from kilter_files.formats.joints.lerobot.moved import Move, detect_joint_moves
+from kilter_files.formats.joints.lerobot.moved import Move, detect_joint_moves, read_episodes
 from kilter_files.formats.reader import LogHints
 from kilter_files.ground.errors import FileError
-from kilter_files.look.inspection import inspect
+from kilter_files.look.drafts import inspect
 from tests.clients.files.formats.test_episodes import Floats, steps, task
 from tests.clients.files.formats.test_lerobot import CAMERA, FPS, SERVOS, VERSIONS, calibration, dataset, film, hints
 from tests.clients.test_cli import Command

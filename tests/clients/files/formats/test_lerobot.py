@@ -21,7 +21,7 @@ from kilter_files.formats.joints.lerobot.calibration import read_calibration
 from kilter_files.formats.joints.lerobot.log import blocks, open_recorded_joints
 from kilter_files.formats.reader import Hints, LogHints
 from kilter_files.ground.errors import FileError
-from kilter_files.look.inspection import inspect
+from kilter_files.look.drafts import inspect
 from tests.clients.test_cli import Command
 
 Floats = NDArray[np.float64]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from kilter_files.formats.programs.found import EXTERNAL_AXES, Stated
-from kilter_files.formats.programs.poses.configurations import StatusTurn
+from kilter_files.formats.programs.poses.postures import StatusTurn
 from kilter_files.formats.programs.reading import read_program, read_programs
 from kilter_files.ground.errors import FileError
 from tests.clients.files.formats.test_program_uses import WHOLE, known

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from kilter_files.formats.programs.reading import read_program, read_programs
-from kilter_files.formats.programs.remedies import remedies, remedy_for_reason
+from kilter_files.formats.programs.reading import read_program, read_programs, remedies, remedy_for_reason
 from kilter_files.ground.errors import FileError
 
 NO_AXES = "[9E9,9E9,9E9,9E9,9E9,9E9]"

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from kilter_client import FileError
-from kilter_files.formats.opening import open_recording
-from kilter_files.tables.gaps import without_gaps
+from kilter_files.formats.registry import open_recording
+from kilter_files.tables.recording import without_gaps
 from tests.clients.files.simulated import write_csv, write_n3d
 
 

@@ -12,8 +12,7 @@ import pytest
 from kilter_client import FileError, prepare
 from kilter_files.formats import registry
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
-from kilter_files.look.drafts import draft
-from kilter_files.look.inspection import inspect
+from kilter_files.look.drafts import draft, inspect
 from kilter_files.tables.source import Source
 from kilter_files.tables.text_source import TextSource
 from tests.clients.files.look.labs import LABS, write_lab

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from kilter_client import FileError
 from kilter_files.formats.reader import Hints
 from kilter_files.formats.readers.tracker_text import read_tracker
-from kilter_files.look.inspection import inspect
+from kilter_files.look.drafts import inspect
 
 EXPORTS = [
     ("spatialanalyzer", "// SA 2023\n// Units: mm\nA, G1, P1, 1.5, 2.5, 3.5\nA, G1, P2, 4, 5, 6\n", "utf-8",

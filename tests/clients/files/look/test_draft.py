@@ -19,8 +19,7 @@ from scipy.spatial.transform import Rotation
 from kilter_client import FileError, Kilter, prepare
 from kilter_client.cli import run
 from kilter_files.formats.unknown.table_shape import detect_table_shape
-from kilter_files.look.drafts import draft
-from kilter_files.look.inspection import inspect
+from kilter_files.look.drafts import draft, inspect
 from kilter_files.look.summaries import numeric_columns
 from tests.clients.answered import document
 from tests.clients.files.look.labs import LABS, Measured, write_lab

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from kilter_files.formats.strangers import stranger
+from kilter_files.formats.registry import stranger
 from kilter_files.ground.errors import FileError
-from kilter_files.look.inspection import inspect
+from kilter_files.look.drafts import inspect
 
 VIEWS = "q1_deg,q2_deg,u1_px,v1_px,u2_px,v2_px,camera,board\n1,2,10.5,20.5,,,left,sheet\n3,4,11.5,21.5,12.5,22.5,left,sheet\n"
 TILTS = "q1_deg,q2_deg,tilt1x_deg,tilt2y_deg,session\n1,2,0.1,,1\n3,4,,0.2,1\n"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from kilter_files.look.unusual import why_unusual
+from kilter_files.look.summaries import why_unusual
 
 
 @pytest.mark.parametrize(

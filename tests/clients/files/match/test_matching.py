@@ -9,7 +9,7 @@ import pytest
 
 from kilter_client import FileError
 from kilter_files.formats.joints.joint_log import read_joint_log
-from kilter_files.formats.opening import open_recording
+from kilter_files.formats.registry import open_recording
 from kilter_files.match.clock_checks import Checks
 from kilter_files.match.clocks import match_pieces
 from kilter_files.match.dwells import RestOptions, find_dwells, thin

@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 from kilter_client import FileError
 from kilter_client.cli import run
 from kilter_files.formats.joints.joint_log import read_joint_log
-from kilter_files.formats.opening import open_recording
-from kilter_files.ground.turns import quaternions_from_matrices
-from kilter_files.look.inspection import inspect
+from kilter_files.formats.registry import open_recording
+from kilter_files.ground.orientation import quaternions_from_matrices
+from kilter_files.look.drafts import inspect
 from kilter_files.match.clock_checks import Checks
 from kilter_files.match.matching import frame_rows, match_dwells
 from kilter_files.match.rigid_body import Body, find_body, poses, tool_as_markers
-from kilter_files.tables.cut_recording import drop_markers
+from kilter_files.tables.recording import drop_markers
 from tests.clients.files.simulated import BODY, arm, stops, write_csv, write_log, write_n3d
 
 POSES = np.random.default_rng(1).uniform(-60, 60, (8, 3))

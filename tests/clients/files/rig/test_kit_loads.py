@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kilter_files.rig.kit.examples import Sought
-from kilter_files.rig.kit.loads import LEAST_LOAD_NM, count_gravity_directions
-from kilter_files.rig.kit.moments import gravity_moments
+from kilter_files.rig.kit.loads import LEAST_LOAD_NM, Sought, count_gravity_directions, gravity_moments
 from tests.clients.lerobot.so101_arm import JOINTS, PRESET
 from tests.clients.lerobot.so101_twin import gravity_nm
 

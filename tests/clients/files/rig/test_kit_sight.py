@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from kilter_files.rig.kit import coverage
 from kilter_files.rig.kit.coverage import capture_from_files
-from kilter_files.rig.kit.examples import Sought
-from kilter_files.rig.kit.loads import count_gravity_directions
+from kilter_files.rig.kit.loads import Sought, count_gravity_directions
 from tests.clients.lerobot.so101_arm import PRESET, tool
 from tests.clients.lerobot.so101_twin import Twin
 from tests.clients.lerobot.webcam import BOARD, CORNERS, FOCAL, SIZE, View, camera, project, rotation, views, written

@@ -9,10 +9,9 @@ from pathlib import Path
 
 from kilter_files.formats.joints.bag import read_bag
 from kilter_files.formats.joints.lerobot.log import log_of_dataset
-from kilter_files.formats.opening import open_source
 from kilter_files.formats.programs.targets import read_targets
 from kilter_files.formats.reader import NO_LOG_HINTS, LogHints
-from kilter_files.formats.registry import has_format
+from kilter_files.formats.registry import has_format, open_source
 from kilter_files.ground.errors import fault
 from kilter_files.ground.later import np
 from kilter_files.ground.names import did_you_mean

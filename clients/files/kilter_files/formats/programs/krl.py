@@ -25,12 +25,12 @@ from kilter_files.formats.programs.poses.krl import (
     COMPUTED_INDEX,
     NAME,
     POSE,
+    KrlFrames,
     key,
     note_changes,
     note_external,
     parse_pose_target,
 )
-from kilter_files.formats.programs.poses.krl_frames import KrlFrames
 
 AXES = Tailed(
     rf"(?:\b({NAME})\s{{0,9}}=\s{{0,9}})?",

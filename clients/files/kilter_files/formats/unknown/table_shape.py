@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from kilter_files.formats.opening import endings, open_source
+from kilter_files.formats.registry import endings, open_source
 from kilter_files.formats.tables.workbook import read_xlsx, sheet_names
 from kilter_files.ground.cell_numbers import parse_list, parse_number
 from kilter_files.ground.errors import FileError, fault, read_head

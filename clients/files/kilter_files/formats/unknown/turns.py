@@ -6,8 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kilter_files.formats.unknown.guess import Columns
-from kilter_files.formats.unknown.names import name_as_words
+from kilter_files.formats.unknown.guess import Columns, name_as_words
 from kilter_files.ground.units import SIZES, UNKNOWN
 
 QUATERNIONS: tuple[tuple[str, ...], ...] = (

@@ -18,11 +18,12 @@ from kilter_files.formats.unknown.guess import (
     joint_unit,
     joints,
     length_unit,
+    name_as_words,
     points,
     position_entries,
     time,
+    triples,
 )
-from kilter_files.formats.unknown.names import name_as_words, triples
 from kilter_files.formats.unknown.table_shape import TableShape, detect_table_shape
 from kilter_files.formats.unknown.turns import Turned, find_orientation
 from kilter_files.ground.cell_numbers import parse_number

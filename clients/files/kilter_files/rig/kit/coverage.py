@@ -11,9 +11,7 @@ from typing import Any
 
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.later import np
-from kilter_files.rig.kit.examples import Limits, Sought, format_examples
-from kilter_files.rig.kit.loads import Pulled, count_gravity_directions
-from kilter_files.rig.kit.moments import flange
+from kilter_files.rig.kit.loads import Limits, Pulled, Sought, count_gravity_directions, flange, format_examples
 from kilter_files.rig.kit.sight import sights
 
 FEWEST_VIEWS, FEWEST_POSES = 40, 20

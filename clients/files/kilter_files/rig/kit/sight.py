@@ -13,8 +13,8 @@ from typing import Any
 from kilter_files.ground.arrays import Bools, Floats
 from kilter_files.ground.later import np
 from kilter_files.match.arm import rotations
+from kilter_files.rig.see.optics.camera import project_points
 from kilter_files.rig.see.optics.homography import nearest_rotation, pose_from_homography
-from kilter_files.rig.see.optics.lens import project_points
 
 FEWEST_VIEWS, FEWEST_CORNERS = 6, 6
 PASSES, FAR = 4, 4.0  # times the median, beyond which a view does not count

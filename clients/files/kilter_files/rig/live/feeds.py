@@ -14,8 +14,7 @@ from typing import Any, BinaryIO, Protocol
 
 from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.rig.board.opencv import opencv
-from kilter_files.rig.see.pictures import ENDINGS, MOST_BYTES, Grey, RefusedError, read_grey, read_grey_stream
-from kilter_files.rig.see.refusals import Refusal
+from kilter_files.rig.see.pictures import ENDINGS, MOST_BYTES, Grey, Refusal, RefusedError, read_grey, read_grey_stream
 
 POLL_S = 0.1
 PARTIAL_S = 2.0  # for which a file that cannot be read may still be written

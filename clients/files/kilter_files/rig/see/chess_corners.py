@@ -24,7 +24,7 @@ from kilter_files.rig.see.pictures import Grey
 BEGIN_PX = 2.5  # of an arm, from the corner: blur of the other edge
 END = 0.6  # of a square
 MOST_ARM_PX = 40.0
-LEAST_PROFILES, MOST_PROFILES = 4, 30
+LEAST_CORNER_PROFILES, MOST_CORNER_PROFILES = 4, 30
 FLOOR_PX = 0.007
 LEFT = 0.2  # markers shift both arms of a line to opposite sides, and not by quite the same
 
@@ -67,7 +67,7 @@ def _crossing(
     heights = area(sides[:, 0], sides[:, 1])[:, None] / lengths
     reach, left = profile_reach(gap * float(np.percentile(heights, 10)), blur, LEFT, FLOOR_PX)
     end = np.minimum(END * lengths, MOST_ARM_PX)
-    profiles = int(np.clip(np.median(end) - BEGIN_PX, LEAST_PROFILES, MOST_PROFILES))
+    profiles = int(np.clip(np.median(end) - BEGIN_PX, LEAST_CORNER_PROFILES, MOST_CORNER_PROFILES))
     t = BEGIN_PX + (np.maximum(end, BEGIN_PX + 2) - BEGIN_PX)[..., None] * np.linspace(0, 1, profiles)
     both = np.concatenate([-t[..., ::-1], t], axis=-1)  # (n, 2 lines, 2 profiles)
     flat = both.reshape(2 * count, -1)

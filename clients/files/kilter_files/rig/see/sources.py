@@ -10,8 +10,7 @@ from typing import Any, Protocol
 
 from kilter_files.ground.errors import FileError, UsageError, fault
 from kilter_files.rig.board.opencv import opencv
-from kilter_files.rig.see.pictures import ENDINGS, Grey, RefusedError, check_size, read_grey
-from kilter_files.rig.see.refusals import Refusal
+from kilter_files.rig.see.pictures import ENDINGS, Grey, Refusal, RefusedError, check_size, read_grey
 
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v")
 DAMAGED = "Copy it again, or have it written as pictures."

@@ -1,13 +1,21 @@
-"""One board in one picture: its corners with their standard deviations, or why it is refused."""
+"""One board in one picture: its corners with their standard deviations, or why it is refused.
+
+Markers are numbered row by row, so a wrong count of columns puts most of them elsewhere. OpenCV then finds no corner of a
+ChArUco board; corners of AprilTags are those of the tags themselves, and all are found, at places that are wrong.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.rig.see import board_size, chess_corners
+from kilter_files.rig.board.layout import DICTIONARIES, Board
+from kilter_files.rig.board.opencv import dictionary, opencv
+from kilter_files.rig.see import chess_corners
 from kilter_files.rig.see.edges import (
     Noise,
     Pieces,
@@ -19,9 +27,7 @@ from kilter_files.rig.see.edges import (
     profile_reach,
     usual_blur,
 )
-from kilter_files.rig.see.finder import Finder, Markers
-from kilter_files.rig.see.pictures import Grey
-from kilter_files.rig.see.refusals import Refusal
+from kilter_files.rig.see.pictures import Grey, Refusal
 from kilter_files.rig.see.target import Target
 
 ENDS = 0.12  # of an edge at either end, left out: blur of the corner
@@ -113,7 +119,7 @@ def detect_view(finder: Finder, grey: Grey, markers: Markers, target: Target, pi
         return Refusal(picture, "board_twice", what, board=target.name)
     if not own.numbers:
         return None
-    if target.board.kind == "apriltag" and (wrong := board_size.differing(own, target, picture)):
+    if target.board.kind == "apriltag" and (wrong := differing(own, target, picture)):
         return wrong
     numbers, pixels, covariances, blur = _corners(finder, grey, own, target)
     if not numbers:
@@ -176,3 +182,156 @@ def _tags(grey: Grey, markers: Markers, target: Target) -> tuple[list[int], Floa
     covariances[~(np.abs(places - markers.quads).max(axis=2) < MOST_MOVED_PX)] = np.nan
     numbers = [4 * number + k for number in markers.numbers for k in range(4)]
     return numbers, places.reshape(-1, 2), covariances.reshape(-1, 2, 2), blur
+
+
+LEAST_MARKERS = 4  # two rows of them in part: fewer fit too many counts of columns
+MOST_COLUMNS = 60
+MOST_OFF = 0.2  # of a marker's side: a lens bends less, and a marker in another square is off by more than one
+
+
+def differing(markers: Markers, target: Target, picture: str) -> Refusal | None:
+    """Refuse a board whose ``markers`` stand as on one of another size; None where they stand as it says, or on no board."""
+    board = target.board
+    if len(target.faces) > 1 or len(markers.numbers) < LEAST_MARKERS or _off(markers, board, target.legacy) < MOST_OFF:
+        return None
+    printed = _smallest_fitting_board(markers, board)
+    if printed is None:
+        return None
+    seen = f"{len(markers.numbers)} markers of {target.name} are seen"
+    if (printed.columns, printed.rows) == (board.rows, board.columns):
+        what = f"{seen}: it is a board of {board.rows} x {board.columns} squares, columns first"
+        return Refusal(picture, "columns_rows_swapped", what, board=target.name)
+    what = (
+        f"{seen}, and stand as on a board of {printed.columns} columns with at least {printed.rows} rows, "
+        f"not {board.columns} x {board.rows}"
+    )
+    return Refusal(picture, "board_size_differs", what, board=target.name)
+
+
+def _smallest_fitting_board(markers: Markers, board: Board) -> Board | None:
+    """The smallest board on which the markers stand as they are seen; None where none does, or counts do as well."""
+    tried = []
+    for columns in range(1 if board.kind == "apriltag" else 3, MOST_COLUMNS + 1):
+        wide = replace(
+            board, columns=columns, rows=_rows(max(markers.numbers) - board.first_id + 1, columns, board.kind)
+        )
+        if max(wide.markers()) < DICTIONARIES[board.dictionary][1]:
+            off = min(
+                _off(markers, wide, legacy) for legacy in ((False, True) if board.kind == "charuco" else (False,))
+            )
+            tried.append((off, columns, wide))
+    tried.sort(key=lambda one: one[:2])
+    if not tried or tried[0][0] > MOST_OFF or (len(tried) > 1 and tried[1][0] < 2 * MOST_OFF):
+        return None
+    return tried[0][2]
+
+
+def _rows(count: int, columns: int, kind: str) -> int:
+    """Rows that hold so many markers."""
+    squares = count if kind == "apriltag" else 2 * count
+    return max(-(-squares // columns), 1 if kind == "apriltag" else 3)
+
+
+def _off(markers: Markers, board: Board, legacy: bool) -> float:
+    """How far markers are from where a plane board has them (rms), in sides of a marker; infinite where it lacks one."""
+    places = board.markers()
+    if not set(markers.numbers) <= set(places):
+        return float("inf")
+    mm = np.array([places[number] for number in markers.numbers]).reshape(-1, 2)
+    if legacy and board.rows % 2 == 0:  # every second row begins the other way
+        row = np.repeat([int(places[n][0][1] // board.square_mm) for n in markers.numbers], 4)
+        mm[:, 0] += np.where(row % 2 == 0, -board.square_mm, board.square_mm)
+    pixels = markers.quads.reshape(-1, 2)
+    h: Floats | None = opencv().findHomography(pixels, mm, 0)[0]
+    if h is None:
+        return float("inf")
+    there = pixels @ h[:, :2].T + h[:, 2]
+    left = there[:, :2] / there[:, 2:] - mm
+    return float(np.sqrt((left**2).sum(axis=1).mean()) / board.marker_mm)
+
+
+Wanted = tuple[str, tuple[int, ...] | None]  # a dictionary, and which of its markers
+
+LARGE = 1_000_000  # pixels from which markers are looked for in a picture of half the size first
+LEAST_SIDE_PX = 20.0  # of markers there, below which the whole picture is looked through again
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Markers found: ``numbers`` (n) and ``quads`` (n, 4, 2) in px, clockwise from the marker's upper left."""
+
+    numbers: list[int]
+    quads: Floats
+
+    def select_numbers(self, numbers: set[int]) -> Markers:
+        """Those with one of these numbers."""
+        kept = [k for k, number in enumerate(self.numbers) if number in numbers]
+        return Markers([self.numbers[k] for k in kept], self.quads[kept])
+
+    def twice(self) -> list[int]:
+        """Numbers seen more than once."""
+        return sorted(number for number, count in Counter(self.numbers).items() if count > 1)
+
+
+@dataclass
+class Finder:
+    """Looks for markers and for a board's chessboard corners; what OpenCV needs is built once.
+
+    ``instead`` is the dictionary that was last seen in place of the board's, which the next picture is likely to show too.
+    """
+
+    instead: str | None = None
+    _detectors: dict[Wanted, Any] = field(default_factory=dict)
+    _boards: dict[tuple[Board, bool], Any] = field(default_factory=dict)
+
+    def markers(self, grey: Grey, name: str, numbers: tuple[int, ...] | None = None, thorough: bool = False) -> Markers:
+        """Find the markers of a dictionary, all or those of ``numbers``; ``thorough`` is the whole picture at once.
+
+        A thousand markers take ten times as long as the thirty of a board.
+        """
+        cv2 = opencv()
+        if grey.size > LARGE and not thorough:
+            height, width = (side // 2 for side in grey.shape)
+            half = cv2.resize(grey[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+            found = self._detect(half, (name, numbers))
+            sides = np.linalg.norm(np.diff(found.quads, axis=1), axis=2)
+            if found.numbers and np.median(sides) >= LEAST_SIDE_PX:
+                return Markers(found.numbers, found.quads * 2 + 0.5)  # centres of pixels are whole numbers
+        return self._detect(grey, (name, numbers))
+
+    def _detect(self, grey: Grey, wanted: Wanted) -> Markers:
+        name, chosen = wanted
+        if wanted not in self._detectors:
+            cv2, known = dictionary(name)
+            if chosen is not None:
+                rows = known.bytesList[list(chosen)]
+                known = cv2.aruco.Dictionary(rows, known.markerSize, known.maxCorrectionBits)
+            self._detectors[wanted] = cv2.aruco.ArucoDetector(known, cv2.aruco.DetectorParameters())
+        quads, found, _ = self._detectors[wanted].detectMarkers(grey)
+        if found is None or not len(quads):
+            return Markers([], np.zeros((0, 4, 2)))
+        numbers = [int(n) if chosen is None else chosen[int(n)] for n in found.ravel()]
+        return Markers(numbers, np.array(quads, dtype=np.float64).reshape(-1, 4, 2))
+
+    def chessboard(self, grey: Grey, markers: Markers, board: Board, legacy: bool) -> dict[int, Floats]:
+        """Corners of a ChArUco board by number, to about a tenth of a pixel."""
+        if not markers.numbers:
+            return {}
+        quads = tuple(quad.astype(np.float32).reshape(1, 4, 2) for quad in markers.quads)
+        numbers = np.array(markers.numbers, dtype=np.int32).reshape(-1, 1)
+        corners, found, *_ = self._board(board, legacy).detectBoard(grey, markerCorners=quads, markerIds=numbers)
+        if found is None or corners is None:
+            return {}
+        places = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+        return dict(zip([int(number) for number in np.ravel(found)], places, strict=True))
+
+    def _board(self, board: Board, legacy: bool) -> Any:
+        key = (board, legacy)
+        if key not in self._boards:
+            cv2, known = dictionary(board.dictionary)
+            numbers = np.array(sorted(board.markers()))
+            size = (board.columns, board.rows)
+            made = cv2.aruco.CharucoBoard(size, board.square_mm, board.marker_mm, known, numbers)
+            made.setLegacyPattern(legacy)
+            self._boards[key] = cv2.aruco.CharucoDetector(made)
+        return self._boards[key]

@@ -16,8 +16,7 @@ from kilter_files.rig.sheet.camera import Camera, fit_camera
 from kilter_files.rig.sheet.fiducials import Marks, find_marks, place_sheet
 from kilter_files.rig.sheet.layout import Sheet
 from kilter_files.rig.sheet.picture import INCH_MM, Picture, read_picture
-from kilter_files.rig.sheet.trace import Line, Strokes, printed_circle, strokes, trace
-from kilter_files.rig.sheet.unroll import REACH_MM, Ring, unroll
+from kilter_files.rig.sheet.trace import REACH_MM, Line, Ring, Strokes, printed_circle, strokes, trace, unroll
 
 LEAST_DPI = 120.0
 GOOD_DPI = 250.0

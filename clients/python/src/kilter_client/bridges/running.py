@@ -22,9 +22,8 @@ from ipaddress import IPv4Address
 from typing import Any
 
 from kilter_client.bridges import versions
-from kilter_client.bridges.correction import Correction
+from kilter_client.bridges.correction import Correction, Guard
 from kilter_client.bridges.fci import JOINTS, Fci
-from kilter_client.bridges.guard import Guard
 from kilter_client.bridges.loop import Address, Loop, Wire
 from kilter_client.bridges.news import Kind, Line, pair
 from kilter_client.bridges.plan import Setpoints

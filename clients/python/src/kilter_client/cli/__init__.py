@@ -11,8 +11,7 @@ import typer
 from kilter_client.cli.groups import FirstLevel, find_new_spelling, join_version_words
 from kilter_client.cli.quick_start import with_quick_values, without_httpx_command
 from kilter_client.cli.terminal.interrupt import CODE, UNKNOWN, InterruptedCommandError
-from kilter_client.cli.terminal.name_words import begin_command, name_ids
-from kilter_client.cli.terminal.output import note, report_error, report_usage
+from kilter_client.cli.terminal.output import begin_command, name_ids, note, report_error, report_usage
 from kilter_client.errors import KilterError, UsageError
 
 CALLED_ALIKE = ("reference_ambiguous", "retired")  # errors about what may be called as something else is

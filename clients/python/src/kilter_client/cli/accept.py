@@ -9,9 +9,8 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.terminal.arguments import Json, Robot
-from kilter_client.cli.terminal.output import emit, print_line
+from kilter_client.cli.terminal.output import emit, number, print_line, show_rows
 from kilter_client.cli.terminal.references import resolve_reference
-from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.requests.calls import robots as calls
 
 CODES = {"accepted": 0, "rejected": 3, "not_proved": 4}

@@ -10,8 +10,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
 from kilter_client.cli.terminal.arguments import Details, Json, Robot, split_names
-from kilter_client.cli.terminal.output import emit, note, print_line
-from kilter_client.cli.terminal.tables import show_list, show_rows
+from kilter_client.cli.terminal.output import emit, note, print_line, show_list, show_rows
 
 FEW = 2  # entries whose changes fit on one screen
 LONGEST = 36  # characters of a route or a thing in a line of the audit

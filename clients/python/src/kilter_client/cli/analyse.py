@@ -30,12 +30,11 @@ from kilter_client.cli.terminal.arguments import (
 )
 from kilter_client.cli.terminal.flags import with_flags
 from kilter_client.cli.terminal.interrupt import job_goes_on, job_name, on_interrupt
-from kilter_client.cli.terminal.output import emit, job_bar, note, print_line
+from kilter_client.cli.terminal.output import emit, job_bar, note, number, print_line, show_rows
 from kilter_client.cli.terminal.references import resolved_all, resolved_options
-from kilter_client.cli.terminal.tables import number, show_rows
 from kilter_client.errors import UsageError
 from kilter_client.results.plots import can_draw, save_figures
-from kilter_client.typed.option_texts import EVALUATE, GAP, IDENTIFY
+from kilter_client.typed.option_texts import GAP, IDENTIFY
 
 FEW_REASONS = 2  # of one remedy, from which they stand in the JSON alone
 MOST_REMEDIES = 6  # of a check on a screen
@@ -123,9 +122,6 @@ def _show_missing(missing: Sequence[Mapping[str, Any]], details: bool) -> None:
 
 
 AT_JOINTS = ' One at some joints: \'{"id": "backlash", "joints": [2, 3]}\'; `kilter server effects` lists all.'
-Frame = Literal["free", "fixed"]
-Reference = Annotated[Literal["auto", "robot", "registration"] | None, typer.Option(help=IDENTIFY["reference"])]
-Loss = Annotated[Literal["linear", "huber", "tukey"] | None, typer.Option(help=IDENTIFY["loss"])]
 Refit = Annotated[
     Literal["base", "tool", "base,tool", "none"] | None,
     typer.Option(
@@ -179,22 +175,7 @@ def identify(
         list[str] | None,
         typer.Option("--effects", "--effect", metavar="A,B", help=IDENTIFY["effects"] + AT_JOINTS),
     ] = None,
-    free: Annotated[list[str] | None, typer.Option(metavar="A,B", help=IDENTIFY["free"])] = None,
-    fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help=IDENTIFY["fix"])] = None,
-    base: Annotated[
-        Literal["free", "fixed", "removed"] | None,
-        typer.Option(help=IDENTIFY["base"]),
-    ] = None,
-    tool: Annotated[Frame | None, typer.Option(help=IDENTIFY["tool"])] = None,
     refit: Refit = None,
-    loss: Loss = None,
-    reference: Reference = None,
-    intervals: Annotated[Literal["bootstrap", "profile"] | None, typer.Option(help=IDENTIFY["intervals"])] = None,
-    prior: Annotated[Literal["fleet"] | None, typer.Option(help=IDENTIFY["prior"])] = None,
-    tilt_first: Annotated[bool, typer.Option("--tilt-first", help=IDENTIFY["tilt_first"])] = False,
-    noise_mm: Annotated[float | None, typer.Option(help=IDENTIFY["noise_mm"])] = None,
-    seed: Annotated[int | None, typer.Option(help=IDENTIFY["seed"])] = None,
-    start: Annotated[str | None, typer.Option(metavar="VERSION", help=IDENTIFY["start"])] = None,
     figures: Figures = None,
     option: MoreOptions = None,
     name: JobName = "",
@@ -205,24 +186,7 @@ def identify(
 ) -> None:
     """Identify a robot's parameters from campaigns; the result is a new version."""
     needs_result(no_wait, figures=figures)
-    chosen = arguments.options(
-        option,
-        level=level,
-        method=method,
-        effects=arguments.effects(effects),
-        free=arguments.split_names(free),
-        fix=arguments.split_names(fix),
-        base=base,
-        tool=tool,
-        loss=loss,
-        reference=reference,
-        intervals=intervals,
-        prior=prior,
-        tilt_first=tilt_first,
-        noise_mm=noise_mm,
-        seed=seed,
-        start=start,
-    )
+    chosen = arguments.options(option, level=level, method=method, effects=arguments.effects(effects))
     if refit is not None:
         chosen["refit"] = [] if refit == "none" else refit.split(",")
     drawn = partial(write_figures, figures, as_json)
@@ -266,20 +230,11 @@ def gap(
     campaign: CampaignIds = None,
     validation: HuntValidation = None,
     confirmation: ConfirmationIds = None,
-    start: Annotated[str | None, typer.Option(metavar="VERSION", help=GAP["start"])] = None,
-    alpha: Annotated[float | None, typer.Option(help=GAP["alpha"])] = None,
     effects: Annotated[
         list[str] | None,
         typer.Option("--effects", "--effect", metavar="A,B", help=GAP["effects"] + AT_JOINTS),
     ] = None,
-    noise_mm: Annotated[float | None, typer.Option(help=GAP["noise_mm"])] = None,
-    free: Annotated[list[str] | None, typer.Option(metavar="A,B", help=GAP["free"])] = None,
-    fix: Annotated[list[str] | None, typer.Option(metavar="A,B", help=GAP["fix"])] = None,
-    base: Annotated[Frame | None, typer.Option(help=GAP["base"])] = None,
-    tool: Annotated[Frame | None, typer.Option(help=GAP["tool"])] = None,
     refit: Annotated[Literal["tool"] | None, typer.Option(help=OWN_TOOL)] = None,
-    reference: Reference = None,
-    prior: Annotated[Literal["fleet"] | None, typer.Option(help=GAP["prior"])] = None,
     seed: Annotated[int | None, typer.Option(help=GAP["seed"])] = None,
     budget: Annotated[float | None, typer.Option(metavar="SECONDS", help=GAP["budget_s"])] = None,
     figures: Figures = None,
@@ -348,16 +303,7 @@ def gap(
     needs_result(no_wait, figures=figures, poses=poses)
     chosen = arguments.options(
         option,
-        start=start,
-        alpha=alpha,
         effects=arguments.effects(effects),
-        noise_mm=noise_mm,
-        free=arguments.split_names(free),
-        fix=arguments.split_names(fix),
-        base=base,
-        tool=tool,
-        reference=reference,
-        prior=prior,
         seed=seed,
         budget_s=budget,
         refit=None if refit is None else [refit],
@@ -377,8 +323,6 @@ def _write_search(poses: Path | None, figures: Path | None, as_json: bool, job: 
 def evaluate(
     robot: Robot,
     campaign: CampaignIds = None,
-    version: Annotated[str | None, typer.Option(help=EVALUATE["version"])] = None,
-    refit: Annotated[str | None, typer.Option(metavar="base,tool", help="Frames that were set up again.")] = None,
     option: MoreOptions = None,
     name: JobName = "",
     no_wait: NoWait = False,
@@ -386,9 +330,7 @@ def evaluate(
     as_json: Json = False,
 ) -> None:
     """Compare a version with a campaign."""
-    chosen = arguments.options(option, version=version)
-    if refit is not None:
-        chosen["refit"] = arguments.split_names([refit])
+    chosen = arguments.options(option)
     run_job("evaluate", robot, campaign, None, chosen, no_wait, as_json, name=name, details=details)
 
 

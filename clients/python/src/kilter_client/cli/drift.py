@@ -11,9 +11,8 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.analyse import run_job
 from kilter_client.cli.files.upload import Device, InstrumentName, MeasuredAt, build_conditions, sent_file
-from kilter_client.cli.reports.drift_report import EXIT_CODES, show_history, show_robots
 from kilter_client.cli.reports.next_step import suggest_after_job
-from kilter_client.cli.reports.results import show_job
+from kilter_client.cli.reports.results import EXIT_CODES, show_history, show_job, show_robots
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import (
     ColumnMap,
@@ -31,7 +30,7 @@ from kilter_client.cli.terminal.output import emit, job_bar, note, print_line
 from kilter_client.cli.terminal.references import resolve_reference, resolved_options
 from kilter_client.errors import UsageError
 from kilter_client.requests.calls import robots as calls
-from kilter_client.typed.option_texts import DRIFT, REZERO
+from kilter_client.typed.option_texts import REZERO
 from kilter_client.verbs.inputs import parse_time
 
 Rows = Annotated[
@@ -62,10 +61,6 @@ def check(
         str | None,
         typer.Option("--campaign", "-c", metavar="ID", help="Check with a campaign that is stored already."),
     ] = None,
-    version: Annotated[str | None, typer.Option(help=DRIFT["version"])] = None,
-    new_setup: Annotated[str | None, typer.Option(metavar="base,tool", help=DRIFT["new_setup"])] = None,
-    noise_mm: Annotated[float | None, typer.Option(help=DRIFT["noise_mm"])] = None,
-    setup_mm: Annotated[float | None, typer.Option(help=DRIFT["setup_mm"])] = None,
     device: Device = None,
     column_map: ColumnMap = None,
     payload_kg: Annotated[float | None, typer.Option(help="Mass at the tool point, kg.")] = None,
@@ -85,9 +80,7 @@ def check(
     """
     if (file is None) == (campaign is None):
         raise UsageError("Give the FILE that was measured, or --campaign ID of one that is stored.")
-    chosen = arguments.options(option, version=version, noise_mm=noise_mm, setup_mm=setup_mm)
-    if new_setup is not None:
-        chosen["new_setup"] = arguments.split_names([new_setup])
+    chosen = arguments.options(option)
     conditions = build_conditions(payload_kg, payload_com_mm, temperature_c)
     if campaign is not None and (conditions or device or column_map or measured_at or instrument):
         raise UsageError("--campaign checks with rows that have their device, instrument, conditions and date already.")
@@ -171,10 +164,6 @@ def rezero(
         ),
     ] = "latest",
     cause: Annotated[list[str] | None, typer.Option("--cause", metavar="A,B", help=REZERO["causes"])] = None,
-    version: Annotated[str | None, typer.Option(help=REZERO["version"])] = None,
-    new_setup: Annotated[str | None, typer.Option(metavar="base,tool", help=REZERO["new_setup"])] = None,
-    noise_mm: Annotated[float | None, typer.Option(help=REZERO["noise_mm"])] = None,
-    setup_mm: Annotated[float | None, typer.Option(help=REZERO["setup_mm"])] = None,
     option: MoreOptions = None,
     name: JobName = "",
     no_wait: NoWait = False,
@@ -182,10 +171,7 @@ def rezero(
     as_json: Json = False,
 ) -> None:
     """Make a version of the one or few parameters that moved; everything else stays as it was identified."""
-    causes = arguments.split_names(cause)
-    chosen = arguments.options(option, causes=causes, version=version, noise_mm=noise_mm, setup_mm=setup_mm)
-    if new_setup is not None:
-        chosen["new_setup"] = arguments.split_names([new_setup])
+    chosen = arguments.options(option, causes=arguments.split_names(cause))
     run_job("rezero", robot, [campaign], None, chosen, no_wait, as_json, name=name, details=details)
 
 

@@ -42,8 +42,6 @@ def joint_parameters(
     count: Annotated[int | None, typer.Option(min=4, help=JOINT_PARAMETERS["count"])] = None,
     payload_kg: Annotated[list[float] | None, typer.Option(help=JOINT_PARAMETERS["payloads_kg"], min=0.0)] = None,
     payload_com_mm: PayloadCentre = None,
-    seed: Annotated[int | None, typer.Option(help=JOINT_PARAMETERS["seed"])] = None,
-    resolution_deg: Annotated[float | None, typer.Option(help=JOINT_PARAMETERS["resolution_deg"])] = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -66,8 +64,6 @@ def joint_parameters(
         count=count,
         payloads_kg=payload_kg or None,
         payload_com_mm=arguments.three("--payload-com-mm", payload_com_mm),
-        seed=seed,
-        resolution_deg=resolution_deg,
     )
     if readings is not None:
         chosen["readings"] = read_readings(readings)

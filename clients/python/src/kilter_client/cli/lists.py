@@ -10,8 +10,7 @@ from pathlib import Path
 import typer
 
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import Document, emit, note
-from kilter_client.cli.terminal.tables import show_rows
+from kilter_client.cli.terminal.output import Document, emit, note, show_rows
 from kilter_files.formats import list_formats
 from kilter_files.ground import column_unit
 from kilter_files.robots import KATANA, TABLES, UR, URDF

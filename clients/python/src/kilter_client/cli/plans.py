@@ -24,6 +24,7 @@ from kilter_client.cli.terminal.output import note
 from kilter_client.errors import UsageError
 from kilter_client.typed.option_texts import PLAN
 
+SELDOM = ("method", "version", "box_mm", "keep_out_mm", "within", "payloads_kg")
 Box = Annotated[str | None, typer.Option(metavar="X,Y,Z,X,Y,Z", help=PLAN["box_mm"])]
 KeepOut = Annotated[list[str] | None, typer.Option(metavar="X,Y,Z,X,Y,Z", help=PLAN["keep_out_mm"])]
 Anywhere = Annotated[
@@ -69,7 +70,7 @@ def register(app: typer.Typer) -> None:
     app.add_typer(group, name="plan")
 
 
-@with_flags("plan", seldom=("method", "version", "box_mm", "keep_out_mm", "without_joints", "within", "payloads_kg"))
+@with_flags("plan", seldom=(*SELDOM, "without_joints"))
 def poses(
     robot: Robot,
     campaign: CampaignIds = None,
@@ -78,9 +79,7 @@ def poses(
     effects: Annotated[
         list[str] | None, typer.Option("--effects", "--effect", metavar="A,B", help=PLAN["effects"] + AT_JOINTS)
     ] = None,
-    seed: Annotated[int | None, typer.Option(help=PLAN["seed"])] = None,
     start: Annotated[str | None, typer.Option(metavar="VERSION", help=PLAN["version"])] = None,
-    noise_mm: Annotated[float | None, typer.Option(help=PLAN["noise_mm"])] = None,
     prior: Annotated[Literal["fleet"] | None, typer.Option(help=PLAN["prior"])] = None,
     floor_mm: Annotated[float | None, typer.Option("--floor", metavar="MM", help=PLAN["floor_mm"])] = None,
     box: Box = None,
@@ -103,9 +102,7 @@ def poses(
         method="views" if views else None,
         count=count,
         effects=arguments.effects(effects),
-        seed=seed,
         version=start,
-        noise_mm=noise_mm,
         prior=prior,
         floor_mm=floor_mm,
         box_mm=_corners(box),
@@ -118,17 +115,16 @@ def poses(
     run_job("plan", robot, campaign, None, chosen, no_wait, as_json, needs_campaign=False, files=files, name=name)
 
 
+@with_flags("plan", seldom=(*SELDOM, "purpose", "count", "effects", "prior", "payload_com_mm"))
 def check(
     robot: Robot,
     poses: Annotated[int, typer.Option("--poses", "--count", min=3, help="How many poses.")] = 5,
     start: Annotated[str | None, typer.Option(metavar="VERSION", help=PLAN["version"])] = None,
-    noise_mm: Annotated[float | None, typer.Option(help=PLAN["noise_mm"])] = None,
     floor_mm: Annotated[float | None, typer.Option("--floor", metavar="MM", help=PLAN["floor_mm"])] = None,
     box: Box = None,
     keep_out: KeepOut = None,
     anywhere: Anywhere = False,
     without_joints: Annotated[str | None, typer.Option(metavar="6,7", help=PLAN["without_joints"])] = None,
-    seed: Annotated[int | None, typer.Option(help=PLAN["seed"])] = None,
     output: Output = None,
     option: MoreOptions = None,
     name: JobName = "",
@@ -143,13 +139,11 @@ def check(
         purpose="check",
         count=poses,
         version=start,
-        noise_mm=noise_mm,
         floor_mm=floor_mm,
         box_mm=_corners(box),
         keep_out_mm=_zones(keep_out),
         within="limits" if anywhere else None,
         without_joints=joints,
-        seed=seed,
     )
     files = partial(_write, output, as_json)
     run_job("plan", robot, None, None, chosen, no_wait, as_json, needs_campaign=False, files=files, name=name)

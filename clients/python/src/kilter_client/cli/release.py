@@ -6,8 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.errors import KilterError
-from kilter_client.requests.connection import Connection
-from kilter_client.requests.server_address import locate
+from kilter_client.requests.connection import Connection, locate
 from kilter_client.requests.steps import Document, Request, read
 
 PATIENCE_S = 3.0

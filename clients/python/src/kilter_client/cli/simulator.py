@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import split_names
-from kilter_client.cli.terminal.output import emit, job_bar, print_line
-from kilter_client.cli.terminal.tables import show_rows
+from kilter_client.cli.terminal.output import emit, job_bar, print_line, show_rows
 from kilter_client.errors import MissingPackageError, UsageError
 from kilter_files.formats import LogHints
 from kilter_files.ground.later import later
@@ -22,7 +21,7 @@ with later(__name__):  # it has the core, which a client alone does without
     from kilter_client.twin import servo_gap
 
 if TYPE_CHECKING:
-    from kilter_client.twin.patched import Patched
+    from kilter_client.twin.servo_gap import Patched
 
 ERRORS = {"stated": "your model", "servo_fitted": "its servos fitted", "found": "with what was found"}
 

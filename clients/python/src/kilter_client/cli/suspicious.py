@@ -9,9 +9,8 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import emit, print_line
+from kilter_client.cli.terminal.output import emit, number, print_line, show_list
 from kilter_client.cli.terminal.references import OfRobot, resolve_reference
-from kilter_client.cli.terminal.tables import number, show_list
 
 CampaignId = Annotated[str, typer.Argument(help="Campaign: id, name or `latest`.", show_default=False)]
 

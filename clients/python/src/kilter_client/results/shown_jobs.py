@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from typing import Any
 
-from kilter_client.results.digits import decimals, ends, estimate
+from kilter_client.results.record import decimals, ends, estimate
 from kilter_client.results.rows import Rows, html_table, number
 from kilter_client.results.shown import Asking, Shown
 

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_client.errors import FileError
-from kilter_client.twin.axes import base_in_model
-from kilter_client.twin.onto import Laid
+from kilter_client.twin.onto import Laid, base_in_model
 from kilter_files.ground.later import np
 from kilter_files.robots import NOMINAL, TOOL, local_pose, pose_matrix, split, usd_package
 

@@ -23,7 +23,7 @@ from kilter_core.gap.search.rows.wrong_rows import along_one_motion
 from kilter_core.gap.search.sources.rounding import rounding_document
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
-from kilter_core.observations.motions import is_trajectory
+from kilter_core.observations.groups import is_trajectory
 from kilter_core.parameters import DEG, display_unit_and_scale
 from kilter_core.types import Bools, Floats, Ints
 

@@ -14,7 +14,7 @@ from kilter_core.gap.search.sources.source import Linear, Source
 from kilter_core.measurement.kind import Unit
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.observations.motions import segments
+from kilter_core.observations.groups import segments
 from kilter_core.parameters import Prior
 from kilter_core.types import Bools, Floats, Ints
 

@@ -17,9 +17,8 @@ from kilter_core.errors import ObservationError
 from kilter_core.identify.plausibility.views.view_residuals import rows_off
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.board_poses import board_poses
-from kilter_core.measurement.camera.hand_eye import HandEye, grown, solve_axzb
 from kilter_core.measurement.camera.pixels import Pixels
-from kilter_core.measurement.camera.rig_fit import FittedRig, estimate_start_rig, fit_rig
+from kilter_core.measurement.camera.rig_fit import FittedRig, HandEye, estimate_start_rig, fit_rig, grown, solve_axzb
 from kilter_core.measurement.camera.views import Views, camera_board_pairs, sight
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.views.cameras import rig_from_calibration
+from kilter_core.identify.views import rig_from_calibration
 from kilter_core.measurement.camera.views import equivalent_tool_motions
 from kilter_core.observations.rig import Board, Camera
 from kilter_core.parameters import mm

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
-from kilter_service.robots.exporters.exportable import Exportable, Written
-from kilter_service.robots.exporters.mjcf.drives import drives
-from kilter_service.robots.exporters.mjcf.effects import exported_effects, passive_joint_part
+from kilter_service.robots.exporters.exportable import Exportable, Written, numbers
+from kilter_service.robots.exporters.mjcf.effects import drives, exported_effects, passive_joint_part
 from kilter_service.robots.exporters.mjcf.notes import KNOWN_OF_MUJOCO, in_mujoco, notes, of_sharpened
 from kilter_service.robots.exporters.mjcf.table import table, twisting
 from kilter_service.robots.exporters.mjcf.tree import bodies, nominal_frames
-from kilter_service.robots.exporters.urdf_words import numbers
 
 TABLE, NOMINAL = "kilter", "kilter_nominal"  # names of the text and of the numbers among <custom>
 # Every release of MuJoCo since 2.3.3 has this integrator; what it needs of stiff gains is in drives.py.

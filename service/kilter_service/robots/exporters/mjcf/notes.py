@@ -11,8 +11,8 @@ import numpy as np
 from kilter_core.model import acts_at_rest, workspace
 from kilter_service.contract.fits import Errors, StageErrors
 from kilter_service.contract.versions import Version
+from kilter_service.robots.exporters.exportable import displacements_mm
 from kilter_service.robots.exporters.mjcf.effects import ExportedEffects
-from kilter_service.robots.exporters.omissions import displacements_mm
 
 if TYPE_CHECKING:
     from kilter_core.effects import Effect

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 from kilter_core.arm import Link, moved_link
 from kilter_core.model import flange_frames, flange_screws, wanted_tool
 from kilter_core.transforms import inverse, pose_from_twist, rotation_along
-from kilter_service.robots.exporters.mjcf.drives import BACKLASH_RATE, FRICTION, LIMITS, Drive
-from kilter_service.robots.exporters.mjcf.effects import ExportedEffects
-from kilter_service.robots.exporters.urdf_words import numbers
+from kilter_service.robots.exporters.exportable import numbers
+from kilter_service.robots.exporters.mjcf.effects import BACKLASH_RATE, FRICTION, LIMITS, Drive, ExportedEffects
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration

@@ -24,8 +24,13 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.processes import sandbox
 from kilter_service.ground.processes.sandbox import Limits
 from kilter_service.robots.exporters.exportable import Exportable, Written
-from kilter_service.robots.exporters.mjcf.drives import Drive, drives
-from kilter_service.robots.exporters.mjcf.effects import ExportedEffects, exported_effects, passive_joint_part
+from kilter_service.robots.exporters.mjcf.effects import (
+    Drive,
+    ExportedEffects,
+    drives,
+    exported_effects,
+    passive_joint_part,
+)
 from kilter_service.robots.exporters.mjcf.notes import notes, of_sharpened
 from kilter_service.robots.exporters.mjcf.table import table
 from kilter_service.robots.exporters.mjcf.tree import LEAST_INERTIA, identified_axes, nominal_poses, possible, thickness

@@ -20,9 +20,7 @@ import pytest
 from kilter_client.cli import run
 from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.rig.live.feeds import Device, Shot, Stream, multipart_boundary, multipart_pictures, newest, open_feed
-from kilter_files.rig.live.server import serve_live_page
-from kilter_files.rig.live.session import Session, follow
-from kilter_files.rig.live.taken import Taken, read_row
+from kilter_files.rig.live.server import Session, Taken, follow, read_row, serve_live_page
 from kilter_files.rig.see.run import Looker
 from kilter_files.rig.see.target import read_target
 from tests.clients.files.rig.live.cameras import jpeg, mjpeg, picture

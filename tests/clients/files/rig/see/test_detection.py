@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kilter_files.rig.see.finder import Finder
 from kilter_files.rig.see.target import read_target
-from kilter_files.rig.see.views import View, detect_view
+from kilter_files.rig.see.views import Finder, View, detect_view
 from tests.clients.files.rig.see.boards import CHARUCO, TAGS, board, page_of
 from tests.clients.files.rig.see.raycaster import Lens, Shot, clean, finished, true_corners
 

@@ -64,7 +64,7 @@ def test_a_known_camera_is_found_within_its_intervals(model: str) -> None:
     assert all(gate.met for gate in evaluate_gates(seen, fit))
     # what matters of a lens: where it puts things, all over the picture
     corners = np.array([[x, y, 1.0] for x in (-0.45, 0, 0.45) for y in (-0.35, 0, 0.35)])
-    from kilter_files.rig.see.optics.lens import project_points
+    from kilter_files.rig.see.optics.camera import project_points
 
     values = np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion])
     assert np.abs(project_points(corners, values, model) - lens.pixels(corners)).max() < 0.5

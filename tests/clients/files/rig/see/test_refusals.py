@@ -12,12 +12,10 @@ import pytest
 from PIL import ImageFile
 
 from kilter_files.ground.errors import FileError
-from kilter_files.rig.see.finder import Finder, Markers
-from kilter_files.rig.see.pictures import RefusedError, read_grey
-from kilter_files.rig.see.refusals import REMEDIES, Refusal
+from kilter_files.rig.see.pictures import REMEDIES, Refusal, RefusedError, read_grey
 from kilter_files.rig.see.run import Looker, why_not
 from kilter_files.rig.see.target import Target, read_target
-from kilter_files.rig.see.views import View
+from kilter_files.rig.see.views import Finder, Markers, View
 from tests.clients.files.rig.see.boards import CHARUCO, EVEN, TAGS, board, legacy_page, saved, small, taken
 from tests.clients.files.rig.see.raycaster import picture
 

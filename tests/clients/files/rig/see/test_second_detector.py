@@ -11,11 +11,10 @@ import pytest
 
 from kilter_client.cli import run
 from kilter_files.ground.errors import UsageError
-from kilter_files.rig.see.finder import Finder
-from kilter_files.rig.see.refusals import Refusal
-from kilter_files.rig.see.second import Second, create_second_detector
+from kilter_files.rig.see.pictures import Refusal
+from kilter_files.rig.see.run import Second, create_second_detector
 from kilter_files.rig.see.target import read_target
-from kilter_files.rig.see.views import View, detect_view
+from kilter_files.rig.see.views import Finder, View, detect_view
 from tests.clients.files.rig.see.boards import CHARUCO, TAGS, board, page_of, saved
 from tests.clients.files.rig.see.raycaster import Shot, picture, true_corners
 

@@ -21,8 +21,16 @@ from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model.general_inverse import reach
 from kilter_core.observations import Observations
 from kilter_core.twin import thesis_katana
-from kilter_files.rig.drawn_circle import Circle, Frame, JoinOptions, join, register
-from kilter_files.rig.height import Heights, read_calibration, read_heights
+from kilter_files.rig.drawn_circle import (
+    Circle,
+    Frame,
+    Heights,
+    JoinOptions,
+    join,
+    read_calibration,
+    read_heights,
+    register,
+)
 from kilter_files.rig.sheet.layout import sheet_for
 from kilter_files.tables.joint_log import JointLog
 

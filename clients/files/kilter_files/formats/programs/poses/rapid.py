@@ -9,7 +9,7 @@ from kilter_files.formats.programs.found import NUMBER, Program, Stated, line_nu
 from kilter_files.formats.programs.keyed import Keyed
 from kilter_files.formats.programs.notations import NOT_UNIT, RAPID, Frame
 from kilter_files.formats.programs.one_target import PoseTarget
-from kilter_files.formats.programs.poses.configurations import ConfData
+from kilter_files.formats.programs.poses.postures import ConfData
 from kilter_files.formats.programs.poses.track import frame_on_track
 from kilter_files.formats.programs.rapid_uses import ROUTINE, declared_again, other_uses, variable_changes
 

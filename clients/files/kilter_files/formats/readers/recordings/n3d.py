@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 from kilter_files.formats.reader import NO_HINTS, Head, Hints, RecordingReader
 from kilter_files.ground.errors import CUT, fault, read_head
 from kilter_files.ground.later import np
-from kilter_files.tables.gaps import without_gaps
-from kilter_files.tables.recording import Block, Recording, frames_per_block, in_stated_unit
+from kilter_files.tables.recording import Block, Recording, frames_per_block, in_stated_unit, without_gaps
 
 if TYPE_CHECKING:
     from kilter_files.tables.recording import Recording

@@ -12,9 +12,8 @@ from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
 from kilter_files.match.arm import rotations
 from kilter_files.rig.board.opencv import opencv
-from kilter_files.rig.see.optics.camera import Camera
+from kilter_files.rig.see.optics.camera import FREE, Camera, project_points
 from kilter_files.rig.see.optics.homography import pose_from_homography
-from kilter_files.rig.see.optics.lens import FREE, project_points
 
 Indices = NDArray[np.int64]
 

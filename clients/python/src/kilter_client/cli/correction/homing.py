@@ -11,12 +11,11 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.files.inspect import check_numpy
-from kilter_client.cli.stored import exported
+from kilter_client.cli.stored import versions
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import Json, VersionId
-from kilter_client.cli.terminal.output import emit, print_line
+from kilter_client.cli.terminal.output import emit, print_line, show_rows
 from kilter_client.cli.terminal.references import OfRobot, resolve_reference
-from kilter_client.cli.terminal.tables import show_rows
 from kilter_client.errors import ConflictError, NotFoundError, UsageError
 from kilter_client.files import files_formats, files_rig, files_robots
 from kilter_client.verbs.servo_calibration import CONDITION
@@ -159,7 +158,7 @@ def _rows(changes: Sequence[Homed], zeros: Sequence[Mapping[str, Any]]) -> list[
 
 
 def _state(one: Mapping[str, Any]) -> str:
-    return f"{one['joint']} {exported.STATES[one['state']]}"
+    return f"{one['joint']} {versions.STATES[one['state']]}"
 
 
 def _format_half_width(half_ticks: float) -> str:
@@ -183,7 +182,7 @@ def _show(document: Mapping[str, Any]) -> None:
                 f"{one['after'] - one['before']:+d}",
                 half,
                 f"{one['left_deg']:+.4f}",
-                exported.STATES[one["state"]],
+                versions.STATES[one["state"]],
             )
         )
     show_rows(("servo", "homing offset", "now", "ticks", "95 %", "left deg", "its zero is"), rows, numbers=True)

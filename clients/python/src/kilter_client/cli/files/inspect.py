@@ -8,16 +8,25 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from kilter_client.cli.files.joint_names import fetch_joint_names
+from kilter_client import Kilter
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import emit, print_line
-from kilter_client.cli.terminal.tables import show_rows
+from kilter_client.cli.terminal.output import emit, print_line, show_rows
 from kilter_client.errors import UsageError
 from kilter_files import draft
 from kilter_files import inspect as look
 from kilter_files.formats import PRESETS, LogHints
 from kilter_files.ground.later import need
+
+
+def fetch_joint_names(robot: str | None) -> list[str]:
+    """Return the joint names of a robot of the server, for logs that name them; prismatic ones end in ``:m``."""
+    if robot is None:
+        return []
+    with Kilter() as kilter:
+        joints = kilter.robots.get(robot)["joints"]
+    return [joint["name"] + (":m" if joint["kind"] == "prismatic" else "") for joint in joints]
+
 
 MARKERS_SHOWN = 12
 

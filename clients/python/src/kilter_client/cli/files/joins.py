@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from kilter_client.cli.files.inspect import check_numpy
-from kilter_client.cli.files.joint_names import fetch_joint_names
+from kilter_client.cli.files.inspect import check_numpy, fetch_joint_names
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import File, Json, PayloadCentre, Robot, three
 from kilter_client.cli.terminal.output import emit, print_line, say_remarks

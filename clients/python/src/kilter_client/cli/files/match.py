@@ -20,8 +20,8 @@ from kilter_client.cli.files.inspect import (
     Unit,
     Zero,
     check_numpy,
+    fetch_joint_names,
 )
-from kilter_client.cli.files.joint_names import fetch_joint_names
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.interrupt import on_interrupt

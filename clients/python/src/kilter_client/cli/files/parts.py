@@ -19,7 +19,7 @@ from kilter_files.match import Columns
 from kilter_files.tables import PARQUET_TYPE, Prepared
 
 if TYPE_CHECKING:
-    from kilter_client.client import Kilter
+    from kilter_client import Kilter
 
 REFUSED = " Nothing of the recording is stored."
 PART_ROWS = 131_072
@@ -75,7 +75,7 @@ def send_whole(
         return known
     campaign = _begun(kilter, robot, wanted, first)
     try:
-        return _send(kilter, campaign, pieces, progress)
+        return _send_parts(kilter, campaign, pieces, progress)
     except (ServerUnreachableError, ApiError) as error:
         if isinstance(error, ApiError) and (error.status or 0) < 500:
             kilter.campaigns.discard(campaign)
@@ -89,7 +89,7 @@ def send_whole(
         raise
 
 
-def _send(kilter: Kilter, campaign: str, pieces: Pieces, progress: Progress | None) -> Sent:
+def _send_parts(kilter: Kilter, campaign: str, pieces: Pieces, progress: Progress | None) -> Sent:
     known = {str(done["sha256"]) for done in kilter.campaigns.get(campaign)["uploads"]}
     hashes, rows, there = [], 0, 0
     for part in pieces():

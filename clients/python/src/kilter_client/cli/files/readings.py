@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.files.joint_names import fetch_joint_names
+from kilter_client.cli.files.inspect import fetch_joint_names
 from kilter_client.cli.terminal.output import note
 from kilter_client.errors import FileError, KilterError, UsageError
 from kilter_client.files import files_match

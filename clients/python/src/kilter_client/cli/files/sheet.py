@@ -10,8 +10,7 @@ import typer
 from kilter_client.cli.files.inspect import check_numpy
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import File, Json
-from kilter_client.cli.terminal.output import emit, note, print_line, say_remarks
-from kilter_client.cli.terminal.tables import show_rows
+from kilter_client.cli.terminal.output import emit, note, print_line, say_remarks, show_rows
 from kilter_client.errors import MissingPackageError, UsageError
 from kilter_client.files import files_formats, files_rig
 from kilter_client.results.plots import draw

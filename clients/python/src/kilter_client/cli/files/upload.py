@@ -11,19 +11,16 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.files.calibrated_rows import stated_servos
-from kilter_client.cli.files.inspect import JointOrder, Topic
-from kilter_client.cli.files.joint_names import fetch_joint_names
+from kilter_client.cli.files.inspect import JointOrder, Topic, fetch_joint_names
 from kilter_client.cli.files.match import match
 from kilter_client.cli.files.readings import guess_pairing, is_recording, read_unstated
-from kilter_client.cli.files.rig_file import rig_conditions
-from kilter_client.cli.files.sending import send
+from kilter_client.cli.files.sending import rig_conditions, send
 from kilter_client.cli.reports.answer import fit_messages
 from kilter_client.cli.reports.next_step import suggest_after_upload
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import ColumnMap, File, Json, PayloadCentre, Robot
-from kilter_client.cli.terminal.output import emit, note, print_line, print_lines
+from kilter_client.cli.terminal.output import emit, note, number, print_line, print_lines, screen_columns, show_rows
 from kilter_client.cli.terminal.references import resolve_reference
-from kilter_client.cli.terminal.tables import number, screen_columns, show_rows
 from kilter_client.cli.terminal.wording import in_words, parameters_by_request_name
 from kilter_client.errors import KilterError, UsageError
 from kilter_client.verbs import campaigns

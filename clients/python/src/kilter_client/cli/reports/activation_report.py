@@ -7,9 +7,8 @@ from typing import Any
 
 from kilter_client.cli.reports.answer import IN_JSON, LINES, fit_messages
 from kilter_client.cli.reports.next_step import PLACEHOLDER, format_next, suggest_after_today
-from kilter_client.cli.terminal.output import print_line, print_lines
+from kilter_client.cli.terminal.output import number, print_line, print_lines, screen_columns, show_list, show_rows
 from kilter_client.cli.terminal.session_notes import is_note_due
-from kilter_client.cli.terminal.tables import number, screen_columns, show_list, show_rows
 
 ONCE = {"compensation_unknown"}  # warnings that hold until somebody does what they ask for
 

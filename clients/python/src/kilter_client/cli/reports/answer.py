@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from kilter_client.cli.reports.gap_report import TORQUE_HEAD, list_torques
-from kilter_client.cli.terminal.output import print_line
-from kilter_client.cli.terminal.tables import number, screen_columns, table, wrap_line
+from kilter_client.cli.terminal.output import number, print_line, screen_columns, table, wrap_line
 from kilter_client.results.shown import MODELS, nominal_words
 
 LINES = 20  # of an answer, but for a table that is longer

@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_client.cli.reports.identify_report import describe_correction_frames
-from kilter_client.cli.reports.load_model_report import show_load_model
-from kilter_client.cli.terminal.output import print_line
-from kilter_client.cli.terminal.tables import number, show_rows
+from kilter_client.cli.reports.identify_report import describe_correction_frames, show_load_model
+from kilter_client.cli.terminal.output import number, print_line, show_rows
 
 MOST_PLACES = 12
 TORQUE_HEAD = ("joint", "rigid bodies", "with friction", "with what was found", "unit")

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from kilter_client.cli.reports.load_model_report import show_load_model
-from kilter_client.cli.terminal.output import print_line
-from kilter_client.cli.terminal.tables import number, show_rows
+from kilter_client.cli.terminal.output import number, print_line, show_rows
 from kilter_client.files import files_look
-from kilter_client.results.digits import decimals, ends, estimate
+from kilter_client.results.record import decimals, ends, estimate
 
 NOMINAL_DIGITS = 7  # the nominal robot is exact
 MANY_WEIGHTS = 12  # learned weights from which a line stands for all of them
@@ -139,3 +137,23 @@ def _remark(p: Mapping[str, Any]) -> str:
 
 def _short(value: Any) -> str:
     return {True: "yes", False: "no"}[value] if isinstance(value, bool) else number(value)
+
+
+HEAD = ("body", "", "stated", "found", "sigma", "stated sigma", "unit")
+
+
+def show_load_model(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print the masses that the data could see, and count the others."""
+    seen = [row for row in rows if row["seen"]]
+    if seen:
+        show_rows(HEAD, [_load_row(row) for row in seen], title="Masses that the data determine")
+    if len(seen) < len(rows):
+        print_line(
+            f"{len(rows) - len(seen)} of {len(rows)} masses and centres are known no better than stated; see --json"
+        )
+
+
+def _load_row(row: Mapping[str, Any]) -> tuple[str, ...]:
+    body = "payload" if row["link"] is None else f"link {row['link']}"
+    found = (number(row[key]) for key in ("stated", "value"))
+    return body, str(row["parameter"]), *found, *(number(row[key], 2) for key in ("sigma", "prior_sigma")), row["unit"]

@@ -8,7 +8,7 @@ from operator import itemgetter
 from typing import Any
 
 from kilter_client import Kilter
-from kilter_client.cli.terminal.name_words import name_ids
+from kilter_client.cli.terminal.output import name_ids
 
 Document = Mapping[str, Any]
 PLACEHOLDER = "FILE"  # of the person's own

@@ -12,8 +12,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import ColumnMap, File, Json
-from kilter_client.cli.terminal.output import emit, note, print_line
-from kilter_client.cli.terminal.tables import show_rows
+from kilter_client.cli.terminal.output import emit, note, print_line, show_rows
 from kilter_client.errors import FileError
 from kilter_files import prepare
 from kilter_files.robots import checked_name, plain_name, read_text

@@ -10,11 +10,10 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
 from kilter_client.cli.terminal.arguments import Json, Robot
-from kilter_client.cli.terminal.output import emit, note, print_line
-from kilter_client.cli.terminal.tables import show_rows
+from kilter_client.cli.terminal.output import emit, note, print_line, show_rows
 from kilter_client.errors import UsageError
-from kilter_client.requests.calls import meshes as calls
-from kilter_client.verbs.meshes import FORMS
+from kilter_client.requests.calls import robots
+from kilter_client.verbs.robots import FORMS
 from kilter_files.robots import link_meshes
 
 mesh = typer.Typer(
@@ -37,7 +36,7 @@ def register(app: typer.Typer) -> None:
 def list_(robot: Robot, as_json: Json = False) -> None:
     """List the shapes of a robot's links."""
     with Kilter() as kilter:
-        document = {"meshes": kilter.run(calls.list_meshes(robot))}
+        document = {"meshes": kilter.run(robots.list_meshes(robot))}
     emit(document, as_json, _show)
 
 
@@ -54,7 +53,7 @@ def set_(
     if form is None:
         raise UsageError(f"{file}: give a file that ends in .stl or .obj.")
     with Kilter() as kilter:
-        found = kilter.run(calls.put(robot, link, file.read_bytes(), form, unit))
+        found = kilter.run(robots.put_mesh(robot, link, file.read_bytes(), form, unit))
     emit({"meshes": [found]}, as_json, _show)
 
 
@@ -70,10 +69,10 @@ def from_urdf(
     """Send the shapes that a robot's URDF names: STL, OBJ, DAE, boxes, cylinders, spheres."""
     packages = dict(map(_package, package or ()))
     with Kilter() as kilter:
-        asked = kilter.run(calls.of_urdf(robot))
+        asked = kilter.run(robots.list_urdf_meshes(robot))
         sent = []
         for one in link_meshes(asked["shapes"], file, packages):
-            sent.append(kilter.run(calls.put(robot, one.link, one.content, "stl", "mm")))
+            sent.append(kilter.run(robots.put_mesh(robot, one.link, one.content, "stl", "mm")))
             if one.triangles < one.before:
                 note(f"{one.link}: simplified from {one.before} to {one.triangles} triangles", as_json)
     if asked["left_out"]:
@@ -85,7 +84,7 @@ def from_urdf(
 def remove(robot: Robot, link: Link, as_json: Json = False) -> None:
     """Delete the shape of a link: it is drawn as cylinders again."""
     with Kilter() as kilter:
-        kilter.run(calls.remove(robot, link))
+        kilter.run(robots.remove_mesh(robot, link))
     emit({"removed": link}, as_json, lambda _: print_line(f"{link} is drawn as cylinders."))
 
 

@@ -23,9 +23,8 @@ from kilter_client.cli.robot.arm_figure import save_arm
 from kilter_client.cli.stored import keeping
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import Details, Json, PayloadCentre, Retired, Robot, three
-from kilter_client.cli.terminal.output import emit, note, print_line, print_lines
+from kilter_client.cli.terminal.output import emit, note, print_line, print_lines, screen_columns, show_list, show_rows
 from kilter_client.cli.terminal.session_notes import is_note_due
-from kilter_client.cli.terminal.tables import screen_columns, show_list, show_rows
 from kilter_client.errors import UsageError
 from kilter_files.robots import Described, checked_name, plain_name, read_robot
 

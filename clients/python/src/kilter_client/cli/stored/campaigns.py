@@ -9,8 +9,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.stored import keeping
 from kilter_client.cli.terminal.arguments import Json, Retired, Robot
-from kilter_client.cli.terminal.output import emit
-from kilter_client.cli.terminal.tables import show_list
+from kilter_client.cli.terminal.output import emit, show_list
 
 group = typer.Typer(
     help="List, name, retire and purge campaigns; without a command, list those of a robot.",

@@ -10,9 +10,8 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.output import emit, print_line
-from kilter_client.cli.terminal.tables import show_rows
-from kilter_client.requests.calls import instruments as calls
+from kilter_client.cli.terminal.output import emit, print_line, show_rows
+from kilter_client.requests.calls import campaigns
 from kilter_client.verbs.inputs import parse_day
 
 instrument = typer.Typer(
@@ -79,14 +78,14 @@ def add(
         "notes": notes,
     }
     with Kilter() as kilter:
-        emit(kilter.run(calls.add(wanted)), as_json, _show_one)
+        emit(kilter.run(campaigns.add_instrument(wanted)), as_json, _show_one)
 
 
 @instrument.command("list", epilog="Example: kilter measure instrument list")
 def list_(as_json: Json = False) -> None:
     """List the instruments with their errors and certificates."""
     with Kilter() as kilter:
-        emit({"instruments": kilter.run(calls.list_instruments())}, as_json, _show)
+        emit({"instruments": kilter.run(campaigns.list_instruments())}, as_json, _show)
 
 
 def _show_one(one: dict[str, Any]) -> None:

@@ -11,16 +11,48 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.reports.activation_report import show_activations, show_active, show_today
 from kilter_client.cli.reports.results import MASSES, show_version
-from kilter_client.cli.stored import exported, keeping
+from kilter_client.cli.stored import keeping
 from kilter_client.cli.terminal.arguments import Details, Json, Retired, Robot, VersionId
-from kilter_client.cli.terminal.output import emit, note, print_line
+from kilter_client.cli.terminal.output import emit, note, number, print_line, show_list, show_rows
 from kilter_client.cli.terminal.references import OfRobot, resolve_reference
-from kilter_client.cli.terminal.tables import number, show_list, show_rows
 from kilter_client.errors import UsageError
 from kilter_client.files import files_robots
 from kilter_client.requests.calls.versions import NOMINAL
-from kilter_client.results.digits import decimals, estimate
+from kilter_client.results.record import decimals, estimate
 from kilter_client.results.rows import write_file
+
+STATES = {
+    "known": "known",
+    "uncertain": "not told apart from 0",
+    "held": "not told: shared with base or tool, or not identified",
+    "unstated": "nobody says how well it is known",
+    "shared": "goes with the table's other numbers: not to be entered alone",
+}
+
+
+def _format_value(value: float | None) -> str:
+    return "" if value is None else f"{value:.6g}"
+
+
+def show(document: dict[str, Any], details: bool) -> None:
+    """Print the zero offsets as a table, with ``details`` every number of the export beside its nominal one."""
+    if "numbers" not in document:
+        return
+    if details:
+        rows = [
+            (one["where"], one["name"], *(_format_value(one[key]) for key in ("nominal", "exported", "difference")))
+            for one in document["numbers"]
+        ]
+        show_rows(("joint or frame", "number", "nominal", "exported", "difference"), rows)
+    offsets = []
+    for one in document["zero_offsets"]:
+        unit = "deg" if "offset_deg" in one else "mm"
+        half = one[f"half_width_{unit}"]
+        within = "–" if half is None or one["state"] in ("held", "shared") else f"± {half:.2g} {unit}"
+        offsets.append((one["joint"], f"{one[f'offset_{unit}']:+.6g} {unit}", within, STATES[one["state"]]))
+    show_rows(("joint", "zero offset", "95 %", "how well it is known"), offsets)
+    print_line(document["zero_offsets_sign"])
+
 
 MOST_CHANGES = 12  # of a comparison on a screen
 CARRIED = ("link_mass_", "link_moment_", "load_payload_")  # parameters that nobody asked for
@@ -136,7 +168,7 @@ def export(
 
 
 def _show_written(document: dict[str, Any], details: bool) -> None:
-    exported.show(document, details)
+    show(document, details)
     print_line(f"{document['output']}: {document['bytes']} bytes")
 
 

@@ -13,8 +13,15 @@ import typer
 from kilter_client.cli.terminal import arguments
 from kilter_client.typed.option_texts import KINDS
 
-TYPES: Mapping[str, Any] = {"flag": bool, "integer": int, "number": float, "names": list[str]}
-METAVARS = {"names": "A,B", "json": "JSON"}
+TYPES: Mapping[str, Any] = {
+    "flag": bool,
+    "integer": int,
+    "number": float,
+    "names": list[str],
+    "text": str,
+    "json": str,
+}  # another form is choices with bars between
+METAVARS = {"names": "A,B", "json": "JSON", "start": "VERSION", "version": "VERSION"}  # by form or by name
 
 
 def make_flags(kind: str, names: Iterable[str]) -> Iterator[Parameter]:
@@ -22,10 +29,12 @@ def make_flags(kind: str, names: Iterable[str]) -> Iterator[Parameter]:
     about = KINDS[kind]
     for name in names:
         form = about.forms[name]
-        taken = Literal[tuple(form.split("|"))] if "|" in form else TYPES.get(form, str)
+        taken = TYPES.get(form) or Literal[tuple(form.split("|"))]
         dashed = name.replace("_", "-")
         flag = f"--{dashed}/--no-{dashed}" if form == "flag" else f"--{dashed}"
-        option = typer.Option(flag, metavar=METAVARS.get(form), help=about.help[name], show_default=False)
+        option = typer.Option(
+            flag, metavar=METAVARS.get(name, METAVARS.get(form)), help=about.help[name], show_default=False
+        )
         yield Parameter(name, Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=Annotated[taken | None, option])
 
 

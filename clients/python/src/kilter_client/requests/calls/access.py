@@ -109,3 +109,14 @@ def _broken(what: str, whole: int) -> ConflictError:
         code="audit_broken",
         whole_up_to=whole,
     )
+
+
+def health() -> Steps[Document]:
+    """Return whether the server is ready."""
+    return get("/v1/health")
+
+
+def tombstones(robot: str | None = None) -> Steps[list[Document]]:
+    """Return what was purged, newest first."""
+    found = yield from get("/v1/tombstones", **({"robot": robot} if robot else {}))
+    return list(found["tombstones"])

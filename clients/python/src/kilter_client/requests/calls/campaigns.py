@@ -26,6 +26,7 @@ from kilter_client.requests.steps import (
 if TYPE_CHECKING:
     from kilter_files import Prepared
 
+
 UPLOAD_TIMEOUT_S = 600.0
 
 
@@ -126,3 +127,14 @@ def _form(campaign: Document, file: Prepared) -> tuple[bytes, str]:
 def _digest(sha256: str) -> str:
     """The hash of what is sent (RFC 9530): the server refuses bytes that changed on their way."""
     return f"sha-256=:{binascii.b2a_base64(bytes.fromhex(sha256), newline=False).decode()}:"
+
+
+def add_instrument(instrument: Mapping[str, Any]) -> Steps[Document]:
+    """Add an instrument."""
+    return post("/v1/instruments", {key: value for key, value in instrument.items() if value is not None})
+
+
+def list_instruments() -> Steps[list[Document]]:
+    """Return the instruments, by name."""
+    found = yield from get("/v1/instruments")
+    return list(found["instruments"])

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from kilter_client.requests.steps import Document, Request, Steps, address, get, patch, post, read, send_with_retries
 
 if TYPE_CHECKING:
     from kilter_files import Prepared
+
 
 MOST_POSES = 2000  # of one request
 MOST_REACHED = 200  # an arm without a closed form takes a twentieth of a second for each
@@ -168,3 +169,35 @@ def stream_session(
     if take_over:  # a server of an earlier release does not know the word
         wanted["take_over"] = True
     return post(address("robots", name, "stream", "sessions"), wanted)
+
+
+Form = Literal["stl", "obj"]
+
+
+def list_meshes(robot: str) -> Steps[list[Document]]:
+    """Return the shapes of a robot's links, from base to tool."""
+    found = yield from get(address("robots", robot, "meshes"))
+    return list(found["meshes"])
+
+
+def put_mesh(robot: str, link: str, content: bytes, form: Form, unit: str) -> Steps[Document]:
+    """Give a link its shape."""
+    request = Request(
+        "PUT",
+        address("robots", robot, "meshes", link),
+        params={"unit": unit},
+        content=content,
+        again=True,
+        headers={"Content-Type": f"model/{form}"},
+    )
+    return read(request)
+
+
+def remove_mesh(robot: str, link: str) -> Steps[None]:
+    """Delete the shape of a link."""
+    yield from send_with_retries(Request("DELETE", address("robots", robot, "meshes", link)))
+
+
+def list_urdf_meshes(robot: str) -> Steps[Document]:
+    """Return what the robot's URDF draws: files, and where each goes."""
+    return get(address("robots", robot, "urdf-shapes"))

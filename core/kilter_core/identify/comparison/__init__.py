@@ -1,1 +1,0 @@
-"""Models and calibrations against each other."""

@@ -1,1 +1,0 @@
-"""Cameras of an identification, and the next views."""

@@ -1,1 +1,0 @@
-"""How long jobs are kept."""

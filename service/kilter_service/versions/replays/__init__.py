@@ -1,1 +1,0 @@
-"""Task, rules and answers that are kept with every active version, and their replay."""
