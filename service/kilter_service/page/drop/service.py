@@ -26,7 +26,7 @@ from kilter_service.contract.jobs.plan import PLAN
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.page.drop.drafts import Draft
-from kilter_service.page.shared import proposing
+from kilter_service.page.shared import asking as proposing
 from kilter_service.robots import service as robots
 
 NUMBER = re.compile(r"\d+")

@@ -1,26 +1,351 @@
-"""Which part of a page shows the result of each kind of job."""
+"""What shows the result of each kind of job."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel
 
+from kilter_core.errors import CoreError
+from kilter_core.types import Floats
+from kilter_service.campaigns import looking
+from kilter_service.campaigns import service as campaigns
+from kilter_service.campaigns.facts import display_unit_and_factor
+from kilter_service.campaigns.kept_facts import campaign_cache_key
+from kilter_service.campaigns.suspicious import service as suspicious
+from kilter_service.contract.campaigns import Campaign
+from kilter_service.contract.fits import CorrelatedGroup, Covariance, Influence, StageErrors
+from kilter_service.contract.jobs.drift import DriftCause, DriftJob, DriftResult
 from kilter_service.contract.jobs.evaluate import EvaluateJob, EvaluateResult
+from kilter_service.contract.jobs.gap import GAP
+from kilter_service.contract.jobs.identify import IdentifyJob, IdentifyResult
+from kilter_service.contract.jobs.plan import PLAN, PlanJob, PlanResult
 from kilter_service.contract.jobs.registry import KINDS, Job
 from kilter_service.contract.jobs.shared import MadeVersion
+from kilter_service.contract.standing import NextStep
 from kilter_service.ground.db import Database
-from kilter_service.page.gap import service as story
-from kilter_service.page.jobs import check_view, identification, planned, stages
-from kilter_service.page.jobs.version_names import version_name
-from kilter_service.page.shared.in_names import in_names
+from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page
+from kilter_service.ground.recent import Recent
+from kilter_service.page.figures.drawn import Arrows, HeatMap, Space
+from kilter_service.page.figures.plot import BLUE, RED, Plot, category_axis, lengths
+from kilter_service.page.gap import story
+from kilter_service.page.shared import errors_drawn as stages
+from kilter_service.page.shared.errors_drawn import cumulative
+from kilter_service.page.shared.naming import in_names, of_a_mass, parameter_rows, version_name
+from kilter_service.page.words import in_columns, number, percent
+from kilter_service.versions import service as versions
+from kilter_service.versions.drift import service as drift
+from kilter_service.versions.predictions import places
+from kilter_service.versions.today import service as today
+
+MOST_NAMES = 20  # of a correlation map, and of an influence chart
+
+
+def identification_context(database: Database, job: IdentifyJob) -> dict[str, Any]:
+    """Return what ``jobs/identify.html`` shows."""
+    result = job.result or IdentifyResult()
+    held = result.metrics.validation if result.metrics else None
+    judged = held or (result.metrics.train if result.metrics else None)
+    where = "held-out rows" if held else "the rows that were fitted"
+    figures = result.figures
+    covariance = versions.get(database, result.version_id).covariance if result.version_id else None
+    groups = result.correlated_groups or []
+    return {
+        "result": result,
+        "suspicious": suspicious.of_campaigns(database, [*job.campaigns, *held_out(job)]),
+        "version": result.version_id,
+        "held": held is not None,
+        "where": where,
+        "points": judged.n if judged else None,
+        "left_out": judged.left_out if judged else None,
+        "judged": {name: getattr(judged, name, None) for name, _ in stages.STAGES},
+        "stages": stages.compared_models(judged),
+        "meaning": stages.MEANING,
+        "bars": stages.bars(judged, where),
+        "curve": cumulative(
+            (figures.held_out_errors or figures.fitted_errors) if figures else None, where, stages.CURVES
+        ),
+        "effects": gain_of_effects(judged),
+        "seen": parameter_rows(
+            [row for row in result.parameters or [] if row.identifiable is not False or row.from_prior],
+            places.prior_sigmas(database, result.version_id) if result.version_id else {},
+        ),
+        "unseen": [
+            row
+            for row in result.parameters or []
+            if row.identifiable is False and not row.from_prior and not of_a_mass(row.name)
+        ],
+        "groups": groups,
+        "map": correlation_map(groups, covariance),
+        "influence": influence_chart(result.influence or []),
+    }
+
+
+def held_out(job: IdentifyJob) -> list[str]:
+    """Return the campaigns that a job held out by name."""
+    return job.validation if isinstance(job.validation, list) else []
+
+
+def gain_of_effects(errors: StageErrors | None) -> float | None:
+    """Return what the effects take off the mean error beyond the geometry, mm; None: there are none."""
+    if errors is None or errors.best_rigid is None or errors.identified is None:
+        return None
+    return errors.best_rigid.mean_mm - errors.identified.mean_mm
+
+
+def correlation_map(groups: list[CorrelatedGroup], known: Covariance | None) -> HeatMap | None:
+    """Draw how the parameters that go together correlate; None: none do, or nothing is known of them."""
+    wanted = list(dict.fromkeys(name for group in groups for name in group.parameters))[:MOST_NAMES]
+    names, matrix = (known.names or [], known.matrix or []) if known is not None else ([], [])
+    places = {name: place for place, name in enumerate(names)}
+    wanted = [name for name in wanted if name in places and matrix[places[name]][places[name]] > 0]
+    if len(wanted) < 2:
+        return None
+    values = [[_correlation(matrix, places[a], places[b]) for b in wanted] for a in wanted]
+    return HeatMap(
+        "Correlation of parameters that go together",
+        wanted,
+        wanted,
+        values,
+        low=-1.0,
+        high=1.0,
+        diverging=True,
+        cell=34.0,
+        description="Near 1 or -1 the data tell only a combination of the two.",
+    )
+
+
+def _correlation(matrix: list[list[float]], a: int, b: int) -> float:
+    return matrix[a][b] / math.sqrt(matrix[a][a] * matrix[b][b])
+
+
+def influence_chart(found: list[Influence]) -> Plot | None:
+    """Draw how far each parameter moves the tool: mean, with least and largest over the poses."""
+    rows = sorted((one for one in found if one.mean_mm is not None), key=lambda one: -(one.mean_mm or 0.0))[:MOST_NAMES]
+    if not rows:
+        return None
+    means = [one.mean_mm or 0.0 for one in rows]
+    ends = [(one.min_mm or 0.0, one.max_mm or 0.0) for one in rows]
+    unit, moved = in_columns([[one.mean_mm, one.min_mm, one.max_mm] for one in rows])
+    plot = Plot(
+        "Influence of the parameters on the tool",
+        category_axis("parameter", [one.name for one in rows]),
+        lengths("movement of the tool", [*means, *(high for _, high in ends)], zero=True),
+        width=760.0,
+        table=(
+            ["Parameter", "Change", "Its unit", f"Mean, {unit}", f"Least, {unit}", f"Largest, {unit}"],
+            [[one.name, number(one.step), one.unit or "", *sizes] for one, sizes in zip(rows, moved, strict=True)],
+        ),
+    )
+    return plot.bars([k + 0.5 for k in range(len(rows))], means, 0.6, "mean over the poses", errors=ends)
+
+
+LOOKS = {
+    "ok": ("As its version says", "good"),
+    "moved": ("Has moved", "bad"),
+    "cannot_tell": ("Moved, cause unknown", "bad"),
+}
+MOST_BARS, MOST_RIVALS = 24, 4
+LIKELY = 1e-3
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A cause that was looked at: its chance among all, how much it would be, and the mean error that it leaves, mm."""
+
+    words: str
+    chance: str
+    change: str
+    left_mm: float | None
+    refuted: bool
+
+
+def check_context(database: Database, job: DriftJob) -> dict[str, Any]:
+    """Return what ``jobs/drift.html`` shows."""
+    result = job.result or DriftResult()
+    rows = result.rows or []
+    named = result.causes[0] if result.causes else None
+    last = drift.of_robot(database, job.robot).last
+    steps: list[NextStep] = []
+    if last is not None and last.job_id == job.id:  # of an older check something else comes next
+        standing = today.of_robot(database, job.robot).standing
+        steps = [] if standing is None else standing.steps
+    errors = [one.error_mm for one in rows]
+    after = [one.after_mm for one in rows]
+    kinds = [Arrows("as measured", "bad", errors)]
+    if named is not None and any(one is not None for one in after):
+        kinds.append(Arrows(f"with {named.words}", "chosen", after))
+    table = (["Row", "x, mm", "y, mm", "z, mm"], [[str(one.row), *(f"{v:.1f}" for v in one.at_mm)] for one in rows])
+    names = [f"row {one.row}" for one in rows]
+    return {
+        "result": result,
+        "state": LOOKS.get(result.verdict or "", ("", "faint")),
+        "named": named,
+        "steps_next": steps,
+        "space": Space("The poses of the check", [one.at_mm for one in rows], names, kinds, table=table)
+        if rows
+        else None,
+        "bars": _bars(result, named) if rows else None,
+        "rivals": rivals(result) if result.verdict != "ok" else [],
+        "explained": bool(result.causes),
+        "mean": next((one.identified for one in (result.metrics or {}).values()), None),
+        "version": None,
+        "checked": result.version_id,
+    }
+
+
+def _bars(result: DriftResult, named: DriftCause | None) -> Plot:
+    rows = sorted(result.rows or [], key=lambda one: -math.hypot(*one.error_mm))[:MOST_BARS]
+    before = [math.hypot(*one.error_mm) for one in rows]
+    after = [math.hypot(*one.after_mm) for one in rows if one.after_mm is not None]
+    both = len(after) == len(rows)
+    unit, written = in_columns([[a, b] for a, b in zip(before, after if both else before, strict=True)])
+    names = [f"row {one.row}" for one in rows]
+    head = ["Row", f"Error, {unit}", *([f"If it is {named.words}, {unit}"] if both and named else [])]
+    table = (head, [[name, *one[: len(head) - 1]] for name, one in zip(names, written, strict=True)])
+    said = "The error of each pose, and what is left of it if the named cause is it."
+    drawn = Plot(
+        "Error of each pose", category_axis("", names), lengths("error", before, zero=True), 620.0, 200.0, said, table
+    )
+    shift = 0.2 if both else 0.0
+    drawn.bars([k + 0.5 - shift for k in range(len(rows))], before, 0.36, "as measured", colour=RED)
+    if both and named:
+        drawn.bars([k + 0.5 + shift for k in range(len(rows))], after, 0.36, f"with {named.words}", colour=BLUE)
+    return drawn
+
+
+def rivals(result: DriftResult) -> list[Rival]:
+    """Return the causes with their chances: each by how much worse than the best it explains the rows (BIC)."""
+    known = [(one, one.bic) for one in result.looked_at or [] if one.bic is not None]
+    best = min((bic for _, bic in known), default=0.0)
+    weights = [math.exp(-0.5 * min(bic - best, 700.0)) for _, bic in known]
+    whole = sum(weights) or 1.0
+    out = []
+    for (one, _), weight in zip(known, weights, strict=True):
+        share = weight / whole
+        left = None if not one.left_mm else sum(one.left_mm) / len(one.left_mm)
+        said = percent(share) if share > LIKELY else f"< {percent(LIKELY)}" if share > 0 else "0 %"
+        told = [n for n in one.numbers or [] if len(one.numbers or []) == 1 or n.unit == "mm"]  # of a frame its shift
+        size = math.hypot(*(n.change for n in told)) if len(told) > 1 else sum(n.change for n in told)
+        change = f"{number(size, 2)} {told[0].unit}" if told else ""
+        out.append(Rival(one.words or one.name, said.replace("< 0 %", "< 0.1 %"), change, left, bool(one.refuted)))
+    return sorted(out, key=lambda one: (one.left_mm is None, one.left_mm))[:MOST_RIVALS]
+
+
+NEAR = 0.5  # degrees or mm from a joint as planned: the pose was driven to
+MOST_CAMPAIGNS = Page(limit=20)
+_READ = Recent[Floats](20)  # a page that is open asks every few seconds
+
+
+@dataclass(frozen=True)
+class PlannedPose:
+    """A pose, and its row: ``state`` is open, good or bad, ``why`` of a bad one, ``campaign`` and ``row`` where it has one."""
+
+    joints: Sequence[str]
+    payload_kg: float | None
+    change: str
+    state: str = "open"
+    why: str = ""
+    campaign: str = ""
+    row: int = 0
+
+
+def plan_context(database: Database, job: PlanJob) -> dict[str, Any]:
+    """Return what ``jobs/plan.html`` shows."""
+    result = job.result or PlanResult()
+    poses = [pose.model_dump() for pose in result.poses or []]
+    names = list(dict.fromkeys(name for pose in poses for name in pose if _is_joint(name)))
+    q = np.array([[pose.get(name) or 0.0 for name in names] for pose in poses]).reshape(len(poses), len(names))
+    arrived = _arrived_rows(database, job, q)
+    shown = [
+        PlannedPose(
+            [f"{value:.3f}" for value in q[k]],  # as the file has it: what is driven is not rounded to what is known
+            pose["payload_kg"],
+            pose["change"] or "",
+            *arrived.get(k, ()),
+        )
+        for k, pose in enumerate(poses)
+    ]
+    return {
+        "result": result,
+        "version": result.start,
+        "joints": [name.replace("_", ", ", 1) for name in names],
+        "poses": shown,
+        "driven": json.dumps(q.round(4).tolist()),
+        "arrived": sum(one.state != "open" for one in shown),
+        "wrong": sum(one.state == "bad" for one in shown),
+        "loads": any(one.payload_kg is not None for one in shown),
+        "changes": any(one.change for one in shown),
+    }
+
+
+def _arrived_rows(database: Database, job: PlanJob, q: Floats) -> dict[int, tuple[str, str, str, int]]:
+    """State, reason, campaign and row of each pose whose row came after the plan, by the pose's place; the newest counts."""
+    found: dict[int, tuple[str, str, str, int]] = {}
+    for campaign in campaigns.list_campaigns(database, job.robot, MOST_CAMPAIGNS).campaigns:
+        if campaign.created_at >= job.created_at and campaign.rows and not campaign.staged:
+            found |= dict(_rows_at(database, campaign, q))
+    return found
+
+
+def _rows_at(database: Database, campaign: Campaign, q: Floats) -> Iterator[tuple[int, tuple[str, str, str, int]]]:
+    try:
+        measured = _READ.get(campaign_cache_key(campaign), partial(_joints, database, campaign))
+    except (CoreError, ValueError):  # rows that cannot be read, or that have no joints
+        return
+    if measured.shape[1:] != q.shape[1:]:
+        return
+    wrong = {one.row: one.why for one in suspicious.of_campaign(database, campaign.id).found}
+    for place, wanted in enumerate(q):
+        rows = np.flatnonzero(np.abs(measured - wanted).max(axis=1) <= NEAR) + 1
+        if len(rows):
+            bad = next((int(row) for row in rows if int(row) in wrong), None)
+            state = ("good", "") if bad is None else ("bad", wrong[bad])
+            yield place, (*state, campaign.id, int(rows[-1]) if bad is None else bad)
+
+
+def _joints(database: Database, campaign: Campaign) -> Floats:
+    """Readings (N, n) of a campaign, deg or mm."""
+    rows = looking.load_campaign_rows(database, campaign.id)
+    read = sorted((one for one in rows.columns if one.quantity == "q"), key=lambda one: one.number or 0)
+    columns = [rows.table.column(one.name).to_numpy() * display_unit_and_factor(one)[1] for one in read]
+    return np.stack(columns, axis=1).astype(np.float64)
+
+
+def _is_joint(name: str) -> bool:
+    return name.startswith("q") and name.endswith(("_deg", "_mm"))
+
+
+def proposed_poses_csv(job: Job) -> str:
+    """Return the poses that a plan or a search proposes as a file.
+
+    Raises:
+        ServiceError: the job proposes none.
+
+    """
+    poses = None
+    if PLAN.is_kind_of(job) and job.result is not None:
+        poses = job.result.csv
+    elif GAP.is_kind_of(job) and job.result is not None:
+        poses = job.result.next_poses_csv
+    if not poses:
+        raise ServiceError(
+            f"Job {job.id} proposes no poses: plan some with a plan job.", code="option_invalid", job=job.id
+        )
+    return poses
+
 
 EVALUATED = {"After": "Evaluated"}  # it may be older than the rows, or the nominal robot itself
 
 
-def result_context(database: Database, job: EvaluateJob) -> dict[str, Any]:
+def evaluation_context(database: Database, job: EvaluateJob) -> dict[str, Any]:
     """Return what ``jobs/evaluate.html`` shows."""
     result = job.result or EvaluateResult()
     return {
@@ -80,12 +405,12 @@ def rezero_context(database: Database, job: Job) -> dict[str, Any]:
 
 PLAIN = Result("jobs/plain.html", default_context)
 RESULTS: dict[str, Result] = {
-    "identify": Result("jobs/identify.html", identification.result_context),
+    "identify": Result("jobs/identify.html", identification_context),
     "gap": Result("gap/result.html", story.result_context),
-    "evaluate": Result("jobs/evaluate.html", result_context),
-    "drift": Result("jobs/drift.html", check_view.result_context),
+    "evaluate": Result("jobs/evaluate.html", evaluation_context),
+    "drift": Result("jobs/drift.html", check_context),
     "rezero": Result("jobs/rezero.html", rezero_context),
-    "plan": Result("jobs/plan.html", planned.result_context),
+    "plan": Result("jobs/plan.html", plan_context),
 }
 
 

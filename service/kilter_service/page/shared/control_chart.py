@@ -12,8 +12,7 @@ from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHisto
 from kilter_service.contract.standing import ErrorAt
 from kilter_service.contract.today import Today
 from kilter_service.ground.texts import plural
-from kilter_service.page.figures.plot import GREY, Plot
-from kilter_service.page.figures.scale import Axis, Days, days_around, lengths
+from kilter_service.page.figures.plot import GREY, Axis, Days, Plot, days_around, lengths
 from kilter_service.page.words import bare, format_in_largest_unit, moment, number, unit
 from kilter_service.versions.drift.charts import height, last_value
 from kilter_service.versions.drift.wire import chance_words

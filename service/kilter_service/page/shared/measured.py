@@ -11,10 +11,7 @@ from markupsafe import Markup, escape
 from kilter_service.campaigns.facts import ColumnFacts
 from kilter_service.ground.wire import to_mm
 from kilter_service.page import words
-from kilter_service.page.figures.meanings import ERROR
-from kilter_service.page.figures.plot import BLUE, FONT, LETTER, Plot
-from kilter_service.page.figures.room import room_for
-from kilter_service.page.figures.scale import around
+from kilter_service.page.figures.plot import BLUE, ERROR, FONT, LETTER, Plot, around, room_for
 
 if TYPE_CHECKING:
     from kilter_service.campaigns.facts import Facts, JointFacts

@@ -14,9 +14,7 @@ from kilter_service.campaigns import looking
 from kilter_service.ground.db import Database
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.wire import joint_scale
-from kilter_service.page.figures.meanings import CORRECTED, FITTED, HELD_OUT
-from kilter_service.page.figures.plot import Plot, Table
-from kilter_service.page.figures.scale import around, category_axis, lengths
+from kilter_service.page.figures.plot import CORRECTED, FITTED, HELD_OUT, Plot, Table, around, category_axis, lengths
 from kilter_service.page.words import in_columns
 from kilter_service.versions import service
 from kilter_service.versions.predictions.paired import error_lengths, residuals

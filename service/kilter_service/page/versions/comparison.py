@@ -1,26 +1,120 @@
-"""Two versions side by side: the parameters that differ, and what each leaves of the same rows."""
+"""Two versions side by side, and what would change by activating one."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kilter_core.errors import CoreError
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.comparisons import PairedErrors
+from kilter_service.contract.previews import VersionPreview
 from kilter_service.contract.versions import ParameterChange, Version, VersionDiff
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import around, category_axis, lengths
-from kilter_service.page.versions.paired import maps
-from kilter_service.page.words import in_columns
-from kilter_service.versions import service
+from kilter_service.ground.wire import to_mm
+from kilter_service.page.figures.plot import BLUE, SKY, Plot, around, category_axis, lengths
+from kilter_service.page.shared.standing import Accuracy, accuracy_from_metrics
+from kilter_service.page.words import format_in_largest_unit, in_columns, largest
+from kilter_service.robots import service as robots
+from kilter_service.robots.compensation import sentence
+from kilter_service.robots.exporters.registry import FORMATS
+from kilter_service.versions import activation, service
+from kilter_service.versions.if_match import tag_of_robot
 from kilter_service.versions.predictions import differences
+from kilter_service.versions.predictions import places as measured
+from kilter_service.versions.predictions.paired import Pairs
+from kilter_service.versions.predictions.preview import preview
+
+if TYPE_CHECKING:
+    from kilter_core.types import Floats, Ints
+
+
+MOST_DRAWN, LARGEST = 1200, 200  # rows that are drawn, and how many of them are those that differ most
+
+
+def maps(database: Database, found: Pairs, names: Sequence[str], version: str) -> list[Plot]:
+    """Draw where each version is better on the rows that were paired. ``version`` says where the tools are."""
+    table = found.tables[0]
+    campaign, row = np.asarray(table["campaign"])[found.used], np.asarray(table["row"])[found.used]
+    return _maps(database, version, campaign, row, found.sizes[0] - found.sizes[1], names)
+
+
+def _maps(
+    database: Database, version: str, campaign: Any, row: Ints, difference: Floats, names: Sequence[str]
+) -> list[Plot]:
+    """Where each version is the better one, from above and from the side; nothing where tools have no place."""
+    places, gains, rows = [], [], []
+    for one in dict.fromkeys(campaign.tolist()):
+        try:
+            found = measured.places(database, version, one)
+        except ServiceError:
+            return []
+        mine = dict(zip(row[campaign == one].tolist(), difference[campaign == one].tolist(), strict=True))
+        kept = [k for k, number in enumerate(found.row.tolist()) if number in mine]
+        places.append(to_mm(found.at[kept]))
+        gains += [mine[number] for number in found.row[kept].tolist()]
+        rows += [f"{one}/{number}" for number in found.row[kept].tolist()]
+    at, gain = np.concatenate(places), np.array(gains)
+    drawn = _drawn(gain)
+    return [
+        _map(title, at[drawn], gain[drawn], [rows[int(k)] for k in drawn], axes, names)
+        for title, axes in (("From above", (0, 1)), ("From the side", (0, 2)))
+    ]
+
+
+def _drawn(gain: Floats) -> Ints:
+    if len(gain) <= MOST_DRAWN:
+        return np.arange(len(gain))
+    even = np.linspace(0, len(gain) - 1, MOST_DRAWN - LARGEST).astype(np.int64)
+    return np.union1d(even, np.argsort(-np.abs(gain))[:LARGEST])
+
+
+def _map(
+    title: str, at: Floats, gain: Floats, rows: Sequence[str], axes: tuple[int, int], names: Sequence[str]
+) -> Plot:
+    across, up = axes
+    plot = Plot(
+        title,
+        around(f"{'xyz'[across]}, mm", at[:, across].tolist()),
+        around(f"{'xyz'[up]}, mm", at[:, up].tolist()),
+        width=480.0,
+        height=340.0,
+        description=f"{title}: at which measured places {names[1]} is better than {names[0]}, and where it is worse.",
+    )
+    most = largest(gain)
+    for better, label, number, colour in (
+        (True, f"{names[1]} better", 1, SKY),
+        (False, f"{names[0]} better", 0, BLUE),
+    ):
+        part = np.flatnonzero((gain > 0) == better)
+        if len(part):
+            told = [f"{format_in_largest_unit(abs(gain[k]), most)} {'less' if better else 'more'} left" for k in part]
+            plot.points(
+                at[part, across].tolist(),
+                at[part, up].tolist(),
+                label,
+                number,
+                colour,
+                told,
+                [rows[int(k)] for k in part],
+            )
+    worst = np.argsort(gain)[:10]
+    unit, more = in_columns([[float(-gain[k])] for k in worst])
+    numbers = [
+        [rows[int(k)].rpartition("/")[2], *(f"{v:.0f}" for v in at[k]), left]
+        for k, (left,) in zip(worst, more, strict=True)
+    ]
+    plot.table = (["Row", "x, mm", "y, mm", "z, mm", f"More left by {names[1]}, {unit}"], numbers)
+    return plot
+
 
 MOST_CAMPAIGNS, MOST_VERSIONS = 20, 12
 MOST_AT_ONCE = 5000  # rows that are paired before the view is sent: 0.15 s of processor
@@ -180,3 +274,124 @@ def _curve(left: Sequence[Left]) -> Plot:
     for number, (one, curve) in enumerate(zip(left, curves, strict=True)):
         drawn.line(curve.tolist(), shares.tolist(), one.name, number)
     return drawn
+
+
+log = logging.getLogger("kilter.page")
+
+NAMES = {
+    "json": "Kilter's own document",
+    "urdf": "URDF",
+    "mjcf": "calibrated twin for MuJoCo",
+    "usd": "calibrated twin for simulators of USD",
+    "dh-csv": "table of DH parameters",
+    "mdh-csv": "table of modified DH parameters",
+    "ur-yaml": "calibration of the Universal Robots driver",
+    "matlab": "function for MATLAB",
+    "corrector": "program for the corrector in C",
+    "c": "corrector and program as one C file",
+}
+REFUSED = {
+    "CORRECTION_TOO_LARGE": "the correction is larger than the version's limits",
+    "JOINT_LIMIT": "the corrected joint is outside its limits",
+    "RATE_LIMIT": "the correction changes too fast",
+    "NOT_FINITE": "no correction is found there",
+}
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """A version that may be activated, beside the one that is active; ``etag`` is the state that this was looked at in.
+
+    ``preview`` None could not be computed; ``failed`` says so. ``controller`` is what follows from what the controller
+    does by itself, empty where nothing does.
+    """
+
+    version: Version
+    accuracy: Accuracy | None
+    active: Version | None
+    active_accuracy: Accuracy | None
+    preview: VersionPreview | None
+    failed: str
+    where: Sequence[tuple[str, str]]
+    refused: Sequence[tuple[int, str]]
+    etag: str
+    controller: str
+
+    @property
+    def larger(self) -> float:
+        """The larger of the two errors, mm, whose unit both have."""
+        return max((one.mean for one in (self.accuracy, self.active_accuracy) if one is not None), default=0.0)
+
+
+@dataclass(frozen=True)
+class Download:
+    """A file that a version can be written as: what it leaves out, or why it cannot be."""
+
+    format: str
+    name: str
+    notes: Sequence[str]
+    refusal: str = ""
+
+
+def correction_ahead(database: Database, version_id: str, temperature_c: float | None) -> Ahead:
+    """Look at what a version would do. A preview that fails is a sentence: it decides nothing, and keeps nobody."""
+    found = service.get(database, version_id)
+    etag = tag_of_robot(database, found.robot)  # before the rest: what changes meanwhile is refused later
+    robot = robots.get(database, found.robot)
+    active = None if robot.active_version is None else service.get(database, robot.active_version)
+    preview, failed = _try_preview(database, version_id, temperature_c)
+    units = ["mm" if joint.kind == "prismatic" else "°" for joint in robot.joints]
+    largest_at, refused = ([], {}) if preview is None else (preview.largest_at or [], preview.refused)
+    angles = zip(robot.joints, largest_at, units, strict=False)
+    return Ahead(
+        found,
+        accuracy_from_metrics(found.metrics),
+        active,
+        None if active is None else accuracy_from_metrics(active.metrics),
+        preview,
+        failed,
+        [
+            (joint.name, f"{value:.1f} {unit}" if unit == "mm" else f"{value:.1f}{unit}")
+            for joint, value, unit in angles
+        ],
+        [(count, REFUSED.get(why, why.lower().replace("_", " "))) for why, count in refused.items()],
+        etag,
+        sentence(found.robot, robot.controller_compensation),
+    )
+
+
+def _try_preview(database: Database, version_id: str, temperature_c: float | None) -> tuple[VersionPreview | None, str]:
+    """The preview, or why there is none."""
+    try:
+        return preview(database, version_id, temperature_c), ""
+    except CoreError as error:
+        return None, f"What it would correct could not be computed: {error.message}"
+    except Exception:
+        log.exception("the preview of version %s failed", version_id)
+        return None, (
+            "What it would correct could not be computed; the server's log has the cause. Going on does not need it: only "
+            "look at a corrected path before the arm moves by it."
+        )
+
+
+def back(database: Database, robot: str, temperature_c: float | None) -> Ahead:
+    """Look at what a roll-back would do.
+
+    Raises:
+        ServiceError: there is no version to go back to.
+
+    """
+    return correction_ahead(database, activation.rollback_target(database, robot), temperature_c)
+
+
+def exports(database: Database, version_id: str) -> list[Download]:
+    """Return each format with what its file leaves out."""
+    return [_download(database, version_id, name) for name in FORMATS]
+
+
+def _download(database: Database, version_id: str, name: str) -> Download:
+    words = NAMES.get(name, name)
+    try:
+        return Download(name, words, service.exported_notes(database, version_id, name))
+    except CoreError as error:  # a format that cannot hold this arm
+        return Download(name, words, (), error.message)
