@@ -83,6 +83,21 @@ POLICY = (
     "font-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
 )
 WHOLE = ("{% extends", "<!DOCTYPE")  # how the template of a whole page begins
+MACROS = {  # what every template may call, and those below them
+    "parts": "parts.html",
+    "lists": "lists.html",
+    "buttons": "steps.html",
+    "measured_rows": "rows.html",
+    "suspicious_rows": "suspicious.html",
+    "masses": "masses.html",
+    "goals": "robot/goals.html",
+    "job_table": "job_list/table.html",
+    "table_of": "jobs/uses.html",
+    "remarks": "jobs/remarks.html",
+    "shown_parts": "versions/parts.html",
+    "changes": "versions/changes.html",
+    "pairs": "versions/pairs.html",
+}
 HEADERS = {
     "Content-Security-Policy": POLICY,
     "Cache-Control": "no-store",  # measurements stay out of the browser's cache
@@ -138,6 +153,8 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     loaded.filters.update(words.FILTERS)
+    for name, template in MACROS.items():  # each may call those before it
+        loaded.globals[name] = loaded.get_template(template).module
     return loaded
 
 

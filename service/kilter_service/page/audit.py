@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 from fastapi import Query, Request
@@ -19,7 +18,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.jobs import service as jobs
 from kilter_service.page.answers import render, router
-from kilter_service.page.shared.lists import Asked, Part, select_page
+from kilter_service.page.shared.lists import Asked, select_page
 from kilter_service.versions import service as versions
 from kilter_service.web.audit import service as audit
 from kilter_service.web.state import DatabaseOfApp
@@ -101,11 +100,7 @@ REFUSED: Mapping[str, str] = {
     "token_missing": "no token",
     "token_wrong": "a wrong token",
 }
-KINDS = {
-    "campaigns": "campaign",
-    "versions": "version",
-    "jobs": "job",
-}  # tables of the database, as paths call their entries
+KINDS = {"campaigns": "campaign", "versions": "version", "jobs": "job"}  # tables, as paths call their entries
 GET: Mapping[str, Callable[[Database, str], Any]] = {
     "campaign": campaigns.get,
     "version": versions.get,
@@ -114,19 +109,10 @@ GET: Mapping[str, Callable[[Database, str], Any]] = {
 UNKNOWN = "one that is gone"
 
 
-@dataclass(frozen=True)
-class Said:
-    """An entry with what it did, and the reason that was given; empty: none was."""
-
-    entry: AuditEntry
-    what: str
-    reason: str
-
-
-def describe_entries(database: Database, entries: Iterable[AuditEntry]) -> list[Said]:
-    """Put entries in words, with names instead of ids."""
+def describe_entries(database: Database, entries: Iterable[AuditEntry]) -> list[tuple[AuditEntry, str, str]]:
+    """Put entries in words, with names instead of ids: each with what it did, and the reason that was given, if one was."""
     known = _Names(database)
-    return [Said(one, _describe_action(one, known), _reason(one)) for one in entries]
+    return [(one, _describe_action(one, known), _reason(one)) for one in entries]
 
 
 def _describe_action(entry: AuditEntry, known: _Names) -> str:
@@ -209,19 +195,8 @@ class _Names:
 AT_ONCE = 1000
 
 
-@dataclass(frozen=True)
-class Found:
-    """The entries that were asked for, newest first, how many there are in all, and whether the record is whole."""
-
-    part: Part[AuditEntry]
-    entries: list[Said]
-    total: int
-    head: str
-    broken: str
-
-
-def find_entries(database: Database, robot: str, actor: str, asked: Asked) -> Found:
-    """Return entries about a robot, by somebody; empty texts ask for all."""
+def find_entries(database: Database, robot: str, actor: str, asked: Asked) -> dict[str, Any]:
+    """Return entries about a robot, by somebody, newest first; empty texts ask for all. ``broken``: the record is not whole."""
     ids = _ids(database, robot) if robot else frozenset()
     kept: list[AuditEntry] = []
     total = 0
@@ -234,13 +209,10 @@ def find_entries(database: Database, robot: str, actor: str, asked: Asked) -> Fo
             break
         after = (str(page.entries[-1].number),)
     head, broken = _state(database)
-    shown = select_page(kept[::-1], asked, _words, {})
-    return Found(shown, describe_entries(database, shown.shown), total, head, broken)
-
-
-def _words(entry: AuditEntry) -> str:
-    """What a search looks in: what was done, and all that the entry holds."""
-    return f"{DONE.get(entry.route, '')} {entry.content}"
+    # A search looks in what was done, and in all that the entry holds.
+    shown = select_page(kept[::-1], asked, lambda one: f"{DONE.get(one.route, '')} {one.content}", {})
+    entries = describe_entries(database, shown.shown)
+    return {"part": shown, "entries": entries, "total": total, "head": head, "broken": broken}
 
 
 def _state(database: Database) -> tuple[str, str]:

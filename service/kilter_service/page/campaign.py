@@ -26,7 +26,7 @@ from kilter_service.ground.texts import plural
 from kilter_service.page import chosen
 from kilter_service.page.answers import redirect, render, router
 from kilter_service.page.chosen import keep_columns, named_rows, ranges
-from kilter_service.page.shared import asking as proposing
+from kilter_service.page.shared import asking
 from kilter_service.page.shared.lists import Asked, select_page
 from kilter_service.page.shared.measured import describe_facts
 from kilter_service.robots import service as robots
@@ -64,7 +64,7 @@ def load_campaign_view(database: Database, campaign_id: str) -> dict[str, Any]:
         "suspicious": suspicious.of_campaign(database, campaign.id),
         "columns": [
             (name, what if unit == "–" else f"{what}, {unit}")
-            for name, what, unit, *_ in (seen.columns if seen else ())
+            for name, what, unit, *_ in (seen["columns"] if seen else ())
         ],
         "noted": repairs.list_notes(database, campaign.robot, campaign.id),
     }
@@ -152,7 +152,7 @@ def show_campaign(
     """Show a campaign; ``job`` proposed its poses."""
     shown = load_campaign_view(database, campaign)
     return render(
-        request, "campaign/one.html", shown=shown, proposing=proposing.proposal(database, shown["campaign"], job)
+        request, "campaign/one.html", shown=shown, proposing=asking.proposal(database, shown["campaign"], job)
     )
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Annotated
+from typing import Annotated, Any
 from urllib.parse import urlencode
 
 from fastapi import Query, Request, Response
@@ -97,27 +97,8 @@ class Row:
         return strip.spark(days, [one.mean_mm for one in errors], marks, title)
 
 
-@dataclass(frozen=True)
-class Fleet:
-    """The rows that are shown, how many there are of each look, and the axis on which all errors are."""
-
-    part: Part[Row]
-    counts: Mapping[str, int]
-    axis: Axis
-    most: float
-
-    def drawn(self, row: Row) -> Markup | str:
-        """The error of a row on the shared axis."""
-        found, standing = row.accuracy, row.today.standing
-        if found is None or standing is None:
-            return ""
-        low, high = found.low or found.mean, found.high or found.mean
-        title = f"Mean error {format_in_largest_unit(found.mean, self.most)}"
-        return strip.error(self.axis, found.mean, low, high, standing.tolerance_mm, row.state.look, title)
-
-
-def fleet(database: Database, settings: Settings, asked: Asked) -> Fleet:
-    """Return the robots in use that the address asks for, worst first."""
+def fleet(database: Database, settings: Settings, asked: Asked) -> dict[str, Any]:
+    """Return the robots in use that the address asks for, worst first, how many there are of each look, and the shared axis."""
     seen = corrector(database, settings)
     open_jobs, active = jobs.open_of_robots(database), versions.active_of_robots(database)
     known, log = today.of_robots(database), drift.activations_of_robots(database)
@@ -131,12 +112,24 @@ def fleet(database: Database, settings: Settings, asked: Asked) -> Fleet:
     found = [row.accuracy for row in rows if row.accuracy is not None]
     limits = [row.robot.tolerance_mm for row in rows if row.robot.tolerance_mm is not None]
     shown = [end for one in found for end in (one.low or one.mean, one.high or one.mean)] + limits
-    return Fleet(
-        select_rows(rows, asked),
-        {look: sum(row.state.look == look for row in rows) for look in COUNTS},
-        lengths("mean error", shown, log=True),
-        max((one.mean for one in found), default=1.0),
-    )
+    axis, most = lengths("mean error", shown, log=True), max((one.mean for one in found), default=1.0)
+    return {
+        "part": select_rows(rows, asked),
+        "counts": {look: sum(row.state.look == look for row in rows) for look in COUNTS},
+        "ruler": strip.ruler(axis),
+        "most": most,
+        "drawn": lambda row: _draw_error(row, axis, most),
+    }
+
+
+def _draw_error(row: Row, axis: Axis, most: float) -> Markup | str:
+    """The error of a row on the shared axis."""
+    found, standing = row.accuracy, row.today.standing
+    if found is None or standing is None:
+        return ""
+    low, high = found.low or found.mean, found.high or found.mean
+    title = f"Mean error {format_in_largest_unit(found.mean, most)}"
+    return strip.error(axis, found.mean, low, high, standing.tolerance_mm, row.state.look, title)
 
 
 def select_rows(rows: list[Row], asked: Asked) -> Part[Row]:
@@ -158,7 +151,7 @@ def select_rows(rows: list[Row], asked: Asked) -> Part[Row]:
 def show_fleet(request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
     """Show a row for each robot."""
     found = fleet(database, settings, Asked.from_request(request, ("state",)))
-    return render(request, "fleet.html", fleet=found, part=found.part, counts=COUNTS, ruler=strip.ruler(found.axis))
+    return render(request, "fleet.html", fleet=found, part=found["part"], counts=COUNTS, ruler=found["ruler"])
 
 
 MOST, MOST_ROBOTS, EACH = 12, 4, 100  # found, robots that are looked into, and things of each
@@ -175,19 +168,13 @@ VIEWS = {
 EVERYWHERE = {"all robots": "/", "all jobs": "/jobs", "new robot": "/new-robot"}
 
 
-@dataclass(frozen=True)
-class Place:
-    """Something to go to: its name, what it is, and its address."""
-
-    name: str
-    kind: str
-    address: str
+Place = tuple[str, str, str]  # something to go to: its name, what it is, and its address
 
 
 def find(database: Database, sought: str, robot: str) -> list[Place]:
     """Return the first places that fit, those of the robot that is looked at before others."""
     words = sought.casefold().split()
-    fitting = (one for one in _places(database, words, robot) if all(word in one.name.casefold() for word in words))
+    fitting = (one for one in _places(database, words, robot) if all(word in one[0].casefold() for word in words))
     return [one for one, _ in zip(fitting, range(MOST), strict=False)]
 
 
@@ -195,16 +182,16 @@ def _places(database: Database, words: list[str], here: str) -> Iterator[Place]:
     names = [one.name for one in robots.list_robots(database, Page()).robots]
     named = [name for name in names if name == here or not words or any(word in name.casefold() for word in words)]
     named.sort(key=lambda name: name != here)
-    yield from (Place(name, "robot", f"/robots/{name}") for name in named)
-    yield from (Place(name, "view", address) for name, address in EVERYWHERE.items())
+    yield from ((name, "robot", f"/robots/{name}") for name in named)
+    yield from ((name, "view", address) for name, address in EVERYWHERE.items())
     for name in named[:MOST_ROBOTS]:
-        yield from (Place(f"{name} {view}", "view", f"/robots/{name}{end}") for view, end in VIEWS.items())
+        yield from ((f"{name} {view}", "view", f"/robots/{name}{end}") for view, end in VIEWS.items())
         for version in versions.list_versions(database, name, Page(limit=EACH)).versions:
-            yield Place(f"{name} {display_name(version)}", "version", f"/versions/{version.id}")
+            yield (f"{name} {display_name(version)}", "version", f"/versions/{version.id}")
         for campaign in campaigns.list_campaigns(database, name, Page()).campaigns[-EACH:]:
-            yield Place(f"{name} {campaign.name}", "campaign", f"/campaigns/{campaign.id}")
+            yield (f"{name} {campaign.name}", "campaign", f"/campaigns/{campaign.id}")
         for job in jobs.list_jobs(database, name, Page(limit=EACH)).jobs:
-            yield Place(f"{name} {display_name(job)}", "job", f"/jobs/{job.id}")
+            yield (f"{name} {display_name(job)}", "job", f"/jobs/{job.id}")
 
 
 @router.get("/find")

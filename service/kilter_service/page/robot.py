@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
@@ -17,14 +16,12 @@ from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.drift import NewRepair
 from kilter_service.contract.jobs.gap import GAP, GapResult
-from kilter_service.contract.jobs.job import JobSummary
-from kilter_service.contract.meshes import Mesh, MeshUnit
+from kilter_service.contract.meshes import MeshUnit
 from kilter_service.contract.references import RobotChange
 from kilter_service.contract.robot_reports import RobotReport
-from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.today import Today
 from kilter_service.contract.units import ControllerCompensation
-from kilter_service.contract.versions import Activation, Version, VersionSummary
+from kilter_service.contract.versions import Version, VersionSummary
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.limits import MAX_MESH_MB, MAX_TRIANGLES
@@ -32,15 +29,11 @@ from kilter_service.ground.paging import Page
 from kilter_service.ground.settings import Settings
 from kilter_service.jobs import service as jobs
 from kilter_service.page import scene
-from kilter_service.page import scene as asked_pose
 from kilter_service.page.answers import redirect, render, router
 from kilter_service.page.shared.asking import parse_goals, take_step
-from kilter_service.page.shared.control_chart import Watched, draw_check_history
+from kilter_service.page.shared.control_chart import draw_check_history
 from kilter_service.page.shared.standing import (
-    Accuracy,
-    Budget,
     Correcting,
-    State,
     accuracy_today,
     assess_robot_state,
     corrector,
@@ -58,109 +51,57 @@ from kilter_service.web.bodies import MESH, spool_upload
 from kilter_service.web.concurrency import compute
 from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
 
-
-@dataclass(frozen=True)
-class Settled:
-    """A robot as its settings show it."""
-
-    robot: RobotReport
-    meshes: Sequence[Mesh]
-    controllers: Mapping[str, str] = field(default_factory=lambda: WORDS)
-    most_mb: int = MAX_MESH_MB
-    most_triangles: int = MAX_TRIANGLES
-
-    @property
-    def links(self) -> list[str]:
-        """What may have a shape, from base to tool."""
-        return [meshes.BASE, *(joint.name for joint in self.robot.joints)]
-
-
-def shown_settings(database: Database, name: str) -> Settled:
-    """Return what the settings of a robot show."""
-    return Settled(robots.get(database, name), meshes.list_meshes(database, name).meshes)
-
-
 NEWEST = Page(limit=50)
 
 
-@dataclass(frozen=True)
-class Shown:
-    """A robot; ``version`` is the active one, ``candidate`` a newer one that is not, ``looked_at`` the one of the picture,
-    ``other`` the one that is drawn beside it.
-    """
-
-    robot: RobotReport
-    today: Today
-    version: Version | None
-    accuracy: Accuracy | None
-    activation: Activation | None
-    earlier: bool  # whether there is an activation before it, to go back to
-    candidate: VersionSummary | None
-    correcting: Correcting
-    latest: JobSummary | None
-    campaigns: Sequence[Campaign]
-    versions: Sequence[VersionSummary]
-    looked_at: VersionSummary | None
-    other: VersionSummary | None
-    campaign: Campaign | None
-    suspicious: Sequence[SuspiciousRows]
-    watched: Watched
-    budget: Budget | None
-    chosen: bool  # whether the address says what is drawn
-    controllers: Mapping[str, str] = field(default_factory=lambda: WORDS)
-
-    @property
-    def state(self) -> State:
-        """How the robot stands."""
-        return assess_robot_state(self.today, self.correcting)
-
-    @property
-    def unseen(self) -> int:
-        """How many parameters the measurements of the active version could not tell."""
-        rows = [] if self.version is None else self.version.parameters
-        return sum(one.identifiable is False or one.value is None for one in rows)
-
-
 def shown_robot(
-    database: Database, settings: Settings, name: str, version: str | None, campaign: str | None, other: str = ""
-) -> Shown:
-    """Return what the view shows; ``version`` and ``campaign`` are those of the picture, where they were chosen."""
+    database: Database, settings: Settings, name: str, version: str, campaign: str, other: str
+) -> dict[str, Any]:
+    """Return what the overview shows; ``version``, ``other`` and ``campaign`` are of the picture, where they were chosen.
+
+    ``candidate`` is a newer version that is not active, ``earlier`` whether there is an activation to go back to, ``unseen``
+    the number of parameters that the measurements of the active version could not tell.
+    """
     robot, now = robots.get(database, name), today.of_robot(database, name)
     active = None if robot.active_version is None else versions.get(database, robot.active_version)
     log = versions.activations(database, name, Page(limit=2)).activations
     made = versions.list_versions(database, name, NEWEST).versions
-    newest = jobs.list_jobs(database, name, Page(limit=1)).jobs
     measured = [one for one in campaigns.list_campaigns(database, name, Page()).campaigns if one.rows]
     beside = _version(database, name, made, other)
     looked_at = _version(database, name, made, version) or active or (made[0] if made else None)
     older = {one.id: one for one in (active, looked_at, beside) if one is not None}
-    return Shown(
-        robot=robot,
-        today=now,
-        version=active,
-        accuracy=accuracy_today(now),
-        activation=log[0] if log else None,
-        earlier=len(log) > 1,
-        candidate=next((one for one in made if not one.active), None) if made and not made[0].active else None,
-        correcting=corrector(database, settings).describe_correction(
-            name, robot.active_version, robot.controller_compensation
-        ),
-        latest=newest[0] if newest else None,
-        campaigns=measured,
-        versions=[*made, *(one for key, one in older.items() if key not in {each.id for each in made})],
-        looked_at=looked_at,
-        other=beside,
-        campaign=_campaign(database, measured, looked_at, campaign, now),
-        watched=draw_check_history(drift.of_robot(database, name), now),
-        budget=error_budget(now, active, _search_of(database, active, now)),
-        suspicious=[] if active is None else suspicious.of_campaigns(database, (one.id for one in active.campaigns)),
-        chosen=bool(version or campaign or other),
-    )
+    correcting = _correction(database, settings, robot)
+    return {
+        "robot": robot,
+        "today": now,
+        "state": assess_robot_state(now, correcting),
+        "version": active,
+        "accuracy": accuracy_today(now),
+        "activation": log[0] if log else None,
+        "earlier": len(log) > 1,
+        "candidate": made[0] if made and not made[0].active else None,
+        "correcting": correcting,
+        "campaigns": measured,
+        "versions": [*made, *(one for key, one in older.items() if key not in {each.id for each in made})],
+        "looked_at": looked_at,
+        "other": beside,
+        "campaign": _campaign(database, measured, looked_at, campaign, now),
+        "watched": draw_check_history(drift.of_robot(database, name), now),
+        "budget": error_budget(now, active, _search_of(database, active, now)),
+        "suspicious": [] if active is None else suspicious.of_campaigns(database, (one.id for one in active.campaigns)),
+        "unseen": sum(one.identifiable is False or one.value is None for one in (active.parameters if active else ())),
+        "chosen": bool(version or campaign or other),
+        "controllers": WORDS,
+    }
 
 
-def _version(
-    database: Database, robot: str, newest: Sequence[VersionSummary], wanted: str | None
-) -> VersionSummary | None:
+def _correction(database: Database, settings: Settings, robot: RobotReport) -> Correcting:
+    """What is done for a robot now."""
+    seen = corrector(database, settings)
+    return seen.describe_correction(robot.name, robot.active_version, robot.controller_compensation)
+
+
+def _version(database: Database, robot: str, newest: Sequence[VersionSummary], wanted: str) -> VersionSummary | None:
     """A version that the address names, of this robot, however many came after it; None: there is none such."""
     if not wanted:
         return None
@@ -173,28 +114,6 @@ def _version(
     return older if older.robot == robot else None
 
 
-@dataclass(frozen=True)
-class Standing:
-    """What every view of a robot says first: its state, and today's number with where it is from."""
-
-    robot: RobotReport
-    state: State
-    accuracy: Accuracy | None
-    seen_on: str  # campaign and date of the number
-
-
-def standing(database: Database, settings: Settings, name: str) -> Standing:
-    """Return how a robot stands, from what its overview says."""
-    robot, now = robots.get(database, name), today.of_robot(database, name)
-    accuracy = accuracy_today(now)
-    correcting = corrector(database, settings).describe_correction(
-        name, robot.active_version, robot.controller_compensation
-    )
-    measured = [] if now.newest is None else now.newest.campaigns
-    seen_on = ", ".join(f"{one.name}, {one.when}" for one in measured)
-    return Standing(robot, assess_robot_state(now, correcting), accuracy, seen_on)
-
-
 def _search_of(database: Database, version: Version | None, now: Today) -> GapResult | None:
     """The gap search that made a version, if it is the newest; None: another job did."""
     if version is None or now.missing is None or now.missing.job_id != version.job_id:
@@ -204,7 +123,7 @@ def _search_of(database: Database, version: Version | None, now: Today) -> GapRe
 
 
 def _campaign(
-    database: Database, measured: Sequence[Campaign], version: VersionSummary | None, wanted: str | None, now: Today
+    database: Database, measured: Sequence[Campaign], version: VersionSummary | None, wanted: str, now: Today
 ) -> Campaign | None:
     """The campaign that was chosen, else that of today's errors, else one that no fit used, else the newest."""
     by_id = {one.id: one for one in measured}
@@ -272,20 +191,32 @@ def overview(
     other: ID = "",
 ) -> HTMLResponse:
     """Show how good a robot is, what corrects it, and what to do next."""
-    shown = shown_robot(database, settings, robot, version or None, campaign or None, other)
+    shown = shown_robot(database, settings, robot, version, campaign, other)
     return render(request, "robot/overview.html", shown=shown)
 
 
 @router.get("/robots/{robot}/state")
 def state(robot: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp) -> HTMLResponse:
-    """Show how a robot stands, on each of its views."""
-    return render(request, "robot/state.html", stands=standing(database, settings, robot))
+    """Show how a robot stands, on each of its views: its state, and today's number with where it is from."""
+    report, now = robots.get(database, robot), today.of_robot(database, robot)
+    seen_on = ", ".join(f"{one.name}, {one.when}" for one in (now.newest.campaigns if now.newest else ()))
+    said = assess_robot_state(now, _correction(database, settings, report))
+    return render(request, "robot/state.html", robot=report, state=said, accuracy=accuracy_today(now), seen_on=seen_on)
 
 
 @router.get("/robots/{robot}/settings")
 def settings(robot: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
-    """Show what is rarely changed of a robot."""
-    return render(request, "robot/settings.html", shown=shown_settings(database, robot))
+    """Show what is rarely changed of a robot: what its controller does, remarks, description, and the shapes of its links."""
+    report = robots.get(database, robot)
+    shown = {
+        "robot": report,
+        "meshes": meshes.list_meshes(database, robot).meshes,
+        "controllers": WORDS,
+        "most_mb": MAX_MESH_MB,
+        "most_triangles": MAX_TRIANGLES,
+        "links": [meshes.BASE, *(joint.name for joint in report.joints)],
+    }
+    return render(request, "robot/settings.html", shown=shown)
 
 
 @router.post("/robots/{robot}/steps")
@@ -377,7 +308,7 @@ def pose(
     q: Annotated[str, Query(max_length=1500)] = "",
 ) -> HTMLResponse:
     """Show what one or two versions say of a pose."""
-    found = asked_pose.predict_by_versions(database, settings, robot, q, (version, other), campaign if row else "", row)
+    found = scene.predict_by_versions(database, settings, robot, q, (version, other), campaign if row else "", row)
     return render(request, "robot/pose_part.html", pose=found)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -160,45 +159,6 @@ def worst(database: Database, version: str, campaign: str, most: int = 5) -> Doc
 MOST_JOINTS = 64
 
 
-@dataclass(frozen=True)
-class Part:
-    """Something that moves the tool, mm, with the ends of its interval."""
-
-    name: str
-    size: float
-    low: float | None
-    high: float | None
-
-
-@dataclass(frozen=True)
-class Said:
-    """What a version says of the pose, mm; ``vector`` is what it moves the tool by."""
-
-    id: str
-    name: str
-    tool: Sequence[float]
-    moved: float
-    vector: Sequence[float]
-    refused: str
-    parts: Sequence[Part]
-    missing: Sequence[str]
-    sigma: float | None
-
-
-@dataclass(frozen=True)
-class Pose:
-    """A pose with what one or two versions say of it; ``row`` is the measured one whose load and directions hold, 0: none."""
-
-    joints: Sequence[str]
-    versions: Sequence[Said]
-    row: int
-
-    @property
-    def largest(self) -> float | None:
-        """The largest of the lengths that are compared, mm: all are written in its unit."""
-        return words.largest(size for one in self.versions for size in (one.moved, *(part.size for part in one.parts)))
-
-
 def read(text: str) -> list[float] | None:
     """Read joints as ``10.5,-20,...``, in degrees and mm; None of an empty text.
 
@@ -222,8 +182,8 @@ def read(text: str) -> list[float] | None:
 
 def predict_by_versions(
     database: Database, settings: Settings, robot: str, text: str, chosen: Sequence[str], campaign: str, row: int
-) -> Pose:
-    """Return what versions say of a pose.
+) -> dict[str, Any]:
+    """Return what versions say of a pose, mm; ``row`` is the measured one whose load and directions hold, 0: none.
 
     Raises:
         ServiceError: no such version, campaign or row, or joints of another arm.
@@ -242,21 +202,29 @@ def predict_by_versions(
         q = found.q
     shown = [] if q is None else q * scale
     units = ["mm" if unit == "mm" else "°" for unit in joint_units(arm)]
-    joints = [f"{joint.name} {value:.1f}{unit}" for joint, value, unit in zip(arm.joints, shown, units, strict=False)]
-    return Pose(joints, said, row if campaign else 0)
+    return {
+        "joints": [f"{one.name} {value:.1f}{unit}" for one, value, unit in zip(arm.joints, shown, units, strict=False)],
+        "versions": said,
+        "row": row if campaign else 0,
+        "largest": words.largest(
+            size for one in said for size in (one["moved"], *(part["size"] for part in one["parts"]))
+        ),
+    }
 
 
-def _moves_of_version(version: str, name: str, found: AtPose) -> Said:
+def _moves_of_version(version: str, name: str, found: AtPose) -> dict[str, Any]:
     moved = to_mm(found.moved)
-    parts = [Part(one.name, to_mm(one.size), to_mm_if_known(one.low), to_mm_if_known(one.high)) for one in found.parts]
-    return Said(
-        version,
-        name,
-        to_mm(found.tool).tolist(),
-        float(np.linalg.norm(moved)),
-        moved.tolist(),
-        "" if found.status == "OK" else found.status,
-        parts,
-        found.missing,
-        to_mm_if_known(found.sigma),
-    )
+    return {
+        "id": version,
+        "name": name,
+        "tool": to_mm(found.tool).tolist(),
+        "moved": float(np.linalg.norm(moved)),
+        "vector": moved.tolist(),
+        "refused": "" if found.status == "OK" else found.status,
+        "parts": [
+            {"name": one.name, **{end: to_mm_if_known(getattr(one, end)) for end in ("size", "low", "high")}}
+            for one in found.parts
+        ],
+        "missing": found.missing,
+        "sigma": to_mm_if_known(found.sigma),
+    }

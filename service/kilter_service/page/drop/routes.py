@@ -28,7 +28,7 @@ from kilter_service.ground.tables.views import rig_from_conditions
 from kilter_service.page.answers import get_root_path, redirect, render, router
 from kilter_service.page.drop import service
 from kilter_service.page.drop.drafts import RIG, Draft, Drafts, plain_name
-from kilter_service.page.shared import asking as proposing
+from kilter_service.page.shared import asking
 from kilter_service.page.shared.asking import take_step
 from kilter_service.page.shared.measured import describe_facts
 from kilter_service.robots import service as robots
@@ -229,7 +229,7 @@ Texts = Annotated[list[str], Form(max_length=1000)]
 def empty(robot: str, request: Request, database: DatabaseOfApp, job: JobId = "") -> HTMLResponse:
     """Show where to drop a file: any, or what was measured at the poses that a job proposes."""
     name = robots.get(database, robot).name
-    return render(request, "drop/new.html", robot=name, job=proposing.get_proposing_job(database, name, job))
+    return render(request, "drop/new.html", robot=name, job=asking.get_proposing_job(database, name, job))
 
 
 @router.post("/robots/{robot}/campaigns/new/file", openapi_extra=BODY)
@@ -243,7 +243,7 @@ async def drop_file(
 ) -> Response:
     """Take a file and read it; nothing is stored."""
     await run_in_threadpool(robots.get, database, robot)
-    await run_in_threadpool(proposing.get_proposing_job, database, robot, job)
+    await run_in_threadpool(asking.get_proposing_job, database, robot, job)
     drafts = _drafts(request)
     draft = drafts.new(robot, _owner(request), name[:500], job)
     with drafts.in_use(draft):

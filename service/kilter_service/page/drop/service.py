@@ -26,7 +26,7 @@ from kilter_service.contract.jobs.plan import PLAN
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.page.drop.drafts import Draft
-from kilter_service.page.shared import asking as proposing
+from kilter_service.page.shared import asking
 from kilter_service.robots import service as robots
 
 NUMBER = re.compile(r"\d+")
@@ -267,7 +267,7 @@ def joint_kinds(database: Database, robot: str) -> list[str]:
 
 def meant_for(database: Database, draft: Draft) -> tuple[str, str]:
     """Return the role that the form proposes, and why where that is not the usual one: a check is fitted by nobody."""
-    job = proposing.get_proposing_job(database, draft.robot, draft.job)
+    job = asking.get_proposing_job(database, draft.robot, draft.job)
     if job is not None and PLAN.is_kind_of(job) and job.options.purpose == "check":
         return "validation", "These poses were planned for a check: no fit takes its rows."
     if (

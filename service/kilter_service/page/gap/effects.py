@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from kilter_service.contract.gap_details import AliasMatrix, AtJoints, Evidence, Halves, NamedEffect, Replication
 from kilter_service.contract.headlines import format_joints, list_found
@@ -12,8 +13,7 @@ from kilter_service.contract.next_poses import NextPose
 from kilter_service.ground.texts import plural
 from kilter_service.page.figures.drawn import HeatMap
 from kilter_service.page.figures.plot import Plot
-from kilter_service.page.shared import curves as own_curves
-from kilter_service.page.shared.curves import curves
+from kilter_service.page.shared import curves
 from kilter_service.page.shared.naming import chance, format_claim, format_effect_name, parse_joint_number
 from kilter_service.page.words import joined_by_and, number, percent
 
@@ -104,22 +104,13 @@ GATES: Mapping[str, tuple[str, Say]] = {
 
 
 @dataclass(frozen=True)
-class Test:
-    """A test of an effect: whether it was passed, and the number that decided."""
-
-    name: str
-    passed: bool
-    number: str
-
-
-@dataclass(frozen=True)
 class Claim:
     """What is claimed of an effect."""
 
     name: str
     level: str
     means: str
-    tests: list[Test]
+    tests: list[dict[str, Any]]  # a test by ``name``, whether it was ``passed``, and the ``number`` that decided
     raise_it: list[str]
     remarks: list[str]
 
@@ -132,12 +123,12 @@ def claim_from_effect(effect: NamedEffect, unit: str = "mm") -> Claim:
     return Claim(format_claim(effect), level, LEVELS.get(level, ""), list(_tests(effect)), higher, remarks)
 
 
-def _tests(effect: NamedEffect) -> Iterator[Test]:
+def _tests(effect: NamedEffect) -> Iterator[dict[str, Any]]:
     gates = effect.gates.model_dump() if effect.gates is not None else {}
     evidence = effect.evidence or Evidence()
     for name, (words, say) in GATES.items():
         if gates.get(name) is not None:
-            yield Test(words, bool(gates[name]), say(evidence))
+            yield {"name": words, "passed": bool(gates[name]), "number": say(evidence)}
 
 
 def _remarks(effect: NamedEffect, unit: str) -> Iterator[str]:
@@ -208,54 +199,26 @@ LOOKS = {"provisional": "warn", "contradicted": "bad"}
 WIDE, HIGH = 620.0, 165.0
 
 
-@dataclass(frozen=True)
-class Chip:
-    """A test in a word: ``good`` passed, ``bad`` not, ``faint`` not made; ``why`` says more."""
-
-    name: str
-    look: str
-    why: str
-
-
-@dataclass(frozen=True)
-class Card:
-    """An effect in the words of the headline; the plot is that of its clearest joint."""
-
-    name: str
-    joints: str
-    level: str
-    look: str
-    size: str
-    moves_mm: float | None
-    chips: Sequence[Chip]
-    rivals: Sequence[str]
-    plot: Plot | None
-
-
-def cards(result: GapResult, unit: str) -> list[Card]:
-    """Return the cards, in the order of the answer."""
+def cards(result: GapResult, unit: str) -> list[dict[str, Any]]:
+    """Return a card for each effect in the words of the headline; the plot is that of its clearest joint."""
     return [_card(effect, result, unit) for effect in result.effects or []]
 
 
-def _card(effect: NamedEffect, result: GapResult, unit: str) -> Card:
+def _card(effect: NamedEffect, result: GapResult, unit: str) -> dict[str, Any]:
     amounts = sorted(effect.parameters or [], key=lambda one: abs(one.value or 0.0) / (one.sigma or 1.0), reverse=True)
     found = list_found([effect])[0]  # the words and sizes of the headline
-    joint = parse_joint_number(amounts[0].name) if amounts else None
-    level = (effect.verdict or "provisional").replace("_", " ")
-    rivals = [format_effect_name(one) for one in effect.alias_set or []]
-    look = LOOKS.get(effect.verdict or "provisional", "good")
-    plot = _plot(effect, joint, result, unit)
-    return Card(
-        found.effect,
-        format_joints(found.joints) if found.joints else "",
-        level,
-        look,
-        found.size,
-        effect.moves_mm,
-        list(_chips(effect)),
-        rivals,
-        plot,
-    )
+    level = effect.verdict or "provisional"
+    return {
+        "name": found.effect,
+        "joints": format_joints(found.joints) if found.joints else "",
+        "level": level.replace("_", " "),
+        "look": LOOKS.get(level, "good"),
+        "size": found.size,
+        "moves_mm": effect.moves_mm,
+        "chips": list(_chips(effect)),
+        "rivals": [format_effect_name(one) for one in effect.alias_set or []],
+        "plot": _plot(effect, parse_joint_number(amounts[0].name) if amounts else None, result, unit),
+    }
 
 
 def _plot(effect: NamedEffect, joint: int | None, result: GapResult, unit: str) -> Plot | None:
@@ -265,29 +228,30 @@ def _plot(effect: NamedEffect, joint: int | None, result: GapResult, unit: str) 
     ]
     if own:
         best = next((one for one in own if one.joint == joint), own[0])
-        return own_curves.plot(best, WIDE, HIGH)
-    drawn = curves(result.figures, unit, WIDE, HIGH)
+        return curves.plot(best, WIDE, HIGH)
+    drawn = curves.curves(result.figures, unit, WIDE, HIGH)
     found = next((one for one in drawn if one.joint == joint), None)
     return None if found is None else found.plot
 
 
-def _chips(effect: NamedEffect) -> Iterator[Chip]:
+def _chips(effect: NamedEffect) -> Iterator[dict[str, str]]:
+    """Yield tests in a word each: the look is ``good`` where it was passed, ``bad`` where not, ``faint`` where not made."""
     gates = effect.gates.model_dump() if effect.gates is not None else {}
-    yield _chip("held-out", gates.get("held_out"), "Held-out poses gain by it")
     named = sum(effect.halves.named or []) if effect.halves is not None else None
-    yield _chip("halves", None if named is None else named == 2, "Each half of the campaign names it")
-    yield _chip("shuffles", gates.get("negative_control"), "It vanishes when its labels are shuffled")
     outcome = effect.replication.outcome if effect.replication is not None else None
-    again = {"replicated": True, "contradicted": False, "not_seen": False}.get(outcome or "")
     evidence = (effect.claim.evidence if effect.claim is not None else None) or []
     lacking = [one.words for one in evidence if not one.met and one.words]
+    found: list[tuple[str, bool | None, str]] = [
+        ("held-out", gates.get("held_out"), "Held-out poses gain by it"),
+        ("halves", None if named is None else named == 2, "Each half of the campaign names it"),
+        ("shuffles", gates.get("negative_control"), "It vanishes when its labels are shuffled"),
+    ]
     if evidence:
-        yield _chip("second load", None if lacking else True, "; ".join(lacking) or "Told from its class")
-    yield _chip("another day", again, "Seen again in a campaign of another day or set-up")
-
-
-def _chip(name: str, passed: bool | None, why: str) -> Chip:
-    return Chip(name, "faint" if passed is None else "good" if passed else "bad", why)
+        found.append(("second load", None if lacking else True, "; ".join(lacking) or "Told from its class"))
+    again = {"replicated": True, "contradicted": False, "not_seen": False}.get(outcome or "")
+    found.append(("another day", again, "Seen again in a campaign of another day or set-up"))
+    for name, passed, why in found:
+        yield {"name": name, "look": "faint" if passed is None else "good" if passed else "bad", "why": why}
 
 
 def describe_decision(result: GapResult) -> str:
@@ -316,33 +280,29 @@ CLOSE = 0.7  # correlation from which another effect of the library is listed as
 SAME = 0.999  # two digits of the number written: "1.00"
 
 
-@dataclass(frozen=True)
-class Rival:
-    """An effect that looks like the one that was named; ``alike``: these data cannot tell which it is."""
-
-    name: str
-    of: str
-    correlation: str
-    alike: bool
-    wrong: str
-    apart: str
-
-
-def rivals(result: GapResult) -> list[Rival]:
-    """Return the aliases of every named effect, then those that are merely near."""
-    effects = result.effects or []
-    alike = [_rival_from_alias(effect, k, result) for effect in effects for k in range(len(effect.alias_set or []))]
-    known = {(rival.name, rival.of) for rival in alike}
-    near = [rival for effect in effects for rival in _correlated_rivals(effect, result.alias_matrix)]
-    return alike + [rival for rival in near if (rival.name, rival.of) not in known]
-
-
-def _rival_from_alias(effect: NamedEffect, place: int, result: GapResult) -> Rival:
-    rival = (effect.alias_set or [])[place]
-    wrong = "–" if rival.p_wrong is None else percent(rival.p_wrong)
+def rivals(result: GapResult) -> list[dict[str, Any]]:
+    """Return the aliases of every named effect, then those that are merely near; ``alike``: these data cannot tell which."""
     told = [pose for pose in result.next_poses or [] if pose.information_factor is not None]
-    apart = _describe_separation(told, rival.correlation)
-    return Rival(format_effect_name(rival), format_effect_name(effect), number(rival.correlation), True, wrong, apart)
+    alike, near = [], []
+    for effect in result.effects or []:
+        name = format_effect_name(effect)
+        for rival in effect.alias_set or []:
+            wrong = "–" if rival.p_wrong is None else percent(rival.p_wrong)
+            apart = _describe_separation(told, rival.correlation)
+            alike.append(_rival(rival, name, rival.correlation, alike=True, wrong=wrong, apart=apart))
+        for pair in (result.alias_matrix.pairs if result.alias_matrix is not None else None) or []:
+            other = _other_of_pair(effect, pair.first, pair.second)
+            if other is not None and (pair.correlation or 0.0) >= CLOSE:
+                near.append(_rival(other, name, pair.correlation, apart="These data prefer the one named."))
+    known = {(one["name"], one["of"]) for one in alike}
+    return alike + [one for one in near if (one["name"], one["of"]) not in known]
+
+
+def _rival(
+    rival: AtJoints, of: str, correlation: float | None, apart: str, alike: bool = False, wrong: str = "–"
+) -> dict[str, Any]:
+    said = {"name": format_effect_name(rival), "of": of, "correlation": number(correlation)}
+    return {**said, "alike": alike, "wrong": wrong, "apart": apart}
 
 
 def _describe_separation(poses: Sequence[NextPose], correlation: float | None) -> str:
@@ -354,21 +314,7 @@ def _describe_separation(poses: Sequence[NextPose], correlation: float | None) -
     return "The search proposes no pose that tells them apart."
 
 
-def _correlated_rivals(effect: NamedEffect, matrix: AliasMatrix | None) -> list[Rival]:
-    found = []
-    for pair in (matrix.pairs if matrix is not None else None) or []:
-        other = _other_of_pair(effect, pair.first, pair.second)
-        if other is not None and (pair.correlation or 0.0) >= CLOSE:
-            apart = "These data prefer the one named."
-            found.append(
-                Rival(
-                    format_effect_name(other), format_effect_name(effect), number(pair.correlation), False, "–", apart
-                )
-            )
-    return found
-
-
-def _other_of_pair(effect: AtJoints, first: AtJoints, second: AtJoints) -> AtJoints | None:
+def _other_of_pair(effect: NamedEffect, first: AtJoints, second: AtJoints) -> AtJoints | None:
     own = (effect.id, effect.joints)
     if own == (first.id, first.joints):
         return second

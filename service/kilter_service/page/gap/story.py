@@ -25,12 +25,8 @@ from kilter_service.ground.texts import plural
 from kilter_service.jobs import service as jobs
 from kilter_service.page.answers import redirect, router
 from kilter_service.page.figures.drawn import HeatMap
-from kilter_service.page.gap import effects as claim
-from kilter_service.page.gap import effects as effect_cards
-from kilter_service.page.gap import effects as rivals
-from kilter_service.page.shared import curves
-from kilter_service.page.shared import curves as own_curves
-from kilter_service.page.shared import errors_drawn as steps
+from kilter_service.page.gap import effects
+from kilter_service.page.shared import curves, errors_drawn
 from kilter_service.page.shared.naming import (
     chance,
     format_claim,
@@ -324,8 +320,8 @@ def get_gap_job(database: Database, job: str) -> GapJob:
 def result_context(database: Database, job: GapJob) -> dict[str, Any]:
     """Return what ``gap/result.html`` shows of a search that has succeeded."""
     result = job.result or GapResult()
-    unit = steps.error_unit(result.gap)
-    read = steps.steps_shown(result.figures, unit)
+    unit = errors_drawn.error_unit(result.gap)
+    read = errors_drawn.steps_shown(result.figures, unit)
     return {
         "version": result.version_id,
         "result": result,
@@ -333,9 +329,9 @@ def result_context(database: Database, job: GapJob) -> dict[str, Any]:
         "verdict": VERDICTS.get(result.verdict or "", (result.verdict or "", "faint")),
         "size": sizes(result.gap, unit),
         "lines": (result.headline or verdict_words(result)).splitlines(),
-        "cards": effect_cards.cards(result, unit),
+        "cards": effects.cards(result, unit),
         "poses_decide": result.told_apart is None or result.told_apart.enough or not result.told_apart.instead,
-        "decide": effect_cards.describe_decision(result),
+        "decide": effects.describe_decision(result),
         "set_aside": set_aside(result),
         "suspicious": suspicious.of_campaigns(database, searched_campaigns(job)),
         "where": heat_map(result.where or []),
@@ -344,13 +340,13 @@ def result_context(database: Database, job: GapJob) -> dict[str, Any]:
         "effects": [(format_claim(effect), effect) for effect in result.effects or []],
         "candidates": candidates(result, job.options, unit),
         "untestable": untestable(result.not_testable or []),
-        "own_curves": own_curves.own_curves(result.effect_curves),
+        "own_curves": curves.own_curves(result.effect_curves),
         "curves": curves.curves(result.figures, unit),
-        "steps": None if read is None else steps.plot(read),
-        "steps_said": "" if read is None else steps.describe(read),
-        "rivals": rivals.rivals(result),
-        "alias_map": rivals.heat_map(result.alias_matrix),
-        "claims": [claim.claim_from_effect(effect, unit) for effect in result.effects or []],
+        "steps": None if read is None else errors_drawn.plot(read),
+        "steps_said": "" if read is None else errors_drawn.describe(read),
+        "rivals": effects.rivals(result),
+        "alias_map": effects.heat_map(result.alias_matrix),
+        "claims": [effects.claim_from_effect(effect, unit) for effect in result.effects or []],
         "newer": newer(database, job),
     }
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
+import re
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,7 @@ from pydantic import BaseModel
 
 from kilter_core.errors import CoreError
 from kilter_core.types import Floats
-from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.facts import display_unit_and_factor
-from kilter_service.campaigns.kept_facts import campaign_cache_key
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.fits import CorrelatedGroup, Covariance, Influence, StageErrors
@@ -32,11 +28,11 @@ from kilter_service.contract.standing import NextStep
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.ground.recent import Recent
+from kilter_service.page.chosen import joint_columns
 from kilter_service.page.figures.drawn import Arrows, HeatMap, Space
 from kilter_service.page.figures.plot import BLUE, RED, Plot, category_axis, lengths
 from kilter_service.page.gap import story
-from kilter_service.page.shared import errors_drawn as stages
+from kilter_service.page.shared import errors_drawn
 from kilter_service.page.shared.errors_drawn import cumulative
 from kilter_service.page.shared.naming import in_names, of_a_mass, parameter_rows, version_name
 from kilter_service.page.words import in_columns, number, percent
@@ -65,12 +61,12 @@ def identification_context(database: Database, job: IdentifyJob) -> dict[str, An
         "where": where,
         "points": judged.n if judged else None,
         "left_out": judged.left_out if judged else None,
-        "judged": {name: getattr(judged, name, None) for name, _ in stages.STAGES},
-        "stages": stages.compared_models(judged),
-        "meaning": stages.MEANING,
-        "bars": stages.bars(judged, where),
+        "judged": {name: getattr(judged, name, None) for name, _ in errors_drawn.STAGES},
+        "stages": errors_drawn.compared_models(judged),
+        "meaning": errors_drawn.MEANING,
+        "bars": errors_drawn.bars(judged, where),
         "curve": cumulative(
-            (figures.held_out_errors or figures.fitted_errors) if figures else None, where, stages.CURVES
+            (figures.held_out_errors or figures.fitted_errors) if figures else None, where, errors_drawn.CURVES
         ),
         "effects": gain_of_effects(judged),
         "seen": parameter_rows(
@@ -108,7 +104,8 @@ def correlation_map(groups: list[CorrelatedGroup], known: Covariance | None) -> 
     wanted = [name for name in wanted if name in places and matrix[places[name]][places[name]] > 0]
     if len(wanted) < 2:
         return None
-    values = [[_correlation(matrix, places[a], places[b]) for b in wanted] for a in wanted]
+    at = [places[name] for name in wanted]
+    values = [[matrix[a][b] / math.sqrt(matrix[a][a] * matrix[b][b]) for b in at] for a in at]
     return HeatMap(
         "Correlation of parameters that go together",
         wanted,
@@ -120,10 +117,6 @@ def correlation_map(groups: list[CorrelatedGroup], known: Covariance | None) -> 
         cell=34.0,
         description="Near 1 or -1 the data tell only a combination of the two.",
     )
-
-
-def _correlation(matrix: list[list[float]], a: int, b: int) -> float:
-    return matrix[a][b] / math.sqrt(matrix[a][a] * matrix[b][b])
 
 
 def influence_chart(found: list[Influence]) -> Plot | None:
@@ -154,17 +147,6 @@ LOOKS = {
 }
 MOST_BARS, MOST_RIVALS = 24, 4
 LIKELY = 1e-3
-
-
-@dataclass(frozen=True)
-class Rival:
-    """A cause that was looked at: its chance among all, how much it would be, and the mean error that it leaves, mm."""
-
-    words: str
-    chance: str
-    change: str
-    left_mm: float | None
-    refuted: bool
 
 
 def check_context(database: Database, job: DriftJob) -> dict[str, Any]:
@@ -221,8 +203,8 @@ def _bars(result: DriftResult, named: DriftCause | None) -> Plot:
     return drawn
 
 
-def rivals(result: DriftResult) -> list[Rival]:
-    """Return the causes with their chances: each by how much worse than the best it explains the rows (BIC)."""
+def rivals(result: DriftResult) -> list[dict[str, Any]]:
+    """Return the causes, each with its chance among all by how much worse than the best it explains the rows (BIC)."""
     known = [(one, one.bic) for one in result.looked_at or [] if one.bic is not None]
     best = min((bic for _, bic in known), default=0.0)
     weights = [math.exp(-0.5 * min(bic - best, 700.0)) for _, bic in known]
@@ -230,47 +212,40 @@ def rivals(result: DriftResult) -> list[Rival]:
     out = []
     for (one, _), weight in zip(known, weights, strict=True):
         share = weight / whole
-        left = None if not one.left_mm else sum(one.left_mm) / len(one.left_mm)
-        said = percent(share) if share > LIKELY else f"< {percent(LIKELY)}" if share > 0 else "0 %"
+        said = percent(share) if share > LIKELY else "< 0.1 %" if share > 0 else "0 %"
         told = [n for n in one.numbers or [] if len(one.numbers or []) == 1 or n.unit == "mm"]  # of a frame its shift
         size = math.hypot(*(n.change for n in told)) if len(told) > 1 else sum(n.change for n in told)
-        change = f"{number(size, 2)} {told[0].unit}" if told else ""
-        out.append(Rival(one.words or one.name, said.replace("< 0 %", "< 0.1 %"), change, left, bool(one.refuted)))
-    return sorted(out, key=lambda one: (one.left_mm is None, one.left_mm))[:MOST_RIVALS]
+        out.append(
+            {
+                "words": one.words or one.name,
+                "chance": said,
+                "change": f"{number(size, 2)} {told[0].unit}" if told else "",
+                "left_mm": sum(one.left_mm) / len(one.left_mm) if one.left_mm else None,
+                "refuted": bool(one.refuted),
+            }
+        )
+    return sorted(out, key=lambda one: (one["left_mm"] is None, one["left_mm"]))[:MOST_RIVALS]
 
 
 NEAR = 0.5  # degrees or mm from a joint as planned: the pose was driven to
 MOST_CAMPAIGNS = Page(limit=20)
-_READ = Recent[Floats](20)  # a page that is open asks every few seconds
-
-
-@dataclass(frozen=True)
-class PlannedPose:
-    """A pose, and its row: ``state`` is open, good or bad, ``why`` of a bad one, ``campaign`` and ``row`` where it has one."""
-
-    joints: Sequence[str]
-    payload_kg: float | None
-    change: str
-    state: str = "open"
-    why: str = ""
-    campaign: str = ""
-    row: int = 0
+JOINT = re.compile(r"q.*_(deg|mm)")  # a column of a pose
 
 
 def plan_context(database: Database, job: PlanJob) -> dict[str, Any]:
     """Return what ``jobs/plan.html`` shows."""
     result = job.result or PlanResult()
     poses = [pose.model_dump() for pose in result.poses or []]
-    names = list(dict.fromkeys(name for pose in poses for name in pose if _is_joint(name)))
+    names = [name for name in dict.fromkeys(name for pose in poses for name in pose) if JOINT.fullmatch(name)]
     q = np.array([[pose.get(name) or 0.0 for name in names] for pose in poses]).reshape(len(poses), len(names))
     arrived = _arrived_rows(database, job, q)
     shown = [
-        PlannedPose(
-            [f"{value:.3f}" for value in q[k]],  # as the file has it: what is driven is not rounded to what is known
-            pose["payload_kg"],
-            pose["change"] or "",
-            *arrived.get(k, ()),
-        )
+        {
+            "joints": [f"{value:.3f}" for value in q[k]],  # as the file has it: what is driven is not rounded
+            "payload_kg": pose["payload_kg"],
+            "change": pose["change"] or "",
+            **arrived.get(k, {"state": "open", "why": "", "campaign": "", "row": 0}),
+        }
         for k, pose in enumerate(poses)
     ]
     return {
@@ -279,25 +254,25 @@ def plan_context(database: Database, job: PlanJob) -> dict[str, Any]:
         "joints": [name.replace("_", ", ", 1) for name in names],
         "poses": shown,
         "driven": json.dumps(q.round(4).tolist()),
-        "arrived": sum(one.state != "open" for one in shown),
-        "wrong": sum(one.state == "bad" for one in shown),
-        "loads": any(one.payload_kg is not None for one in shown),
-        "changes": any(one.change for one in shown),
+        "arrived": sum(one["state"] != "open" for one in shown),
+        "wrong": sum(one["state"] == "bad" for one in shown),
+        "loads": any(one["payload_kg"] is not None for one in shown),
+        "changes": any(one["change"] for one in shown),
     }
 
 
-def _arrived_rows(database: Database, job: PlanJob, q: Floats) -> dict[int, tuple[str, str, str, int]]:
+def _arrived_rows(database: Database, job: PlanJob, q: Floats) -> dict[int, dict[str, Any]]:
     """State, reason, campaign and row of each pose whose row came after the plan, by the pose's place; the newest counts."""
-    found: dict[int, tuple[str, str, str, int]] = {}
+    found: dict[int, dict[str, Any]] = {}
     for campaign in campaigns.list_campaigns(database, job.robot, MOST_CAMPAIGNS).campaigns:
         if campaign.created_at >= job.created_at and campaign.rows and not campaign.staged:
             found |= dict(_rows_at(database, campaign, q))
     return found
 
 
-def _rows_at(database: Database, campaign: Campaign, q: Floats) -> Iterator[tuple[int, tuple[str, str, str, int]]]:
+def _rows_at(database: Database, campaign: Campaign, q: Floats) -> Iterator[tuple[int, dict[str, Any]]]:
     try:
-        measured = _READ.get(campaign_cache_key(campaign), partial(_joints, database, campaign))
+        measured = np.stack(joint_columns(database, campaign), axis=1)
     except (CoreError, ValueError):  # rows that cannot be read, or that have no joints
         return
     if measured.shape[1:] != q.shape[1:]:
@@ -307,20 +282,8 @@ def _rows_at(database: Database, campaign: Campaign, q: Floats) -> Iterator[tupl
         rows = np.flatnonzero(np.abs(measured - wanted).max(axis=1) <= NEAR) + 1
         if len(rows):
             bad = next((int(row) for row in rows if int(row) in wrong), None)
-            state = ("good", "") if bad is None else ("bad", wrong[bad])
-            yield place, (*state, campaign.id, int(rows[-1]) if bad is None else bad)
-
-
-def _joints(database: Database, campaign: Campaign) -> Floats:
-    """Readings (N, n) of a campaign, deg or mm."""
-    rows = looking.load_campaign_rows(database, campaign.id)
-    read = sorted((one for one in rows.columns if one.quantity == "q"), key=lambda one: one.number or 0)
-    columns = [rows.table.column(one.name).to_numpy() * display_unit_and_factor(one)[1] for one in read]
-    return np.stack(columns, axis=1).astype(np.float64)
-
-
-def _is_joint(name: str) -> bool:
-    return name.startswith("q") and name.endswith(("_deg", "_mm"))
+            row, why = (int(rows[-1]), "") if bad is None else (bad, wrong[bad])
+            yield place, {"state": "good" if bad is None else "bad", "why": why, "campaign": campaign.id, "row": row}
 
 
 def proposed_poses_csv(job: Job) -> str:
@@ -353,21 +316,10 @@ def evaluation_context(database: Database, job: EvaluateJob) -> dict[str, Any]:
         "version": result.version_id,
         "called": version_name(database, result.version_id),
         "campaigns": [
-            (name, errors, stages.bars(errors, f"campaign {name}", EVALUATED))
+            (name, errors, errors_drawn.bars(errors, f"campaign {name}", EVALUATED))
             for name, errors in (result.metrics or {}).items()
         ],
     }
-
-
-Shown = Callable[[Database, Any], dict[str, Any]]
-
-
-@dataclass(frozen=True)
-class Result:
-    """The template of a kind, and what fills it."""
-
-    template: str
-    shown: Shown
 
 
 def default_context(database: Database, job: Job) -> dict[str, Any]:
@@ -403,17 +355,14 @@ def rezero_context(database: Database, job: Job) -> dict[str, Any]:
     return {**shown, "sentence": in_names(database, shown["sentence"] or "")}
 
 
-PLAIN = Result("jobs/plain.html", default_context)
-RESULTS: dict[str, Result] = {
-    "identify": Result("jobs/identify.html", identification_context),
-    "gap": Result("gap/result.html", story.result_context),
-    "evaluate": Result("jobs/evaluate.html", evaluation_context),
-    "drift": Result("jobs/drift.html", check_context),
-    "rezero": Result("jobs/rezero.html", rezero_context),
-    "plan": Result("jobs/plan.html", plan_context),
+Shown = Callable[[Database, Any], dict[str, Any]]
+PLAIN: tuple[str, Shown] = ("jobs/plain.html", default_context)
+# The template of the result of a kind, and what fills it; a kind without one has :data:`PLAIN`.
+RESULTS: dict[str, tuple[str, Shown]] = {
+    "identify": ("jobs/identify.html", identification_context),
+    "gap": ("gap/result.html", story.result_context),
+    "evaluate": ("jobs/evaluate.html", evaluation_context),
+    "drift": ("jobs/drift.html", check_context),
+    "rezero": ("jobs/rezero.html", rezero_context),
+    "plan": ("jobs/plan.html", plan_context),
 }
-
-
-def get_result_view(kind: str) -> Result:
-    """Return how the result of a kind is shown."""
-    return RESULTS.get(kind, PLAIN)

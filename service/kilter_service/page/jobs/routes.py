@@ -32,7 +32,7 @@ from kilter_service.jobs.refusals import refusal, without_kind
 from kilter_service.jobs.registry import get_job_kind
 from kilter_service.page.answers import redirect, render, router
 from kilter_service.page.jobs import results as planned
-from kilter_service.page.jobs.results import get_result_view
+from kilter_service.page.jobs.results import PLAIN, RESULTS
 from kilter_service.page.shared import lists
 from kilter_service.page.shared.lists import KINDS as TITLES
 from kilter_service.page.shared.lists import page_of_jobs
@@ -365,9 +365,9 @@ def load_job_view(database: Database, job_id: str) -> tuple[Job, str, dict[str, 
     }
     if job.state != "succeeded" or job.result is None:
         return job, "", {"names": names, "version": None, "place": jobs.places(database).get(job.id)}
-    view = get_result_view(job.kind)
+    template, shown = RESULTS.get(job.kind, PLAIN)
     makes_version = isinstance(job.result, MadeVersion)  # and has objections against it
-    return job, view.template, {"names": names, "makes_version": makes_version, **view.shown(database, job)}
+    return job, template, {"names": names, "makes_version": makes_version, **shown(database, job)}
 
 
 SEAL = "seal"

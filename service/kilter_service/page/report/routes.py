@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,14 +18,13 @@ from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import Parameter, StageErrors
-from kilter_service.contract.jobs.evaluate import EVALUATE, Iso9283
-from kilter_service.contract.jobs.gap import GAP, GapResult
+from kilter_service.contract.jobs.evaluate import EVALUATE
+from kilter_service.contract.jobs.gap import GAP
 from kilter_service.contract.jobs.identify import IDENTIFY
 from kilter_service.contract.jobs.registry import Job
 from kilter_service.contract.robot_reports import RobotReport
-from kilter_service.contract.suspicious import SuspiciousRows
 from kilter_service.contract.units import MAX_NAMED
-from kilter_service.contract.versions import Activation, Version
+from kilter_service.contract.versions import Version
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
@@ -36,7 +34,6 @@ from kilter_service.ground.processes.sandbox import Limits
 from kilter_service.jobs import service as jobs
 from kilter_service.page import words
 from kilter_service.page.answers import environment, render, router, source
-from kilter_service.page.figures.plot import Plot, Table
 from kilter_service.page.report import sheet as first
 from kilter_service.page.report.sheet import (
     CURVES,
@@ -44,15 +41,13 @@ from kilter_service.page.report.sheet import (
     INK,
     PLACE,
     STAGES,
-    Contributions,
-    First,
     before_and_after,
     closing,
     effect_contributions,
     limits,
     table,
 )
-from kilter_service.page.shared.curves import OwnCurve, own_curves
+from kilter_service.page.shared.curves import own_curves
 from kilter_service.page.shared.errors_drawn import cumulative
 from kilter_service.page.shared.naming import in_names
 from kilter_service.robots import service as robots
@@ -67,63 +62,19 @@ SIGMA95 = 1.96
 NEGATIVE_ZERO = re.compile(r"^-(?=0(\.0+)?( |$))")
 
 
-@dataclass(frozen=True)
-class Judged:
-    """Errors of the models on one set of rows: the table, and its plot."""
-
-    title: str
-    on: str
-    table: Table
-    plot: Plot | None
-    curve: Plot | None = None
+Document = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Evaluated:
-    """An evaluation of the version, with ISO 9283's criteria where they were asked for."""
-
-    job: Job
-    standard: str
-    criteria: list[tuple[str, Iso9283]]
-    judged: list[Judged]
-
-
-@dataclass(frozen=True)
-class Sheet:
-    """All of a report."""
-
-    title: str
-    robot: RobotReport
-    job: Job
-    version: Version | None
-    headline: str
-    judged: list[Judged]
-    parameters: list[list[str]]
-    effects: Contributions | None
-    search: GapResult | None
-    closing: tuple[Plot, str] | None
-    curves: list[OwnCurve]
-    evaluated: list[Evaluated]
-    limits: list[str]
-    activations: list[Activation]
-    campaigns: Mapping[str, str]
-    ranges: list[list[str]]
-    suspicious: list[SuspiciousRows]
-    names: Mapping[str, str]  # of the versions that these and evaluations name
-    today: list[str]
-    first: First | None = None
-
-
-def of_version(database: Database, version_id: str, wish: Wish | None = None) -> Sheet:
+def sheet_of_version(database: Database, version_id: str, wish: Wish | None = None) -> Document:
     """Return the report of a version, whose first page decides about a tolerance where one is stated."""
     version = versions.get(database, version_id)
     sheet = _sheet(database, version, jobs.get(database, version.job_id))
     if wish is None:
-        return replace(sheet, first=first.first_sheet_undecided(database, version))
-    return replace(sheet, first=first.first_sheet(database, version.robot, wish._replace(version=version_id)))
+        return sheet | {"first": first.first_sheet_undecided(database, version)}
+    return sheet | {"first": first.first_sheet(database, version.robot, wish._replace(version=version_id))}
 
 
-def of_job(database: Database, job_id: str) -> Sheet:
+def sheet_of_job(database: Database, job_id: str) -> Document:
     """Return the report of a job: of the version that it made, or of what it found.
 
     Raises:
@@ -139,44 +90,49 @@ def of_job(database: Database, job_id: str) -> Sheet:
     if made is None:
         return _sheet(database, None, job)
     version = versions.get(database, made)
-    return replace(_sheet(database, version, job), first=first.first_sheet_undecided(database, version))
+    return _sheet(database, version, job) | {"first": first.first_sheet_undecided(database, version)}
 
 
-def _sheet(database: Database, version: Version | None, job: Job) -> Sheet:
+def _sheet(database: Database, version: Version | None, job: Job) -> Document:
+    """Return all of a report but its first page; ``names`` are of the versions that rows and evaluations name."""
     robot = robots.get(database, job.robot)
     search = job.result if GAP.is_kind_of(job) else None
     figures = job.result.figures if IDENTIFY.is_kind_of(job) and job.result is not None else None
-    judged = [] if version is None else list(_iter_error_tables(version, figures))
     named = display_name(version if version is not None else job)
-    odd, evaluated = (
-        suspicious.of_campaigns(database, _used_campaigns(job)),
-        list(_iter_evaluations(database, job, version)),
-    )
+    odd = suspicious.of_campaigns(database, _used_campaigns(job))
+    evaluated = list(_iter_evaluations(database, job, version))
     judges = {one.version_id for rows in odd for one in rows.found} | {
-        one.job.result.version_id for one in evaluated if EVALUATE.is_kind_of(one.job) and one.job.result is not None
+        one["job"].result.version_id for one in evaluated
     }
-    log = [] if version is None else versions.activations(database, job.robot, Page()).activations
-    return Sheet(
-        title=named if named.startswith(f"{job.robot} v") else f"{job.robot}: {named}",
-        robot=robot,
-        job=job,
-        version=version,
-        headline=_headline(version, job),
-        judged=judged,
-        parameters=[] if version is None else [_parameter(one) for one in version.parameters],
-        effects=effect_contributions(database, version, search) if version is not None and version.effects else None,
-        search=search,
-        closing=closing(search),
-        curves=own_curves(search.effect_curves) if search is not None else [],
-        evaluated=evaluated,
-        limits=[] if version is None else limits(version, search),
-        activations=[one for one in log if version is not None and one.version_id == version.id],
-        campaigns=_names(database, job),
-        ranges=[] if version is None else _ranges(database, version, robot),
-        suspicious=odd,
-        names={one: in_names(database, one) for one in judges if one},
-        today=today.of_robot(database, job.robot).sentences if version is not None and version.active else [],
-    )
+    sheet = {
+        "first": None,
+        "title": named if named.startswith(f"{job.robot} v") else f"{job.robot}: {named}",
+        "robot": robot,
+        "job": job,
+        "version": version,
+        "headline": getattr(job.result, "headline", None) or ("" if version is None else version.headline),
+        "search": search,
+        "closing": closing(search),
+        "curves": own_curves(search.effect_curves) if search is not None else [],
+        "evaluated": evaluated,
+        "campaigns": _names(database, job),
+        "suspicious": odd,
+        "names": {one: in_names(database, one) for one in judges if one},
+    }
+    if version is None:
+        return sheet | dict.fromkeys(
+            ("judged", "parameters", "effects", "limits", "activations", "ranges", "today"), ()
+        )
+    log = versions.activations(database, job.robot, Page()).activations
+    return sheet | {
+        "judged": list(_iter_error_tables(version, figures)),
+        "parameters": [_parameter(one) for one in version.parameters],
+        "effects": effect_contributions(database, version, search) if version.effects else None,
+        "limits": limits(version, search),
+        "activations": [one for one in log if one.version_id == version.id],
+        "ranges": _ranges(database, version, robot),
+        "today": today.of_robot(database, job.robot).sentences if version.active else [],
+    }
 
 
 def _used_campaigns(job: Job) -> list[str]:
@@ -214,12 +170,7 @@ def _ranges(database: Database, version: Version, robot: RobotReport) -> list[li
     return out
 
 
-def _headline(version: Version | None, job: Job) -> str:
-    """The answer of the job, where it has one; else that of its version."""
-    return getattr(job.result, "headline", None) or ("" if version is None else version.headline)
-
-
-def _iter_error_tables(version: Version, figures: IdentifyFigures | None) -> Iterator[Judged]:
+def _iter_error_tables(version: Version, figures: IdentifyFigures | None) -> Iterator[Document]:
     drawn = figures or IdentifyFigures()
     for errors, histogram, which, on in (
         (version.metrics.validation, drawn.held_out_errors, "held-out", "not fitted: this is the accuracy to expect"),
@@ -227,10 +178,11 @@ def _iter_error_tables(version: Version, figures: IdentifyFigures | None) -> Ite
     ):
         if errors is not None:
             curve = cumulative(histogram, f"{which} rows", CURVES, INK, HEIGHT)
-            yield replace(_errors(errors, f"On {which} poses", f"rows that were {on}"), curve=curve)
+            yield _errors(errors, f"On {which} poses", f"rows that were {on}") | {"curve": curve}
 
 
-def _errors(errors: StageErrors, title: str, on: str) -> Judged:
+def _errors(errors: StageErrors, title: str, on: str) -> Document:
+    """The errors of the models on one set of rows: the table, and its plot."""
     found = [(label, getattr(errors, name)) for name, label in STAGES if getattr(errors, name) is not None]
     head, sizes = table("Model", found)
     rows = [[*row, words.number(one.orientation_deg)] for row, (_, one) in zip(sizes, found, strict=True)]
@@ -239,7 +191,7 @@ def _errors(errors: StageErrors, title: str, on: str) -> Judged:
     counts = ["" if errors.n is None else f"{words.count(errors.n)} points", words.left_out(errors.left_out), on]
     counted = "; ".join(one for one in counts if one)
     plot = before_and_after(errors, f"Errors: {title.lower()}")
-    return Judged(title, counted, ([*head, "orientation, deg"], rows), plot)
+    return {"title": title, "on": counted, "table": ([*head, "orientation, deg"], rows), "plot": plot}
 
 
 def _parameter(one: Parameter) -> list[str]:
@@ -280,7 +232,7 @@ def _strip_negative_zero(text: str) -> str:
     return NEGATIVE_ZERO.sub("", text)
 
 
-def _iter_evaluations(database: Database, job: Job, version: Version | None) -> Iterator[Evaluated]:
+def _iter_evaluations(database: Database, job: Job, version: Version | None) -> Iterator[Document]:
     """Evaluations of the version, newest first; of a job that is one, itself."""
     if EVALUATE.is_kind_of(job):
         found = [job]
@@ -293,7 +245,8 @@ def _iter_evaluations(database: Database, job: Job, version: Version | None) -> 
         assert one.result is not None
         errors = (one.result.metrics or {}).items()
         judged = [_errors(part, f"Campaign {name}", f"evaluation {one.id}") for name, part in errors]
-        yield Evaluated(one, one.result.standard or "ISO 9283", list((one.result.iso9283 or {}).items()), judged)
+        criteria = list((one.result.iso9283 or {}).items())
+        yield {"job": one, "standard": one.result.standard or "ISO 9283", "criteria": criteria, "judged": judged}
 
 
 CHILD = "kilter_service.page.report.child"
@@ -344,50 +297,50 @@ WishOfReport = Annotated[Wish | None, Depends(wish_from_query)]
 
 
 @router.get("/versions/{version}/report")
-def show_version_report(
+def show_of_version(
     version: AddressedVersion, request: Request, database: DatabaseOfApp, wish: WishOfReport
 ) -> HTMLResponse:
     """Show the report of a version; where a tolerance is stated, with the decision about it on the first page."""
-    sheet = of_version(database, version, wish)
+    sheet = sheet_of_version(database, version, wish)
     return render(
         request, "report/page.html", sheet=sheet, place=f"/versions/{version}", query=request.url.query if wish else ""
     )
 
 
 @router.get("/jobs/{job}/report")
-def show_job_report(job: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+def show_of_job(job: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show the report of a job."""
-    return render(request, "report/page.html", sheet=of_job(database, job), place=f"/jobs/{job}")
+    return render(request, "report/page.html", sheet=sheet_of_job(database, job), place=f"/jobs/{job}")
 
 
 @router.get("/jobs/{job}/report.html")
 def job_page(job: str, database: DatabaseOfApp) -> HTMLResponse:
     """Return the report of a job as one page that needs no other file, to keep or to send; it decides no tolerance."""
-    sheet = replace(of_job(database, job), first=None)
+    sheet = sheet_of_job(database, job) | {"first": None}
     return HTMLResponse(_render_printed(sheet, source("report.css")))
 
 
 @router.get("/versions/{version}/report.pdf")
 def version_pdf(version: AddressedVersion, request: Request, database: DatabaseOfApp, wish: WishOfReport) -> Response:
     """Return the report of a version as PDF."""
-    return _pdf(request, database, of_version(database, version, wish))
+    return _pdf(request, database, sheet_of_version(database, version, wish))
 
 
 @router.get("/jobs/{job}/report.pdf")
 def job_pdf(job: str, request: Request, database: DatabaseOfApp) -> Response:
     """Return the report of a job as PDF."""
-    return _pdf(request, database, of_job(database, job))
+    return _pdf(request, database, sheet_of_job(database, job))
 
 
-def _render_printed(sheet: Sheet, css: str = "") -> str:
+def _render_printed(sheet: Document, css: str = "") -> str:
     shown: dict[str, Any] = {"sheet": sheet, "css": Markup(css)}  # noqa: S704 (our own style sheet)
     return environment().get_template("report/printed.html").render(**shown)
 
 
-def _pdf(request: Request, database: Database, sheet: Sheet) -> Response:
+def _pdf(request: Request, database: Database, sheet: Document) -> Response:
     with get_scratch(request).folder_for("report") as folder:
         made = pdf(folder, _render_printed(sheet), source("report.css"))
-    name = sheet.version.id if sheet.version is not None else sheet.job.id
+    name = (sheet["version"] or sheet["job"]).id
     return Response(
         made, media_type="application/pdf", headers={"Content-Disposition": f'inline; filename="{name}.pdf"'}
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import Any
 
 from kilter_core.errors import CoreError
 from kilter_files.look import why_unusual
@@ -16,8 +16,7 @@ from kilter_service.ground.core import core_effects
 from kilter_service.ground.db import Database
 from kilter_service.page import words
 from kilter_service.page.figures.plot import Plot, Table, around, category_axis, lengths
-from kilter_service.page.shared import errors_drawn as contributions
-from kilter_service.page.shared import errors_drawn as steps
+from kilter_service.page.shared import errors_drawn
 from kilter_service.page.words import of_joints
 from kilter_service.versions.acceptance import service as acceptance
 from kilter_service.versions.acceptance.routes import LARGEST_MM
@@ -89,37 +88,13 @@ SOURCES = {
 }
 
 
-@dataclass(frozen=True)
-class First:
-    """What was decided, the figure of merit before and after, the budget of the campaign that decides, and its picture.
-
-    ``found`` is None where no row is left that was not fitted: then errors and budget are those of the identification.
-    ``decision`` is empty where no tolerance was stated.
-    """
-
-    title: str
-    decision: str
-    sentence: str
-    found: Acceptance | None
-    merits: Table
-    budget: Table | None
-    sums: Table | None
-    missing: str
-    views: list[Plot]
-
-    @property
-    def campaigns(self) -> list[JudgedCampaign]:
-        """The campaigns that are named."""
-        return [] if self.found is None else self.found.campaigns[:MOST_CAMPAIGNS]
-
-    @property
-    def more(self) -> int:
-        """How many others were judged."""
-        return 0 if self.found is None else len(self.found.campaigns) - len(self.campaigns)
+First = dict[str, Any]
 
 
 def first_sheet(database: Database, robot: str, wish: Wish) -> First:
-    """Return the first page where a tolerance is stated.
+    """Return the first page where a tolerance is stated: decision, figures of merit, budget, and a picture of the rows.
+
+    ``found`` is None where no row is left that was not fitted: then errors and budget are those of the identification.
 
     Raises:
         CoreError: no row is left that was not fitted, or what else speaks against a decision.
@@ -145,8 +120,9 @@ def first_sheet_undecided(database: Database, version: Version) -> First:
 
 def _of_rows(found: Acceptance, title: str, decision: str, sentence: str) -> First:
     worst = found.campaigns[0]
-    views = _views(found, worst, decided=bool(decision))
-    return First(title, decision, sentence, found, _merits(found), *_budget_tables(worst.budget), views)
+    shown = {"campaigns": found.campaigns[:MOST_CAMPAIGNS], "more": len(found.campaigns[MOST_CAMPAIGNS:])}
+    told = {"title": title, "decision": decision, "sentence": sentence, "found": found, "merits": _merits(found)}
+    return {**told, **shown, **_budget_tables(worst.budget), "views": _views(found, worst, decided=bool(decision))}
 
 
 def _of_fit(version: Version, title: str, sentence: str) -> First:
@@ -155,16 +131,23 @@ def _of_fit(version: Version, title: str, sentence: str) -> First:
     held = "held-out" if version.metrics.validation is not None else "fitted"
     stages = [] if errors is None else [(label, getattr(errors, name)) for name, label in STAGES]
     merits = table(MERIT, [(f"{held} rows, {label}", one) for label, one in stages if one is not None])
-    budget = None if errors is None else errors.budget
-    return First(title, "", sentence, None, merits, *_budget_tables(budget), [])
+    told = {"title": title, "decision": "", "sentence": sentence, "found": None, "merits": merits}
+    return {
+        **told,
+        "campaigns": [],
+        "more": 0,
+        **_budget_tables(None if errors is None else errors.budget),
+        "views": [],
+    }
 
 
-def _budget_tables(budget: Budget | None) -> tuple[Table | None, Table | None, str]:
+def _budget_tables(budget: Budget | None) -> dict[str, Any]:
     """The contributions, their sums, and what they lack."""
     if budget is None:
-        return None, None, "the whole budget: identify again from measured places of the tool"
+        missing = "the whole budget: identify again from measured places of the tool"
+        return {"budget": None, "sums": None, "missing": missing}
     missing = ", ".join(SOURCES[one] for one in budget.not_assessed if one in SOURCES)
-    return _budget(budget), _sums(budget), missing
+    return {"budget": _budget(budget), "sums": _sums(budget), "missing": missing}
 
 
 def _merits(found: Acceptance) -> Table:
@@ -222,51 +205,27 @@ def _views(found: Acceptance, worst: JudgedCampaign, decided: bool) -> list[Plot
     return out
 
 
-@dataclass(frozen=True)
-class Effect:
-    """What an effect is, and how far it moves the tool: at poses, and on the rows that were searched."""
-
-    name: str
-    joints: str
-    what: str
-    rms: str
-    largest: str
-    searched: str
-
-
-@dataclass(frozen=True)
-class Contributions:
-    """The effects of a version in one ``unit``, and how far each moves the tool at ``poses`` within the joint limits."""
-
-    poses: int
-    unit: str
-    effects: list[Effect]
-    plot: Plot | None
-
-
-def effect_contributions(database: Database, version: Version, search: GapResult | None) -> Contributions:
-    """Say of each effect what it is and what it does; uncertain masses move nothing by themselves."""
+def effect_contributions(database: Database, version: Version, search: GapResult | None) -> dict[str, Any]:
+    """Say of each effect what it is and how far it moves the tool; uncertain masses move nothing by themselves."""
     own = [one for one in version.effects if one != words.MASSES]
     named = {one.id: one for one in (search.effects if search is not None else None) or []}
-    moved = contributions.moved_by_each(database, version.id)
+    moved = errors_drawn.moved_by_each(database, version.id)
     sizes = {one.effect: [one.rms_mm, one.largest_mm] for one in moved.effects}
-    searched = [named[one].moves_mm if one in named else None for one in own]
-    lengths = [[*sizes.get(effect, [None, None]), here] for effect, here in zip(own, searched, strict=True)]
-    shown = []
+    lengths = [[*sizes.get(one, [None, None]), named[one].moves_mm if one in named else None] for one in own]
     unit, columns = words.in_columns(lengths)
+    shown = []
     for effect, (rms, largest, here) in zip(own, columns, strict=True):
-        found = named.get(effect)
-        joints = words.of_joints(found.joints) if found is not None and found.joints else ""
-        kind = core_effects.EFFECTS.get(effect)
-        what = kind.summary if kind is not None else ""
-        shown.append(Effect(effect, joints, what, rms, largest, here))
-    return Contributions(moved.poses, unit, shown, moved.plot(SHADES_OF_BARS[1:], 620.0) if moved.effects else None)
+        joints, kind = named[effect].joints if effect in named else None, core_effects.EFFECTS.get(effect)
+        where, what = words.of_joints(joints) if joints else "", kind.summary if kind is not None else ""
+        shown.append({"name": effect, "joints": where, "what": what, "rms": rms, "largest": largest, "searched": here})
+    plot = moved.plot(SHADES[1:], 620.0) if moved.effects else None
+    return {"poses": moved.poses, "unit": unit, "effects": shown, "plot": plot}
 
 
 def closing(search: GapResult | None) -> tuple[Plot, str] | None:
     """How a search closed the gap, step by step: drawn, and in a sentence."""
-    read = None if search is None else steps.steps_shown(search.figures, steps.error_unit(search.gap))
-    return None if read is None else (steps.plot(read, SHADES_OF_BARS[:2]), steps.describe(read))
+    read = None if search is None else errors_drawn.steps_shown(search.figures, errors_drawn.error_unit(search.gap))
+    return None if read is None else (errors_drawn.plot(read, SHADES_OF_BARS[:2]), errors_drawn.describe(read))
 
 
 VERDICTS = {

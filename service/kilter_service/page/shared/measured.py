@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup, escape
 
@@ -87,39 +87,25 @@ class Coverage:
 LITTLE = 0.3  # of a joint's range: little was measured of it
 
 
-@dataclass(frozen=True)
-class Seen:
-    """What a template shows of rows. ``lines``: the line of the file behind each row, where it is known."""
+def describe_facts(facts: Facts, lines: Sequence[int] = (), campaign: str = "") -> dict[str, Any]:
+    """Put facts in words and figures.
 
-    facts: Facts
-    headline: str
-    noise: str
-    noise_why: str
-    columns: Sequence[Sequence[str]]
-    coverage: Coverage
-    places: Sequence[Plot]
-    little: Sequence[str]
-    doubts: Sequence[tuple[str, str]]
-
-
-def describe_facts(facts: Facts, lines: Sequence[int] = (), campaign: str = "") -> Seen:
-    """Put facts in words and figures; ``campaign`` is the id of the one that has these rows."""
+    ``lines``: the line of the file behind each row, where it is known; ``campaign`` is the id of the one that has these rows.
+    """
     noise, why = _noise(facts)
-    return Seen(
-        facts,
-        _headline(facts),
-        noise,
-        why,
-        [_column(one) for one in facts.columns],
-        _coverage(facts.joints),
-        _places(facts, campaign),
-        [_narrow(joint) for joint in facts.joints if joint.share is not None and joint.share < LITTLE],
-        [(_format_row_place(one.row, lines), one.why) for one in facts.doubtful.rows],
-    )
-
-
-def _format_row_place(row: int, lines: Sequence[int]) -> str:
-    return f"{row} (line {lines[row - 1]} of the file)" if row <= len(lines) else str(row)
+    little = [one for one in facts.joints if one.share is not None and one.share < LITTLE]
+    places = {row: f"{row} (line {line} of the file)" for row, line in enumerate(lines, 1)}
+    return {
+        "facts": facts,
+        "headline": _headline(facts),
+        "noise": noise,
+        "noise_why": why,
+        "columns": [_column(one) for one in facts.columns],
+        "coverage": _coverage(facts.joints),
+        "places": _places(facts, campaign),
+        "little": [f"{joint.name} ({words.percent(joint.share)})" for joint in little],
+        "doubts": [(places.get(one.row, str(one.row)), one.why) for one in facts.doubtful.rows],
+    }
 
 
 def _headline(facts: Facts) -> str:
@@ -145,8 +131,7 @@ def _noise(facts: Facts) -> tuple[str, str]:
     return words.NONE, "no pose was measured twice, so the rows do not say it. Visit some poses again"
 
 
-def _column(one: object) -> Sequence[str]:
-    assert isinstance(one, ColumnFacts)
+def _column(one: ColumnFacts) -> Sequence[str]:
     gaps = "none" if one.empty == 0 else words.count(one.empty)
     return [one.name, one.what, one.unit or "–", words.number(one.low, 5), words.number(one.high, 5), gaps]
 
@@ -164,10 +149,6 @@ def _coverage(joints: Sequence[JointFacts]) -> Coverage:
         )
     head = ["Joint", "Lowest", "Highest", "Lower limit", "Upper limit", "Unit", "Share of the range"]
     return Coverage("Readings of each joint within its limits", bars, (head, rows))
-
-
-def _narrow(joint: JointFacts) -> str:
-    return f"{joint.name} ({words.percent(joint.share)})"
 
 
 def _places(facts: Facts, campaign: str) -> list[Plot]:

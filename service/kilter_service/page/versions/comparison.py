@@ -11,17 +11,15 @@ import numpy as np
 
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import service as campaigns
-from kilter_service.contract.campaigns import Campaign
-from kilter_service.contract.comparisons import PairedErrors
 from kilter_service.contract.previews import VersionPreview
-from kilter_service.contract.versions import ParameterChange, Version, VersionDiff
+from kilter_service.contract.versions import Version
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.ground.wire import to_mm
 from kilter_service.page.figures.plot import BLUE, SKY, Plot, around, category_axis, lengths
-from kilter_service.page.shared.standing import Accuracy, accuracy_from_metrics
+from kilter_service.page.shared.standing import accuracy_from_metrics
 from kilter_service.page.words import format_in_largest_unit, in_columns, largest
 from kilter_service.robots import service as robots
 from kilter_service.robots.compensation import sentence
@@ -139,52 +137,15 @@ class Left:
         return dict(zip(BARS, found, strict=True))
 
 
-@dataclass(frozen=True)
-class Compared:
-    """Two versions, the campaigns to choose from, and what was found on those that were chosen."""
-
-    robot: str
-    a: Version | None
-    b: Version | None
-    diff: VersionDiff
-    changed: Sequence[ParameterChange]
-    campaigns: Sequence[Campaign]
-    chosen: Sequence[str]
-    left: Sequence[Left]
-    bars: Plot | None
-    curve: Plot | None
-    maps: Sequence[Plot]
-
-    @property
-    def paired(self) -> PairedErrors | None:
-        """What both leave of the same rows."""
-        return self.diff.paired
-
-    @property
-    def later(self) -> int:
-        """How many rows are paired only when the view has asked for them; 0 where all is said."""
-        if self.diff.paired is not None or self.diff.not_paired:
-            return 0
-        return sum(one.rows for one in self.campaigns if one.id in self.chosen)
-
-    @property
-    def moved(self) -> list[ParameterChange]:
-        """Parameters that differ by more than their uncertainty, or are in one version only."""
-        return [one for one in self.changed if one.moved]
-
-    @property
-    def within(self) -> list[ParameterChange]:
-        """The others that differ."""
-        return [one for one in self.changed if not one.moved]
-
-    @property
-    def same(self) -> int:
-        """How many parameters do not differ."""
-        return len(self.diff.parameters) - len(self.changed)
+Compared = dict[str, Any]
 
 
 def compared_versions(database: Database, a: str, b: str, wanted: Sequence[str] | None, whole: bool = True) -> Compared:
-    """Compare two versions on rows held out of both, where there are such; many rows only for the ``whole``."""
+    """Compare two versions on rows held out of both, where there are such; many rows only for the ``whole``.
+
+    ``moved`` are parameters that differ by more than their uncertainty, or are in one version only, ``within`` the others that
+    differ, ``same`` how many do not; ``later`` rows are paired only when the view has asked for them.
+    """
 
     def few(chosen: Sequence[str]) -> bool:
         robot = service.get(database, differences.resolve_version_id(a)).robot
@@ -196,12 +157,27 @@ def compared_versions(database: Database, a: str, b: str, wanted: Sequence[str] 
     sides = [None if name == differences.NOMINAL else service.get(database, name) for name in (diff.a, diff.b)]
     known = next(side for side in sides if side is not None)
     there = [one for one in campaigns.list_campaigns(database, known.robot, Page()).campaigns if one.rows]
-    names = [title(side) for side in sides if side is not None]
+    names = [display_name(side) for side in sides if side is not None]
     left = [] if rows is None else [Left(n, sizes.tolist()) for n, sizes in zip(names, rows.sizes, strict=True)]
-    bars, curve = (None, None) if not left else (_bars(left), _curve(left))
     changed = [one for one in diff.parameters if one.change is None or abs(one.change) > SAME]
-    drawn = [] if rows is None else maps(database, rows, names, diff.b)
-    return Compared(known.robot, sides[0], sides[1], diff, changed, there, found.campaigns, left, bars, curve, drawn)
+    told = diff.paired is not None or diff.not_paired
+    return {
+        "robot": known.robot,
+        "a": sides[0],
+        "b": sides[1],
+        "diff": diff,
+        "paired": diff.paired,
+        "moved": [one for one in changed if one.moved],
+        "within": [one for one in changed if not one.moved],
+        "same": len(diff.parameters) - len(changed),
+        "campaigns": there,
+        "chosen": found.campaigns,
+        "later": 0 if told else sum(one.rows for one in there if one.id in found.campaigns),
+        "left": left,
+        "bars": _bars(left) if left else None,
+        "curve": _curve(left) if left else None,
+        "maps": [] if rows is None else maps(database, rows, names, diff.b),
+    }
 
 
 def several(
@@ -223,13 +199,8 @@ def several(
             )
     first, second, *others = found
     usual = compared_versions(database, first.id, second.id, None, whole)
-    rest = [(one, compared_versions(database, first.id, one.id, usual.chosen, whole)) for one in others]
+    rest = [(one, compared_versions(database, first.id, one.id, usual["chosen"], whole)) for one in others]
     return [(first, None), (second, usual), *rest]
-
-
-def title(version: Version) -> str:
-    """Return what a version is called in a picture."""
-    return display_name(version)
 
 
 def _bars(left: Sequence[Left]) -> Plot:
@@ -298,66 +269,34 @@ REFUSED = {
 }
 
 
-@dataclass(frozen=True)
-class Ahead:
-    """A version that may be activated, beside the one that is active; ``etag`` is the state that this was looked at in.
+def correction_ahead(database: Database, version_id: str, temperature_c: float | None) -> dict[str, Any]:
+    """Look at what a version would do. A preview that fails is a sentence: it decides nothing, and keeps nobody.
 
-    ``preview`` None could not be computed; ``failed`` says so. ``controller`` is what follows from what the controller
-    does by itself, empty where nothing does.
+    ``etag`` is the state that this was looked at in, ``larger`` the larger of the two errors, mm, whose unit both have,
+    ``controller`` what follows from what the controller does by itself, empty where nothing does.
     """
-
-    version: Version
-    accuracy: Accuracy | None
-    active: Version | None
-    active_accuracy: Accuracy | None
-    preview: VersionPreview | None
-    failed: str
-    where: Sequence[tuple[str, str]]
-    refused: Sequence[tuple[int, str]]
-    etag: str
-    controller: str
-
-    @property
-    def larger(self) -> float:
-        """The larger of the two errors, mm, whose unit both have."""
-        return max((one.mean for one in (self.accuracy, self.active_accuracy) if one is not None), default=0.0)
-
-
-@dataclass(frozen=True)
-class Download:
-    """A file that a version can be written as: what it leaves out, or why it cannot be."""
-
-    format: str
-    name: str
-    notes: Sequence[str]
-    refusal: str = ""
-
-
-def correction_ahead(database: Database, version_id: str, temperature_c: float | None) -> Ahead:
-    """Look at what a version would do. A preview that fails is a sentence: it decides nothing, and keeps nobody."""
     found = service.get(database, version_id)
     etag = tag_of_robot(database, found.robot)  # before the rest: what changes meanwhile is refused later
     robot = robots.get(database, found.robot)
     active = None if robot.active_version is None else service.get(database, robot.active_version)
+    errors = [None if one is None else accuracy_from_metrics(one.metrics) for one in (found, active)]
     preview, failed = _try_preview(database, version_id, temperature_c)
-    units = ["mm" if joint.kind == "prismatic" else "°" for joint in robot.joints]
+    units = [" mm" if joint.kind == "prismatic" else "°" for joint in robot.joints]
     largest_at, refused = ([], {}) if preview is None else (preview.largest_at or [], preview.refused)
     angles = zip(robot.joints, largest_at, units, strict=False)
-    return Ahead(
-        found,
-        accuracy_from_metrics(found.metrics),
-        active,
-        None if active is None else accuracy_from_metrics(active.metrics),
-        preview,
-        failed,
-        [
-            (joint.name, f"{value:.1f} {unit}" if unit == "mm" else f"{value:.1f}{unit}")
-            for joint, value, unit in angles
-        ],
-        [(count, REFUSED.get(why, why.lower().replace("_", " "))) for why, count in refused.items()],
-        etag,
-        sentence(found.robot, robot.controller_compensation),
-    )
+    return {
+        "version": found,
+        "accuracy": errors[0],
+        "active": active,
+        "active_accuracy": errors[1],
+        "larger": max((one.mean for one in errors if one is not None), default=0.0),
+        "preview": preview,
+        "failed": failed,
+        "where": [(joint.name, f"{value:.1f}{unit}") for joint, value, unit in angles],
+        "refused": [(count, REFUSED.get(why, why.lower().replace("_", " "))) for why, count in refused.items()],
+        "etag": etag,
+        "controller": sentence(found.robot, robot.controller_compensation),
+    }
 
 
 def _try_preview(database: Database, version_id: str, temperature_c: float | None) -> tuple[VersionPreview | None, str]:
@@ -374,7 +313,7 @@ def _try_preview(database: Database, version_id: str, temperature_c: float | Non
         )
 
 
-def back(database: Database, robot: str, temperature_c: float | None) -> Ahead:
+def back(database: Database, robot: str, temperature_c: float | None) -> dict[str, Any]:
     """Look at what a roll-back would do.
 
     Raises:
@@ -384,14 +323,15 @@ def back(database: Database, robot: str, temperature_c: float | None) -> Ahead:
     return correction_ahead(database, activation.rollback_target(database, robot), temperature_c)
 
 
-def exports(database: Database, version_id: str) -> list[Download]:
-    """Return each format with what its file leaves out."""
-    return [_download(database, version_id, name) for name in FORMATS]
-
-
-def _download(database: Database, version_id: str, name: str) -> Download:
-    words = NAMES.get(name, name)
-    try:
-        return Download(name, words, service.exported_notes(database, version_id, name))
-    except CoreError as error:  # a format that cannot hold this arm
-        return Download(name, words, (), error.message)
+def exports(database: Database, version_id: str) -> list[dict[str, Any]]:
+    """Return each format that a version can be written as: what its file leaves out, or why it cannot be."""
+    found = []
+    for name in FORMATS:
+        notes: Sequence[str] = ()
+        refusal = ""
+        try:
+            notes = service.exported_notes(database, version_id, name)
+        except CoreError as error:  # a format that cannot hold this arm
+            refusal = error.message
+        found.append({"format": name, "name": NAMES.get(name, name), "notes": notes, "refusal": refusal})
+    return found

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from fastapi import Form, Query, Request, Response
 from fastapi.responses import HTMLResponse
 
 from kilter_service.campaigns.suspicious import service as suspicious
-from kilter_service.contract.fits import Parameter
-from kilter_service.contract.robot_reports import RobotReport
-from kilter_service.contract.suspicious import SuspiciousRows
-from kilter_service.contract.today import Today
-from kilter_service.contract.versions import Activation, ActivationWish, Version, VersionSummary
+from kilter_service.contract.versions import ActivationWish, VersionSummary
 from kilter_service.ground.called import display_name
 from kilter_service.ground.correction_outcome import REACHED_M
 from kilter_service.ground.db import Database
@@ -24,9 +20,9 @@ from kilter_service.ground.paging import Page
 from kilter_service.ground.wire import joint_scale, to_mm
 from kilter_service.page.answers import redirect, render, router
 from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, RED, Plot, around, category_axis, lengths
-from kilter_service.page.shared import errors_drawn as contributions
+from kilter_service.page.shared import errors_drawn
 from kilter_service.page.shared.lists import Asked, Part, select_page
-from kilter_service.page.shared.naming import ParameterRow, in_names, objections_in_names, of_a_mass, parameter_rows
+from kilter_service.page.shared.naming import in_names, objections_in_names, of_a_mass, parameter_rows
 from kilter_service.page.shared.standing import Accuracy, accuracy_from_metrics
 from kilter_service.page.versions import by_factor, comparison
 from kilter_service.page.versions import comparison as looking_ahead
@@ -35,7 +31,7 @@ from kilter_service.page.words import bare, in_columns, largest, percent, unit
 from kilter_service.robots import service as robots
 from kilter_service.versions import activation, service
 from kilter_service.versions.addressed import AddressedVersion, FirstVersion, SecondVersion
-from kilter_service.versions.if_match import Expected, tag_of_robot
+from kilter_service.versions.if_match import Expected
 from kilter_service.versions.predictions import places
 from kilter_service.versions.predictions.places import workspace
 from kilter_service.versions.today import service as today
@@ -51,121 +47,71 @@ MOST_BARS = 24
 LOG = "log"  # the page of the activations, in the address
 
 
-@dataclass(frozen=True)
-class Listed:
-    """A version in the list, with its error."""
-
-    version: VersionSummary
-    accuracy: Accuracy | None
+Listed = tuple[VersionSummary, Accuracy | None]  # a version in the list, with its error
 
 
-@dataclass(frozen=True)
-class History:
-    """The versions of a robot, newest first, who activated what, and the state that a roll-back starts from.
+def history(database: Database, robot: str, asked: Asked, log: Asked) -> dict[str, Any]:
+    """Return the versions of a robot that the address asks for, those that are retired too: the lineage has them.
 
     ``active`` is the version that the robot is corrected with, ``last`` the newest activation, ``names`` those of versions,
     ``standing`` how good the robot is today in words.
     """
-
-    robot: RobotReport
-    versions: Part[Listed]
-    activations: Part[Activation]
-    etag: str
-    figure: Plot | None
-    active: VersionSummary | None
-    last: Activation | None
-    names: Mapping[str, str]
-    standing: str
-
-
-@dataclass(frozen=True)
-class Shown:
-    """A version with all that its view says of it."""
-
-    version: Version
-    accuracy: Accuracy | None
-    etag: str
-    parameters: Sequence[Parameter]
-    rows: Sequence[ParameterRow]
-    unseen: Sequence[Parameter]
-    others: Sequence[VersionSummary]
-    suspicious: Sequence[SuspiciousRows]
-    today: Today | None
-    parent: str  # name of the version it was started from
-
-
-def history(database: Database, robot: str, asked: Asked, log: Asked) -> History:
-    """Return the versions of a robot that the address asks for, those that are retired too: the lineage has them."""
-    found = [
-        Listed(one, accuracy_from_metrics(one.metrics))
-        for one in service.list_versions(database, robot, Page(), with_retired=True).versions
-    ]
+    made = service.list_versions(database, robot, Page(), with_retired=True).versions
+    found = [(one, accuracy_from_metrics(one.metrics)) for one in made]
     entries = service.activations(database, robot, Page()).activations
     shown = select_page(entries, log, lambda _: "", {}, named=LOG)
     named = [
         one.model_copy(update={"objections": objections_in_names(database, one.objections)}) for one in shown.shown
     ]
-    return History(
-        robots.get(database, robot),
-        _select_versions_page(found, asked),
-        replace(shown, shown=named),
-        tag_of_robot(database, robot),
-        errors_by_version(found),
-        next((one.version for one in found if one.version.active), None),
-        entries[0] if entries else None,
-        {one.version.id: display_name(one.version) for one in found},
-        today.of_robot(database, robot).sentences[0],
-    )
+    return {
+        "robot": robots.get(database, robot),
+        "versions": _select_versions_page(found, asked),
+        "activations": replace(shown, shown=named),
+        "figure": errors_by_version(found),
+        "active": next((one for one in made if one.active), None),
+        "last": entries[0] if entries else None,
+        "names": {one.id: display_name(one) for one in made},
+        "standing": today.of_robot(database, robot).sentences[0],
+    }
 
 
 def _select_versions_page(found: Sequence[Listed], asked: Asked) -> Part[Listed]:
-    def state(one: Listed) -> str:
-        return "active" if one.version.active else "retired" if one.version.retired_at else "other"
-
     return select_page(
         found,
         asked,
-        lambda one: f"{one.version.name} {one.version.id} {one.version.notes} {' '.join(one.version.effects)}",
+        lambda one: f"{one[0].name} {one[0].id} {one[0].notes} {' '.join(one[0].effects)}",
         {
-            "name": lambda one: display_name(one.version),
-            "made": lambda one: one.version.created_at,
-            "error": lambda one: one.accuracy.mean if one.accuracy else None,
+            "name": lambda one: display_name(one[0]),
+            "made": lambda one: one[0].created_at,
+            "error": lambda one: one[1].mean if one[1] else None,
         },
-        {"state": state},
+        {"state": lambda one: "active" if one[0].active else "retired" if one[0].retired_at else "other"},
         "-made",
     )
 
 
-def load_version(database: Database, version_id: str) -> Shown:
-    """Return a version."""
+def load_version(database: Database, version_id: str) -> dict[str, Any]:
+    """Return a version with all that its view says of it; ``parent`` is the name of the version it was started from."""
     found = service.get(database, version_id)
     known = [
         one for one in found.parameters if one.value is not None and (one.identifiable is not False or one.from_prior)
     ]
-    unknown = [one for one in found.parameters if one not in known]
-    unseen = [one for one in unknown if not of_a_mass(one.name)]
     others = service.list_versions(database, found.robot, Page(limit=MOST_SHOWN)).versions
-    rest = sorted((one for one in others if one.id != version_id), key=lambda one: not one.active)
-    now = today.of_robot(database, found.robot) if found.active else None
-    odd = suspicious.of_campaigns(database, (used.id for used in found.campaigns))
-    parent = "" if found.parent_id is None else display_name(service.get(database, found.parent_id))
-    return Shown(
-        found,
-        accuracy_from_metrics(found.metrics),
-        tag_of_robot(database, found.robot),
-        known,
-        parameter_rows(known, places.prior_sigmas(database, version_id)),
-        unseen,
-        rest,
-        odd,
-        now,
-        parent,
-    )
+    return {
+        "version": found,
+        "accuracy": accuracy_from_metrics(found.metrics),
+        "rows": parameter_rows(known, places.prior_sigmas(database, version_id)),
+        "unseen": [one for one in found.parameters if one not in known and not of_a_mass(one.name)],
+        "others": sorted((one for one in others if one.id != version_id), key=lambda one: not one.active),
+        "suspicious": suspicious.of_campaigns(database, (used.id for used in found.campaigns)),
+        "today": today.of_robot(database, found.robot) if found.active else None,
+        "parent": "" if found.parent_id is None else display_name(service.get(database, found.parent_id)),
+    }
 
 
 def errors_by_version(found: Sequence[Listed]) -> Plot | None:
     """Draw the held-out error of each version, oldest first; None with fewer than two."""
-    known = [(one.version, one.accuracy) for one in reversed(found) if one.accuracy and one.accuracy.held_out]
+    known = [(version, error) for version, error in reversed(found) if error and error.held_out]
     if len(known) < 2:
         return None
     known = known[-MOST_BARS:]
@@ -203,18 +149,8 @@ LOOKS = {"OK": (0, GREY), "UNSURE": (0, GREY), "LIMITED": (1, ORANGE), "DAMPED":
 REFUSED_LOOK = (2, RED)
 
 
-@dataclass(frozen=True)
-class Reach:
-    """Rows of the table (what, share, how many, most that is left), and the map."""
-
-    poses: int
-    unit: str
-    rows: Sequence[tuple[str, str, int, str]]
-    map: Plot
-
-
-def reach_shown(database: Database, version_id: str, temperature_c: float | None) -> Reach:
-    """Look at what a version does all over the joint limits.
+def reach_shown(database: Database, version_id: str, temperature_c: float | None) -> dict[str, Any]:
+    """Look at what a version does all over the joint limits: lines of the table, and the map.
 
     Raises:
         ServiceError: no such version.
@@ -222,16 +158,11 @@ def reach_shown(database: Database, version_id: str, temperature_c: float | None
     """
     seen = workspace(database, version_id, temperature_c)
     found, words = seen.found, np.array(seen.found.words)
-    order = sorted(found.counts, key=_order)
+    order = sorted(found.counts, key=lambda word: _place_among(word, WHAT))
     left = [_most(found.left[words == word]) for word in order]
     most = largest([*left, to_mm(REACHED_M)])
     rows = [
-        (
-            _state_words(word),
-            percent(float((words == word).mean())),
-            int((words == word).sum()),
-            _format_left_error(one, most),
-        )
+        [_state_words(word), percent((words == word).mean()), f"{(words == word).sum()}", _format_left_error(one, most)]
         for word, one in zip(order, left, strict=True)
     ]
     out = to_mm(np.hypot(seen.points[:, 0], seen.points[:, 1]))
@@ -243,18 +174,15 @@ def reach_shown(database: Database, version_id: str, temperature_c: float | None
         width=560.0,
         height=380.0,
         description="Each point is a pose drawn within the joint limits, at the place of its tool.",
-        table=(
-            ["What", "Share", "Poses", f"Most that is left, {unit(most)}"],
-            [[a, b, str(c), d] for a, b, c, d in rows],
-        ),
+        table=(["What", "Share", "Poses", f"Most that is left, {unit(most)}"], rows),
     )
     scale = np.array(joint_scale(seen.robot))
-    for word in sorted(found.counts, key=_drawn):
+    for word in sorted(found.counts, key=lambda word: _place_among(word, LOOKS)):
         mine = np.flatnonzero(words == word)
         number, colour = LOOKS.get(word, REFUSED_LOOK)
         names = [f"{_label(word)}: {', '.join(f'{v:.0f}' for v in found.q[k] * scale)}" for k in mine]
         plot.points(out[mine].tolist(), up[mine].tolist(), _label(word), number, colour, names)
-    return Reach(len(words), unit(most), rows, plot)
+    return {"poses": len(words), "unit": unit(most), "rows": rows, "map": plot}
 
 
 def _most(left: Floats) -> float | None:
@@ -268,12 +196,8 @@ def _format_left_error(left: float | None, most: float | None) -> str:
     return bare(left, most) if left is None or left >= least else f"below {bare(least, most)}"
 
 
-def _order(word: str) -> tuple[int, str]:
-    return (list(WHAT).index(word) if word in WHAT else len(WHAT), word)
-
-
-def _drawn(word: str) -> tuple[int, str]:
-    return (list(LOOKS).index(word) if word in LOOKS else len(LOOKS), word)
+def _place_among(word: str, known: Mapping[str, object]) -> tuple[int, str]:
+    return (list(known).index(word) if word in known else len(known), word)
 
 
 def _state_words(word: str) -> str:
@@ -328,7 +252,7 @@ def exports(version: AddressedVersion, request: Request, database: DatabaseOfApp
 @router.get("/versions/{version}/contributions")
 def effects(version: AddressedVersion, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show how far each effect of a version moves the tool."""
-    return render(request, "versions/contributions.html", moved=contributions.moved_by_each(database, version))
+    return render(request, "versions/contributions.html", moved=errors_drawn.moved_by_each(database, version))
 
 
 @router.get("/versions/{version}/workspace")
