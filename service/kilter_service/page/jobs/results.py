@@ -30,7 +30,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.page.chosen import joint_columns
 from kilter_service.page.figures.drawn import Arrows, HeatMap, Space
-from kilter_service.page.figures.plot import BLUE, RED, Plot, category_axis, lengths
+from kilter_service.page.figures.plot import BLUE, RED, Plot
 from kilter_service.page.gap import story
 from kilter_service.page.shared import errors_drawn
 from kilter_service.page.shared.errors_drawn import cumulative
@@ -124,20 +124,20 @@ def influence_chart(found: list[Influence]) -> Plot | None:
     rows = sorted((one for one in found if one.mean_mm is not None), key=lambda one: -(one.mean_mm or 0.0))[:MOST_NAMES]
     if not rows:
         return None
-    means = [one.mean_mm or 0.0 for one in rows]
-    ends = [(one.min_mm or 0.0, one.max_mm or 0.0) for one in rows]
     unit, moved = in_columns([[one.mean_mm, one.min_mm, one.max_mm] for one in rows])
-    plot = Plot(
+    return errors_drawn.grouped_bars(
         "Influence of the parameters on the tool",
-        category_axis("parameter", [one.name for one in rows]),
-        lengths("movement of the tool", [*means, *(high for _, high in ends)], zero=True),
-        width=760.0,
+        [one.name for one in rows],
+        [("mean over the poses", "", [one.mean_mm for one in rows])],
+        what="movement of the tool",
+        across="parameter",
+        size=(760.0, 320.0),
         table=(
             ["Parameter", "Change", "Its unit", f"Mean, {unit}", f"Least, {unit}", f"Largest, {unit}"],
             [[one.name, number(one.step), one.unit or "", *sizes] for one, sizes in zip(rows, moved, strict=True)],
         ),
+        errors=[(one.min_mm or 0.0, one.max_mm or 0.0) for one in rows],
     )
-    return plot.bars([k + 0.5 for k in range(len(rows))], means, 0.6, "mean over the poses", errors=ends)
 
 
 LOOKS = {
@@ -193,14 +193,11 @@ def _bars(result: DriftResult, named: DriftCause | None) -> Plot:
     head = ["Row", f"Error, {unit}", *([f"If it is {named.words}, {unit}"] if both and named else [])]
     table = (head, [[name, *one[: len(head) - 1]] for name, one in zip(names, written, strict=True)])
     said = "The error of each pose, and what is left of it if the named cause is it."
-    drawn = Plot(
-        "Error of each pose", category_axis("", names), lengths("error", before, zero=True), 620.0, 200.0, said, table
-    )
-    shift = 0.2 if both else 0.0
-    drawn.bars([k + 0.5 - shift for k in range(len(rows))], before, 0.36, "as measured", colour=RED)
+    series: list[errors_drawn.Series] = [("as measured", RED, before)]
     if both and named:
-        drawn.bars([k + 0.5 + shift for k in range(len(rows))], after, 0.36, f"with {named.words}", colour=BLUE)
-    return drawn
+        series.append((f"with {named.words}", BLUE, after))
+    size = (620.0, 200.0)
+    return errors_drawn.grouped_bars("Error of each pose", names, series, size=size, description=said, table=table)
 
 
 def rivals(result: DriftResult) -> list[dict[str, Any]]:

@@ -15,7 +15,7 @@ from kilter_service.contract.versions import Version
 from kilter_service.ground.core import core_effects
 from kilter_service.ground.db import Database
 from kilter_service.page import words
-from kilter_service.page.figures.plot import Plot, Table, around, category_axis, lengths
+from kilter_service.page.figures.plot import Plot, Table, around
 from kilter_service.page.shared import errors_drawn
 from kilter_service.page.words import of_joints
 from kilter_service.versions.acceptance import service as acceptance
@@ -42,22 +42,23 @@ def before_and_after(errors: StageErrors, title: str) -> Plot | None:
     found = [(label, getattr(errors, name)) for name, label in shown if getattr(errors, name) is not None]
     if not found:
         return None
-    values = [getattr(one, size) for _, one in found for size, _ in SIZES if getattr(one, size) is not None]
+    shades = OF_MODELS[-len(found) :]
+    series = [
+        (one[0], shade, [getattr(one[1], size) for size, _ in SIZES]) for one, shade in zip(found, shades, strict=True)
+    ]
+    values = [value for _, _, row in series for value in row if value is not None]
     if not values or min(values) <= 0:
         return None
-    axis = lengths("error on a logarithmic scale", values, log=True)
-    plot = Plot(
-        title, category_axis("", [label for _, label in SIZES]), axis, width=620, height=HEIGHT, description=title
+    return errors_drawn.grouped_bars(
+        title,
+        [label for _, label in SIZES],
+        series,
+        what="error on a logarithmic scale",
+        size=(620.0, HEIGHT),
+        log=True,
+        description=title,
+        table=table("Model", found),
     )
-    width = 0.8 / len(found)
-    shades = OF_MODELS[-len(found) :]
-    for k, (label, one) in enumerate(found):
-        sizes = [getattr(one, size) for size, _ in SIZES]
-        there = [(place, value) for place, value in enumerate(sizes) if value is not None]
-        places = [place + 0.1 + (k + 0.5) * width for place, _ in there]
-        plot.bars(places, [value for _, value in there], width * 0.92, label, colour=shades[k])
-    plot.table = table("Model", found)
-    return plot
 
 
 def table(what: str, judged: Sequence[tuple[str, Errors]]) -> Table:

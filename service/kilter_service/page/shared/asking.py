@@ -81,7 +81,7 @@ def proposal(database: Database, campaign: Campaign, job: str) -> Proposing | No
     search = _search(database, found)
     taken = search is not None and campaign.id in {
         *search.campaigns,
-        *_held_out_campaigns(search),
+        *(search.validation if isinstance(search.validation, list) else []),
         *search.confirmation,
     }
     return Proposing(found, search, taken)
@@ -92,10 +92,6 @@ def _search(database: Database, job: Job) -> GapJob | None:
     if PLAN.is_kind_of(job) and job.options.version is not None:
         job = jobs.get(database, versions.get(database, job.options.version).job_id)
     return job if GAP.is_kind_of(job) and job.state == "succeeded" else None
-
-
-def _held_out_campaigns(job: GapJob) -> list[str]:
-    return job.validation if isinstance(job.validation, list) else []
 
 
 JOBS = {"rezero": "rezero", "evaluate": "evaluate", "plan": "plan", "plan_check": "plan", "search": "gap"}  # by step

@@ -50,7 +50,7 @@ def plot(curve: EffectCurve, width: float = WIDTH, height: float = HEIGHT) -> Pl
     """Draw an effect over what it follows."""
     drawn = Plot(
         title(curve),
-        around(across(curve), _places(curve)),
+        around(across(curve), ([x for side in curve.sides for x in side.x] + curve.visits.x)),
         around(upwards(curve), _values(curve)),
         width=width,
         height=height,
@@ -119,10 +119,6 @@ def _directions(visits: CurveVisits) -> list[float | None]:
 
 def _direction(visits: CurveVisits, place: int) -> float | None:
     return None if visits.direction is None else visits.direction[place]
-
-
-def _places(curve: EffectCurve) -> list[float]:
-    return [x for side in curve.sides for x in side.x] + curve.visits.x
 
 
 def _values(curve: EffectCurve) -> list[float]:

@@ -11,12 +11,45 @@ from kilter_service.contract.figures import Bars, GapFigures, PlaneFigure, Scatt
 from kilter_service.contract.fits import Errors, StageErrors
 from kilter_service.contract.gap_details import GapSize
 from kilter_service.ground.db import Database
-from kilter_service.page.figures.plot import FITTED, HELD_OUT, Plot, around, category_axis, lengths
+from kilter_service.page.figures.plot import FITTED, HELD_OUT, Plot, Table, around, category_axis, lengths
 from kilter_service.page.words import in_columns, in_one_unit, number
 from kilter_service.versions.predictions.contributions import contributions
 
 if TYPE_CHECKING:
     from kilter_service.versions.predictions.contributions import Contribution
+
+
+Series = tuple[str, str, Sequence[float | None]]  # of one look: label, colour (empty: the next), values
+
+
+def grouped_bars(
+    title: str,
+    names: Sequence[str],
+    series: Sequence[Series],
+    *,
+    what: str = "error",
+    across: str = "",
+    size: tuple[float, float] = (640.0, 320.0),
+    log: bool = False,
+    description: str = "",
+    table: Table | None = None,
+    errors: Sequence[tuple[float, float]] = (),
+) -> Plot:
+    """Draw lengths, mm, as bars beside each other at each name, by default with their table; ``errors`` are of one series."""
+    shown = [value for _, _, row in series for value in row if value is not None] + [
+        end for pair in errors for end in pair
+    ]
+    axis = lengths(what, shown, zero=not log, log=log)
+    if table is None:
+        unit, sizes = in_columns(list(zip(*(row for _, _, row in series), strict=True)))
+        head = [across, *(f"{label}, {unit}" for label, _, _ in series)]
+        table = (head, [[name, *row] for name, row in zip(names, sizes, strict=True)])
+    drawn = Plot(title, category_axis(across, names), axis, *size, description, table)
+    width = 0.8 / len(series) if len(series) > 1 else 0.6
+    for k, (label, colour, row) in enumerate(series):
+        there = [(n + 0.5 + (k - (len(series) - 1) / 2) * width, one) for n, one in enumerate(row) if one is not None]
+        drawn.bars([x for x, _ in there], [one for _, one in there], 0.92 * width, label, k, colour, errors)
+    return drawn
 
 
 STAGES = (
@@ -26,7 +59,7 @@ STAGES = (
     ("without_effects", "Without its effects"),
     ("identified", "After"),
 )
-BARS = (("mean_mm", "mean", -0.27), ("rms_mm", "rms", 0.0), ("p95_mm", "95 % are below", 0.27))
+BARS = (("mean_mm", "mean"), ("rms_mm", "rms"), ("p95_mm", "95 % are below"))
 CURVES = {"before, nominal": "Before", "registration only": "Registration only", "identified": "After"}
 PLACED = "Nominal, mostly where instrument, base and tool are"
 ALONE = {"Geometry alone", "Without its effects"}
@@ -55,29 +88,15 @@ def compared_models(errors: StageErrors | None, other: Mapping[str, str] = NO_OT
 
 def bars(errors: StageErrors | None, where: str, other: Mapping[str, str] = NO_OTHER) -> Plot | None:
     """Draw a bar for each model; None: nothing was measured."""
-    stages = [
-        one for one in compared_models(errors, other) if one[0] != PLACED
-    ]  # beside it all others would be as good as zero
+    # Beside what the set-up does all others would be as good as zero.
+    stages = [one for one in compared_models(errors, other) if one[0] != PLACED]
     if not stages:
         return None
-    shown = [getattr(one, name) or 0.0 for _, one in stages for name, _, _ in BARS]
-    plot = Plot(
-        f"Errors of the tool on {where}",
-        category_axis("", [title for title, _ in stages]),
-        lengths("error", shown, zero=True),
-        description=_means(stages),
-        table=table(errors, other),
-    )
-    for look, (name, label, shift) in enumerate(BARS):
-        values = [getattr(one, name) for _, one in stages]
-        places = [k + 0.5 + shift for k, value in enumerate(values) if value is not None]
-        plot.bars(places, [value for value in values if value is not None], 0.25, label, look)
-    return plot
-
-
-def _means(stages: Sequence[tuple[str, Errors]]) -> str:
+    series = [(label, "", [getattr(one, name) for _, one in stages]) for name, label in BARS]
     sizes = in_one_unit([[one.mean_mm] for _, one in stages])
-    return "; ".join(f"{title}: mean {mean}" for (title, _), (mean,) in zip(stages, sizes, strict=True))
+    said = "; ".join(f"{title}: mean {mean}" for (title, _), (mean,) in zip(stages, sizes, strict=True))
+    names, numbers = [title for title, _ in stages], table(errors, other)
+    return grouped_bars(f"Errors of the tool on {where}", names, series, description=said, table=numbers)
 
 
 def table(errors: StageErrors | None, other: Mapping[str, str] = NO_OTHER) -> tuple[list[str], list[list[str]]]:
@@ -96,13 +115,14 @@ def cumulative(
     ``names`` says what the models of the histogram are called here, ``colour`` is that of all curves (empty: one each).
     """
     traces = [
-        (_model_label(one.name or "", names), *_shares(one))
+        (names.get(short := (one.name or "").partition(":")[0], short), *_shares(one))  # behind a colon it has numbers
         for one in (figure.data or [] if figure is not None else [])
     ]
     traces = [one for one in traces if one[1]]
     if not traces:
         return None
-    unit, errors = in_columns([[_error_at_share(xs, ys, 50.0), xs[-1]] for _, xs, ys in traces])
+    halves = [next(x for x, y in zip(xs, ys, strict=True) if y >= 50.0 - 1e-9) for _, xs, ys in traces]
+    unit, errors = in_columns([[half, xs[-1]] for half, (_, xs, _) in zip(halves, traces, strict=True)])
     plot = Plot(
         f"Share of {where} with at most an error",
         lengths("error", [x for one in traces for x in one[1]], log=True),
@@ -119,12 +139,6 @@ def cumulative(
     return plot
 
 
-def _model_label(name: str, names: Mapping[str, str]) -> str:
-    """What a model is called: the histogram's own name has numbers behind a colon."""
-    short = name.partition(":")[0]
-    return names.get(short, short)
-
-
 def _shares(trace: Scatter) -> tuple[list[float], list[float]]:
     """Return errors and the share of rows below each, from counts per bin: each is given with its lower edge."""
     edges = [float(x) for x in trace.x if isinstance(x, int | float)]
@@ -136,10 +150,6 @@ def _shares(trace: Scatter) -> tuple[list[float], list[float]]:
     first = next(k for k, share in enumerate(shares) if share > 0)
     last = next(k for k, share in enumerate(shares) if share >= 100.0 - 1e-9)
     return edges[first : last + 2], [0.0, *shares[first : last + 1]]
-
-
-def _error_at_share(xs: list[float], ys: list[float], share: float) -> float:
-    return next(x for x, y in zip(xs, ys, strict=True) if y >= share - 1e-9)
 
 
 COLOURS = ("", "")  # those of plots
@@ -158,24 +168,15 @@ class Moved:
 
     def plot(self, colours: tuple[str, str] = COLOURS, width: float = 640.0) -> Plot:
         """Draw rms and largest movement."""
-        names = [one.effect for one in self.effects]
-        rms, largest = [one.rms_mm or 0.0 for one in self.effects], [one.largest_mm or 0.0 for one in self.effects]
-        unit, rows = in_columns(list(zip(rms, largest, strict=True)))
-        drawn = Plot(
+        labels = (("rms", colours[0]), ("largest", colours[1]))
+        return grouped_bars(
             "Movement of the tool by each effect",
-            category_axis("", names),
-            lengths("movement", [*rms, *largest], zero=True),
-            width,
-            260.0,
+            [one.effect for one in self.effects],
+            [(label, colour, [getattr(one, f"{label}_mm") for one in self.effects]) for label, colour in labels],
+            what="movement",
+            size=(width, 260.0),
             description="Two bars for each effect: root mean square and largest movement of the tool.",
-            table=(
-                ["effect", f"rms, {unit}", f"largest, {unit}"],
-                [[name, *sizes] for name, sizes in zip(names, rows, strict=True)],
-            ),
         )
-        drawn.bars([k + 0.32 for k in range(len(names))], rms, 0.3, "root mean square", 0, colours[0])
-        drawn.bars([k + 0.68 for k in range(len(names))], largest, 0.3, "largest", 1, colours[1])
-        return drawn
 
 
 def moved_by_each(database: Database, version_id: str) -> Moved:

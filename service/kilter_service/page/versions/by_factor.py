@@ -14,7 +14,8 @@ from kilter_service.campaigns import looking
 from kilter_service.ground.db import Database
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.wire import joint_scale
-from kilter_service.page.figures.plot import CORRECTED, FITTED, HELD_OUT, Plot, Table, around, category_axis, lengths
+from kilter_service.page.figures.plot import CORRECTED, FITTED, HELD_OUT, Plot, Table, around, lengths
+from kilter_service.page.shared.errors_drawn import grouped_bars
 from kilter_service.page.words import in_columns
 from kilter_service.versions import service
 from kilter_service.versions.predictions.paired import error_lengths, residuals
@@ -134,17 +135,16 @@ def _levels(seen: Seen, cause: Cause) -> Plot:
         if found is not None:
             names.append(name)
             bars.append(found)
-    plot = Plot(
+    return grouped_bars(
         f"Error {cause.title}",
-        category_axis(cause.label, names),
-        lengths("mean error", [one[3] for one in bars], zero=True),
-        width=280.0,
-        height=240.0,
+        names,
+        [("", "", [one[1] for one in bars])],
+        what="mean error",
+        across=cause.label,
+        size=(280.0, 240.0),
         description="Whiskers are the 95 % interval of the mean.",
         table=_table("Direction", names, bars),
-    )
-    return plot.bars(
-        [k + 0.5 for k in range(len(bars))], [one[1] for one in bars], 0.5, errors=[(one[2], one[3]) for one in bars]
+        errors=[(one[2], one[3]) for one in bars],
     )
 
 

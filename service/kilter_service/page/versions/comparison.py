@@ -18,7 +18,8 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.ground.wire import to_mm
-from kilter_service.page.figures.plot import BLUE, SKY, Plot, around, category_axis, lengths
+from kilter_service.page.figures.plot import BLUE, SKY, Plot, around, lengths
+from kilter_service.page.shared.errors_drawn import grouped_bars
 from kilter_service.page.shared.standing import accuracy_from_metrics
 from kilter_service.page.words import format_in_largest_unit, in_columns, largest
 from kilter_service.robots import service as robots
@@ -118,7 +119,6 @@ MOST_CAMPAIGNS, MOST_VERSIONS = 20, 12
 MOST_AT_ONCE = 5000  # rows that are paired before the view is sent: 0.15 s of processor
 SAME = 1e-9  # smaller differences are rounding
 STEPS = 200  # of a cumulative curve
-BARS = ("mean_mm", "p95_mm", "max_mm")
 MEASURES = {"mean_mm": "mean", "p95_mm": "95 % of the rows", "max_mm": "largest"}
 
 
@@ -134,7 +134,7 @@ class Left:
         """Mean, 95th percentile and largest, mm."""
         sizes = np.asarray(self.sizes)
         found = (float(sizes.mean()), float(np.percentile(sizes, 95)), float(sizes.max()))
-        return dict(zip(BARS, found, strict=True))
+        return dict(zip(MEASURES, found, strict=True))
 
 
 Compared = dict[str, Any]
@@ -204,25 +204,13 @@ def several(
 
 
 def _bars(left: Sequence[Left]) -> Plot:
-    names = [MEASURES[measure] for measure in BARS]
-    values = [[one.numbers[measure] for measure in BARS] for one in left]
-    unit, sizes = in_columns(list(zip(*values, strict=True)))
-    drawn = Plot(
+    return grouped_bars(
         "Errors on the same rows",
-        category_axis("", names),
-        lengths("error", [v for row in values for v in row], zero=True),
-        height=280.0,
+        list(MEASURES.values()),
+        [(one.name, "", [one.numbers[measure] for measure in MEASURES]) for one in left],
+        size=(640.0, 280.0),
         description="Mean, 95th percentile and largest error of each version on the rows chosen.",
-        table=(
-            [f"error, {unit}", *(one.name for one in left)],
-            [[name, *row] for name, row in zip(names, sizes, strict=True)],
-        ),
     )
-    width = 0.7 / len(left)
-    for number, (one, row) in enumerate(zip(left, values, strict=True)):
-        places = [k + 0.5 + (number - (len(left) - 1) / 2) * width for k in range(len(BARS))]
-        drawn.bars(places, row, 0.9 * width, one.name, number)
-    return drawn
 
 
 def _curve(left: Sequence[Left]) -> Plot:
