@@ -266,7 +266,7 @@ def _internal_error(request: Request) -> CoreError:
 def render_refusal(request: Request, error: CoreError | RequestValidationError) -> Response:
     """Say what is wrong: instead of the part that was asked for, or as a page. Who is not logged in is sent there."""
     if isinstance(error, RequestValidationError):
-        code, message, context = "payload_invalid", "; ".join(_place(item) for item in error.errors()[:20]), {}
+        code, message, context = "payload_invalid", words.validation_words(error, 1, 20), {}
     else:
         code, message, context = error.code, error.message, error.context
     if code != "token_missing":  # whoever is not logged in yet is asked to, and has done nothing wrong
@@ -278,10 +278,6 @@ def render_refusal(request: Request, error: CoreError | RequestValidationError) 
     response = render(request, template, status=status, title=title, message=message, code=code)
     response.headers.update(headers_of(code, status, context) or {})
     return response
-
-
-def _place(item: dict[str, Any]) -> str:
-    return f"{'.'.join(str(part) for part in item['loc'][1:])}: {item['msg']}"
 
 
 def _to_login(request: Request) -> Response:

@@ -118,17 +118,13 @@ def describe_entries(database: Database, entries: Iterable[AuditEntry]) -> list[
 def _describe_action(entry: AuditEntry, known: _Names) -> str:
     refused = dict(_iter_changes(entry)).get("refused")
     if isinstance(refused, dict):
-        return _describe_refusal(entry.route, str(refused.get("code", "")), int(refused.get("times", 1)))
+        code, times = str(refused.get("code", "")), int(refused.get("times", 1))
+        often = "once" if times == 1 else f"{times} times"
+        return f"was refused {often} at {entry.route}: {REFUSED.get(code, code)}"  # nothing is known of what it would change
     template = DONE.get(entry.route)
     if template is None:
         return f"changed something by {entry.route}"
     return template.format_map(known.template_values(entry))
-
-
-def _describe_refusal(route: str, code: str, times: int) -> str:
-    """What was asked for and not done; nothing is known of what it would have changed."""
-    often = "once" if times == 1 else f"{times} times"
-    return f"was refused {often} at {route}: {REFUSED.get(code, code)}"
 
 
 def _reason(entry: AuditEntry) -> str:
@@ -204,7 +200,7 @@ def find_entries(database: Database, robot: str, actor: str, asked: Asked) -> di
     while True:
         page = audit.list_entries(database, Page(AT_ONCE, after))
         total += len(page.entries)
-        kept += [one for one in page.entries if _is_wanted(one, robot, ids, actor)]
+        kept += [one for one in page.entries if actor in ("", one.actor) and (not robot or _is_about(one, robot, ids))]
         if page.next is None:
             break
         after = (str(page.entries[-1].number),)
@@ -222,10 +218,6 @@ def _state(database: Database) -> tuple[str, str]:
     except ServiceError as error:
         return "", error.message
     return f"{head.number}:{head.sha256}", ""
-
-
-def _is_wanted(entry: AuditEntry, robot: str, ids: frozenset[str], actor: str) -> bool:
-    return (not actor or entry.actor == actor) and (not robot or _is_about(entry, robot, ids))
 
 
 def _is_about(entry: AuditEntry, robot: str, ids: frozenset[str]) -> bool:

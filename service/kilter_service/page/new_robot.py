@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,6 +21,7 @@ from kilter_service.page.answers import redirect, render, router
 from kilter_service.page.drop.drafts import plain_name
 from kilter_service.page.figures.plot import BOTTOM, CORRECTED, LEFT, RIGHT, TOP, Axis, Plot
 from kilter_service.page.shared.asking import parse_goals
+from kilter_service.page.words import validation_words
 from kilter_service.robots import service as robots
 from kilter_service.robots.check import check
 from kilter_service.robots.compensation import WORDS
@@ -54,27 +54,10 @@ class Told:
     compensation: str = "unknown"
 
 
-@dataclass(frozen=True)
-class Looked:
-    """A document with what it comes to and the arm at zero, drawn."""
+def preview_robot(told: Told, folder: Path) -> dict[str, Any]:
+    """Say what a description comes to, with the arm at zero, drawn; nothing is stored.
 
-    document: RobotDocument
-    check: RobotCheck
-    drawn: Sequence[Plot]
-
-    @property
-    def text(self) -> str:
-        """The document, to be sent back when the robot is added."""
-        return self.document.model_dump_json(exclude_none=True)
-
-
-def presets() -> Sequence[str]:
-    """Return the robots that ship with Kilter."""
-    return preset_names()
-
-
-def preview_robot(told: Told, folder: Path) -> Looked:
-    """Say what a description comes to; nothing is stored.
+    ``text`` is the document, to be sent back when the robot is added.
 
     Raises:
         ServiceError: something is missing, or the text is not a robot.
@@ -83,7 +66,7 @@ def preview_robot(told: Told, folder: Path) -> Looked:
     """
     document = read({**_document_from_form(told, folder), "controller_compensation": told.compensation})
     report = check(document)
-    return Looked(document, report, draw(report))
+    return {"check": report, "drawn": draw(report), "text": document.model_dump_json(exclude_none=True)}
 
 
 def read(document: object) -> RobotDocument:
@@ -96,8 +79,9 @@ def read(document: object) -> RobotDocument:
     try:
         return DOCUMENT.validate_python(document)
     except ValidationError as error:
-        told = "; ".join(f"{'.'.join(map(str, one['loc'][1:]))}: {one['msg']}" for one in error.errors()[:5])
-        raise ServiceError(f"This does not describe a robot: {told}.", code="payload_invalid") from error
+        raise ServiceError(
+            f"This does not describe a robot: {validation_words(error, 1)}.", code="payload_invalid"
+        ) from error
 
 
 def parse_posted_document(text: str) -> RobotDocument:
@@ -156,7 +140,7 @@ def draw(check: RobotCheck) -> list[Plot]:
     points = [tuple(point) for point in check.zero.points_mm]
     half = max(max(abs(a - b) for a in axis for b in axis) for axis in zip(*points, strict=True)) * ROOM / 2 or 1.0
     ends = [(min(axis) + max(axis)) / 2 for axis in zip(*points, strict=True)]
-    names = [_name(place, len(points)) for place in range(len(points))]
+    names = ["base", *(f"axis {place}" for place in range(1, len(points) - 2)), "flange", "tool"]
     table = [[name, *(f"{value:.1f}" for value in point)] for name, point in zip(names, points, strict=True)]
     out = []
     for title, across, up in VIEWS:
@@ -170,10 +154,6 @@ def draw(check: RobotCheck) -> list[Plot]:
     return out
 
 
-def _name(place: int, many: int) -> str:
-    return {0: "base", many - 2: "flange", many - 1: "tool"}.get(place, f"axis {place}")
-
-
 LONGEST = 900_000  # characters of a file
 Short = Annotated[str, Form(max_length=200)]
 
@@ -181,7 +161,7 @@ Short = Annotated[str, Form(max_length=200)]
 @router.get("/new-robot")
 def ask_for_robot(request: Request) -> HTMLResponse:
     """Ask what the robot is."""
-    return render(request, "new_robot/new.html", presets=presets(), controllers=WORDS)
+    return render(request, "new_robot/new.html", presets=preset_names(), controllers=WORDS)
 
 
 @router.post("/new-robot/check")

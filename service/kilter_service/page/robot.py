@@ -39,6 +39,7 @@ from kilter_service.page.shared.standing import (
     corrector,
     error_budget,
 )
+from kilter_service.page.words import validation_words
 from kilter_service.robots import service as robots
 from kilter_service.robots.compensation import WORDS
 from kilter_service.robots.meshes import service as meshes
@@ -157,8 +158,7 @@ def parse_repair(what: str, at: str, **more: Any) -> NewRepair:
     try:
         return NewRepair(what=what.strip(), at=_moment(at.strip()), **more)
     except ValidationError as error:
-        told = "; ".join(f"{one['loc'][0]}: {one['msg']}" for one in error.errors())
-        raise ServiceError(f"This cannot be noted: {told}.", code="payload_invalid") from error
+        raise ServiceError(f"This cannot be noted: {validation_words(error)}.", code="payload_invalid") from error
 
 
 def _moment(text: str) -> datetime | None:

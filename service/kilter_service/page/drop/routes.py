@@ -31,6 +31,7 @@ from kilter_service.page.drop.drafts import RIG, Draft, Drafts, plain_name
 from kilter_service.page.shared import asking
 from kilter_service.page.shared.asking import take_step
 from kilter_service.page.shared.measured import describe_facts
+from kilter_service.page.words import validation_words
 from kilter_service.robots import service as robots
 from kilter_service.robots.instruments import service as instruments
 from kilter_service.versions.today import service as today
@@ -48,7 +49,7 @@ MISSING = (
     "beside them (Cameras and boards, below)."
 )
 REMEDY = "Give the JSON that `kilter measure see` writes beside its views."
-MOST_TOLD = 5
+
 BOARD, REFUSED = "board.zip", "refused"
 DRAWING = sandbox.Limits(seconds=30, memory_mb=2048, output_mb=50)
 
@@ -76,7 +77,10 @@ def add_to_draft(draft: Draft, name: str, document: Any) -> None:
 
     """
     given = document if isinstance(document, dict) else {}
-    rig = {what: [_known_fields(one, kind) for one in _as_list(given.get(what))] for what, kind in PARTS.items()}
+    rig = {
+        what: [_known_fields(one, kind) for one in parts] if isinstance(parts := given.get(what), list) else []
+        for what, kind in PARTS.items()
+    }
     lacking = [what for what, parts in rig.items() if not parts]
     if len(lacking) == len(rig):
         raise ServiceError(f"{name} describes no cameras and boards. {REMEDY}", code="cameras_missing")
@@ -88,8 +92,7 @@ def add_to_draft(draft: Draft, name: str, document: Any) -> None:
     try:
         rig_from_conditions(Conditions.model_validate(rig).model_dump(mode="json", exclude_none=True))
     except ValidationError as error:
-        told = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()[:MOST_TOLD])
-        raise ServiceError(f"{name}: {told}. {REMEDY}", code="payload_invalid") from error
+        raise ServiceError(f"{name}: {validation_words(error)}. {REMEDY}", code="payload_invalid") from error
     except CoreError as error:
         raise ServiceError(f"{name}: {error.message}", code=error.code) from error
     with draft.turn:
@@ -110,10 +113,6 @@ def describe_parts(rig: Mapping[str, Any]) -> list[str]:
     return cameras + boards
 
 
-def _as_list(parts: Any) -> list[Any]:
-    return parts if isinstance(parts, list) else []
-
-
 def _known_fields(one: Any, kind: type[Camera] | type[Board]) -> Any:
     """The fields that a campaign has of it; anything but an object is left for the check to refuse."""
     if not isinstance(one, dict):
@@ -127,20 +126,8 @@ OF_PICTURES = Limits(seconds=240, memory_mb=4096, output_mb=512)
 MOST_SAID = 32 << 20
 MOST_REFUSAL = 2000
 WRITTEN = ("understood.json", "rows", RIG)
-NOTHING: dict[str, Any] = {
-    "kind": "",
-    "reader": "",
-    "map": "",
-    "more": 0,
-    "open": [],
-    "guessed": [],
-    "unused": [],
-    "notes": [],
-    "warnings": [],
-    "remarks": [],
-    "source": [],
-    "lines": [],
-}
+LISTS = ("open", "guessed", "unused", "notes", "warnings", "remarks", "source", "lines")
+NOTHING: dict[str, Any] = {"kind": "", "reader": "", "map": "", "more": 0, **{name: [] for name in LISTS}}
 ELSEWHERE = "`kilter upload` reads it on your own machine, without these limits."
 
 

@@ -27,6 +27,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.page.drop.drafts import Draft
 from kilter_service.page.shared import asking
+from kilter_service.page.words import validation_words
 from kilter_service.robots import service as robots
 
 NUMBER = re.compile(r"\d+")
@@ -426,8 +427,9 @@ def store(database: Database, draft: Draft, campaign: dict[str, object], sha256:
         try:
             new = NewCampaign.model_validate({**campaign, "staged": True})
         except ValidationError as error:
-            told = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()[:5])
-            raise ServiceError(f"The campaign cannot be stored so: {told}.", code="payload_invalid") from error
+            raise ServiceError(
+                f"The campaign cannot be stored so: {validation_words(error)}.", code="payload_invalid"
+            ) from error
         notes = _notes_with_source(draft, new.notes)
         added = campaigns.add(database, draft.robot, new.model_copy(update={"notes": notes}))
         try:

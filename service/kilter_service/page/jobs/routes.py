@@ -92,7 +92,11 @@ def _field(name: str, part: Mapping[str, Any], schema: Mapping[str, Any]) -> Fie
     shown = "" if default in (None, [], {}, "") else json.dumps(default).strip('"')
     parts = [_resolve_reference(one, schema) for one in part.get("anyOf", [part])]
     kinds = {str(one.get("type", "")) for one in parts} - {"null"}
-    choices = tuple(json.dumps(value).strip('"') for one in parts for value in _values(one))
+    choices = tuple(
+        json.dumps(value).strip('"')
+        for one in parts
+        for value in one.get("enum", [one["const"]] if "const" in one else [])
+    )
     if "boolean" in kinds:
         return Field(name, "choice", hint, shown, ("true", "false"), required)
     if choices:
@@ -111,10 +115,6 @@ def _resolve_reference(part: Mapping[str, Any], schema: Mapping[str, Any]) -> Ma
     target = part.get("$ref", "").rpartition("/")[2]
     found: Mapping[str, Any] = schema["$defs"][target] if target else part
     return found
-
-
-def _values(part: Mapping[str, Any]) -> list[Any]:
-    return list(part.get("enum", [part["const"]] if "const" in part else []))
 
 
 def _read(field: Field, text: str) -> Any:

@@ -33,17 +33,16 @@ class OwnCurve:
 
 def own_curves(curves: Sequence[EffectCurve] | None) -> list[OwnCurve]:
     """Draw every curve of a result; none of an earlier one."""
-    return [OwnCurve(_curve_effect_name(curve), plot(curve), tuple(_describe_curve(curve))) for curve in curves or []]
+    return [
+        OwnCurve(format_effect_at_joints(curve.id, [curve.joint]), plot(curve), tuple(_describe_curve(curve)))
+        for curve in curves or []
+    ]
 
 
 def has_effect_without_curve(result: GapResult) -> bool:
     """Whether an effect was named that no curve shows, as it does more than move joints."""
     shown = {(curve.id, tuple(curve.joints or ())) for curve in result.effect_curves or []}
     return any((effect.id, tuple(effect.joints or ())) not in shown for effect in result.effects or [])
-
-
-def _curve_effect_name(curve: EffectCurve) -> str:
-    return format_effect_at_joints(curve.id, [curve.joint])
 
 
 def plot(curve: EffectCurve, width: float = WIDTH, height: float = HEIGHT) -> Plot:
@@ -60,7 +59,8 @@ def plot(curve: EffectCurve, width: float = WIDTH, height: float = HEIGHT) -> Pl
     for side in curve.sides:
         if side.low is not None and side.high is not None:
             drawn.band(side.x, side.low, side.high, "", 0 if side.direction != -1.0 else 1)
-    for direction in _directions(curve.visits):
+    directions = curve.visits.direction
+    for direction in [None] if directions is None else sorted(set(directions), reverse=True):
         _dots(drawn, curve, direction)
     if curve.rival is not None:
         for place, side in enumerate(curve.rival.sides):
@@ -109,12 +109,6 @@ def _format_side_distance(curve: EffectCurve) -> tuple[str, str]:
     sign = -1.0 if apart.value < 0 else 1.0
     low, high = sorted((sign * apart.low, sign * apart.high))
     return f"{number(abs(apart.value))} {curve.unit}", f"{number(low)} to {number(high)}"
-
-
-def _directions(visits: CurveVisits) -> list[float | None]:
-    if visits.direction is None:
-        return [None]
-    return [*sorted(set(visits.direction), reverse=True)]
 
 
 def _direction(visits: CurveVisits, place: int) -> float | None:

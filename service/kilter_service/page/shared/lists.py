@@ -111,7 +111,9 @@ def select_page(
     ``words`` are what a search looks in, ``columns`` what sorts, ``filters`` the value of an entry that a filter asks for.
     """
     sought = asked.search.casefold().split()
-    kept = [one for one in entries if _has(words(one), sought) and _passes(one, asked, filters or {})]
+    wanted = [(filters[name], value) for name, value in asked.filters.items() if name in filters] if filters else []
+    kept = [one for one in entries if all(value == read(one) for read, value in wanted)]
+    kept = [one for one in kept if all(word in words(one).casefold() for word in sought)] if sought else kept
     by = asked.sort if asked.sort.removeprefix("-") in columns else usual
     if by:
         key = columns[by.removeprefix("-")]
@@ -121,15 +123,6 @@ def select_page(
     at = min(asked.page, last)
     shown = kept[(at - 1) * AT_ONCE : at * AT_ONCE]
     return Part(shown, len(kept), len(entries), replace(asked, page=at), usual, named)
-
-
-def _has(words: str, sought: Sequence[str]) -> bool:
-    there = words.casefold()
-    return all(one in there for one in sought)
-
-
-def _passes(entry: T, asked: Asked, filters: Mapping[str, Callable[[T], str]]) -> bool:
-    return all(filters[name](entry) == value for name, value in asked.filters.items() if name in filters)
 
 
 def _comparable(value: Any) -> Any:
@@ -169,7 +162,10 @@ ORDERS = ("name", "robot", "kind", "state", "asked")
 def select_jobs(database: Database, robot: str | None, wanted: Asked) -> tuple[Listed, Part[JobSummary]]:
     """Return the jobs that the address asks for, of one robot or of all that may be seen; the database counts and sorts."""
     by = wanted.sort if wanted.sort.removeprefix("-") in ORDERS else "-asked"
-    words = [(one, _kinds_matching_word(one)) for one in wanted.search.split()]
+    words = [
+        (one, [kind for kind, title in KINDS.items() if one.casefold() in title.casefold()])
+        for one in wanted.search.split()
+    ]
     sought = WantedJobs(
         robot,
         wanted.filters.get("kind"),
@@ -182,11 +178,6 @@ def select_jobs(database: Database, robot: str | None, wanted: Asked) -> tuple[L
     )
     shown, page, found, total = jobs.find_jobs(database, sought, wanted.page, AT_ONCE)
     return Listed(shown, jobs.places(database), None), Part(shown, found, total, replace(wanted, page=page), "-asked")
-
-
-def _kinds_matching_word(word: str) -> list[str]:
-    """Kinds of jobs in whose words a word is."""
-    return [kind for kind, words in KINDS.items() if word.casefold() in words.casefold()]
 
 
 def page_of_jobs(database: Database, robot: str | None, page: Page) -> Listed:

@@ -159,7 +159,9 @@ class Corrector:
         if self.state == "stopped":
             return Correcting("corrector stopped", "bad", f"The corrector does not run: {self.detail}.", OFF)
         if active is None:
-            return Correcting("bypassed", "warn", "No version is active: every setpoint is refused, and nothing is corrected.")
+            return Correcting(
+                "bypassed", "warn", "No version is active: every setpoint is refused, and nothing is corrected."
+            )
         mine = [one for one in self.streams if one["robot"] == robot]
         if not mine:
             return Correcting(
