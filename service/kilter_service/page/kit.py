@@ -26,7 +26,6 @@ from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.kept_facts import campaign_cache_key
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.versions import Version
 from kilter_service.ground.db import Database
 from kilter_service.ground.paging import Page
@@ -67,39 +66,8 @@ class _Arm:
         return files_rig.coverage(rows, self.joints, self.chain, _rig(used))
 
 
-@dataclass(frozen=True)
-class Found:
-    """What a version says of the arm: sentences, the largest first, warnings, and the error of the tool."""
-
-    version: Version
-    lines: Sequence[str]
-    warnings: Sequence[str]
-    off_by: str
-
-
-@dataclass(frozen=True)
-class Kit:
-    """An arm, its campaigns of views, what they cover, and what was found; None where there is nothing yet."""
-
-    robot: RobotReport
-    campaigns: Sequence[Campaign]
-    capture: Capture | None
-    found: Found | None
-
-    @property
-    def steps(self) -> Sequence[str]:
-        """What to do, one command or sentence each."""
-        return files_rig.steps(self.robot.name)
-
-    @property
-    def seen(self) -> str:
-        """How much was photographed."""
-        some = self.capture
-        return "" if some is None else describe_views(some.views, some.poses, some.payloads_kg)
-
-
-def shown_kit(database: Database, name: str) -> Kit:
-    """Return what the kit shows of a robot."""
+def shown_kit(database: Database, name: str) -> dict[str, Any]:
+    """Return an arm, its campaigns of views, what they cover, and what was found; None where there is nothing yet."""
     robot = robots.get(database, name)
     joints = [joint.model_dump() for joint in robot.joints]
     used, rows = [], dict[str, list[Row]]()
@@ -110,7 +78,14 @@ def shown_kit(database: Database, name: str) -> Kit:
             rows[campaign.id] = views
     arm = _Arm(robot.sha256, joints, _chains.get(robot.sha256, partial(convert, robot.document, "chain")))
     capture = arm.capture(rows, used) if rows else None
-    return Kit(robot, used, capture, _find_newest_result(database, name, rows, used, arm))
+    return {
+        "robot": robot,
+        "campaigns": used,
+        "capture": capture,
+        "seen": "" if capture is None else describe_views(capture.views, capture.poses, capture.payloads_kg),
+        "found": _find_newest_result(database, name, rows, used, arm),
+        "steps": files_rig.steps(robot.name),  # one command or sentence each
+    }
 
 
 def _views(database: Database, campaign: Campaign, joints: int) -> list[Row]:
@@ -137,7 +112,7 @@ def _rig(used: Sequence[Campaign]) -> Rig:
 
 def _find_newest_result(
     database: Database, robot: str, views: Views, used: Sequence[Campaign], arm: _Arm
-) -> Found | None:
+) -> dict[str, Any] | None:
     """What the newest version says that was made from such views with backlash among its effects."""
     for summary in versions.list_versions(database, robot, NEWEST).versions:
         version = versions.get(database, summary.id)
@@ -150,11 +125,12 @@ def _find_newest_result(
 
 def _found_from_version(
     database: Database, version: Version, joints: Sequence[Mapping[str, Any]], untold: Mapping[int, str]
-) -> Found:
+) -> dict[str, Any]:
+    """What a version says of the arm: sentences, the largest first, warnings, and the error of the tool."""
     table = _tables.get(version.id, lambda: _table(database, version.id))
     told = result_summary(version.model_dump(), joints, table, untold)
     off_by = describe_tool_error(told["before_mm"], told["after_mm"])
-    return Found(version, told["lines"] or [NOTHING], told["warnings"], off_by)
+    return {"version": version, "lines": told["lines"] or [NOTHING], "warnings": told["warnings"], "off_by": off_by}
 
 
 def _table(database: Database, version_id: str) -> bytes:

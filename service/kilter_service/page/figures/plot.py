@@ -450,3 +450,29 @@ MEANINGS = {
     "chosen": CHOSEN,
     "beside": BESIDE,
 }
+
+
+Group = tuple[
+    str, int, str, Sequence[int], Sequence[str], Sequence[str]
+]  # label, look, colour, which points, names, rows
+
+
+def places_from_two_sides(
+    places: Sequence[Sequence[float]],
+    groups: Sequence[Group],
+    about: str,
+    table: Table = ((), ()),
+    size: tuple[float, float] = (420.0, 320.0),
+    titles: tuple[str, str] = ("From above", "From the side"),
+) -> list[Plot]:
+    """Draw places (N, 3), mm, from above and from the side; ``about`` goes on after each title."""
+    out = []
+    for title, across, up in ((titles[0], 0, 1), (titles[1], 0, 2)):
+        xs, ys = ([place[axis] for place in places] for axis in (across, up))
+        axes = around(f"{'xyz'[across]}, mm", xs), around(f"{'xyz'[up]}, mm", ys)
+        plot = Plot(title, *axes, *size, f"{title}{about}", table)
+        for label, number, colour, which, names, rows in groups:
+            if len(which):
+                plot.points([xs[k] for k in which], [ys[k] for k in which], label, number, colour, names, rows)
+        out.append(plot)
+    return out

@@ -15,7 +15,7 @@ from kilter_service.contract.versions import Version
 from kilter_service.ground.core import core_effects
 from kilter_service.ground.db import Database
 from kilter_service.page import words
-from kilter_service.page.figures.plot import Plot, Table, around
+from kilter_service.page.figures.plot import Group, Plot, Table, places_from_two_sides
 from kilter_service.page.shared import errors_drawn
 from kilter_service.page.words import of_joints
 from kilter_service.versions.acceptance import service as acceptance
@@ -78,7 +78,7 @@ NOT_STATED = (
     "`kilter version accept {robot} --tolerance 0.3`."
 )
 WITHIN, BAND, BEYOND = "within by the guard band", "within it or its band", "beyond"
-VIEWS = (("from above", 0, 1), ("from the side", 0, 2))
+VIEWS = ("Measured places from above", "Measured places from the side")
 SOURCES = {
     "instrument": "instrument, by its permissible error",
     "repeatability": "repeatability",
@@ -186,24 +186,11 @@ def _views(found: Acceptance, worst: JudgedCampaign, decided: bool) -> list[Plot
     against = f", by their errors against {found.tolerance_mm:g} mm" if decided else ""
     if not decided:
         sides = len(sides) * [MEASURED]
-    out = []
-    for title, across, up in VIEWS:
-        xs, ys = ([place[axis] for place in worst.at_mm] for axis in (across, up))
-        plot = Plot(
-            f"Measured places {title}",
-            around(f"{'xyz'[across]}, mm", xs),
-            around(f"{'xyz'[up]}, mm", ys),
-            WIDE,
-            TALL,
-            f"Measured places {title}{against}",
-        )
-        for number, side in enumerate((WITHIN, BAND, BEYOND) if decided else (MEASURED,)):
-            some = [k for k, one in enumerate(sides) if one == side]
-            if some:
-                names = [f"{worst.error_at_mm[k]:.3g} mm" for k in some]
-                plot.points([xs[k] for k in some], [ys[k] for k in some], side, number, SHADES[number], names)
-        out.append(plot)
-    return out
+    groups: list[Group] = []
+    for number, side in enumerate((WITHIN, BAND, BEYOND) if decided else (MEASURED,)):
+        some = [k for k, one in enumerate(sides) if one == side]
+        groups.append((side, number, SHADES[number], some, [f"{worst.error_at_mm[k]:.3g} mm" for k in some], ()))
+    return places_from_two_sides(worst.at_mm, groups, against, size=(WIDE, TALL), titles=VIEWS)
 
 
 def effect_contributions(database: Database, version: Version, search: GapResult | None) -> dict[str, Any]:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from kilter_service.contract.figures import Bars, GapFigures, PlaneFigure, Scatter
 from kilter_service.contract.fits import Errors, StageErrors
 from kilter_service.contract.gap_details import GapSize
@@ -16,6 +18,7 @@ from kilter_service.page.words import in_columns, in_one_unit, number
 from kilter_service.versions.predictions.contributions import contributions
 
 if TYPE_CHECKING:
+    from kilter_core.types import Floats, Ints
     from kilter_service.versions.predictions.contributions import Contribution
 
 
@@ -52,6 +55,7 @@ def grouped_bars(
     return drawn
 
 
+MOST_DRAWN, LARGEST = 1200, 200  # rows that are drawn, and how many of them are the largest
 STAGES = (
     ("nominal", "Before"),
     ("registration_only", "Registration only"),
@@ -74,6 +78,14 @@ MEANING = {
     EARLIER: "the geometry without effects",
     "After": "the model that was identified",
 }
+
+
+def rows_to_draw(sizes: Floats) -> Ints:
+    """Return the places of rows that are drawn: all, or some evenly chosen and those with the largest sizes."""
+    if len(sizes) <= MOST_DRAWN:
+        return np.arange(len(sizes))
+    even = np.linspace(0, len(sizes) - 1, MOST_DRAWN - LARGEST).astype(np.int64)
+    return np.union1d(even, np.argsort(-sizes)[:LARGEST])
 
 
 def compared_models(errors: StageErrors | None, other: Mapping[str, str] = NO_OTHER) -> list[tuple[str, Errors]]:

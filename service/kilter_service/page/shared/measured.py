@@ -11,7 +11,16 @@ from markupsafe import Markup, escape
 from kilter_service.campaigns.facts import ColumnFacts
 from kilter_service.ground.wire import to_mm
 from kilter_service.page import words
-from kilter_service.page.figures.plot import BLUE, ERROR, FONT, LETTER, Plot, around, room_for
+from kilter_service.page.figures.plot import (
+    BLUE,
+    ERROR,
+    FONT,
+    LETTER,
+    Group,
+    Plot,
+    places_from_two_sides,
+    room_for,
+)
 
 if TYPE_CHECKING:
     from kilter_service.campaigns.facts import Facts, JointFacts
@@ -155,42 +164,15 @@ def _places(facts: Facts, campaign: str) -> list[Plot]:
     """Where the tool was seen, from above and from the side; rows that look wrong stand out."""
     if not facts.places:
         return []
-    odd = {one.row for one in facts.doubtful.rows}
-    out = []
-    for title, across, up in (("From above", 0, 1), ("From the side", 0, 2)):
-        points = [(row, place[across], place[up]) for row, place in facts.places]
-        axes = [around(f"{'xyz'[k]}, mm", [point[n] for point in points]) for n, k in ((1, across), (2, up))]
-        plot = Plot(
-            title,
-            axes[0],
-            axes[1],
-            width=420,
-            height=320,
-            description=f"{title}: places that were measured, mm",
-        )
-        plain = [point for point in points if point[0] not in odd]
-        names = [f"row {p[0]}" for p in plain]
-        plot.points(
-            [p[1] for p in plain], [p[2] for p in plain], "measured", 0, BLUE, names, _identities(plain, campaign)
-        )
-        marked = [point for point in points if point[0] in odd]
-        if marked:
-            names = [f"row {p[0]}, looks wrong" for p in marked]
-            plot.points(
-                [p[1] for p in marked],
-                [p[2] for p in marked],
-                "looks wrong",
-                2,
-                ERROR,
-                names,
-                _identities(marked, campaign),
-            )
-        numbers = [[f"row {row}", *(words.number(value, 6) for value in place)] for row, place in facts.places[:100]]
-        plot.table = (["Row", "x, mm", "y, mm", "z, mm"], numbers)
-        out.append(plot)
-    return out
-
-
-def _identities(points: Sequence[tuple[int, float, float]], campaign: str) -> list[str]:
-    """What tells each row from all others, wherever it is shown; nothing of rows that are not stored."""
-    return [f"{campaign}/{row}" for row, _, _ in points] if campaign else []
+    odd, groups = {one.row for one in facts.doubtful.rows}, list[Group]()
+    for wrong, label, number, colour, tail in (
+        (False, "measured", 0, BLUE, ""),
+        (True, "looks wrong", 2, ERROR, ", looks wrong"),
+    ):
+        which = [k for k, (row, _) in enumerate(facts.places) if (row in odd) == wrong]
+        rows = [facts.places[k][0] for k in which]
+        identities = [f"{campaign}/{row}" for row in rows] if campaign else []  # nothing of rows that are not stored
+        groups.append((label, number, colour, which, [f"row {row}{tail}" for row in rows], identities))
+    numbers = [[f"row {row}", *(words.number(value, 6) for value in place)] for row, place in facts.places[:100]]
+    table = (["Row", "x, mm", "y, mm", "z, mm"], numbers)
+    return places_from_two_sides([place for _, place in facts.places], groups, ": places that were measured, mm", table)
