@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -48,22 +47,15 @@ _captures = Recent[Capture](40)
 Views = Mapping[str, Sequence[Row]]  # by the id of their campaign
 
 
-@dataclass(frozen=True)
-class _Arm:
-    """Digest of a robot, its joints, and its document of convention ``chain``."""
+Arm = tuple[str, Sequence[Mapping[str, Any]], Mapping[str, Any]]  # digest, joints, document of convention ``chain``
 
-    sha256: str
-    joints: Sequence[Mapping[str, Any]]
-    chain: Mapping[str, Any]
 
-    def capture(self, views: Views, used: Sequence[Campaign]) -> Capture:
-        """What the views of some campaigns cover."""
-        key = (self.sha256, *map(campaign_cache_key, used))
-        return _captures.get(key, partial(self._capture, views, used))
-
-    def _capture(self, views: Views, used: Sequence[Campaign]) -> Capture:
-        rows = [row for one in used for row in views[one.id]]
-        return files_rig.coverage(rows, self.joints, self.chain, _rig(used))
+def _capture(arm: Arm, views: Views, used: Sequence[Campaign]) -> Capture:
+    """What the views of some campaigns cover."""
+    sha256, joints, chain = arm
+    rows = [row for one in used for row in views[one.id]]
+    key = (sha256, *map(campaign_cache_key, used))
+    return _captures.get(key, lambda: files_rig.coverage(rows, joints, chain, _rig(used)))
 
 
 def shown_kit(database: Database, name: str) -> dict[str, Any]:
@@ -76,8 +68,8 @@ def shown_kit(database: Database, name: str) -> dict[str, Any]:
         if views:
             used.append(campaign)
             rows[campaign.id] = views
-    arm = _Arm(robot.sha256, joints, _chains.get(robot.sha256, partial(convert, robot.document, "chain")))
-    capture = arm.capture(rows, used) if rows else None
+    arm = (robot.sha256, joints, _chains.get(robot.sha256, partial(convert, robot.document, "chain")))
+    capture = _capture(arm, rows, used) if rows else None
     return {
         "robot": robot,
         "campaigns": used,
@@ -111,7 +103,7 @@ def _rig(used: Sequence[Campaign]) -> Rig:
 
 
 def _find_newest_result(
-    database: Database, robot: str, views: Views, used: Sequence[Campaign], arm: _Arm
+    database: Database, robot: str, views: Views, used: Sequence[Campaign], arm: Arm
 ) -> dict[str, Any] | None:
     """What the newest version says that was made from such views with backlash among its effects."""
     for summary in versions.list_versions(database, robot, NEWEST).versions:
@@ -119,7 +111,7 @@ def _find_newest_result(
         named = {one.id for one in version.campaigns}
         from_views = [one for one in used if one.id in named]
         if from_views and any(one.name.startswith(BACKLASH) for one in version.parameters):
-            return _found_from_version(database, version, arm.joints, arm.capture(views, from_views).untold)
+            return _found_from_version(database, version, arm[1], _capture(arm, views, from_views).untold)
     return None
 
 

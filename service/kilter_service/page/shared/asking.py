@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
@@ -45,15 +44,6 @@ def parse_goals(tolerance_mm: str, check_interval_days: str) -> RobotChange:
         ) from None
 
 
-@dataclass(frozen=True)
-class Proposing:
-    """The job, and the search that is made again with the campaign (None: none asked for its poses)."""
-
-    job: Job
-    search: GapJob | None
-    taken: bool  # the search uses the campaign already
-
-
 def get_proposing_job(database: Database, robot: str, job: str) -> Job | None:
     """Return the job that an address names; None: it names none.
 
@@ -73,18 +63,15 @@ def get_proposing_job(database: Database, robot: str, job: str) -> Job | None:
     return found
 
 
-def proposal(database: Database, campaign: Campaign, job: str) -> Proposing | None:
-    """Return what a campaign leads back to."""
+def proposal(database: Database, campaign: Campaign, job: str) -> dict[str, Any] | None:
+    """Return what a campaign leads back to: the job, the search that is made again with it, and whether it uses it already."""
     found = get_proposing_job(database, campaign.robot, job)
     if found is None:
         return None
     search = _search(database, found)
-    taken = search is not None and campaign.id in {
-        *search.campaigns,
-        *(search.validation if isinstance(search.validation, list) else []),
-        *search.confirmation,
-    }
-    return Proposing(found, search, taken)
+    held = search.validation if search is not None and isinstance(search.validation, list) else []
+    used = [] if search is None else [*search.campaigns, *held, *search.confirmation]
+    return {"job": found, "search": search, "taken": campaign.id in used}
 
 
 def _search(database: Database, job: Job) -> GapJob | None:
