@@ -11,11 +11,9 @@ from pathlib import Path
 from markupsafe import Markup
 from playwright.sync_api import sync_playwright
 
-from kilter_service.page import assets
-from kilter_service.page.figures.meanings import CORRECTED, ERROR, FITTED, HELD_OUT, SET_ASIDE
-from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import around
-from kilter_service.page.shell import environment
+from kilter_service.page import answers as assets
+from kilter_service.page.answers import environment
+from kilter_service.page.figures.plot import CORRECTED, ERROR, FITTED, HELD_OUT, SET_ASIDE, Plot, around
 from tools.draw_page_picture import ARGUMENTS, small
 
 PICTURE = Path(__file__).resolve().parent.parent / "docs" / "images" / "page-parts.png"

@@ -11,8 +11,8 @@ from kilter_client.results.shown_jobs import ShownSearch
 from kilter_service.contract.gap_details import NamedEffect
 from kilter_service.contract.gap_details import Untestable as Row
 from kilter_service.contract.jobs.gap import GapOptions, GapResult
-from kilter_service.page.gap.claim import claim_from_effect
-from kilter_service.page.gap.service import candidates, untestable
+from kilter_service.page.gap.effects import claim_from_effect
+from kilter_service.page.gap.story import candidates, untestable
 
 GAP = {"lengths": "at_tool", "before_mm": 0.235, "after_mm": 0.0505, "noise_mm": 0.0304, "noise_rms_mm": 0.0527}
 WALK = {"id": "random_walk", "joints": None, "verdict": "provisional", "gain_mm": -0.006, "p_value": 1e-9}

@@ -385,7 +385,7 @@ from kilter_service.contract.jobs.identify import IDENTIFY
 from kilter_service.ground.settings import Settings
 from kilter_service.jobs.kinds.identify import KIND
 from kilter_service.jobs.refusals import read_options
-from kilter_service.page.jobs import options
+from kilter_service.page.jobs import routes as options
 from kilter_service.run.app import create_app
 
 # The core

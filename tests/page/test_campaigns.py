@@ -21,7 +21,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow, RobotRow
 from kilter_service.ground.recent import Recent
 from kilter_service.ground.settings import Settings
-from kilter_service.page.campaign.series import thin_series
+from kilter_service.page.chosen import thin_series
 from kilter_service.run.app import create_app
 from kilter_service.versions import store as versions
 from kilter_service.versions.store import NewVersion

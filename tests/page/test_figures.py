@@ -11,9 +11,8 @@ import httpx
 import pytest
 from playwright.sync_api import Browser
 
-from kilter_service.page.figures import room
-from kilter_service.page.figures.plot import LEFT, RIGHT, Plot
-from kilter_service.page.figures.scale import around, category_axis, days_around
+from kilter_service.page.figures import plot as room
+from kilter_service.page.figures.plot import LEFT, RIGHT, Plot, around, category_axis, days_around
 
 from .conftest import opened
 from .made import Made, made

@@ -98,7 +98,7 @@ def test_open_jobs_are_counted(there: Made) -> None:
 def test_the_state_of_the_corrector_is_that_of_this_robot(there: Made) -> None:
     beat(there, there.good)
     found = rows(there.client)
-    assert "The corrector passes setpoints on as they are." in found["a-fresh-one"]
+    assert "No version is active: every setpoint is refused, and nothing is corrected." in found["a-fresh-one"]
     assert "Stream line-1 is corrected with the active version" in found[there.robot]
     beat(there, there.poor)
     assert f"Stream line-1 last corrected with {there.poor}, not the active one" in rows(there.client)[there.robot]

@@ -20,10 +20,17 @@ from kilter_service.contract.gap_details import Evidence, Gates
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
-from kilter_service.page.gap.claim import GATES
-from kilter_service.page.gap.curves import Point, bin_points, branches, curves, student
-from kilter_service.page.shared.called import format_effect_at_joints
-from kilter_service.page.shared.own_curves import has_effect_without_curve, own_curves
+from kilter_service.page.gap.effects import GATES
+from kilter_service.page.shared.curves import (
+    Point,
+    bin_points,
+    branches,
+    curves,
+    has_effect_without_curve,
+    own_curves,
+    student,
+)
+from kilter_service.page.shared.naming import format_effect_at_joints
 from kilter_service.page.words import number, of_joints
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.token import admin_token

@@ -15,7 +15,7 @@ from playwright.sync_api import Browser, expect
 
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
-from kilter_service.page.jobs.form import NEW_JOB, parse_new_job
+from kilter_service.page.jobs.routes import NEW_JOB, parse_new_job
 from kilter_service.page.words import format_with_uncertainty, mm
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.token import admin_token

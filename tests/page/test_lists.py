@@ -18,9 +18,8 @@ from sqlalchemy import delete, insert, select
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.jobs.registry import KINDS
 from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow
-from kilter_service.page.audit.service import DONE
-from kilter_service.page.jobs.form import by_role
-from kilter_service.page.jobs.options import parse_typed_values
+from kilter_service.page.audit import DONE
+from kilter_service.page.jobs.routes import by_role, parse_typed_values
 from kilter_service.page.shared.lists import Asked, select_page
 from kilter_service.web.auth.policy import PAGE_RULES, RULES
 from tests.service.conftest import Katana

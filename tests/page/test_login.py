@@ -14,8 +14,8 @@ from playwright.sync_api import Browser, Page
 
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.settings import Settings
+from kilter_service.page.answers import POLICY
 from kilter_service.page.routes import ROUTERS
-from kilter_service.page.shell import POLICY
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.policy import PAGE_RULES
 from kilter_service.web.auth.token import admin_token

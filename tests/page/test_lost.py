@@ -49,19 +49,19 @@ def test_a_part_that_does_not_come_is_a_sentence_with_a_way_out(there: Made, chr
     with closing(context):
         page = context.new_page()
         log_in(page, there.client.headers["authorization"].removeprefix("Bearer "))
-        page.route("**/worst?*", lambda route: route.abort())
-        page.goto(f"/robots/{there.robot}")
-        tile = page.locator(".tile").nth(1)
+        page.route("**/exports", lambda route: route.abort())
+        page.goto(f"/versions/{there.good}")
+        tile = page.locator("section").filter(has=page.get_by_role("heading", name="Files for other programs"))
         expect(tile).to_contain_text("This part could not be loaded")
-        page.unroute("**/worst?*")
+        page.unroute("**/exports")
         tile.get_by_role("button", name="Ask again").click()
-        expect(tile).to_contain_text("mm from the base")
+        expect(tile).to_contain_text("Kilter's own document")
 
         def refused(route: Route) -> None:
             body = '{"title": "Busy", "status": 503, "code": "busy", "detail": "The server is busy: try again."}'
             route.fulfill(status=503, content_type="application/problem+json", body=body)
 
-        page.route("**/worst?*", refused)
+        page.route("**/exports", refused)
         page.reload()
         expect(tile.get_by_role("alert")).to_contain_text("The server is busy: try again.")
 

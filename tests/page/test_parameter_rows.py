@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from kilter_service.contract.fits import Parameter
-from kilter_service.page.shared.parameter_rows import parameter_rows
+from kilter_service.page.shared.naming import parameter_rows
 
 
 def row(name: str, change: float, sigma: float, **more: float) -> Parameter:

@@ -20,9 +20,8 @@ from kilter_service.contract.today import ErrorsToday, Today
 from kilter_service.contract.versions import VersionSummary
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db.row import utc_now
-from kilter_service.page.figures.meanings import MEANINGS
-from kilter_service.page.shared.correcting import Correcting, Corrector
-from kilter_service.page.shared.state import assess_robot_state
+from kilter_service.page.figures.plot import MEANINGS
+from kilter_service.page.shared.standing import Correcting, Corrector, assess_robot_state
 from kilter_service.page.words import format_in_largest_unit, parameter_sigma
 from kilter_service.versions.today.standing import Known, assess
 

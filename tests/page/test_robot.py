@@ -17,7 +17,7 @@ from axe_playwright_python.sync_playwright import Axe
 from PIL import Image
 from playwright.sync_api import Browser, Page
 
-from kilter_service.page.assets import FOLDER, hashed_file_name
+from kilter_service.page.answers import FOLDER, hashed_file_name
 from kilter_service.versions.predictions.places import WORST, spread
 from tests.core.palletiser import palletiser, said
 

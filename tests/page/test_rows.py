@@ -16,7 +16,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page
 
 from kilter_core.twin import thesis_katana
-from kilter_service.page.campaign.chosen import ranges, read
+from kilter_service.page.chosen import ranges, read
 from kilter_service.versions.predictions.places import least_motion
 from tests.service.conftest import Katana
 

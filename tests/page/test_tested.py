@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from kilter_service.contract.jobs.gap import GapOptions, GapResult
-from kilter_service.page.gap.service import candidates
+from kilter_service.page.gap.story import candidates
 
 LIMIT = "but no more effects than"
 

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from kilter_service.contract.fits import Errors, StageErrors
-from kilter_service.page.figures.scale import lengths
-from kilter_service.page.jobs import stages
-from kilter_service.page.report.figures import before_and_after
-from kilter_service.page.shell import environment
+from kilter_service.page.answers import environment
+from kilter_service.page.figures.plot import lengths
+from kilter_service.page.report.sheet import before_and_after
+from kilter_service.page.shared import errors_drawn as stages
 from kilter_service.page.words import in_columns, in_one_unit
 
 SIZES = (0.31, 0.0871, 0.0021)

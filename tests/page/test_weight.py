@@ -64,7 +64,7 @@ def test_the_first_page_is_light(server: httpx.Client) -> None:
 
 def test_all_scripts_and_styles_together_are_light(server: httpx.Client) -> None:
     """With 3-D, plots and everything else that any view loads."""
-    from kilter_service.page.assets import manifest
+    from kilter_service.page.answers import manifest
 
     total = sum(sent(server, f"/assets/{name}") for name in manifest().files.values())
     assert sent(server, "/") + total <= WITH_3D_KB * 1024
@@ -72,7 +72,7 @@ def test_all_scripts_and_styles_together_are_light(server: httpx.Client) -> None
 
 def test_the_picture_of_very_many_rows_is_light(tmp_path: Path, migrated: Path) -> None:
     """The script that draws, the chain and the rows, as they are sent."""
-    from kilter_service.page.assets import hashed_file_name
+    from kilter_service.page.answers import hashed_file_name
 
     rows = 12_000
     with made(tmp_path, migrated, rows) as there:

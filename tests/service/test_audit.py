@@ -26,7 +26,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import DATABASE_FILE, Settings
 from kilter_service.jobs.work import store as lease
 from kilter_service.jobs.work.runner import Runner
-from kilter_service.page.audit.service import REFUSED
+from kilter_service.page.audit import REFUSED
 from kilter_service.run.app import create_app
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion

@@ -18,8 +18,7 @@ from kilter_service.contract.fits import Errors, StageErrors
 from kilter_service.contract.today import ErrorsToday, Today
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import HeartbeatRow
-from kilter_service.page.shared.correcting import Corrector
-from kilter_service.page.shared.state import assess_robot_state
+from kilter_service.page.shared.standing import Corrector, assess_robot_state
 from kilter_service.versions.today.standing import Known, assess
 from tests.service.conftest import Katana, WorkerProcess
 

@@ -186,6 +186,11 @@ def render_backticks_as_code(text: str) -> Markup:
     return Markup(TICKED.sub(r"<code>\1</code>", str(escape(text))))  # noqa: S704 (escaped before)
 
 
+def validation_words(error: Any, skip: int = 0, most: int = 5) -> str:
+    """Say where a document is not as it must be, and why; ``skip`` is how much of each place is left out."""
+    return "; ".join(f"{'.'.join(map(str, one['loc'][skip:]))}: {one['msg']}" for one in error.errors()[:most])
+
+
 def joined_by_and(names: Sequence[str]) -> str:
     """Join names by commas and *and*."""
     return f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else "".join(names)

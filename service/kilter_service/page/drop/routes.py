@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Form, Query, Request, Response
+from fastapi import Form, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, JSONResponse
+from pydantic import ValidationError
 
 from kilter_core.errors import CoreError
+from kilter_core.observations import format_part_name
 from kilter_service.campaigns import looking
 from kilter_service.campaigns.facts import facts
+from kilter_service.contract.campaigns import Board, Camera, Conditions
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.ground.processes import sandbox
 from kilter_service.ground.processes.sandbox import Ended, Limits
+from kilter_service.ground.tables.assemble import rig_from_conditions
 from kilter_service.ground.tables.columns import has
-from kilter_service.page.drop import rig, service
+from kilter_service.page.answers import get_root_path, redirect, render, router
+from kilter_service.page.drop import service
 from kilter_service.page.drop.drafts import RIG, Draft, Drafts, plain_name
-from kilter_service.page.route import PageRoute
-from kilter_service.page.shared import proposing
+from kilter_service.page.shared import asking
+from kilter_service.page.shared.asking import take_step
 from kilter_service.page.shared.measured import describe_facts
-from kilter_service.page.shared.take_step import take_step
-from kilter_service.page.shell import get_root_path, redirect, render
+from kilter_service.page.words import validation_words
 from kilter_service.robots import service as robots
 from kilter_service.robots.instruments import service as instruments
 from kilter_service.versions.today import service as today
@@ -37,26 +42,92 @@ from kilter_service.web.logins import service as logins
 from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
 from kilter_service.web.tokens.service import hash_secret
 
+PARTS: Mapping[str, type[Camera] | type[Board]] = {"cameras": Camera, "boards": Board}
+MISSING = (
+    "These rows have corners in pixels, and nothing says of which cameras and boards: give the JSON that `kilter "
+    "measure see` wrote "
+    "beside them (Cameras and boards, below)."
+)
+REMEDY = "Give the JSON that `kilter measure see` writes beside its views."
+
+BOARD, REFUSED = "board.zip", "refused"
+DRAWING = sandbox.Limits(seconds=30, memory_mb=2048, output_mb=50)
+
+
+def draw_board(folder: Path, columns: int, rows: int, square_mm: float) -> None:
+    """Write the page of a board and its description into an archive in ``folder``.
+
+    Raises:
+        ServiceError: there is no such board, or this server has no OpenCV.
+
+    """
+    ended = sandbox.run(f"{__package__}.board", folder, [str(columns), str(rows), str(square_mm)], DRAWING)
+    if not (folder / BOARD).exists():
+        why = folder / REFUSED
+        said = why.read_text(encoding="utf-8") if why.exists() else f"The board was not drawn: {ended.words[-200:]}"
+        raise ServiceError(said, code="payload_invalid")
+
+
+def add_to_draft(draft: Draft, name: str, document: Any) -> None:
+    """Take what a document says of cameras and boards; what else it holds is of whoever saw them.
+
+    Raises:
+        ServiceError: it describes none, or a field of one cannot be.
+        CoreError: what it describes cannot be a camera or a board.
+
+    """
+    given = document if isinstance(document, dict) else {}
+    rig = {
+        what: [_known_fields(one, kind) for one in parts] if isinstance(parts := given.get(what), list) else []
+        for what, kind in PARTS.items()
+    }
+    lacking = [what for what, parts in rig.items() if not parts]
+    if len(lacking) == len(rig):
+        raise ServiceError(f"{name} describes no cameras and boards. {REMEDY}", code="cameras_missing")
+    if lacking:
+        remedy = "State the intrinsics when you run `kilter measure see` (--camera, or --intrinsics brown)."
+        raise ServiceError(
+            f"{name} names no {lacking[0]}. {remedy if lacking == ['cameras'] else REMEDY}", code="cameras_missing"
+        )
+    try:
+        rig_from_conditions(Conditions.model_validate(rig).model_dump(mode="json", exclude_none=True))
+    except ValidationError as error:
+        raise ServiceError(f"{name}: {validation_words(error)}. {REMEDY}", code="payload_invalid") from error
+    except CoreError as error:
+        raise ServiceError(f"{name}: {error.message}", code=error.code) from error
+    with draft.turn:
+        draft.rig, draft.rig_name = rig, name
+
+
+def describe_parts(rig: Mapping[str, Any]) -> list[str]:
+    """Return each camera and board in words."""
+    where = {"fixed": "in the room", "flange": "on the flange"}
+    cameras = [
+        f"{format_part_name('camera', one['name'])}, {where[one['mount']]}, {one['width_px']} × {one['height_px']} px"
+        for one in rig.get("cameras", ())
+    ]
+    boards = [
+        f"{format_part_name('board', one['name'])}, {where[one['mount']]}, {len(one['corners_mm'])} corners"
+        for one in rig.get("boards", ())
+    ]
+    return cameras + boards
+
+
+def _known_fields(one: Any, kind: type[Camera] | type[Board]) -> Any:
+    """The fields that a campaign has of it; anything but an object is left for the check to refuse."""
+    if not isinstance(one, dict):
+        return one
+    return {name: one[name] for name in kind.model_fields if one.get(name) is not None}
+
+
 CHILD = "kilter_service.page.drop.child"
 LIMITS = Limits(seconds=60, memory_mb=2048, output_mb=512)
 OF_PICTURES = Limits(seconds=240, memory_mb=4096, output_mb=512)
 MOST_SAID = 32 << 20
 MOST_REFUSAL = 2000
 WRITTEN = ("understood.json", "rows", RIG)
-NOTHING: dict[str, Any] = {
-    "kind": "",
-    "reader": "",
-    "map": "",
-    "more": 0,
-    "open": [],
-    "guessed": [],
-    "unused": [],
-    "notes": [],
-    "warnings": [],
-    "remarks": [],
-    "source": [],
-    "lines": [],
-}
+LISTS = ("open", "guessed", "unused", "notes", "warnings", "remarks", "source", "lines")
+NOTHING: dict[str, Any] = {"kind": "", "reader": "", "map": "", "more": 0, **{name: [] for name in LISTS}}
 ELSEWHERE = "`kilter upload` reads it on your own machine, without these limits."
 
 
@@ -68,7 +139,7 @@ def read(database: Database, draft: Draft) -> None:
         draft.refusal = str(draft.understood.get("refusal") or "")[:MOST_REFUSAL]
         seen_by = draft.folder / RIG
     if seen_by.exists() and not draft.refusal:  # pictures say themselves which camera saw which board
-        rig.add_to_draft(draft, draft.name, json.loads(seen_by.read_bytes()))
+        add_to_draft(draft, draft.name, json.loads(seen_by.read_bytes()))
     with draft.turn:
         if "sha256" in draft.understood and not draft.refusal:
             _assess_rows(database, draft)
@@ -124,14 +195,13 @@ def _assess_rows(database: Database, draft: Draft) -> None:
         draft.refusal = error.message
         return
     draft.pixels = has(rows.columns, "pixel_u")
-    draft.refusal = refused or (rig.MISSING if draft.pixels and not draft.rig else "")
+    draft.refusal = refused or (MISSING if draft.pixels and not draft.rig else "")
     try:
         draft.facts = facts(rows, belong)
     except CoreError as error:
         draft.refusal = error.message
 
 
-router = APIRouter(include_in_schema=False, route_class=PageRoute)
 BODY = {"requestBody": {"required": True}}  # the endpoint receives the file itself
 Text = Annotated[str, Form(max_length=20_000)]
 UNDERSTOOD = "drop/understood.html"
@@ -146,7 +216,7 @@ Texts = Annotated[list[str], Form(max_length=1000)]
 def empty(robot: str, request: Request, database: DatabaseOfApp, job: JobId = "") -> HTMLResponse:
     """Show where to drop a file: any, or what was measured at the poses that a job proposes."""
     name = robots.get(database, robot).name
-    return render(request, "drop/new.html", robot=name, job=proposing.get_proposing_job(database, name, job))
+    return render(request, "drop/new.html", robot=name, job=asking.get_proposing_job(database, name, job))
 
 
 @router.post("/robots/{robot}/campaigns/new/file", openapi_extra=BODY)
@@ -160,7 +230,7 @@ async def drop_file(
 ) -> Response:
     """Take a file and read it; nothing is stored."""
     await run_in_threadpool(robots.get, database, robot)
-    await run_in_threadpool(proposing.get_proposing_job, database, robot, job)
+    await run_in_threadpool(asking.get_proposing_job, database, robot, job)
     drafts = _drafts(request)
     draft = drafts.new(robot, _owner(request), name[:500], job)
     with drafts.in_use(draft):
@@ -177,9 +247,9 @@ async def drop_file(
 async def board(request: Request, columns: Squares = 8, rows: Squares = 6, square_mm: Side = 25.0) -> Response:
     """Send a board to print for a camera, with its description."""
     with get_scratch(request).folder_for("board") as folder:
-        await run_in_threadpool(rig.draw_board, folder, columns, rows, square_mm)
-        content = (folder / rig.BOARD).read_bytes()
-    named = {"Content-Disposition": f'attachment; filename="{rig.BOARD}"'}
+        await run_in_threadpool(draw_board, folder, columns, rows, square_mm)
+        content = (folder / BOARD).read_bytes()
+    named = {"Content-Disposition": f'attachment; filename="{BOARD}"'}
     return Response(content, media_type="application/zip", headers=named)
 
 
@@ -234,7 +304,7 @@ async def cameras(
     found = _draft(request, robot, draft)
     body = await parse_json(await read_document(request, settings.max_document_mb))
     with _drafts(request).in_use(found):
-        await run_in_threadpool(rig.add_to_draft, found, plain_name(name[:500]), body)
+        await run_in_threadpool(add_to_draft, found, plain_name(name[:500]), body)
         await compute(request, reassess_rows, database, found)
     return JSONResponse({"address": f"{_place(request, found)}{_job_query(found)}"})
 
@@ -287,9 +357,9 @@ async def store(
         try:
             queued = await compute(request, take_step, database, robot, then, stored.id)
         except ServiceError:  # it is stored; the robot's view says what comes next, and its button why not
-            return redirect(request, f"{get_root_path(request)}/robots/{robot}")
-        return redirect(request, f"{get_root_path(request)}/jobs/{queued}")
-    return redirect(request, f"{get_root_path(request)}/campaigns/{stored.id}{_job_query(found)}")
+            return redirect(request, f"/robots/{robot}")
+        return redirect(request, f"/jobs/{queued}")
+    return redirect(request, f"/campaigns/{stored.id}{_job_query(found)}")
 
 
 @router.post("/robots/{robot}/campaigns/new/{draft}/discard")
@@ -297,7 +367,7 @@ def discard(robot: str, draft: str, request: Request) -> Response:
     """Forget a file."""
     found = _draft(request, robot, draft)
     _drafts(request).discard(found)
-    return redirect(request, f"{get_root_path(request)}/robots/{robot}/campaigns/new{_job_query(found)}")
+    return redirect(request, f"/robots/{robot}/campaigns/new{_job_query(found)}")
 
 
 async def _reread_and_render(
@@ -330,7 +400,7 @@ def _render_draft(
         problem=problem,
         here=_place(request, draft),
         meant=service.meant_for(database, draft),
-        rig=rig.describe_parts(draft.rig),
+        rig=describe_parts(draft.rig),
         first=bool((standing := today.of_robot(database, draft.robot).standing) and standing.first),
         **service.column_map_form(draft, kinds),
     )

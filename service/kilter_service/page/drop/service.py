@@ -26,7 +26,8 @@ from kilter_service.contract.jobs.plan import PLAN
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.page.drop.drafts import Draft
-from kilter_service.page.shared import proposing
+from kilter_service.page.shared import asking
+from kilter_service.page.words import validation_words
 from kilter_service.robots import service as robots
 
 NUMBER = re.compile(r"\d+")
@@ -267,7 +268,7 @@ def joint_kinds(database: Database, robot: str) -> list[str]:
 
 def meant_for(database: Database, draft: Draft) -> tuple[str, str]:
     """Return the role that the form proposes, and why where that is not the usual one: a check is fitted by nobody."""
-    job = proposing.get_proposing_job(database, draft.robot, draft.job)
+    job = asking.get_proposing_job(database, draft.robot, draft.job)
     if job is not None and PLAN.is_kind_of(job) and job.options.purpose == "check":
         return "validation", "These poses were planned for a check: no fit takes its rows."
     if (
@@ -426,8 +427,9 @@ def store(database: Database, draft: Draft, campaign: dict[str, object], sha256:
         try:
             new = NewCampaign.model_validate({**campaign, "staged": True})
         except ValidationError as error:
-            told = "; ".join(f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors()[:5])
-            raise ServiceError(f"The campaign cannot be stored so: {told}.", code="payload_invalid") from error
+            raise ServiceError(
+                f"The campaign cannot be stored so: {validation_words(error)}.", code="payload_invalid"
+            ) from error
         notes = _notes_with_source(draft, new.notes)
         added = campaigns.add(database, draft.robot, new.model_copy(update={"notes": notes}))
         try:

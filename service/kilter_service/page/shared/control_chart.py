@@ -9,10 +9,9 @@ from datetime import datetime
 from itertools import pairwise
 
 from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftMark, DriftSummary
-from kilter_service.contract.today import ErrorAt, Today
+from kilter_service.contract.today import Today
 from kilter_service.ground.texts import plural
-from kilter_service.page.figures.plot import GREY, Plot
-from kilter_service.page.figures.scale import Axis, Days, days_around, lengths
+from kilter_service.page.figures.plot import GREY, Axis, Days, Plot, days_around, lengths
 from kilter_service.page.words import bare, format_in_largest_unit, moment, number, unit
 from kilter_service.versions.drift.charts import height, last_value
 from kilter_service.versions.drift.wire import chance_words
@@ -121,7 +120,8 @@ def _errors(found: DriftHistory, today: Today, axis: Days) -> Plot | None:
     every = [*(one.mean_mm for one in errors), *ends, *([tolerance] if tolerance is not None else [])]
     across = lengths("mean error", every, log=True)
     said = {one.job_id: f"{one.sentence} " for one in found.history if one.verdict != "ok"}
-    about = _describe_checks(found)
+    alarmed = sum(one.verdict != "ok" for one in found.history)
+    about = f"{len(found.history)} checks, of which {alarmed} alarmed. {found.sentence}"
     drawn = Plot("Error over time", axis, across, WIDE, LOW, description=about, table=_table(found, today))
     _mark_events(drawn, found, axis)
     for one in errors:
@@ -194,11 +194,6 @@ def _heights(chart: ControlChart) -> list[float]:
     return [one for one in found if math.isfinite(one)]
 
 
-def _describe_checks(found: DriftHistory) -> str:
-    alarmed = sum(one.verdict != "ok" for one in found.history)
-    return f"{len(found.history)} checks, of which {alarmed} alarmed. {found.sentence}"
-
-
 def _said_of_sums(charts: Sequence[ControlChart]) -> str:
     most = charts[0]
     beyond = "beyond" if most.alarms else "below"
@@ -208,10 +203,18 @@ def _said_of_sums(charts: Sequence[ControlChart]) -> str:
 
 
 def _table(found: DriftHistory, today: Today) -> tuple[list[str], list[list[str]]]:
-    errors = {(one.job_id): one for one in today.history}
+    errors = {one.job_id: one for one in today.history}
     most = max((one.mean_mm for one in today.history), default=None)
     rows = [
-        (one.at, [_when(one.at), _words(one), _chance(one), bare(_mean(errors.pop(one.job_id, None)), most)])
+        (
+            one.at,
+            [
+                _when(one.at),
+                _words(one),
+                chance_words(one.p_value, 2),
+                bare(seen.mean_mm if (seen := errors.pop(one.job_id, None)) else None, most),
+            ],
+        )
         for one in found.history
     ]
     rows += [(one.at, [_when(one.at), "evaluation", "", bare(one.mean_mm, most)]) for one in errors.values()]
@@ -224,18 +227,10 @@ def _when(at: datetime) -> str:
     return f"{at:%Y-%m-%d %H:%M}"
 
 
-def _mean(error: ErrorAt | None) -> float | None:
-    return None if error is None else error.mean_mm
-
-
 def _words(one: CheckOfRobot) -> str:
     if one.verdict != "ok":
         return one.sentence
     return "ok" if one.whole else "ok, by rows that do not show every cause"
-
-
-def _chance(one: CheckOfRobot) -> str:
-    return chance_words(one.p_value, 2)
 
 
 def _sums_table(charts: Sequence[ControlChart]) -> tuple[list[str], list[list[str]]]:

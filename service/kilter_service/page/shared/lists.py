@@ -10,6 +10,13 @@ from urllib.parse import urlencode
 
 from fastapi import Request
 
+from kilter_service.contract.jobs.job import JobSummary
+from kilter_service.contract.jobs.registry import KINDS as DECLARED
+from kilter_service.ground.db import Database
+from kilter_service.ground.paging import Page
+from kilter_service.jobs import service as jobs
+from kilter_service.jobs.records import Place, WantedJobs
+
 T = TypeVar("T")
 AT_ONCE = 50
 LONGEST = 200  # characters of a search
@@ -104,7 +111,9 @@ def select_page(
     ``words`` are what a search looks in, ``columns`` what sorts, ``filters`` the value of an entry that a filter asks for.
     """
     sought = asked.search.casefold().split()
-    kept = [one for one in entries if _has(words(one), sought) and _passes(one, asked, filters or {})]
+    wanted = [(filters[name], value) for name, value in asked.filters.items() if name in filters] if filters else []
+    kept = [one for one in entries if all(value == read(one) for read, value in wanted)]
+    kept = [one for one in kept if all(word in words(one).casefold() for word in sought)] if sought else kept
     by = asked.sort if asked.sort.removeprefix("-") in columns else usual
     if by:
         key = columns[by.removeprefix("-")]
@@ -116,16 +125,62 @@ def select_page(
     return Part(shown, len(kept), len(entries), replace(asked, page=at), usual, named)
 
 
-def _has(words: str, sought: Sequence[str]) -> bool:
-    there = words.casefold()
-    return all(one in there for one in sought)
-
-
-def _passes(entry: T, asked: Asked, filters: Mapping[str, Callable[[T], str]]) -> bool:
-    return all(filters[name](entry) == value for name, value in asked.filters.items() if name in filters)
-
-
 def _comparable(value: Any) -> Any:
     if isinstance(value, str):
         return value.casefold()
     return value.timestamp() if isinstance(value, datetime) else value
+
+
+KINDS: Mapping[str, str] = {name: kind.title for name, kind in DECLARED.items()}
+
+
+@dataclass(frozen=True)
+class Listed:
+    """Jobs, newest first; where those stand that are not over; and the cursor of older ones."""
+
+    jobs: Sequence[JobSummary]
+    places: Mapping[str, Place]
+    more: str | None
+
+    @property
+    def kinds(self) -> Mapping[str, str]:
+        """What the kinds of jobs are called."""
+        return KINDS
+
+    @property
+    def searches(self) -> int:
+        """How many of these jobs are searches that can be compared."""
+        return sum(job.kind == "gap" and job.state == "succeeded" for job in self.jobs)
+
+
+STATES = ("queued", "running", "succeeded", "failed", "cancelled")
+
+
+ORDERS = ("name", "robot", "kind", "state", "asked")
+
+
+def select_jobs(database: Database, robot: str | None, wanted: Asked) -> tuple[Listed, Part[JobSummary]]:
+    """Return the jobs that the address asks for, of one robot or of all that may be seen; the database counts and sorts."""
+    by = wanted.sort if wanted.sort.removeprefix("-") in ORDERS else "-asked"
+    words = [
+        (one, [kind for kind, title in KINDS.items() if one.casefold() in title.casefold()])
+        for one in wanted.search.split()
+    ]
+    sought = WantedJobs(
+        robot,
+        wanted.filters.get("kind"),
+        wanted.filters.get("state"),
+        words,
+        by.removeprefix("-"),
+        by.startswith("-"),
+        sorted(KINDS, key=lambda kind: KINDS[kind].casefold()),
+        STATES,
+    )
+    shown, page, found, total = jobs.find_jobs(database, sought, wanted.page, AT_ONCE)
+    return Listed(shown, jobs.places(database), None), Part(shown, found, total, replace(wanted, page=page), "-asked")
+
+
+def page_of_jobs(database: Database, robot: str | None, page: Page) -> Listed:
+    """Return a page of jobs, of one robot or of all that may be seen."""
+    found = jobs.list_jobs(database, robot, page)
+    return Listed(found.jobs, jobs.places(database), found.next)

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup, escape
 
 from kilter_service.campaigns.facts import ColumnFacts
 from kilter_service.ground.wire import to_mm
 from kilter_service.page import words
-from kilter_service.page.figures.meanings import ERROR
-from kilter_service.page.figures.plot import BLUE, FONT, LETTER, Plot
-from kilter_service.page.figures.room import room_for
-from kilter_service.page.figures.scale import around
+from kilter_service.page.figures.plot import (
+    BLUE,
+    ERROR,
+    FONT,
+    LETTER,
+    Group,
+    Plot,
+    places_from_two_sides,
+    room_for,
+)
 
 if TYPE_CHECKING:
     from kilter_service.campaigns.facts import Facts, JointFacts
@@ -90,39 +96,25 @@ class Coverage:
 LITTLE = 0.3  # of a joint's range: little was measured of it
 
 
-@dataclass(frozen=True)
-class Seen:
-    """What a template shows of rows. ``lines``: the line of the file behind each row, where it is known."""
+def describe_facts(facts: Facts, lines: Sequence[int] = (), campaign: str = "") -> dict[str, Any]:
+    """Put facts in words and figures.
 
-    facts: Facts
-    headline: str
-    noise: str
-    noise_why: str
-    columns: Sequence[Sequence[str]]
-    coverage: Coverage
-    places: Sequence[Plot]
-    little: Sequence[str]
-    doubts: Sequence[tuple[str, str]]
-
-
-def describe_facts(facts: Facts, lines: Sequence[int] = (), campaign: str = "") -> Seen:
-    """Put facts in words and figures; ``campaign`` is the id of the one that has these rows."""
+    ``lines``: the line of the file behind each row, where it is known; ``campaign`` is the id of the one that has these rows.
+    """
     noise, why = _noise(facts)
-    return Seen(
-        facts,
-        _headline(facts),
-        noise,
-        why,
-        [_column(one) for one in facts.columns],
-        _coverage(facts.joints),
-        _places(facts, campaign),
-        [_narrow(joint) for joint in facts.joints if joint.share is not None and joint.share < LITTLE],
-        [(_format_row_place(one.row, lines), one.why) for one in facts.doubtful.rows],
-    )
-
-
-def _format_row_place(row: int, lines: Sequence[int]) -> str:
-    return f"{row} (line {lines[row - 1]} of the file)" if row <= len(lines) else str(row)
+    little = [one for one in facts.joints if one.share is not None and one.share < LITTLE]
+    places = {row: f"{row} (line {line} of the file)" for row, line in enumerate(lines, 1)}
+    return {
+        "facts": facts,
+        "headline": _headline(facts),
+        "noise": noise,
+        "noise_why": why,
+        "columns": [_column(one) for one in facts.columns],
+        "coverage": _coverage(facts.joints),
+        "places": _places(facts, campaign),
+        "little": [f"{joint.name} ({words.percent(joint.share)})" for joint in little],
+        "doubts": [(places.get(one.row, str(one.row)), one.why) for one in facts.doubtful.rows],
+    }
 
 
 def _headline(facts: Facts) -> str:
@@ -148,8 +140,7 @@ def _noise(facts: Facts) -> tuple[str, str]:
     return words.NONE, "no pose was measured twice, so the rows do not say it. Visit some poses again"
 
 
-def _column(one: object) -> Sequence[str]:
-    assert isinstance(one, ColumnFacts)
+def _column(one: ColumnFacts) -> Sequence[str]:
     gaps = "none" if one.empty == 0 else words.count(one.empty)
     return [one.name, one.what, one.unit or "–", words.number(one.low, 5), words.number(one.high, 5), gaps]
 
@@ -169,50 +160,19 @@ def _coverage(joints: Sequence[JointFacts]) -> Coverage:
     return Coverage("Readings of each joint within its limits", bars, (head, rows))
 
 
-def _narrow(joint: JointFacts) -> str:
-    return f"{joint.name} ({words.percent(joint.share)})"
-
-
 def _places(facts: Facts, campaign: str) -> list[Plot]:
     """Where the tool was seen, from above and from the side; rows that look wrong stand out."""
     if not facts.places:
         return []
-    odd = {one.row for one in facts.doubtful.rows}
-    out = []
-    for title, across, up in (("From above", 0, 1), ("From the side", 0, 2)):
-        points = [(row, place[across], place[up]) for row, place in facts.places]
-        axes = [around(f"{'xyz'[k]}, mm", [point[n] for point in points]) for n, k in ((1, across), (2, up))]
-        plot = Plot(
-            title,
-            axes[0],
-            axes[1],
-            width=420,
-            height=320,
-            description=f"{title}: places that were measured, mm",
-        )
-        plain = [point for point in points if point[0] not in odd]
-        names = [f"row {p[0]}" for p in plain]
-        plot.points(
-            [p[1] for p in plain], [p[2] for p in plain], "measured", 0, BLUE, names, _identities(plain, campaign)
-        )
-        marked = [point for point in points if point[0] in odd]
-        if marked:
-            names = [f"row {p[0]}, looks wrong" for p in marked]
-            plot.points(
-                [p[1] for p in marked],
-                [p[2] for p in marked],
-                "looks wrong",
-                2,
-                ERROR,
-                names,
-                _identities(marked, campaign),
-            )
-        numbers = [[f"row {row}", *(words.number(value, 6) for value in place)] for row, place in facts.places[:100]]
-        plot.table = (["Row", "x, mm", "y, mm", "z, mm"], numbers)
-        out.append(plot)
-    return out
-
-
-def _identities(points: Sequence[tuple[int, float, float]], campaign: str) -> list[str]:
-    """What tells each row from all others, wherever it is shown; nothing of rows that are not stored."""
-    return [f"{campaign}/{row}" for row, _, _ in points] if campaign else []
+    odd, groups = {one.row for one in facts.doubtful.rows}, list[Group]()
+    for wrong, label, number, colour, tail in (
+        (False, "measured", 0, BLUE, ""),
+        (True, "looks wrong", 2, ERROR, ", looks wrong"),
+    ):
+        which = [k for k, (row, _) in enumerate(facts.places) if (row in odd) == wrong]
+        rows = [facts.places[k][0] for k in which]
+        identities = [f"{campaign}/{row}" for row in rows] if campaign else []  # nothing of rows that are not stored
+        groups.append((label, number, colour, which, [f"row {row}{tail}" for row in rows], identities))
+    numbers = [[f"row {row}", *(words.number(value, 6) for value in place)] for row, place in facts.places[:100]]
+    table = (["Row", "x, mm", "y, mm", "z, mm"], numbers)
+    return places_from_two_sides([place for _, place in facts.places], groups, ": places that were measured, mm", table)

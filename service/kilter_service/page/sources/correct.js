@@ -1,9 +1,10 @@
 // data-correct="PATH"   sends the chosen path as it is, shows what became of each row, and keeps the answer to be downloaded
 // data-reads="ID"       puts the text of the chosen file into the text area with that id, beside the file's name
+import { drawn } from "./arm/words.js";
+
 const LISTED = 200;
 const DIGITS = 4; // of a degree or mm in the list; the file has all
 const BARS = 400;
-const SVG = "http://www.w3.org/2000/svg";
 const LOOKS = { OK: "good", UNSURE: "warn", DAMPED: "warn", LIMITED: "warn" }; // all others are refusals
 const COLOURS = { good: "var(--corrected)", warn: "var(--set-aside)", bad: "var(--error)" };
 const lookOf = (row) => LOOKS[row.status] || "bad";
@@ -16,13 +17,7 @@ function parsed(text) {
 /** One bar for some rows: as high as the largest correction among them, coloured by the worst of them. */
 function strip(rows) {
   const [width, height] = [800, 110];
-  const svg = document.createElementNS(SVG, "svg");
-  const title = document.createElementNS(SVG, "title");
-  title.textContent = "Corrections of the path";
-  svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
-  svg.setAttribute("role", "img");
-  svg.setAttribute("preserveAspectRatio", "none");
-  svg.append(title);
+  const svg = drawn("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", preserveAspectRatio: "none" }, drawn("title", {}, "Corrections of the path"));
   const moved = (row) => Math.hypot(...["dx_mm", "dy_mm", "dz_mm"].map((name) => Number(row[name]) || 0));
   const most = rows.reduce((found, row) => Math.max(found, moved(row)), 1e-9);
   const step = Math.ceil(rows.length / BARS);
@@ -31,9 +26,8 @@ function strip(rows) {
     const looks = some.map(lookOf);
     const look = ["bad", "warn", "good"].find((one) => looks.includes(one));
     const high = look === "bad" ? height : Math.max(2, (height * Math.max(...some.map(moved))) / most);
-    const bar = document.createElementNS(SVG, "rect");
     const place = { x: (first / rows.length) * width, width: Math.max((some.length / rows.length) * width, 1), y: height - high, height: high };
-    Object.entries(place).forEach(([name, value]) => bar.setAttribute(name, value.toFixed(1)));
+    const bar = drawn("rect", Object.fromEntries(Object.entries(place).map(([name, value]) => [name, value.toFixed(1)])));
     bar.style.fill = COLOURS[look];
     svg.append(bar);
   }

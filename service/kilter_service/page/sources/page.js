@@ -4,7 +4,6 @@
 //   data-theme-switch       changes between light and dark
 //   data-drop               a place where files can be dropped: hands them to the file input within
 import htmx from "htmx.org";
-import "./versions.js";
 import "./drop.js";
 import "./jobs.js";
 import "./correct.js";
@@ -12,7 +11,6 @@ import "./login.js";
 import "./palette.js";
 import { missed } from "./lost.js";
 import { ended, offer } from "./ended.js";
-import "./shapes.js";
 import * as rows from "./rows.js";
 import { savable } from "./saving.js";
 
@@ -92,10 +90,6 @@ function follow(place) {
   });
 }
 
-function confirmBefore(button) {
-  button.addEventListener("click", () => document.getElementById(button.dataset.confirm).showModal());
-}
-
 function takeDrops(place) {
   const input = place.querySelector('input[type="file"]');
   place.addEventListener("dragover", (event) => {
@@ -111,28 +105,19 @@ function takeDrops(place) {
   });
 }
 
-function switchTheme(button) {
-  button.addEventListener("click", () => {
-    const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
-    const now = document.documentElement.dataset.theme || (dark ? "dark" : "light");
-    const next = now === "dark" ? "light" : "dark";
-    document.documentElement.dataset.theme = next;
-    localStorage.setItem("kilter-theme", next);
-  });
+function switchTheme() {
+  const dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+  const now = document.documentElement.dataset.theme || (dark ? "dark" : "light");
+  const next = now === "dark" ? "light" : "dark";
+  document.documentElement.dataset.theme = next;
+  localStorage.setItem("kilter-theme", next);
 }
 
 const BEHAVIOURS = {
   "[data-follow]": follow,
-  "[data-confirm]": confirmBefore,
   "[data-drop]": takeDrops,
-  "[data-theme-switch]": switchTheme,
-  "dialog [data-close]": closeDialog,
 };
 const started = new WeakSet(); // a part that is swapped in stands beside elements that have their behaviour already
-
-function closeDialog(button) {
-  button.addEventListener("click", () => button.closest("dialog")?.close());
-}
 
 function start(within) {
   for (const [named, give] of Object.entries(BEHAVIOURS)) {
@@ -145,10 +130,22 @@ function start(within) {
   }
 }
 
-document.addEventListener("click", (event) => {
-  const point = event.target.closest("[data-goto]"); // of a figure, which has a table beside it
+document.addEventListener("click", ({ target }) => {
+  const point = target.closest("[data-goto]"); // of a figure, which has a table beside it
   if (point) window.location.href = point.dataset.goto;
+  const asks = target.closest("[data-confirm]");
+  if (asks) document.getElementById(asks.dataset.confirm).showModal();
+  if (target.closest("[data-theme-switch]")) switchTheme();
+  target.closest("dialog [data-close]")?.closest("dialog").close();
 });
+
+// data-opens="ID": the <dialog> with that id opens once htmx has filled it.
+document.addEventListener("htmx:afterSwap", (event) => {
+  const opens = event.detail.requestConfig?.elt?.dataset?.opens;
+  const dialog = opens && document.getElementById(opens);
+  if (dialog && !dialog.open) dialog.showModal();
+});
+
 // Figures are as wide as the window was at the view before: where it is much narrower now, nobody could read them.
 const tight = [...document.querySelectorAll("figure > svg")].some((one) => one.clientWidth && one.viewBox.baseVal.width > 1.6 * one.clientWidth);
 if (tight && performance.getEntriesByType("navigation")[0]?.type === "navigate") window.location.reload();

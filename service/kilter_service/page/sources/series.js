@@ -1,4 +1,6 @@
 // data-series="PATH"   a column of a campaign, row by row: the server sends the least and the greatest value of each pixel
+import { row } from "./arm/words.js";
+
 const TABLE_ROWS = 20;
 const MOST_MARKED = 500; // as many as the server takes
 
@@ -96,11 +98,8 @@ function start(form) {
     const rows = [];
     for (let k = 0; k < found.x.length; k += step) {
       const part = found.y.slice(k, k + step).filter((value) => value !== null);
-      const row = document.createElement("tr");
       const ends = part.length ? [Math.min(...part), Math.max(...part)].map((value) => value.toPrecision(6)) : ["–", "–"];
-      const names = `${found.x[k]} to ${found.x[Math.min(k + step, found.x.length) - 1]}`;
-      row.append(...[names, ...ends].map((text, n) => cell(text, n)));
-      rows.push(row);
+      rows.push(row([`${found.x[k]} to ${found.x[Math.min(k + step, found.x.length) - 1]}`, ...ends]));
     }
     body.replaceChildren(...rows);
   }
@@ -118,14 +117,6 @@ function start(form) {
     const there = new Set(drawn.x);
     if (some.length <= MOST_MARKED && some.some((row) => !there.has(row))) load(...shown); // one that is chosen was not among those drawn
   });
-}
-
-function cell(text, place) {
-  const made = document.createElement(place ? "td" : "th");
-  if (place) made.className = "number";
-  else made.scope = "row";
-  made.textContent = text;
-  return made;
 }
 
 function numbers(text) {

@@ -1,5 +1,7 @@
 // The live view of a stream: server-sent events into numbers, two plots and three tables.
 // Numbers and plots follow every event; tables change once a second, so that they can be read.
+import { drawn } from "./arm/words.js";
+
 const SECONDS = 60;
 const STALE_MS = 6000;
 const CONDITIONS = { corrected: ["good", "corrected"], partly: ["warn", "partly refused"], bypass: ["bad", "bypass"], silent: ["faint", "no setpoints"] };
@@ -60,10 +62,10 @@ function rows(table, cells) {
 }
 
 function bar(share) {
-  const drawn = document.createElement("span");
-  drawn.className = "bar";
-  drawn.style.width = `${(100 * share).toFixed(1)}%`;
-  return drawn;
+  const box = document.createElement("span");
+  box.className = "bar";
+  box.style.width = `${(100 * share).toFixed(1)}%`;
+  return box;
 }
 
 /** A stream's section: its elements, and the last minute of its numbers. */
@@ -163,15 +165,9 @@ const colour = (k) => getComputedStyle(document.documentElement).getPropertyValu
 
 /** An entry of the legend: the line as it is drawn, and its name. */
 function key(name, k) {
-  const SVG = "http://www.w3.org/2000/svg";
-  const drawn = document.createElementNS(SVG, "svg");
-  const line = document.createElementNS(SVG, "line");
   const of = { x1: 0, x2: 28, y1: 6, y2: 6, "stroke-width": 2, class: `line-${k % COLOURS}`, "stroke-dasharray": DASHES[k % DASHES.length].join(" ") };
-  Object.entries(of).forEach(([attribute, value]) => line.setAttribute(attribute, value));
-  Object.entries({ width: 28, height: 12, "aria-hidden": "true" }).forEach(([attribute, value]) => drawn.setAttribute(attribute, value));
-  drawn.append(line);
   const entry = document.createElement("span");
-  entry.append(drawn, ` ${name}`);
+  entry.append(drawn("svg", { width: 28, height: 12, "aria-hidden": "true" }, drawn("line", of)), ` ${name}`);
   return entry;
 }
 
@@ -237,9 +233,9 @@ function show(told) {
 }
 
 function add(name) {
-  const drawn = [...part("streams").children].find((one) => one.dataset.name === name);
-  const section = new Section(name, JSON.parse(drawn?.dataset.minute || "[]"));
-  if (drawn) drawn.replaceWith(section.element);
+  const there = [...part("streams").children].find((one) => one.dataset.name === name);
+  const section = new Section(name, JSON.parse(there?.dataset.minute || "[]"));
+  if (there) there.replaceWith(section.element);
   else part("streams").append(section.element);
   sections.set(name, section);
 }

@@ -14,9 +14,8 @@ from kilter_service.campaigns import looking
 from kilter_service.ground.db import Database
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.wire import joint_scale
-from kilter_service.page.figures.meanings import CORRECTED, FITTED, HELD_OUT
-from kilter_service.page.figures.plot import Plot, Table
-from kilter_service.page.figures.scale import around, category_axis, lengths
+from kilter_service.page.figures.plot import CORRECTED, FITTED, HELD_OUT, Plot, Table, around, lengths
+from kilter_service.page.shared.errors_drawn import grouped_bars, rows_to_draw
 from kilter_service.page.words import in_columns
 from kilter_service.versions import service
 from kilter_service.versions.predictions.paired import error_lengths, residuals
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from kilter_core.types import Floats
 
 
-MOST_POINTS, WORST = 1200, 100  # points that are drawn of a figure, and how many of them are the largest errors
 BINS, ROWS_OF_MEAN = 10, 5  # bins of about as many rows each, and rows from which a mean is shown
 SURE = 1.96  # standard errors on each side of a mean: 95 %
 
@@ -107,7 +105,7 @@ def _course(seen: Seen, cause: Cause) -> Plot:
     there = np.flatnonzero(~np.isnan(cause.values) & ~np.isnan(seen.sizes))
     found = [_mean(seen.sizes[part], cause.values[part]) for part in _equal_count_bins(there, cause.values)]
     bins = [one for one in found if one is not None]
-    drawn = _drawn(there, seen.sizes)
+    drawn = there[rows_to_draw(seen.sizes[there])]
     plot = Plot(
         f"Error {cause.title}",
         around(cause.label, cause.values[there].tolist()),
@@ -136,17 +134,16 @@ def _levels(seen: Seen, cause: Cause) -> Plot:
         if found is not None:
             names.append(name)
             bars.append(found)
-    plot = Plot(
+    return grouped_bars(
         f"Error {cause.title}",
-        category_axis(cause.label, names),
-        lengths("mean error", [one[3] for one in bars], zero=True),
-        width=280.0,
-        height=240.0,
+        names,
+        [("", "", [one[1] for one in bars])],
+        what="mean error",
+        across=cause.label,
+        size=(280.0, 240.0),
         description="Whiskers are the 95 % interval of the mean.",
         table=_table("Direction", names, bars),
-    )
-    return plot.bars(
-        [k + 0.5 for k in range(len(bars))], [one[1] for one in bars], 0.5, errors=[(one[2], one[3]) for one in bars]
+        errors=[(one[2], one[3]) for one in bars],
     )
 
 
@@ -171,11 +168,3 @@ def _mean(sizes: Floats, values: Floats) -> tuple[float, float, float, float, in
         return None
     mean, error = float(sizes.mean()), float(sizes.std(ddof=1)) / math.sqrt(len(sizes))
     return float(np.median(values)), mean, max(mean - SURE * error, 0.0), mean + SURE * error, len(sizes)
-
-
-def _drawn(there: Any, sizes: Floats) -> Any:
-    """Rows that are drawn: all, or some evenly chosen and the largest errors."""
-    if len(there) <= MOST_POINTS:
-        return there
-    even = there[:: -(-len(there) // (MOST_POINTS - WORST))]
-    return np.unique(np.concatenate([even, there[np.argsort(sizes[there])[-WORST:]]]))

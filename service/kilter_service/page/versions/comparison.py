@@ -1,31 +1,85 @@
-"""Two versions side by side: the parameters that differ, and what each leaves of the same rows."""
+"""Two versions side by side, and what would change by activating one."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kilter_core.errors import CoreError
 from kilter_service.campaigns import service as campaigns
-from kilter_service.contract.campaigns import Campaign
-from kilter_service.contract.versions import PairedErrors, ParameterChange, Version, VersionDiff
+from kilter_service.contract.versions import Version, VersionPreview
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.page.figures.plot import Plot
-from kilter_service.page.figures.scale import around, category_axis, lengths
-from kilter_service.page.versions.paired import maps
-from kilter_service.page.words import in_columns
-from kilter_service.versions import service
+from kilter_service.ground.wire import to_mm
+from kilter_service.page.figures.plot import BLUE, SKY, Group, Plot, around, lengths, places_from_two_sides
+from kilter_service.page.shared.errors_drawn import grouped_bars, rows_to_draw
+from kilter_service.page.shared.standing import accuracy_from_metrics
+from kilter_service.page.words import format_in_largest_unit, in_columns, largest
+from kilter_service.robots import service as robots
+from kilter_service.robots.compensation import sentence
+from kilter_service.robots.exporters.registry import FORMATS
+from kilter_service.versions import activation, service
+from kilter_service.versions.if_match import tag_of_robot
 from kilter_service.versions.predictions import differences
+from kilter_service.versions.predictions import places as measured
+from kilter_service.versions.predictions.paired import Pairs
+from kilter_service.versions.predictions.preview import preview
+
+if TYPE_CHECKING:
+    from kilter_core.types import Floats
+
+
+def maps(database: Database, found: Pairs, names: Sequence[str], version: str) -> list[Plot]:
+    """Draw where each version is better on the rows that were paired; nothing where tools have no place.
+
+    ``version`` says where the tools are.
+    """
+    table = found.tables[0]
+    campaign, row = np.asarray(table["campaign"])[found.used], np.asarray(table["row"])[found.used]
+    difference = found.sizes[0] - found.sizes[1]
+    places, gains, rows = [], [], []
+    for one in dict.fromkeys(campaign.tolist()):
+        try:
+            seen = measured.places(database, version, one)
+        except ServiceError:
+            return []
+        mine = dict(zip(row[campaign == one].tolist(), difference[campaign == one].tolist(), strict=True))
+        kept = [k for k, number in enumerate(seen.row.tolist()) if number in mine]
+        places.append(to_mm(seen.at[kept]))
+        gains += [mine[number] for number in seen.row[kept].tolist()]
+        rows += [f"{one}/{number}" for number in seen.row[kept].tolist()]
+    at, gain = np.concatenate(places), np.array(gains)
+    drawn = rows_to_draw(np.abs(gain))
+    return _maps(at[drawn], gain[drawn], [rows[int(k)] for k in drawn], names)
+
+
+def _maps(at: Floats, gain: Floats, rows: Sequence[str], names: Sequence[str]) -> list[Plot]:
+    most, groups = largest(gain), list[Group]()
+    for better, name, number, colour in ((True, names[1], 1, SKY), (False, names[0], 0, BLUE)):
+        part = np.flatnonzero((gain > 0) == better).tolist()
+        told = [f"{format_in_largest_unit(abs(gain[k]), most)} {'less' if better else 'more'} left" for k in part]
+        groups.append((f"{name} better", number, colour, part, told, [rows[k] for k in part]))
+    worst = np.argsort(gain)[:10]
+    unit, more = in_columns([[float(-gain[k])] for k in worst])
+    numbers = [
+        [rows[int(k)].rpartition("/")[2], *(f"{v:.0f}" for v in at[k]), left]
+        for k, (left,) in zip(worst, more, strict=True)
+    ]
+    table = (["Row", "x, mm", "y, mm", "z, mm", f"More left by {names[1]}, {unit}"], numbers)
+    about = f": at which measured places {names[1]} is better than {names[0]}, and where it is worse."
+    return places_from_two_sides(at.tolist(), groups, about, table, (480.0, 340.0))
+
 
 MOST_CAMPAIGNS, MOST_VERSIONS = 20, 12
 MOST_AT_ONCE = 5000  # rows that are paired before the view is sent: 0.15 s of processor
 SAME = 1e-9  # smaller differences are rounding
 STEPS = 200  # of a cumulative curve
-BARS = ("mean_mm", "p95_mm", "max_mm")
 MEASURES = {"mean_mm": "mean", "p95_mm": "95 % of the rows", "max_mm": "largest"}
 
 
@@ -41,55 +95,18 @@ class Left:
         """Mean, 95th percentile and largest, mm."""
         sizes = np.asarray(self.sizes)
         found = (float(sizes.mean()), float(np.percentile(sizes, 95)), float(sizes.max()))
-        return dict(zip(BARS, found, strict=True))
+        return dict(zip(MEASURES, found, strict=True))
 
 
-@dataclass(frozen=True)
-class Compared:
-    """Two versions, the campaigns to choose from, and what was found on those that were chosen."""
-
-    robot: str
-    a: Version | None
-    b: Version | None
-    diff: VersionDiff
-    changed: Sequence[ParameterChange]
-    campaigns: Sequence[Campaign]
-    chosen: Sequence[str]
-    left: Sequence[Left]
-    bars: Plot | None
-    curve: Plot | None
-    maps: Sequence[Plot]
-
-    @property
-    def paired(self) -> PairedErrors | None:
-        """What both leave of the same rows."""
-        return self.diff.paired
-
-    @property
-    def later(self) -> int:
-        """How many rows are paired only when the view has asked for them; 0 where all is said."""
-        if self.diff.paired is not None or self.diff.not_paired:
-            return 0
-        return sum(one.rows for one in self.campaigns if one.id in self.chosen)
-
-    @property
-    def moved(self) -> list[ParameterChange]:
-        """Parameters that differ by more than their uncertainty, or are in one version only."""
-        return [one for one in self.changed if one.moved]
-
-    @property
-    def within(self) -> list[ParameterChange]:
-        """The others that differ."""
-        return [one for one in self.changed if not one.moved]
-
-    @property
-    def same(self) -> int:
-        """How many parameters do not differ."""
-        return len(self.diff.parameters) - len(self.changed)
+Compared = dict[str, Any]
 
 
 def compared_versions(database: Database, a: str, b: str, wanted: Sequence[str] | None, whole: bool = True) -> Compared:
-    """Compare two versions on rows held out of both, where there are such; many rows only for the ``whole``."""
+    """Compare two versions on rows held out of both, where there are such; many rows only for the ``whole``.
+
+    ``moved`` are parameters that differ by more than their uncertainty, or are in one version only, ``within`` the others that
+    differ, ``same`` how many do not; ``later`` rows are paired only when the view has asked for them.
+    """
 
     def few(chosen: Sequence[str]) -> bool:
         robot = service.get(database, differences.resolve_version_id(a)).robot
@@ -101,12 +118,27 @@ def compared_versions(database: Database, a: str, b: str, wanted: Sequence[str] 
     sides = [None if name == differences.NOMINAL else service.get(database, name) for name in (diff.a, diff.b)]
     known = next(side for side in sides if side is not None)
     there = [one for one in campaigns.list_campaigns(database, known.robot, Page()).campaigns if one.rows]
-    names = [title(side) for side in sides if side is not None]
+    names = [display_name(side) for side in sides if side is not None]
     left = [] if rows is None else [Left(n, sizes.tolist()) for n, sizes in zip(names, rows.sizes, strict=True)]
-    bars, curve = (None, None) if not left else (_bars(left), _curve(left))
     changed = [one for one in diff.parameters if one.change is None or abs(one.change) > SAME]
-    drawn = [] if rows is None else maps(database, rows, names, diff.b)
-    return Compared(known.robot, sides[0], sides[1], diff, changed, there, found.campaigns, left, bars, curve, drawn)
+    told = diff.paired is not None or diff.not_paired
+    return {
+        "robot": known.robot,
+        "a": sides[0],
+        "b": sides[1],
+        "diff": diff,
+        "paired": diff.paired,
+        "moved": [one for one in changed if one.moved],
+        "within": [one for one in changed if not one.moved],
+        "same": len(diff.parameters) - len(changed),
+        "campaigns": there,
+        "chosen": found.campaigns,
+        "later": 0 if told else sum(one.rows for one in there if one.id in found.campaigns),
+        "left": left,
+        "bars": _bars(left) if left else None,
+        "curve": _curve(left) if left else None,
+        "maps": [] if rows is None else maps(database, rows, names, diff.b),
+    }
 
 
 def several(
@@ -128,35 +160,18 @@ def several(
             )
     first, second, *others = found
     usual = compared_versions(database, first.id, second.id, None, whole)
-    rest = [(one, compared_versions(database, first.id, one.id, usual.chosen, whole)) for one in others]
+    rest = [(one, compared_versions(database, first.id, one.id, usual["chosen"], whole)) for one in others]
     return [(first, None), (second, usual), *rest]
 
 
-def title(version: Version) -> str:
-    """Return what a version is called in a picture."""
-    return display_name(version)
-
-
 def _bars(left: Sequence[Left]) -> Plot:
-    names = [MEASURES[measure] for measure in BARS]
-    values = [[one.numbers[measure] for measure in BARS] for one in left]
-    unit, sizes = in_columns(list(zip(*values, strict=True)))
-    drawn = Plot(
+    return grouped_bars(
         "Errors on the same rows",
-        category_axis("", names),
-        lengths("error", [v for row in values for v in row], zero=True),
-        height=280.0,
+        list(MEASURES.values()),
+        [(one.name, "", [one.numbers[measure] for measure in MEASURES]) for one in left],
+        size=(640.0, 280.0),
         description="Mean, 95th percentile and largest error of each version on the rows chosen.",
-        table=(
-            [f"error, {unit}", *(one.name for one in left)],
-            [[name, *row] for name, row in zip(names, sizes, strict=True)],
-        ),
     )
-    width = 0.7 / len(left)
-    for number, (one, row) in enumerate(zip(left, values, strict=True)):
-        places = [k + 0.5 + (number - (len(left) - 1) / 2) * width for k in range(len(BARS))]
-        drawn.bars(places, row, 0.9 * width, one.name, number)
-    return drawn
 
 
 def _curve(left: Sequence[Left]) -> Plot:
@@ -179,3 +194,93 @@ def _curve(left: Sequence[Left]) -> Plot:
     for number, (one, curve) in enumerate(zip(left, curves, strict=True)):
         drawn.line(curve.tolist(), shares.tolist(), one.name, number)
     return drawn
+
+
+log = logging.getLogger("kilter.page")
+
+NAMES = {
+    "json": "Kilter's own document",
+    "urdf": "URDF",
+    "mjcf": "calibrated twin for MuJoCo",
+    "usd": "calibrated twin for simulators of USD",
+    "dh-csv": "table of DH parameters",
+    "mdh-csv": "table of modified DH parameters",
+    "ur-yaml": "calibration of the Universal Robots driver",
+    "matlab": "function for MATLAB",
+    "corrector": "program for the corrector in C",
+    "c": "corrector and program as one C file",
+}
+REFUSED = {
+    "CORRECTION_TOO_LARGE": "the correction is larger than the version's limits",
+    "JOINT_LIMIT": "the corrected joint is outside its limits",
+    "RATE_LIMIT": "the correction changes too fast",
+    "NOT_FINITE": "no correction is found there",
+}
+
+
+def correction_ahead(database: Database, version_id: str, temperature_c: float | None) -> dict[str, Any]:
+    """Look at what a version would do. A preview that fails is a sentence: it decides nothing, and keeps nobody.
+
+    ``etag`` is the state that this was looked at in, ``larger`` the larger of the two errors, mm, whose unit both have,
+    ``controller`` what follows from what the controller does by itself, empty where nothing does.
+    """
+    found = service.get(database, version_id)
+    etag = tag_of_robot(database, found.robot)  # before the rest: what changes meanwhile is refused later
+    robot = robots.get(database, found.robot)
+    active = None if robot.active_version is None else service.get(database, robot.active_version)
+    errors = [None if one is None else accuracy_from_metrics(one.metrics) for one in (found, active)]
+    preview, failed = _try_preview(database, version_id, temperature_c)
+    units = [" mm" if joint.kind == "prismatic" else "°" for joint in robot.joints]
+    largest_at, refused = ([], {}) if preview is None else (preview.largest_at or [], preview.refused)
+    angles = zip(robot.joints, largest_at, units, strict=False)
+    return {
+        "version": found,
+        "accuracy": errors[0],
+        "active": active,
+        "active_accuracy": errors[1],
+        "larger": max((one.mean for one in errors if one is not None), default=0.0),
+        "preview": preview,
+        "failed": failed,
+        "where": [(joint.name, f"{value:.1f}{unit}") for joint, value, unit in angles],
+        "refused": [(count, REFUSED.get(why, why.lower().replace("_", " "))) for why, count in refused.items()],
+        "etag": etag,
+        "controller": sentence(found.robot, robot.controller_compensation),
+    }
+
+
+def _try_preview(database: Database, version_id: str, temperature_c: float | None) -> tuple[VersionPreview | None, str]:
+    """The preview, or why there is none."""
+    try:
+        return preview(database, version_id, temperature_c), ""
+    except CoreError as error:
+        return None, f"What it would correct could not be computed: {error.message}"
+    except Exception:
+        log.exception("the preview of version %s failed", version_id)
+        return None, (
+            "What it would correct could not be computed; the server's log has the cause. Going on does not need it: only "
+            "look at a corrected path before the arm moves by it."
+        )
+
+
+def back(database: Database, robot: str, temperature_c: float | None) -> dict[str, Any]:
+    """Look at what a roll-back would do.
+
+    Raises:
+        ServiceError: there is no version to go back to.
+
+    """
+    return correction_ahead(database, activation.rollback_target(database, robot), temperature_c)
+
+
+def exports(database: Database, version_id: str) -> list[dict[str, Any]]:
+    """Return each format that a version can be written as: what its file leaves out, or why it cannot be."""
+    found = []
+    for name in FORMATS:
+        notes: Sequence[str] = ()
+        refusal = ""
+        try:
+            notes = service.exported_notes(database, version_id, name)
+        except CoreError as error:  # a format that cannot hold this arm
+            refusal = error.message
+        found.append({"format": name, "name": NAMES.get(name, name), "notes": notes, "refusal": refusal})
+    return found

@@ -1,39 +1,141 @@
-"""Versions in the browser."""
+"""The versions of a robot, one of them, and who activated what."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Form, Query, Request, Response
+from fastapi import Form, Query, Request, Response
 from fastapi.responses import HTMLResponse
 
-from kilter_service.contract.versions import ActivationWish
+from kilter_service.campaigns.suspicious import service as suspicious
+from kilter_service.contract.versions import ActivationWish, VersionSummary
+from kilter_service.ground.called import display_name
 from kilter_service.ground.correction_outcome import REACHED_M
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.paging import Page
 from kilter_service.ground.wire import joint_scale, to_mm
-from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, RED, Plot
-from kilter_service.page.figures.scale import around
-from kilter_service.page.route import PageRoute
-from kilter_service.page.shared import contributions
-from kilter_service.page.shared.in_names import in_names
-from kilter_service.page.shared.lists import Asked
-from kilter_service.page.shell import get_root_path, redirect, render
-from kilter_service.page.versions import by_factor, comparison, looking_ahead, service
-from kilter_service.page.versions.looking_ahead import REFUSED
-from kilter_service.page.words import bare, largest, percent, unit
-from kilter_service.versions import activation
+from kilter_service.page.answers import redirect, render, router
+from kilter_service.page.figures.plot import BLUE, GREY, ORANGE, RED, Plot, around, category_axis, lengths
+from kilter_service.page.shared import errors_drawn
+from kilter_service.page.shared.lists import Asked, Part, select_page
+from kilter_service.page.shared.naming import in_names, objections_in_names, of_a_mass, parameter_rows
+from kilter_service.page.shared.standing import Accuracy, accuracy_from_metrics
+from kilter_service.page.versions import by_factor, comparison
+from kilter_service.page.versions import comparison as looking_ahead
+from kilter_service.page.versions.comparison import REFUSED
+from kilter_service.page.words import bare, in_columns, largest, percent, unit
+from kilter_service.robots import service as robots
+from kilter_service.versions import activation, service
 from kilter_service.versions.addressed import AddressedVersion, FirstVersion, SecondVersion
 from kilter_service.versions.if_match import Expected
+from kilter_service.versions.predictions import places
 from kilter_service.versions.predictions.places import workspace
+from kilter_service.versions.today import service as today
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
 
 if TYPE_CHECKING:
     from kilter_core.types import Floats
+
+
+MOST_SHOWN = 200  # versions to compare one with
+MOST_BARS = 24
+LOG = "log"  # the page of the activations, in the address
+
+
+Listed = tuple[VersionSummary, Accuracy | None]  # a version in the list, with its error
+
+
+def history(database: Database, robot: str, asked: Asked, log: Asked) -> dict[str, Any]:
+    """Return the versions of a robot that the address asks for, those that are retired too: the lineage has them.
+
+    ``active`` is the version that the robot is corrected with, ``last`` the newest activation, ``names`` those of versions,
+    ``standing`` how good the robot is today in words.
+    """
+    made = service.list_versions(database, robot, Page(), with_retired=True).versions
+    found = [(one, accuracy_from_metrics(one.metrics)) for one in made]
+    entries = service.activations(database, robot, Page()).activations
+    shown = select_page(entries, log, lambda _: "", {}, named=LOG)
+    named = [
+        one.model_copy(update={"objections": objections_in_names(database, one.objections)}) for one in shown.shown
+    ]
+    return {
+        "robot": robots.get(database, robot),
+        "versions": _select_versions_page(found, asked),
+        "activations": replace(shown, shown=named),
+        "figure": errors_by_version(found),
+        "active": next((one for one in made if one.active), None),
+        "last": entries[0] if entries else None,
+        "names": {one.id: display_name(one) for one in made},
+        "standing": today.of_robot(database, robot).sentences[0],
+    }
+
+
+def _select_versions_page(found: Sequence[Listed], asked: Asked) -> Part[Listed]:
+    return select_page(
+        found,
+        asked,
+        lambda one: f"{one[0].name} {one[0].id} {one[0].notes} {' '.join(one[0].effects)}",
+        {
+            "name": lambda one: display_name(one[0]),
+            "made": lambda one: one[0].created_at,
+            "error": lambda one: one[1].mean if one[1] else None,
+        },
+        {"state": lambda one: "active" if one[0].active else "retired" if one[0].retired_at else "other"},
+        "-made",
+    )
+
+
+def load_version(database: Database, version_id: str) -> dict[str, Any]:
+    """Return a version with all that its view says of it; ``parent`` is the name of the version it was started from."""
+    found = service.get(database, version_id)
+    known = [
+        one for one in found.parameters if one.value is not None and (one.identifiable is not False or one.from_prior)
+    ]
+    others = service.list_versions(database, found.robot, Page(limit=MOST_SHOWN)).versions
+    return {
+        "version": found,
+        "accuracy": accuracy_from_metrics(found.metrics),
+        "rows": parameter_rows(known, places.prior_sigmas(database, version_id)),
+        "unseen": [one for one in found.parameters if one not in known and not of_a_mass(one.name)],
+        "others": sorted((one for one in others if one.id != version_id), key=lambda one: not one.active),
+        "suspicious": suspicious.of_campaigns(database, (used.id for used in found.campaigns)),
+        "today": today.of_robot(database, found.robot) if found.active else None,
+        "parent": "" if found.parent_id is None else display_name(service.get(database, found.parent_id)),
+    }
+
+
+def errors_by_version(found: Sequence[Listed]) -> Plot | None:
+    """Draw the held-out error of each version, oldest first; None with fewer than two."""
+    known = [(version, error) for version, error in reversed(found) if error and error.held_out]
+    if len(known) < 2:
+        return None
+    known = known[-MOST_BARS:]
+    names = [version.name or f"{version.created_at:%m-%d %H:%M:%S}" for version, _ in known]
+    means = [accuracy.mean for _, accuracy in known]
+    ends = [(a.mean if a.low is None else a.low, a.mean if a.high is None else a.high) for _, a in known]
+    unit, sizes = in_columns([[mean, *both] for mean, both in zip(means, ends, strict=True)])
+    table = [[name, mean, f"{low} to {high}"] for name, (mean, low, high) in zip(names, sizes, strict=True)]
+    drawn = Plot(
+        "Held-out error of each version",
+        category_axis("version, oldest first", names),
+        lengths("mean error", [0.0, *means, *(high for _, high in ends)], zero=True),
+        height=260.0,
+        description="A bar for each version, with the 95 % interval of its mean error on the poses held out of its own fit.",
+        table=(["version", f"mean error, {unit}", f"95 % interval, {unit}"], table),
+    )
+    active = [version.active for version, _ in known]
+    for which, label, number, colour in ((True, "active", 0, ""), (False, "not active", 1, GREY)):
+        some = [k for k, one in enumerate(active) if one is which]
+        if some:
+            places, values = [k + 0.5 for k in some], [means[k] for k in some]
+            drawn.bars(places, values, 0.5, label, number, colour, errors=[ends[k] for k in some])
+    return drawn
+
 
 WHAT = {
     "OK": "corrected to within what is stated",
@@ -47,18 +149,8 @@ LOOKS = {"OK": (0, GREY), "UNSURE": (0, GREY), "LIMITED": (1, ORANGE), "DAMPED":
 REFUSED_LOOK = (2, RED)
 
 
-@dataclass(frozen=True)
-class Shown:
-    """Rows of the table (what, share, how many, most that is left), and the map."""
-
-    poses: int
-    unit: str
-    rows: Sequence[tuple[str, str, int, str]]
-    map: Plot
-
-
-def reach_shown(database: Database, version_id: str, temperature_c: float | None) -> Shown:
-    """Look at what a version does all over the joint limits.
+def reach_shown(database: Database, version_id: str, temperature_c: float | None) -> dict[str, Any]:
+    """Look at what a version does all over the joint limits: lines of the table, and the map.
 
     Raises:
         ServiceError: no such version.
@@ -66,16 +158,11 @@ def reach_shown(database: Database, version_id: str, temperature_c: float | None
     """
     seen = workspace(database, version_id, temperature_c)
     found, words = seen.found, np.array(seen.found.words)
-    order = sorted(found.counts, key=_order)
+    order = sorted(found.counts, key=lambda word: _place_among(word, WHAT))
     left = [_most(found.left[words == word]) for word in order]
     most = largest([*left, to_mm(REACHED_M)])
     rows = [
-        (
-            _state_words(word),
-            percent(float((words == word).mean())),
-            int((words == word).sum()),
-            _format_left_error(one, most),
-        )
+        [_state_words(word), percent((words == word).mean()), f"{(words == word).sum()}", _format_left_error(one, most)]
         for word, one in zip(order, left, strict=True)
     ]
     out = to_mm(np.hypot(seen.points[:, 0], seen.points[:, 1]))
@@ -87,18 +174,15 @@ def reach_shown(database: Database, version_id: str, temperature_c: float | None
         width=560.0,
         height=380.0,
         description="Each point is a pose drawn within the joint limits, at the place of its tool.",
-        table=(
-            ["What", "Share", "Poses", f"Most that is left, {unit(most)}"],
-            [[a, b, str(c), d] for a, b, c, d in rows],
-        ),
+        table=(["What", "Share", "Poses", f"Most that is left, {unit(most)}"], rows),
     )
     scale = np.array(joint_scale(seen.robot))
-    for word in sorted(found.counts, key=_drawn):
+    for word in sorted(found.counts, key=lambda word: _place_among(word, LOOKS)):
         mine = np.flatnonzero(words == word)
         number, colour = LOOKS.get(word, REFUSED_LOOK)
         names = [f"{_label(word)}: {', '.join(f'{v:.0f}' for v in found.q[k] * scale)}" for k in mine]
         plot.points(out[mine].tolist(), up[mine].tolist(), _label(word), number, colour, names)
-    return Shown(len(words), unit(most), rows, plot)
+    return {"poses": len(words), "unit": unit(most), "rows": rows, "map": plot}
 
 
 def _most(left: Floats) -> float | None:
@@ -112,12 +196,8 @@ def _format_left_error(left: float | None, most: float | None) -> str:
     return bare(left, most) if left is None or left >= least else f"below {bare(least, most)}"
 
 
-def _order(word: str) -> tuple[int, str]:
-    return (list(WHAT).index(word) if word in WHAT else len(WHAT), word)
-
-
-def _drawn(word: str) -> tuple[int, str]:
-    return (list(LOOKS).index(word) if word in LOOKS else len(LOOKS), word)
+def _place_among(word: str, known: Mapping[str, object]) -> tuple[int, str]:
+    return (list(known).index(word) if word in known else len(known), word)
 
 
 def _state_words(word: str) -> str:
@@ -128,16 +208,15 @@ def _label(word: str) -> str:
     return LABELS.get(word) or f"refused ({word.lower().replace('_', ' ')})"
 
 
-router = APIRouter(include_in_schema=False, route_class=PageRoute)
 LONGEST_TAG, LONGEST_REASON = 100, 500
 Tag = Annotated[str, Form(max_length=LONGEST_TAG)]
 
 
 @router.get("/robots/{robot}/versions")
-def history(robot: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+def show_history(robot: str, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show the versions of a robot and who activated them."""
-    asked, log = Asked.from_request(request, ("state",)), Asked.from_request(request, page=service.LOG)
-    return render(request, "versions/history.html", shown=service.history(database, robot, asked, log))
+    asked, log = Asked.from_request(request, ("state",)), Asked.from_request(request, page=LOG)
+    return render(request, "versions/history.html", shown=history(database, robot, asked, log))
 
 
 @router.get("/robots/{robot}/versions/compare")
@@ -151,16 +230,16 @@ def chosen(
     """Compare versions that were ticked: two of them in full, of more each with the first, many rows once asked for."""
     wanted = list(dict.fromkeys(version or []))
     if len(wanted) == 2:
-        return redirect(request, f"{get_root_path(request)}/versions/{wanted[0]}/compare/{wanted[1]}")
+        return redirect(request, f"/versions/{wanted[0]}/compare/{wanted[1]}")
     return render(
         request, "versions/several.html", robot=robot, several=comparison.several(database, robot, wanted, rows)
     )
 
 
 @router.get("/versions/{version}")
-def version(version: AddressedVersion, request: Request, database: DatabaseOfApp) -> HTMLResponse:
+def show_version(version: AddressedVersion, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show a version."""
-    return render(request, "versions/version.html", shown=service.version(database, version))
+    return render(request, "versions/version.html", shown=load_version(database, version))
 
 
 @router.get("/versions/{version}/exports")
@@ -173,7 +252,7 @@ def exports(version: AddressedVersion, request: Request, database: DatabaseOfApp
 @router.get("/versions/{version}/contributions")
 def effects(version: AddressedVersion, request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show how far each effect of a version moves the tool."""
-    return render(request, "versions/contributions.html", moved=contributions.moved_by_each(database, version))
+    return render(request, "versions/contributions.html", moved=errors_drawn.moved_by_each(database, version))
 
 
 @router.get("/versions/{version}/workspace")
@@ -227,7 +306,7 @@ def activate(
             raise
         said = [in_names(database, str(one["message"])) for one in error.context["objections"]]
         return render(request, "versions/refused.html", 409, version=version, etag=etag, said=said)
-    return redirect(request, f"{get_root_path(request)}/robots/{done.robot}")
+    return redirect(request, f"/robots/{done.robot}")
 
 
 @router.get("/robots/{robot}/rollback")
@@ -243,7 +322,7 @@ def roll_back(
 ) -> Response:
     """Go back to the version before."""
     done = activation.rollback(database, robot, actor, settings.temperature_c, Expected((etag,)))
-    return redirect(request, f"{get_root_path(request)}/robots/{done.robot}")
+    return redirect(request, f"/robots/{done.robot}")
 
 
 @router.get("/versions/{a}/compare/{b}")

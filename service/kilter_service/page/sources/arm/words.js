@@ -22,7 +22,16 @@ export function length(vector) {
   return Math.hypot(...vector);
 }
 
-function row(cells, tag) {
+/** An element of SVG. */
+export function drawn(name, attributes, ...children) {
+  const one = document.createElementNS("http://www.w3.org/2000/svg", name);
+  Object.entries(attributes).forEach(([attribute, value]) => one.setAttribute(attribute, value));
+  one.append(...children);
+  return one;
+}
+
+/** A line of a table, whose first cell is its head. */
+export function row(cells, tag) {
   const line = document.createElement("tr");
   cells.forEach((text, k) => {
     const cell = document.createElement(k === 0 || tag === "th" ? "th" : "td");

@@ -1,1 +1,0 @@
-"""Who changed what, and whether that record is whole."""

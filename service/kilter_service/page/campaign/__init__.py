@@ -1,1 +1,0 @@
-"""The campaigns of a robot, and what one of them holds."""

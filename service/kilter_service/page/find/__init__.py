@@ -1,1 +1,0 @@
-"""The palette: robots, their views, versions, campaigns and jobs by a few letters."""

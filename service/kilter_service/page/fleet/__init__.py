@@ -1,1 +1,0 @@
-"""The first view: all robots of the server."""

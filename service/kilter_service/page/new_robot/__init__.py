@@ -1,1 +1,0 @@
-"""A robot that is added on the page: described, checked and drawn before anything is stored."""

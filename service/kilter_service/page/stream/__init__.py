@@ -1,1 +1,0 @@
-"""The stream of a robot while it runs."""
