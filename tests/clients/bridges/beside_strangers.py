@@ -63,6 +63,8 @@ def played(folder: Path, cycles: int, noise: Noise) -> tuple[int, int, str]:
         with noise(_state_port(bridge)):
             assert bridge.process.stdout is not None
             said = bridge.process.stdout.read()
+    if bridge.process.returncode:
+        raise RuntimeError("\n".join(bridge.said))
     counts = {name: int(number) for name, number in re.findall(r"(late|lost):? (\d+)", said)}
     answers = re.search(r"(\d+) answers", said)
     return sum(counts.values()), int(answers[1]) if answers else 0, said
