@@ -16,7 +16,8 @@ from benchmarks.load import memory_mb, server
 from benchmarks.table import Line, show
 
 ASKED_MB, SETTLED_MB = 300.0, 15.0
-TUTORIAL = Path(__file__).resolve().parents[1] / "docs" / "tutorial"
+REPOSITORY = Path(__file__).resolve().parents[1]
+TUTORIAL = REPOSITORY / "docs" / "tutorial"
 CSV = {"Content-Type": "text/csv"}
 Request = tuple[str, str, dict[str, object]]
 
