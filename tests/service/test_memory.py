@@ -54,6 +54,7 @@ LIGHT = """
 import sys
 import numpy as np
 import kilter_core.evaluate.prediction, kilter_core.identify.comparison, kilter_core.measurement
+import kilter_core.motion.model
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.observations.repeats import numbered_poses
@@ -72,6 +73,32 @@ print([name for name in heavy if name in sys.modules])
 def test_what_the_api_computes_needs_neither_statistics_nor_optimisers() -> None:
     done = subprocess.run([sys.executable, "-c", LIGHT], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines() == ["2.0 0.2890625", "(2, 3) [0 0] False", "[]"]
+
+
+LIBRARIES = """
+import llvmlite.binding as llvm
+import numba
+import pyarrow
+from kilter_service.ground.processes.memory import return_pages_of_libraries
+
+def resident():
+    with open("/proc/self/status") as status:
+        return next(int(line.split()[1]) / 1024 for line in status if line.startswith("VmRSS"))
+
+loaded = resident()
+return_pages_of_libraries()
+print(loaded - resident())
+return_pages_of_libraries()
+print(numba.njit(lambda x: 2.0 * x)(21.0), pyarrow.array([40, 2]).sum().as_py())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_libraries_work_after_the_pages_that_only_loading_read_are_given_back() -> None:
+    done = subprocess.run([sys.executable, "-c", LIBRARIES], capture_output=True, text=True, check=True)
+    given_back, answers = done.stdout.splitlines()
+    assert float(given_back) > 20
+    assert answers == "42.0 42"
 
 
 EXPORT = """

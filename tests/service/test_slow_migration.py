@@ -7,13 +7,14 @@ import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.files.migration_lock import is_migrating, migration_lock
 from kilter_service.ground.settings import Settings
-from kilter_service.run.serving import check_database
+from kilter_service.run.serving import MIGRATION_WAIT_S, check_database
 from kilter_service.run.supervisor import SUPERVISED
 from kilter_service.stream.corrector.database_source import DatabaseSource
 from kilter_service.web.health import pulse
@@ -79,3 +80,26 @@ def test_a_corrector_neither_waits_nor_complains(
     migrate(empty)
     assert source.stamp() is not None
     source.close()
+
+
+@pytest.mark.slow
+def test_a_first_start_whose_migration_lasts_is_ready_and_complains_of_nothing(tmp_path: Path) -> None:
+    """As on a slow disk: longer than any process of it waits for a database that another machine migrates."""
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
+    own = {"KILTER_DATA": str(tmp_path), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
+    with migration_lock(tmp_path):
+        server = subprocess.Popen(
+            [*COMMAND[:-1], "serve"], env=plain | own, cwd=REPOSITORY, text=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )  # fmt: skip
+        with pytest.raises(subprocess.TimeoutExpired):
+            server.wait(MIGRATION_WAIT_S + 5.0)
+        assert not list(tmp_path.glob("*.db*"))
+    try:
+        assert server.stdout is not None
+        assert '"url"' in server.stdout.readline()
+    finally:
+        server.terminate()
+        _, said = server.communicate(timeout=60)
+    assert "INFO kilter.serve: the database was brought to revision" in said
+    assert [line for line in said.splitlines() if " INFO " not in line] == []

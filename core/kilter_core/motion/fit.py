@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from kilter_core.motion.layout import Term
 from kilter_core.motion.normal import Equations
@@ -131,4 +131,4 @@ def _p_value(equations: Equations, fit: Fit, blocks: Bools, seen: Seen, beta: Fl
     s = np.linalg.pinv(each.T @ each * (count / (count - k)))
     raw = equations.scores(fit.theta, fit.weights)[blocks]
     along = raw[:, c].sum(axis=0) - raw[:, fit.columns].sum(axis=0) @ beta
-    return float(fisher.sf(float(along @ s @ along) / k, k, count - k))
+    return float(fdtrc(k, count - k, float(along @ s @ along) / k))

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from kilter_core.arm.robot import Link, Robot
 from kilter_core.errors import ObservationError
@@ -166,6 +165,8 @@ def path_of_rows(rows: Observations) -> Path:
         )
     speeds, rates = rows.qd, rows.qdd
     if speeds is None or rates is None:
+        from scipy.interpolate import make_interp_spline  # 12 MB, which most processes do without
+
         spline = make_interp_spline(t, q, k=SPLINE)
         speeds = np.asarray(spline(t, 1)) if speeds is None else speeds
         rates = np.asarray(spline(t, 2)) if rates is None else rates

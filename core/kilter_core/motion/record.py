@@ -12,8 +12,6 @@ from functools import cache, cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
-from scipy.signal import butter, sosfiltfilt
 
 from kilter_core.errors import ObservationError, TooFewPosesError
 from kilter_core.observations import Observations
@@ -71,8 +69,7 @@ class Part(Path):
 
     def smooth(self, columns: Floats) -> Floats:
         """Return columns (N, ...) filtered as the torques are, at the :attr:`rows` that are compared."""
-        sos = _design_filter(self.cut_off_hz, self.step_s)
-        return np.asarray(sosfiltfilt(sos, columns, axis=0)[self.rows])
+        return _filter_columns(columns, self.cut_off_hz, self.step_s)[self.rows]
 
     @property
     def rows(self) -> slice:
@@ -186,8 +183,7 @@ class Log:
         tau = self.tau[piece]
         nearest = np.minimum(np.searchsorted(t, clock), len(t) - 1)
         band = min(JOINT_BAND * self.cut_off_hz, 0.4 / self.step_s)
-        sos = _design_filter(band, self.step_s)
-        q = np.asarray(sosfiltfilt(sos, _interpolate(clock, t, obs.q[piece]), axis=0))
+        q = _filter_columns(_interpolate(clock, t, obs.q[piece]), band, self.step_s)
         qd = np.gradient(q, self.step_s, axis=0)
         warm = None if obs.temperature_c is None else np.interp(clock, t, obs.temperature_c[piece])
         session = 0 if obs.session is None else int(obs.session[piece[0]])
@@ -217,7 +213,15 @@ class Log:
 
 @cache
 def _design_filter(cut_off_hz: float, step_s: float) -> Floats:
+    from scipy.signal import butter
+
     return np.asarray(butter(ORDER, cut_off_hz, fs=1.0 / step_s, output="sos"))
+
+
+def _filter_columns(columns: Floats, cut_off_hz: float, step_s: float) -> Floats:
+    from scipy.signal import sosfiltfilt  # 35 MB, which the API does without: it only asks what is a log
+
+    return np.asarray(sosfiltfilt(_design_filter(cut_off_hz, step_s), columns, axis=0))
 
 
 def _ends_of_motions(t: Floats, resting: Bools) -> Ints:
@@ -243,7 +247,10 @@ def _is_driven_again(duration: float, path: Floats, known_duration: float, known
 def _interpolate(clock: Floats, t: Floats, values: Floats) -> Floats:
     """Values (N, n) on the clock; means, where they come faster than it."""
     width = int((len(t) - 1) / max(t[-1] - t[0], 1e-9) * (clock[1] - clock[0]))
-    values = uniform_filter1d(values, width, axis=0) if width > 1 else values
+    if width > 1:
+        from scipy.ndimage import uniform_filter1d
+
+        values = uniform_filter1d(values, width, axis=0)
     return np.stack([np.interp(clock, t, column) for column in values.T], axis=1)
 
 

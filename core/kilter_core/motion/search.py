@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from kilter_core.motion.fit import Fit, Seen, covariance, fit_terms, score_terms
 from kilter_core.motion.layout import Term
@@ -252,7 +252,7 @@ def _halves_agree(equations: Equations, split: Split, weights: Floats, model: Se
 
 def _are_alike(apart: Floats, variance: Floats) -> bool:
     """Whether none of some differences (k,) is larger than chance makes the largest of so many."""
-    return bool(np.all(np.abs(apart) < norm.isf(0.5 * ALIKE / len(apart)) * np.sqrt(variance)))
+    return bool(np.all(np.abs(apart) < -ndtri(0.5 * ALIKE / len(apart)) * np.sqrt(variance)))
 
 
 def _value_in(

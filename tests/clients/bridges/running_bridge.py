@@ -114,7 +114,9 @@ class Bridge:
 @contextmanager
 def bridging(*arguments: str, **environment: str) -> Iterator[Bridge]:
     """Run ``kilter bridge`` with these arguments."""
-    start = subprocess.Popen if REAL_TIME else ForkedPopen
+    start = (
+        subprocess.Popen if REAL_TIME or "PYTHONPATH" in environment else ForkedPopen
+    )  # a fork imports what it knows
     process = start(
         [*REAL_TIME, *KILTER, "bridge", *arguments],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, **environment},

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import mmap
 import os
 import sys
 import time
 from contextlib import suppress
 from importlib.abc import MetaPathFinder
 from pathlib import Path
+from typing import Any
 
 # Of <malloc.h>. Every thread that works on a body would get an arena of its own, up to eight for each core, and what is
 # freed in one is of no use to the others: forty threads kept as much as all bodies that they ever held at once.
 M_ARENA_MAX, ARENAS = -8, 2
 # malloc would raise both by itself, up to 64 MB, after the first large body; what is freed then stays in the process.
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, LARGE_BYTES = -1, -3, 128 << 10
+MADV_DONTNEED, PT_LOAD, PF_W, LARGE_SEGMENT_BYTES = 4, 1, 2, 1 << 20  # of <sys/mman.h> and <elf.h>
 ARROW_POOL = "ARROW_DEFAULT_MEMORY_POOL"
 LONG_PAUSE_S = 0.01
 
@@ -41,14 +44,60 @@ def return_freed_memory() -> None:
         trim(0)
 
 
+class _Segment(ctypes.Structure):
+    """``Elf64_Phdr`` of <elf.h>."""
+
+    _fields_ = (
+        *((name, ctypes.c_uint32) for name in ("kind", "flags")),
+        *((name, ctypes.c_uint64) for name in ("offset", "address", "physical", "in_file", "size", "alignment")),
+    )
+
+
+class _Library(ctypes.Structure):
+    """The beginning of ``struct dl_phdr_info`` of <link.h>."""
+
+    _fields_ = (
+        ("address", ctypes.c_uint64), ("name", ctypes.c_char_p),
+        ("segments", ctypes.POINTER(_Segment)), ("count", ctypes.c_uint16),
+    )  # fmt: skip
+
+
+def return_pages_of_libraries() -> None:
+    """Give back what was only read of compiled libraries: to load LLVM visits 40 MB of it, most of it once.
+
+    What is needed again is read again, from the system's cache of files. Nothing is written to these segments, so nothing
+    is lost. The loader names them: a list of mappings may be of a library that another thread is just loading.
+    """
+    if sys.platform != "linux" or sys.maxsize < 1 << 32:
+        return
+    library = ctypes.PyDLL(None)  # keeps Python's lock: the loader's is held while its libraries are named
+    if not (hasattr(library, "dl_iterate_phdr") and hasattr(library, "madvise")):
+        return
+
+    def return_segments(found: Any, size: int, nothing: int | None) -> int:
+        one = found.contents
+        for segment in one.segments[: one.count]:
+            if segment.kind == PT_LOAD and not segment.flags & PF_W and segment.size >= LARGE_SEGMENT_BYTES:
+                first = one.address + segment.address
+                begin = first - first % mmap.PAGESIZE
+                library.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(first + segment.size - begin), MADV_DONTNEED)
+        return 0
+
+    visitor = ctypes.PYFUNCTYPE(ctypes.c_int, ctypes.POINTER(_Library), ctypes.c_size_t, ctypes.c_void_p)
+    library.dl_iterate_phdr(visitor(return_segments), None)
+
+
 def end_before_others(score: int) -> None:
     """Have the kernel end this process before those with a lower score (0 to 1000) where memory is used up."""
     with suppress(OSError):  # another system than Linux
         Path("/proc/self/oom_score_adj").write_text(str(score), encoding="ascii")
 
 
-# Arrow imports pandas, 50 MB, where it is installed, to ask whether an array is one of its, and storages in clouds, 3 MB.
-UNUSED = frozenset({"coverage", "pandas", "pyarrow._azurefs", "pyarrow._gcsfs", "pyarrow._hdfs", "pyarrow._s3fs"})
+# Arrow imports pandas, 50 MB, where it is installed, to ask whether an array is one of its, and storages in clouds, 3 MB;
+# numpy imports what guesses the encoding of Fortran, 3 MB.
+UNUSED = frozenset(
+    {"charset_normalizer", "coverage", "pandas", "pyarrow._azurefs", "pyarrow._gcsfs", "pyarrow._hdfs", "pyarrow._s3fs"}
+)
 
 
 class WithoutUnused(MetaPathFinder):
@@ -86,3 +135,4 @@ class ShortPauses:
             self._began = time.perf_counter()
         elif time.perf_counter() - self._began > self._long_s:
             gc.freeze()
+            return_pages_of_libraries()

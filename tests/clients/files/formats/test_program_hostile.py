@@ -172,6 +172,44 @@ def test_a_position_costs_the_same_in_a_long_program(tmp_path: Path) -> None:
     read_within_limit([path])
 
 
+@pytest.mark.parametrize("ending", PROGRAMS)
+def test_empty_lines_cost_the_same_in_a_long_program(tmp_path: Path, ending: str) -> None:
+    """From each of them the text was searched up to the next line that holds something."""
+    begin, end, _ = PROGRAMS[ending]
+    path = tmp_path / f"a{ending}"
+    path.write_text(begin + "\n" * (MOST_LINES - 100) + end)
+    read_within_limit([path])
+
+
+def test_a_displacement_costs_the_same_behind_many_ends(tmp_path: Path) -> None:
+    begin, end, _ = PROGRAMS[".ls"]
+    path = tmp_path / "a.ls"
+    path.write_text(begin + ": Touch Offset End ;\n" * 190_000 + ": Touch Offset PR[1] ;\n" * 190_000 + end)
+    read_within_limit([path])
+
+
+def test_a_position_that_a_line_uses_often_is_named_once(tmp_path: Path) -> None:
+    begin, end, _ = PROGRAMS[".ls"]
+    path = tmp_path / "a.ls"
+    path.write_text(begin + "   2:  PR[2]=P[1]+P[1]-P[1] ;\n" + end)
+    named = [what for line, what in read_programs(path)[0].left if line == 4]
+    assert named == ["P[1]: used otherwise than as the goal of a move"]
+
+
+def test_an_if_in_an_if_calls_what_the_outer_calls() -> None:
+    _, calls = _control("IF a IF b G;\nIF c H;\nIF d THEN\n G;\nENDIF\n", {"G", "H"})
+    assert calls == [(0, "G"), (13, "H"), (32, "G")]
+
+
+def test_a_target_within_calls_that_are_not_closed_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.script"
+    path.write_text("def a():\n movej([1,1,1,1,1,1])\n go(walk([1,1,1,1,1,1]\n step([1,1,1,1,1,1])\nend\n")
+    left = read_programs(path)[0].left
+    assert left == [
+        (3, "go(walk([1,1,1,1,1,1]: go is given a target"), (4, "step([1,1,1,1,1,1]: step is given a target")
+    ]  # fmt: skip
+
+
 def test_what_short_ifs_without_an_end_call_is_noted_only_of_routines_of_the_program() -> None:
     control, calls = _control("if a\n f(b)\nend\n" * 2000, {"G"})
     assert len(control) == 4000

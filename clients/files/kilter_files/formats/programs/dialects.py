@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_right
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -239,7 +240,7 @@ def _touch_displaced_spans(text: str) -> Spans:
     """The parts of a program whose positions are all displaced by what the robot touched."""
     ends = [match.start() for match in TOUCH_END.finditer(text)]
     starts = [match.start() for match in TOUCH.finditer(text)]
-    spans = [(at, next((end for end in ends if end > at), len(text))) for at in starts]
+    spans = [(at, ends[k] if (k := bisect_right(ends, at)) < len(ends) else len(text)) for at in starts]
     return Spans([span for k, span in enumerate(spans) if k == 0 or span[1] != spans[k - 1][1]])
 
 
@@ -257,9 +258,11 @@ def _name_other_uses(
     """Name the lines that use a position otherwise than as the goal of a move."""
     text = NOTHING.sub(lambda match: " " * len(match[0]), program.text)
     own = Spans(sorted(match.span() for pattern in (POSITION, MOVE) for match in pattern.finditer(program.text)))
+    named: dict[tuple[int, str, bool], re.Match[str]] = {}  # the first use of each position in a line
     for match in NAMES.finditer(text):
-        if match.start() in own or (match[1] not in known and match[1] not in poses):
-            continue
+        if (match[1] in known or match[1] in poses) and match.start() not in own:
+            named.setdefault((line_number(text, match.start()), match[1], bool(match[2])), match)
+    for match in named.values():
         program.leave(
             match.start(), f"P[{match[1]}]: {'changed' if match[2] else 'used otherwise than as the goal of a move'}"
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 
@@ -18,8 +19,9 @@ from kilter_files.ground.orientation import from_euler
 SWITCHED = Keyed("conf", r"\bConf([JL])\s*+\\\s*+(On|Off)\b")
 ROUTINE = Keyed("proc func trap", r"\b(?:PROC|FUNC\s+\w{1,64}|TRAP)\s+(\w{1,64})")
 STARTS = re.compile(r"^[ \t]*+(?:LOCAL\s+)?(?:PROC|FUNC|TRAP|ERROR|UNDO|BACKWARD|END(?:PROC|FUNC|TRAP))\b", re.I | re.M)
-STATEMENT = re.compile(r"(?:[;\n]|(?<=\w):(?!=))\s*+([A-Za-z]\w{0,63})")
+STATEMENT = re.compile(r"(?:[;\n]|(?<=\w):(?!=))[^\S\n]*+([A-Za-z]\w{0,63})")  # of empty lines the last is enough
 OPENED = Keyed("then else do", r"\b(?:THEN|ELSE|DO)\b\s*+([A-Za-z]\w{0,63})")
+NAME = re.compile(r"[A-Za-z]\w*")
 FIRST = re.compile(r"\s*+([A-Za-z]\w{0,63})")
 WAYS = {
     **dict.fromkeys(("IF", "WHILE", "FOR", "TEST"), 1),
@@ -42,7 +44,7 @@ STAYS = re.compile(
     re.I,
 )
 ASSIGNED = re.compile(r"\s*+(?:[.{][^;:]{0,200})?:=")
-THEN = re.compile(r"\bTHEN\b", re.I)
+THEN = Keyed("then", r"\bTHEN\b")
 LONGEST = 500  # characters of a short IF
 UNKNOWN = "UNKNOWN"
 
@@ -103,6 +105,7 @@ def _control(text: str, routines: Collection[str]) -> tuple[list[Place], list[tu
     """The places at which a program branches, and the calls that may move the arm; of a short IF, those of these routines."""
     control: list[Place] = [(match.start(), None) for match in LABEL.finditer(text)]
     calls: list[tuple[int, str]] = []
+    then, read = [match.start() for match in THEN.finditer(text)], 0
     first = FIRST.match(text)
     begun = [*([first] if first is not None else []), *STATEMENT.finditer(text)]
     statements = dict(sorted((match.start(1), match[1].upper()) for match in (*begun, *OPENED.finditer(text))))
@@ -110,10 +113,12 @@ def _control(text: str, routines: Collection[str]) -> tuple[list[Place], list[tu
         if word in WAYS:
             statement = text[at : at + LONGEST].partition(";")[0]
             end = at + len(statement)
-            short = word == "IF" and THEN.search(statement) is None  # IF on one line, without ENDIF
+            short = word == "IF" and bisect_left(then, at) == bisect_left(then, end)  # on one line, without ENDIF
             control += [(at, 0), (end, 0)] if short else [(at, WAYS[word])]
-            words = map(str.upper, re.findall(r"[A-Za-z]\w*", statement)) if short and routines else ()
-            calls += [(at, one) for one in words if one in routines]
+            if short and routines:
+                words = map(str.upper, NAME.findall(text, max(at, read), end))  # of an IF in an IF those that are new
+                calls += [(at, one) for one in words if one in routines]
+                read = max(read, end)
         elif STAYS.fullmatch(word) is None and ASSIGNED.match(text, at + len(word)) is None:
             calls.append((at, word))
     return sorted(control, key=lambda one: one[0]), calls

@@ -165,8 +165,14 @@ def _hint(
 def _name_calls(program: Program, text: str, declared: Places) -> None:
     """Name the calls that hand a target on: to a subprogram, or to a function that may move the arm."""
     targets = {name for name, places in declared.items() if any(TARGET.match(written) for _, written in places)}
+    read = 0  # up to where calls that are closed nowhere near were read
     for match in calls_of_others(text):
         said = inside(text, match.end())
+        end = match.end() + len(said)
+        if text[end : end + 1] not in (")", "]"):
+            if match.end() < read:
+                continue
+            read = end
         bare = INNER.sub("", said) if targets or "[" in said else ""
         if (TARGET.search(bare) or targets.intersection(WORDS.findall(bare))) and not MOVE.match(text, match.start()):
             program.leave(match.start(), f"{match[1]}({said[:40]}: {match[1]} is given a target")
