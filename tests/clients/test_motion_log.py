@@ -177,6 +177,12 @@ def test_a_log_is_identified_with_the_effects_that_somebody_chose(
         assert bare["motion"]["joints"][2]["found"] > 2.0 * found["motion"]["joints"][2]["found"]
         assert bare["effects"] == []
         assert kilter.torques("mover", path_of(hidden[0]))
+        (job,) = (one for one in kilter.jobs.list("mover") if one["name"] == "ripple")
+        with httpx.Client(base_url=kilter.url) as page:
+            page.post("/login", data={"token": (server / "token").read_text().splitlines()[0]})
+            text = page.get(f"/jobs/{job['id']}").raise_for_status().text
+        assert "Fit of these torques" in text
+        assert "gear ripple of joint 3" in text
         only = kilter.gap("mover", "fit", effects=["load_friction"])
         assert only["effects"] == []
         with pytest.raises(JobFailedError, match="backlash is not an effect of torques"):

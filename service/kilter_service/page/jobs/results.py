@@ -34,7 +34,7 @@ from kilter_service.page.figures.plot import BLUE, RED, Plot
 from kilter_service.page.gap import story
 from kilter_service.page.shared import errors_drawn
 from kilter_service.page.shared.errors_drawn import cumulative
-from kilter_service.page.shared.naming import in_names, of_a_mass, parameter_rows, version_name
+from kilter_service.page.shared.naming import format_claim, in_names, of_a_mass, parameter_rows, version_name
 from kilter_service.page.words import in_columns, number, percent
 from kilter_service.versions import service as versions
 from kilter_service.versions.drift import service as drift
@@ -352,8 +352,16 @@ def rezero_context(database: Database, job: Job) -> dict[str, Any]:
     return {**shown, "sentence": in_names(database, shown["sentence"] or "")}
 
 
+def torques_context(_: Database, job: IdentifyJob) -> dict[str, Any]:
+    """Return what ``gap/motion.html`` shows of a fit of a log of torques."""
+    result = job.result or IdentifyResult()
+    named = [(format_claim(effect), effect) for effect in result.effects or []]
+    return {"result": result, "effects": named, "untestable": story.untestable(result.not_testable or []), "version": None}
+
+
 Shown = Callable[[Database, Any], dict[str, Any]]
 PLAIN: tuple[str, Shown] = ("jobs/plain.html", default_context)
+OF_TORQUES: tuple[str, Shown] = ("gap/motion.html", torques_context)
 # The template of the result of a kind, and what fills it; a kind without one has :data:`PLAIN`.
 RESULTS: dict[str, tuple[str, Shown]] = {
     "identify": ("jobs/identify.html", identification_context),

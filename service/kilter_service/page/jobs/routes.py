@@ -32,7 +32,7 @@ from kilter_service.jobs.refusals import refusal, without_kind
 from kilter_service.jobs.registry import get_job_kind
 from kilter_service.page.answers import redirect, render, router
 from kilter_service.page.jobs import results as planned
-from kilter_service.page.jobs.results import PLAIN, RESULTS
+from kilter_service.page.jobs.results import OF_TORQUES, PLAIN, RESULTS
 from kilter_service.page.shared import lists
 from kilter_service.page.shared.lists import KINDS as TITLES
 from kilter_service.page.shared.lists import page_of_jobs
@@ -365,7 +365,8 @@ def load_job_view(database: Database, job_id: str) -> tuple[Job, str, dict[str, 
     }
     if job.state != "succeeded" or job.result is None:
         return job, "", {"names": names, "version": None, "place": jobs.places(database).get(job.id)}
-    template, shown = RESULTS.get(job.kind, PLAIN)
+    of_torques = job.kind == "identify" and job.result.motion is not None
+    template, shown = OF_TORQUES if of_torques else RESULTS.get(job.kind, PLAIN)
     makes_version = isinstance(job.result, MadeVersion)  # and has objections against it
     return job, template, {"names": names, "makes_version": makes_version, **shown(database, job)}
 
