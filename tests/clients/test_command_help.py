@@ -18,6 +18,7 @@ from kilter_client.cli.catalogue import ENTRIES, FIRST, GROUPS, MADE, MOVED
 from kilter_core.arm.presets import preset_names
 from kilter_core.effects import EFFECTS
 from kilter_core.identify.registry import METHODS
+from kilter_core.motion.effects import MOTION_EFFECTS
 from kilter_service.ground.tables import columns as contract
 from kilter_service.robots.exporters.registry import FORMATS as EXPORTS
 
@@ -124,10 +125,14 @@ def test_the_version_with_a_server(server: Path, capsys: Capture) -> None:
 
 def test_lists_hold_what_there_is(no_settings: None, capsys: Capture) -> None:
     effects = {effect["id"]: effect for effect in listed(capsys, "effects")}
-    assert set(effects) == set(EFFECTS) - {"load_error"}  # which nobody asks for
+    of_torques = {effect.id: effect for effect in MOTION_EFFECTS}
+    assert set(effects) == (set(EFFECTS) - {"load_error"}) | set(of_torques)  # which nobody asks for
+    assert all("log of torques" in effects[name]["needs"] for name in of_torques)
     assert effects["backlash"]["acts_on"] == "joints"
     assert effects["measurement_scale"]["acts_on"] == "instrument"
-    assert all((effect["needs"] != "") == bool(EFFECTS[name].needs) for name, effect in effects.items())
+    assert all(
+        (effect["needs"] != "") == bool(EFFECTS[name].needs) for name, effect in effects.items() if name in EFFECTS
+    )
     assert [method["id"] for method in listed(capsys, "methods")] == list(METHODS)
     presets = {preset["id"]: preset for preset in listed(capsys, "presets")}
     assert set(presets) == set(preset_names())

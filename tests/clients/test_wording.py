@@ -43,7 +43,7 @@ def test_every_route_that_a_refusal_names_has_its_command() -> None:
     named = set()
     for path in SERVICE.rglob("*.py"):
         # Two tables, and answers over zenoh.
-        if {"contract", "audit"} & set(path.parts) or path.name in ("policy.py", "queries.py"):
+        if "contract" in path.parts or path.name in ("audit.py", "policy.py", "queries.py"):
             continue
         for line in path.read_text(encoding="utf-8").splitlines():
             named |= set(

@@ -13,7 +13,7 @@ from kilter_files.ground.later import Later
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PRODUCT = ("core/kilter_core", "service/kilter_service", "clients/files", "clients/python/src", "clients/lerobot")
-MOST = 53  # import statements inside functions; only ever fewer, but for four by which the API starts without scipy
+MOST = 57  # import statements inside functions; only ever fewer, but for eight by which the API does without scipy
 
 
 INDENTED = re.compile(r"^[ \t]+(?:import|from)\s", re.MULTILINE)

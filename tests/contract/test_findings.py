@@ -15,7 +15,7 @@ REWORDED = {
     "error_wording.py: COMMANDS.split(sentence)",
     "wording.py: ROUTE.sub(lambda found: ROUTES.get(found[0], 'another command'), detail)",
     "new_robot.py: error.detail.replace(f'{path}', path.name)",
-    "drift_report.py: FIRST.split(one['sentence'], maxsplit=1)",  # its first part, for a cell
+    "results.py: FIRST.split(one['sentence'], maxsplit=1)",  # its first part, for a cell
     "standing.py: drift.sentence.partition(': ')",
 }
 READS = {

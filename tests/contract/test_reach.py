@@ -19,7 +19,7 @@ UNMOVED = "tests.core.test_transforms"
     [
         ("core/kilter_core/motion/search.py", "tests.core.motion.test_find", UNMOVED),
         ("core/kilter_core/motion/search.py", "tests.service.test_activation_guard", UNMOVED),
-        ("service/kilter_service/page/fleet/service.py", "tests.page.test_fleet", "tests.core.gap.test_claims"),
+        ("service/kilter_service/page/fleet.py", "tests.page.test_fleet", "tests.core.gap.test_claims"),
         ("service/kilter_service/page/static/kilter.css", "tests.page.test_fleet", UNMOVED),
         ("service/kilter_service/jobs/kinds/evaluate.py", "tests.service.test_workers", "tests.core.gap.test_claims"),
         ("clients/python/src/kilter_client/cli/demo.py", "tests.clients.test_cli", "tests.service.test_jobs"),

@@ -356,7 +356,12 @@ def torques_context(_: Database, job: IdentifyJob) -> dict[str, Any]:
     """Return what ``gap/motion.html`` shows of a fit of a log of torques."""
     result = job.result or IdentifyResult()
     named = [(format_claim(effect), effect) for effect in result.effects or []]
-    return {"result": result, "effects": named, "untestable": story.untestable(result.not_testable or []), "version": None}
+    return {
+        "result": result,
+        "effects": named,
+        "untestable": story.untestable(result.not_testable or []),
+        "version": None,
+    }
 
 
 Shown = Callable[[Database, Any], dict[str, Any]]

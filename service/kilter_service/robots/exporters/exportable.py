@@ -10,16 +10,14 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from kilter_core.arm import Screws
-from kilter_core.model import Loss, acts_at_rest, geometry_loss, workspace
 from kilter_core.types import Floats
 from kilter_service.contract.versions import Version
 from kilter_service.ground.core import core_model, transforms
 
 if TYPE_CHECKING:
-    from kilter_core.arm import Robot
+    from kilter_core.arm import Robot, Screws
     from kilter_core.effects import Effect
-    from kilter_core.model import Calibration
+    from kilter_core.model import Calibration, Loss
 
 
 class Arm(Protocol):
@@ -69,7 +67,7 @@ SAID_MM = 1e-6  # smaller differences are rounding
 
 def omissions(calibration: Calibration, arm: Screws | None = None) -> tuple[str, ...]:
     """Say which effects a file of the identified geometry (or ``arm``, base to tool) leaves out, and the distance left."""
-    return (*left_out(calibration), distance(geometry_loss(calibration, arm)))
+    return (*left_out(calibration), distance(core_model.geometry_loss(calibration, arm)))
 
 
 def left_out(calibration: Calibration) -> tuple[str, ...]:
@@ -88,8 +86,8 @@ def masses_as_stated(robot: Robot) -> tuple[str, ...]:
 
 def displacements_mm(calibration: Calibration) -> dict[str, tuple[float, float]]:
     """Root mean square and largest displacement (mm) of the tool by each effect, over the workspace at rest."""
-    kept = calibration.with_effects([effect for effect in calibration.model.effects if acts_at_rest(effect)])
-    found = kept.model.contribution(workspace(calibration.robot), kept.values)
+    kept = calibration.with_effects([effect for effect in calibration.model.effects if core_model.acts_at_rest(effect)])
+    found = kept.model.contribution(core_model.workspace(calibration.robot), kept.values)
     moved = {name.partition("#")[0]: np.linalg.norm(d, axis=1) * 1e3 for name, d in found.items()}
     return {name: (float(np.sqrt(np.mean(d**2))), float(d.max())) for name, d in moved.items()}
 

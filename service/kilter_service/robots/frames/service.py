@@ -12,6 +12,7 @@ from kilter_core.errors import ObservationError
 from kilter_service.contract.kinematics import Frame, NewFrame, OffPoint
 from kilter_service.contract.units import PointMm, Pose
 from kilter_service.ground.core import core_arm, core_procedures
+from kilter_service.ground.wire import to_metres, to_mm
 
 if TYPE_CHECKING:
     from kilter_core.procedures import ReferenceFrame
@@ -39,15 +40,12 @@ def find_frame(frame: NewFrame) -> Frame:
     return describe_frame(made, names)
 
 
-MM = 1e-3
-
-
 def metres(points: Sequence[PointMm]) -> NDArray[np.float64]:
     """Return points (N, 3) in m."""
-    return np.array(points, dtype=np.float64) * MM
+    return to_metres(np.array(points, dtype=np.float64))
 
 
 def describe_frame(made: ReferenceFrame, names: Sequence[str]) -> Frame:
     """Say where a frame is, and how well its points fit."""
-    left = [OffPoint(name=name, left_mm=float(off) / MM) for name, off in zip(names, made.left, strict=True)]
-    return Frame(pose=Pose.model_validate(core_arm.pose_document(made.pose)), rms_mm=made.rms / MM, points=left)
+    left = [OffPoint(name=name, left_mm=to_mm(float(off))) for name, off in zip(names, made.left, strict=True)]
+    return Frame(pose=Pose.model_validate(core_arm.pose_document(made.pose)), rms_mm=to_mm(made.rms), points=left)
