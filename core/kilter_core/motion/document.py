@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
+from kilter_core.effects.physical import joint_numbers
 from kilter_core.motion.effects import MOTION_EFFECTS, prismatic_unit
 from kilter_core.motion.find import MotionReport
 from kilter_core.motion.layout import Term
@@ -33,9 +35,8 @@ def to_document(report: MotionReport) -> dict[str, Any]:
         for j in range(report.robot.n_joints)
     ]
     clock = _find_clock(report)
-    judged = () if clock is not None or _is_scrambled(report) else report.judged
-    faint = [one for one in judged if report.fitted and not one.shown]
-    judged = tuple(one for one in judged if not any(one is other for other in faint))
+    unclear, faint = clock is not None or _is_scrambled(report), report.faint
+    judged = () if unclear else tuple(one for one in report.judged if not any(one is other for other in faint))
     friction = [one for term, value in report.common for one in _list_amplitudes(term, value, None, units)]
     friction += [amplitude for one in faint for amplitude in _list_amplitudes(one.term, one.value, one.sigma, units)]
     return {
@@ -54,18 +55,19 @@ def to_document(report: MotionReport) -> dict[str, Any]:
             {"id": t.effect.id, "joints": [t.joint + 1], "reason": IMITATED, "remedy": f"Record {t.effect.remedy}."}
             for t in report.hidden
         ],
-        "warnings": [*([] if clock is None else [clock]), *map(_describe_faint, faint), *_list_warnings(report)],
+        "warnings": [*([] if clock is None else [clock]), *_describe_faint(faint), *_list_warnings(report)],
     }
 
 
-def _describe_faint(one: Judged) -> dict[str, Any]:
-    """Say that an effect that was fitted, because somebody asked for it, does not show."""
-    effect, joint = one.term.effect, one.term.joint + 1
-    message = (
-        f"This log does not show the {effect.label} of joint {joint}: zero is as likely. Leave it out, or record "
-        f"{effect.remedy}."
-    )
-    return {"code": "effect_not_shown", "message": message, "joints": [joint]}
+def _describe_faint(faint: Sequence[Judged]) -> Iterator[dict[str, Any]]:
+    """Say which effects that were fitted, because somebody asked for them, do not show."""
+    for effect in dict.fromkeys(one.term.effect for one in faint):
+        joints = [one.term.joint for one in faint if one.term.effect is effect]
+        message = (
+            f"{effect.label[0].upper()}{effect.label[1:]} does not show at {joint_numbers(joints)} in this log: zero is as "
+            f"likely. Leave it out there, or record {effect.remedy}."
+        )
+        yield {"code": "effect_not_shown", "message": message, "joints": [j + 1 for j in joints]}
 
 
 def _find_clock(report: MotionReport) -> dict[str, Any] | None:

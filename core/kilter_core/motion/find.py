@@ -63,7 +63,7 @@ class MotionReport:
     ``hidden`` are effects that the bodies and the friction imitate in this log, ``pushed_s`` the seconds left out because
     something leant on the arm, ``unexplained`` joints of whose torque the model leaves a third or more: they took no
     part. ``spread (n,)`` of the torques, N m. ``model`` is what unseen motions bear out, fitted to the whole log.
-    ``fitted``: somebody chose the effects, not the search.
+    ``faint`` are those among ``judged`` that somebody asked for and the log does not show.
     """
 
     robot: Robot
@@ -81,7 +81,7 @@ class MotionReport:
     unexplained: tuple[int, ...]
     spread: Floats
     model: TorqueModel
-    fitted: bool = False
+    faint: tuple[Judged, ...] = ()
 
 
 def find_missing_torque(
@@ -134,7 +134,8 @@ def find_missing_torque(
         terms = choose(equations, split, weights, tests, _scale_progress(progress, 0.85, 0.9, "without them"))
     progress(0.9, "motions that were never used")
     judged = judge_terms(equations, split, weights, terms)
-    return replace(_write_report(log, equations, split, weights, terms, judged, pushed, odd), fitted=options.fitted)
+    faint = tuple(one for one in judged if options.fitted and not one.is_shown(tests))
+    return replace(_write_report(log, equations, split, weights, terms, judged, pushed, odd), faint=faint)
 
 
 def _take_all(

@@ -74,11 +74,12 @@ class Judged:
     rivals: tuple[Rival, ...]
     verdict: str
 
-    @property
-    def shown(self) -> bool:
-        """Whether any of its values is above zero by more than chance, and blocks that no choice saw say so too."""
-        above = np.any(np.abs(self.value) > SURE * self.sigma)
-        return bool(above and self.unseen > DEVIATIONS * self.unseen_sigma)
+    def is_shown(self, tests: int) -> bool:
+        """Whether any of its values is above zero by more than the largest of so many is by chance, and blocks that no choice
+        saw say so too.
+        """
+        least = -float(ndtri(0.5 * ALPHA / tests))
+        return bool(np.any(np.abs(self.value) > least * self.sigma) and self.unseen > DEVIATIONS * self.unseen_sigma)
 
 
 def split_motions(equations: Equations, seed: int, apart: Sequence[int] = ()) -> Split:
