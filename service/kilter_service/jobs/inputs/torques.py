@@ -15,6 +15,8 @@ from kilter_service.ground.core import core_motion, core_observations
 from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.kind import JobInput, JobOutput, Progress
 
+READ = ("effects", "seed")
+
 
 def as_session(rows: Observations) -> Observations:
     """A campaign without sessions is one of its own."""
@@ -59,6 +61,7 @@ def search_torques(
     starts = np.cumsum([0, *(len(one) for one in job.campaigns.values())])[:-1]
     assert rows.session is not None
     names = {int(rows.session[k]): job.names.get(c, c) for c, k in zip(job.campaigns, starts, strict=True)}
+    found["warnings"] += _unused_options(job)
     for effect in found["effects"]:
         effect["campaign"] = names.get(effect.pop("session"))
     return JobOutput(to_json_types({**found, "start": job.version_id, "version_id": None}))
@@ -76,6 +79,17 @@ def refuse_effects_of_torques(asked: Sequence[Any]) -> None:
             f"{name} is an effect of torques, and these rows are poses: name a log with t_s and tau1_nm ....",
             option="effects",
         )
+
+
+def _unused_options(job: JobInput) -> list[dict[str, Any]]:
+    """Say which options were given that say nothing of torques."""
+    fields = type(job.options).model_fields.items()
+    asked = {name: getattr(job.options, name) for name, _ in fields}
+    unused = [n for n, field in fields if n not in READ and asked[n] != field.get_default(call_default_factory=True)]
+    if not unused:
+        return []
+    message = f"{', '.join(unused)} did nothing: logs of torques are told by effects and seed alone. Leave them out."
+    return [{"code": "options_unused", "message": message}]
 
 
 def _effects(job: JobInput) -> list[Any]:
