@@ -62,9 +62,11 @@ class MotionPlanResult(Stored):
         """Add the headline."""
         if self.count is None or self.condition is None or not self.joints:
             return
+        one = self.count == 1
         how = "well" if self.condition < WELL else "in part: let the joints move further or faster"
         self.headline = (
-            f"{self.count} motions in {number(self.seconds or 0.0)} s show {self.base_parameters} numbers of the bodies "
+            f"{'One motion' if one else f'{self.count} motions'} in {number(self.seconds or 0.0)} s "
+            f"{'shows' if one else 'show'} {self.base_parameters} numbers of the bodies "
             f"and the friction of {len(self.joints)} joints {how} (condition {number(self.condition)}).\n"
             "Next: drive them, record joints and torques, then `kilter upload` and `kilter gap`."
         )
