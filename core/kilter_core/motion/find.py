@@ -116,7 +116,7 @@ def find_missing_torque(
     orders, tried = find_orders(log, first, fit)
     layout = layout.with_candidates(orders, np.unique(first.session[split.train])[1:].tolist(), options.wanted)
     _refuse_unseen(layout, options.wanted)
-    choose = _take_all if options.fitted else search_terms
+    choose = _list_asked_terms if options.fitted else search_terms
     known, earlier = Known.from_values(first.layout, fit.theta), frozenset[Term]()
     for k in range(PASSES):
         equations = form_equations(layout, log, known)
@@ -138,7 +138,7 @@ def find_missing_torque(
     return replace(_write_report(log, equations, split, weights, terms, judged, pushed, odd), faint=faint)
 
 
-def _take_all(
+def _list_asked_terms(
     equations: Equations, split: Split, weights: Floats, tests: int, progress: Callable[[float], None]
 ) -> list[Term]:
     """All terms of joints that move, chosen by whoever asked for them."""

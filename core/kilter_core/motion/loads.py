@@ -6,6 +6,7 @@ Torques show sums of the numbers of links. Those that the sums leave open stay a
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -35,15 +36,15 @@ def tell_loads(equations: Equations, fit: Fit, blocks: Bools) -> CorrelatedPrior
     The Gaussian of the description, conditioned on the base parameters, which scatter from second to second. An error of each
     joint's gain by :data:`GAIN_SHARE` is considered in the covariance, not estimated (Schmidt): masses would share it.
     """
-    robot = equations.layout.robot
+    robot = replace(equations.layout.robot, told_loads=None)  # what an earlier log said would count twice
     own = [p for p in LoadError().parameters(robot) if p.name.startswith("link_")]
     if not own:
         return None
     p = equations.base
     C = (fit.inverse + covariance(equations, fit, blocks))[:p, :p]
     T, sigma = _changes(robot, np.array([one.prior_sigma for one in own]))
-    A = base_sums(robot) @ T
-    apart = fit.theta[:p] - base_sums(robot) @ stated_numbers(robot)
+    K = base_sums(robot)
+    A, apart = K @ T, fit.theta[:p] - K @ stated_numbers(robot)
     sigma = sigma * _widening(A * sigma, C, apart)
     scaled = A * sigma
     by_base = scaled.T @ np.linalg.inv(C)
