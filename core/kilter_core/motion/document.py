@@ -35,10 +35,11 @@ def to_document(report: MotionReport) -> dict[str, Any]:
         for j in range(report.robot.n_joints)
     ]
     clock = _find_clock(report)
-    unclear, faint = clock is not None or _is_scrambled(report), report.faint
-    judged = () if unclear else tuple(one for one in report.judged if not any(one is other for other in faint))
+    judged = () if clock is not None or _is_scrambled(report) else report.judged
     friction = [one for term, value in report.common for one in _list_amplitudes(term, value, None, units)]
-    friction += [amplitude for one in faint for amplitude in _list_amplitudes(one.term, one.value, one.sigma, units)]
+    friction += [
+        amplitude for one in report.faint for amplitude in _list_amplitudes(one.term, one.value, one.sigma, units)
+    ]
     return {
         "verdict": "provisional" if any(one.verdict == "provisional" for one in judged) else "not_known",
         "effects": [_describe_effect(one, units) for one in judged],
@@ -55,7 +56,7 @@ def to_document(report: MotionReport) -> dict[str, Any]:
             {"id": t.effect.id, "joints": [t.joint + 1], "reason": IMITATED, "remedy": f"Record {t.effect.remedy}."}
             for t in report.hidden
         ],
-        "warnings": [*([] if clock is None else [clock]), *_describe_faint(faint), *_list_warnings(report)],
+        "warnings": [*([] if clock is None else [clock]), *_describe_faint(report.faint), *_list_warnings(report)],
     }
 
 

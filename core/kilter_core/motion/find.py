@@ -63,7 +63,7 @@ class MotionReport:
     ``hidden`` are effects that the bodies and the friction imitate in this log, ``pushed_s`` the seconds left out because
     something leant on the arm, ``unexplained`` joints of whose torque the model leaves a third or more: they took no
     part. ``spread (n,)`` of the torques, N m. ``model`` is what unseen motions bear out, fitted to the whole log.
-    ``faint`` are those among ``judged`` that somebody asked for and the log does not show.
+    ``faint`` are effects that somebody asked for and the log does not show.
     """
 
     robot: Robot
@@ -134,8 +134,12 @@ def find_missing_torque(
         terms = choose(equations, split, weights, tests, _scale_progress(progress, 0.85, 0.9, "without them"))
     progress(0.9, "motions that were never used")
     judged = judge_terms(equations, split, weights, terms)
-    faint = tuple(one for one in judged if options.fitted and not one.is_shown(tests))
-    return replace(_write_report(log, equations, split, weights, terms, judged, pushed, odd), faint=faint)
+    report = _write_report(log, equations, split, weights, terms, judged, pushed, odd)
+    if not options.fitted:
+        return report
+    shown = {one.term: one.is_shown(tests) for one in judged}
+    found, faint = (tuple(one for one in judged if shown[one.term] is side) for side in (True, False))
+    return replace(report, judged=found, faint=faint)
 
 
 def _list_asked_terms(
