@@ -26,7 +26,8 @@ second case a campaign of another day can replicate what was found.
 
 λ is the non-centrality of an effect, in units of the noise, after removing what geometry can imitate. ρ is the share
 of it that the nearest other effect can imitate. The effects of a set are decidable when each has λ ≥ 30 and λ(1−ρ) ≥
-11 in the presence of the others.
+11 in the presence of the others. An ideal test knows everything else about a case: the geometry, the other effects and
+the only rival. It has the search's poses and repeats, and may name something in 1 % of the cases that hide nothing.
 
 `python -m tools.lab blind --n {n}` measured this ({runs} runs, seed {seed}). Bounds are exact 95 % bounds (Clopper and
 Pearson). Times are processor times; `python -m tools.lab bench-gap` measures how long a user waits. Of 1000 cases 400

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.blind.bounds import Figure, by_pose, clopper_pearson
 from tests.blind.claims import names, said_undecidable
 from tests.blind.claims import right as right_of
-from tests.blind.score import closure, exact, figures
+from tests.blind.score import closure, exact, figures, ideal
 
 
 def hidden(effect: str, joints: list[int], **joint_lam: float) -> dict[str, Any]:
@@ -34,9 +35,10 @@ def said(
 
 def record(effects: list[dict[str, Any]], truth: list[dict[str, Any]], expectation: str) -> dict[str, Any]:
     gap = {"validation_before_mm": 0.05, "validation_after_mm": 0.03, "validation_noise_rms_mm": 0.03}
-    report = {"verdict": "closed", "effects": effects, "gap": gap, "not_testable": []}
+    noise = {"absolute": True, "freedom": 60.0}
+    report = {"verdict": "closed", "effects": effects, "gap": gap, "noise": noise, "not_testable": []}
     kept = {"effects": truth, "expectation": expectation, "undecidable": [], "background": None, "payload_wrong": False}
-    return {"name": "x", "truth": kept, "report": report, "error": None, "seconds": 1.0}
+    return {"name": "x", "case": {"poses": 60}, "truth": kept, "report": report, "error": None, "seconds": 1.0}
 
 
 def right(effect: dict[str, Any], effects: list[dict[str, Any]], **more: Any) -> bool:
@@ -139,6 +141,26 @@ def test_an_exact_set_is_all_that_is_hidden_and_nothing_else() -> None:
     moved = record([*both, said("drift", None)], truth, "named")
     moved["truth"]["background"] = {"kind": "linear"}
     assert exact(moved)
+
+
+@pytest.mark.parametrize(("lam", "rho", "freedom"), [(30.0, 0.5, 60.0), (60.0, 0.8, 12.0), (44.0, 0.0, 30.0)])
+def test_an_ideal_test_names_what_simulated_tests_name(lam: float, rho: float, freedom: float) -> None:
+    rng, draws = np.random.default_rng(5), 40_000
+    seen = 0.75 * lam  # a quarter of 60 poses chooses nothing
+
+    def noise() -> np.ndarray:
+        return np.sqrt(rng.chisquare(freedom, draws) / freedom)
+
+    best = np.max([np.abs(rng.normal(size=draws) / noise()) for _ in range(100)], axis=0)
+    named_ = np.abs(rng.normal(math.sqrt(seen), 1.0, draws) / noise()) > np.quantile(best, 0.99)
+    # Of a unit signature and a rival like it: the better of the two is the one whose prediction lies nearer.
+    apart = math.sqrt(seen * (1.0 - rho))
+    y = rng.normal(0.0, 1.0, draws)
+    truer = np.abs(y) < np.abs(y - apart)
+    r = record([], [], "named")
+    r["report"]["noise"]["freedom"] = freedom
+    one = hidden("backlash", [3]) | {"lam_partial": lam, "rho": rho}
+    assert ideal(r, one) == pytest.approx(float(named_.mean() * truer.mean()), abs=0.012)
 
 
 def test_bounds_by_pose_know_that_coordinates_hang_together() -> None:
