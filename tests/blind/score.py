@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import nct, norm, t
+from scipy.stats import f, ncf, norm
 
 from tests.blind.bounds import Figure, by_pose, share
 from tests.blind.claims import (
@@ -100,7 +100,7 @@ def ideal(r: Record, hidden: Named) -> float:
     """Chance that a test names an effect that knows the geometry, the other effects and the only rival.
 
     It has the poses and the freedom of the noise that the search has, and may name nothing hidden in ``FALSE_NAMES`` of
-    the campaigns: a two-sided t-test of one amplitude at that level over ``INDEPENDENT`` candidates, and then the
+    the campaigns: an F-test of the effect's amplitudes at that level over ``INDEPENDENT`` candidates, and then the
     likelihood ratio of two simple hypotheses, whose logarithm is normal with mean q/2 and variance q, q = λ(1−ρ).
     """
     share_seen = 1.0 - HELD_OUT if r["case"]["poses"] >= HOLDS_OUT_FROM else 1.0
@@ -108,8 +108,9 @@ def ideal(r: Record, hidden: Named) -> float:
     noise = r["report"]["noise"]
     known = float(noise["freedom"] or 0.0) if noise["absolute"] else 3.0 * share_seen * r["case"]["poses"]
     known = max(known, 1.0)
-    limit = t.isf(FALSE_NAMES / INDEPENDENT / 2.0, known)
-    return float(nct.sf(limit, known, math.sqrt(seen)) * norm.cdf(0.5 * math.sqrt(seen * (1.0 - rho_of(hidden)))))
+    free = hidden["freedom"]
+    limit = f.isf(FALSE_NAMES / INDEPENDENT, free, known)
+    return float(ncf.sf(limit, free, known, seen) * norm.cdf(0.5 * math.sqrt(seen * (1.0 - rho_of(hidden)))))
 
 
 def _numbers(records: Sequence[Record], done: Sequence[Record]) -> list[Figure]:

@@ -22,6 +22,7 @@ def hidden(effect: str, joints: list[int], **joint_lam: float) -> dict[str, Any]
         "lam": 100.0,
         "lam_partial": 100.0,
         "rho": 0.5,
+        "freedom": len(joints) or 1,
         "parameters": {f"b_{j}": 1.0e-4 for j in joints},
     }
 
@@ -143,24 +144,27 @@ def test_an_exact_set_is_all_that_is_hidden_and_nothing_else() -> None:
     assert exact(moved)
 
 
-@pytest.mark.parametrize(("lam", "rho", "freedom"), [(30.0, 0.5, 60.0), (60.0, 0.8, 12.0), (44.0, 0.0, 30.0)])
-def test_an_ideal_test_names_what_simulated_tests_name(lam: float, rho: float, freedom: float) -> None:
+@pytest.mark.parametrize(
+    ("lam", "rho", "amplitudes", "freedom"), [(30.0, 0.5, 1, 60.0), (60.0, 0.8, 1, 12.0), (44.0, 0.0, 6, 30.0)]
+)
+def test_an_ideal_test_names_what_simulated_tests_name(lam: float, rho: float, amplitudes: int, freedom: float) -> None:
     rng, draws = np.random.default_rng(5), 40_000
     seen = 0.75 * lam  # a quarter of 60 poses chooses nothing
 
-    def noise() -> np.ndarray:
-        return np.sqrt(rng.chisquare(freedom, draws) / freedom)
+    def taken(shift: float) -> np.ndarray:
+        noise = rng.normal(size=(amplitudes, draws))
+        noise[0] += shift
+        return np.sum(noise**2, axis=0) / (rng.chisquare(freedom, draws) / freedom)
 
-    best = np.max([np.abs(rng.normal(size=draws) / noise()) for _ in range(100)], axis=0)
-    named_ = np.abs(rng.normal(math.sqrt(seen), 1.0, draws) / noise()) > np.quantile(best, 0.99)
-    # Of a unit signature and a rival like it: the better of the two is the one whose prediction lies nearer.
-    apart = math.sqrt(seen * (1.0 - rho))
-    y = rng.normal(0.0, 1.0, draws)
-    truer = np.abs(y) < np.abs(y - apart)
+    best = np.max([taken(0.0) for _ in range(100)], axis=0)
+    shown = taken(math.sqrt(seen)) > np.quantile(best, 0.99)
+    # Of a signature of length one and a rival like it: the better of the two is the one whose prediction lies nearer.
+    y = rng.normal(size=draws)
+    truer = np.abs(y) < np.abs(y - math.sqrt(seen * (1.0 - rho)))
     r = record([], [], "named")
     r["report"]["noise"]["freedom"] = freedom
-    one = hidden("backlash", [3]) | {"lam_partial": lam, "rho": rho}
-    assert ideal(r, one) == pytest.approx(float(named_.mean() * truer.mean()), abs=0.012)
+    one = hidden("backlash", list(range(1, amplitudes + 1))) | {"lam_partial": lam, "rho": rho}
+    assert ideal(r, one) == pytest.approx(float(shown.mean() * truer.mean()), abs=0.012)
 
 
 def test_bounds_by_pose_know_that_coordinates_hang_together() -> None:
