@@ -36,7 +36,10 @@ KINDS = ("no_gap", "named", "outside", "undecidable")
 # What an ideal test is up against. A six-axis arm has some 450 candidates, whose signatures are alike.
 FALSE_NAMES = 0.01  # chance that nothing hidden is named, as asked
 INDEPENDENT = 100  # candidates whose signatures are not alike
-HELD_OUT, HOLDS_OUT_FROM = 0.25, 60  # share of the poses that choose nothing, and the poses from which they are held out
+HELD_OUT, HOLDS_OUT_FROM = (
+    0.25,
+    60,
+)  # share of the poses that choose nothing, and the poses from which they are held out
 
 
 def figures(records: Sequence[Record]) -> list[Figure]:

@@ -15,16 +15,18 @@ import numpy as np
 from kilter_core.effects.physical import PhysicalClass
 from kilter_core.types import Floats
 
-STRIBECK_SHARE = 0.1  # of the joint's usual highest speed, at which the friction of breaking loose has faded
+FADE_SHARE = 0.1  # of the joint's usual highest speed, at which the friction of breaking loose has faded
 SIGN_SHARE = 0.005  # of it, over which the sign of the speed changes
 
 
 @dataclass(frozen=True)
 class JointSignals:
     """A joint in a stretch of a log, rows (N,): angle, speed and acceleration, rad or m; the torque ``load`` of its bodies
-    and of the whole ``model`` so far, N m; ``t`` s and ``temperature_c`` as differences from the log's mean.
+    and of the whole ``model`` so far, N m, and of a model ``in_time`` that knows no delay; ``t`` s and ``temperature_c``
+    as differences from the log's mean.
 
-    ``usual_speed`` is the highest it usually reaches; ``middle`` of its range, ``orders`` per turn at which it ripples.
+    ``usual_speed`` is the highest it usually reaches; ``middle`` of its range, ``order`` per turn at which it ripples,
+    ``delay_s`` by which its torque looks late, ``fade`` the speed at which the friction of breaking loose looks faded.
     """
 
     q: Floats
@@ -32,12 +34,24 @@ class JointSignals:
     qdd: Floats
     load: Floats
     model: Floats
-    step_s: float
+    in_time: Floats
     t: Floats
     temperature: Floats
     usual_speed: float
     middle: float
     order: float | None
+    delay_s: float
+    fade: float
+
+    @property
+    def breaking_loose(self) -> Floats:
+        """The friction of breaking loose of one newton metre."""
+        return np.asarray(self.sign * np.exp(-((self.qd / self.fade) ** 2)))
+
+    @property
+    def late(self) -> Floats:
+        """What a delay of one second adds: the secant between the model and the model as late as it looks."""
+        return (np.interp(self.t - self.delay_s, self.t, self.in_time) - self.in_time) / self.delay_s
 
     @property
     def sign(self) -> Floats:
@@ -123,7 +137,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "friction of breaking loose (Stribeck)",
         SPEED,
         (("friction", "N m"),),
-        _single_column(lambda s: s.sign * np.exp(-((s.qd / (STRIBECK_SHARE * s.usual_speed)) ** 2))),
+        _single_column(lambda s: s.breaking_loose),
         remedy="slow motions, below a tenth of the usual speed, in both directions",
     ),
     MotionEffect(
@@ -184,8 +198,8 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "delay of the torque",
         TIME_SHIFT,
         (("delay", "s"),),
-        _single_column(lambda s: -np.gradient(s.model, s.step_s)),
-        within=(-0.2, 0.2),
+        _single_column(lambda s: s.late),
+        within=(-0.25, 0.25),
         follows_model=True,
         remedy="fast reversals, and both signals on one clock",
         ahead=False,

@@ -10,8 +10,16 @@ import numpy as np
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.motion.effects import Wanted
-from kilter_core.motion.fit import Fit, covariance, find_hidden_terms, fit_terms, joint_weights
-from kilter_core.motion.layout import Known, Layout, Term
+from kilter_core.motion.fit import (
+    ALIKE_COLUMNS,
+    OWN_SHARE,
+    Fit,
+    covariance,
+    find_hidden_terms,
+    fit_terms,
+    joint_weights,
+)
+from kilter_core.motion.layout import DELAY_STEP_S, Known, Layout, Term
 from kilter_core.motion.model import TorqueModel
 from kilter_core.motion.normal import Equations, form_equations
 from kilter_core.motion.record import Log, clipped_rows
@@ -30,6 +38,8 @@ RIPPLE_ROWS = 20_000
 FEWEST_RIPPLE_ROWS = 50
 FEWEST_PERIODS = 4.0  # of a ripple that a joint must have passed
 LOWEST, HIGHEST = 3, 400  # per turn; slower ones are curves of the joint
+LATEST_S = 0.2  # that a delay is looked for
+FADE_SHARES = tuple(np.geomspace(0.06, 0.6, 9).tolist())  # of the usual speed, at which breaking loose may have faded
 BAND_SHARE = 0.8  # of the cut-off: faster ripples are filtered away at the joint's usual speed
 
 
@@ -114,19 +124,25 @@ def find_missing_torque(
     _refuse_negative_friction(first, fit, split)
     progress(0.3, "what they leave")
     orders, tried = find_orders(log, first, fit)
-    layout = layout.with_candidates(orders, np.unique(first.session[split.train])[1:].tolist(), options.wanted)
+    delays, fades = find_delays_and_fades(log, first)
+    sessions = np.unique(first.session[split.train])[1:].tolist()
+    # A fit to late torques has taken the delay into its bodies; what it would be without tells the delay apart.
+    in_time = Known.from_values(
+        layout, fit_terms(form_equations(layout, log, early_s=delays), first.terms, split.train, weights).theta
+    )
+    layout = layout.with_candidates(orders, delays, fades, sessions, options.wanted)
     _refuse_unseen(layout, options.wanted)
     choose = _list_asked_terms if options.fitted else search_terms
-    known, earlier = Known.from_values(first.layout, fit.theta), frozenset[Term]()
+    known, earlier = in_time, frozenset[Term]()
     for k in range(PASSES):
         equations = form_equations(layout, log, known)
-        tests = tried + len(equations.terms)
+        tests = tried + len(equations.terms) + len(FADE_SHARES) * len(fades)
         share = _scale_progress(progress, 0.6 + 0.1 * k, 0.6 + 0.1 * (k + 1), "which effects explain it")
         terms = choose(equations, split, weights, tests, share)
         if frozenset(terms) == earlier or not any(term.effect.follows_model for term in terms):
             break
         earlier = frozenset(terms)
-        known = Known.from_values(layout, fit_terms(equations, terms, split.train, weights).theta)
+        known = Known.from_values(layout, fit_terms(equations, terms, split.train, weights).theta, in_time)
         weights = joint_weights(equations, terms, split.train)
     odd = _find_unexplained(log, equations, split, weights, terms)
     if odd.any():  # they say nothing of the others: a channel without a signal, or one of another joint
@@ -328,3 +344,43 @@ def _list_residuals(log: Log, equations: Equations, fit: Fit) -> list[Floats]:
         if rows > RIPPLE_ROWS:
             break
     return [np.concatenate(one, axis=1) for one in found]
+
+
+def find_delays_and_fades(log: Log, equations: Equations) -> tuple[list[float], list[float]]:
+    """Return by how much the torque of each joint (n,) looks late, s, never zero; and the speed, rad/s or m/s, at which the
+    friction of breaking loose looks faded. Each is what the joint's own columns leave least with.
+    """
+    layout, rows = equations.layout, 0
+    late = np.arange(-LATEST_S, LATEST_S + 0.5 * DELAY_STEP_S, DELAY_STEP_S)
+    late = late[np.abs(late) > 0.5 * DELAY_STEP_S]
+    fades = np.outer(layout.speeds, FADE_SHARES)
+    sums: list[Floats | float] = [0.0] * len(equations.places)
+    for part in log.parts():
+        bodies, use = layout.bodies(part), (part.moving & part.usable)[part.rows]
+        at = part.t[part.rows, None] + np.append(late, 0.0)
+        for j, own in enumerate(fades.tolist()):
+            signals = layout.signals(part, bodies, j, None)
+            loose = [replace(signals, fade=fade).breaking_loose for fade in own]
+            model = part.smooth(np.column_stack([layout.joint_columns(part, bodies, j, None), *loose]))
+            tau = part.filtered(part.tau[:, j] - bodies.stated[:, j])
+            both = np.concatenate([model, np.interp(at, part.t, tau)], axis=1)[use[:, j]]
+            sums[j] = sums[j] + both.T @ both
+        rows += len(use)
+        if rows > RIPPLE_ROWS:
+            break
+    left = [_remove_columns(np.asarray(one), len(k)) for one, k in zip(sums, equations.places, strict=True)]
+    loose_at = [_best_column(one[: len(FADE_SHARES), : len(FADE_SHARES)], one[: len(FADE_SHARES), -1]) for one in left]
+    late_at = [int(np.argmin(np.diag(one)[len(FADE_SHARES) : -1])) for one in left]
+    return late[late_at].tolist(), fades[np.arange(len(fades)), loose_at].tolist()
+
+
+def _best_column(products: Floats, along: Floats) -> int:
+    """Which of some columns explains most alone, by their products and those with what is left."""
+    own = np.diag(products)
+    return int(np.argmax(np.where(own > OWN_SHARE * own.max(), along**2 / np.where(own > 0.0, own, 1.0), 0.0)))
+
+
+def _remove_columns(products: Floats, k: int) -> Floats:
+    """Products of columns without what the first ``k`` of them explain."""
+    A, B = products[:k, :k], products[:k, k:]
+    return np.asarray(products[k:, k:] - B.T @ np.linalg.pinv(A, rcond=ALIKE_COLUMNS, hermitian=True) @ B)

@@ -100,10 +100,75 @@ def score_terms(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[T
         s = b[c] - A[np.ix_(c, fit.columns)] @ fit.theta[fit.columns]
         value = np.asarray(np.linalg.pinv(M, rcond=ALIKE_COLUMNS, hermitian=True) @ s)
         gain = float(s @ value)
-        found.append((gain, Seen(term, value, 1.0, gain, gain / max(float(left[term.joint]), 1e-12)), beta))
-    found.sort(key=lambda one: -one[0])
-    judged = [replace(seen, p=_p_value(equations, fit, blocks, seen, beta)) for _, seen, beta in found[:JUDGED]]
-    return [*judged, *(seen for _, seen, _ in found[JUDGED:])]
+        found.append(Seen(term, value, 1.0, gain, gain / max(float(left[term.joint]), 1e-12)))
+    found.sort(key=lambda one: -one.gain)
+    best, rest = found[:JUDGED], found[JUDGED:]
+    left_out = values_without_blocks(equations, fit, blocks, [one.term for one in best])
+    return [*(replace(one, p=_p_value(one.value, values)) for one, values in zip(best, left_out, strict=True)), *rest]
+
+
+def values_without_blocks(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[Term]) -> list[Floats]:
+    """Return the values (b, k) of each of some terms beside the model when each of the blocks is left out of the fit."""
+    columns, m = np.concatenate([fit.columns, *(term.columns for term in terms)]), len(fit.columns)
+    A, b = equations.block_sums(columns, blocks, fit.weights)
+    ridge = _ridge(equations, A.sum(axis=0), fit.weights, blocks)
+    A, b = A.sum(axis=0) + np.diag(ridge) - A, b.sum(axis=0) - b
+    solved = np.linalg.solve(A[:, :m, :m], np.concatenate([A[:, :m, m:], b[:, :m, None]], axis=2))
+    own = A[:, m:, m:] - A[:, m:, :m] @ solved[:, :, :-1]
+    along = b[:, m:] - (A[:, m:, :m] @ solved[:, :, -1:])[:, :, 0]
+    out, at = [], 0
+    for term in terms:
+        c = slice(at, at + len(term.columns))
+        inverse = np.linalg.pinv(own[:, c, c], rcond=ALIKE_COLUMNS, hermitian=True)
+        out.append(np.einsum("bij,bj->bi", inverse, along[:, c]))
+        at += len(term.columns)
+    return out
+
+
+def _p_value(value: Floats, left_out: Floats) -> float:
+    """Wald's test of values (k,) by how they change when each block (b,) is left out: the jackknife, which knows how much
+    the model has taken of what is left (Bell and McCaffrey 2002).
+    """
+    count, k = left_out.shape
+    if count <= k + 1:
+        return 1.0
+    apart = left_out - left_out.mean(axis=0)
+    spread = np.linalg.pinv(apart.T @ apart * ((count - 1) / count))
+    return float(fdtrc(k, count - k, float(value @ spread @ value) / k))
+
+
+@dataclass(frozen=True)
+class Partial:
+    """A term in what a model leaves, block by block: products with that ``along (B, k)`` and with itself ``squares (B, k, k)``,
+    each without what the model could imitate of it.
+    """
+
+    along: Floats
+    squares: Floats
+
+    def value(self, blocks: Bools) -> Floats:
+        """Return the values (k,) that some blocks show."""
+        return np.asarray(
+            np.linalg.pinv(self.squares[blocks].sum(axis=0), rcond=ALIKE_COLUMNS, hermitian=True)
+            @ self.along[blocks].sum(axis=0)
+        )
+
+    def size(self, value: Floats, blocks: Bools) -> tuple[Floats, Floats]:
+        """Return products (b,) of the torque of some values with what is left in some blocks, and with itself."""
+        return self.along[blocks] @ value, self.squares[blocks] @ value @ value
+
+
+def partial_terms(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[Term]) -> list[Partial]:
+    """Return each of some terms beside a fit to some blocks (Frisch, Waugh and Lovell)."""
+    A, _ = equations.sum_blocks(blocks, fit.weights)
+    scores = equations.scores(fit.theta, fit.weights)
+    found = []
+    for term in terms:
+        own = np.zeros((equations.layout.width, len(term.columns)))
+        own[term.columns] = np.eye(len(term.columns))
+        own[fit.columns] -= fit.inverse @ A[np.ix_(fit.columns, term.columns)]
+        found.append(Partial(scores @ own, equations.squares(own, fit.weights)))
+    return found
 
 
 def find_hidden_terms(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[Term]) -> list[Term]:
@@ -116,19 +181,3 @@ def find_hidden_terms(equations: Equations, fit: Fit, blocks: Bools, terms: Sequ
         if np.trace(own - across.T @ fit.inverse @ across) <= least * np.trace(own):
             hidden.append(term)
     return hidden
-
-
-def _p_value(equations: Equations, fit: Fit, blocks: Bools, seen: Seen, beta: Floats) -> float:
-    """Wald's test of the values with blocks as observations, their scatter taken from what they leave themselves."""
-    c, theta = seen.term.columns, fit.theta.copy()
-    theta[c] = seen.value
-    theta[fit.columns] -= beta @ seen.value
-    scores = equations.scores(theta, fit.weights)[blocks]
-    each = scores[:, c] - scores[:, fit.columns] @ beta
-    k, count = len(c), len(each)
-    if count <= k + 1:
-        return 1.0
-    s = np.linalg.pinv(each.T @ each * (count / (count - k)))
-    raw = equations.scores(fit.theta, fit.weights)[blocks]
-    along = raw[:, c].sum(axis=0) - raw[:, fit.columns].sum(axis=0) @ beta
-    return float(fdtrc(k, count - k, float(along @ s @ along) / k))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.motion.effects import CARRIED_MASS, MOTION_EFFECTS, JointSignals, MotionEffect, Wanted
+from kilter_core.motion.effects import CARRIED_MASS, FADE_SHARE, MOTION_EFFECTS, JointSignals, MotionEffect, Wanted
 from kilter_core.motion.record import Log, Path
 from kilter_core.motion.regressor import (
     PER_LINK,
@@ -22,6 +22,7 @@ from kilter_core.motion.regressor import (
 )
 from kilter_core.types import Floats, Ints
 
+DELAY_STEP_S = 0.005  # between delays that are tried
 MOST_CARRIED = 60  # columns of masses that are carried in one session; where there are many, only outer links carry
 
 
@@ -47,8 +48,8 @@ class Bodies:
 class Layout:
     """``kept (p,)`` columns of the regressor come first, then those of the ``terms``, ``width`` in all.
 
-    Of each joint: the speed that it usually reaches,
-    the middle of its range and the order of its ripple. ``mean_t`` s and ``mean_c`` are means of the log.
+    Of each joint: the speed that it usually reaches, the middle of its range, the order of its ripple, the delay (s) of its
+    torque, and the speed at which its friction of breaking loose has faded. ``mean_t`` s and ``mean_c`` are means of the log.
     ``carried`` are columns of the regressor that count in one session only, as candidates or in every model: theirs follow.
     """
 
@@ -62,6 +63,8 @@ class Layout:
     mean_t: float
     mean_c: float
     carried: tuple[tuple[int, Ints, bool], ...] = ()
+    delays: tuple[float, ...] = ()
+    fades: tuple[float, ...] = ()
 
     @classmethod
     def of_log(cls, robot: Robot, log: Log, loaded: int | None = None) -> Layout:
@@ -91,18 +94,28 @@ class Layout:
         return bare._with_effects([effect for effect in MOTION_EFFECTS if effect.common])
 
     def with_candidates(
-        self, orders: Sequence[float | None], sessions: Sequence[int] = (), wanted: Wanted | None = None
+        self,
+        orders: Sequence[float | None],
+        delays: Sequence[float] = (),
+        fades: Sequence[float] = (),
+        sessions: Sequence[int] = (),
+        wanted: Wanted | None = None,
     ) -> Layout:
-        """Return the layout with the library's effects, or those ``wanted``; ripples of these orders, and masses carried in
-        ``sessions``.
+        """Return the layout with the library's effects, or those ``wanted``; ripples of these orders, torques about as late as
+        the ``delays``, breaking loose that ends about at the ``fades``, and masses carried in ``sessions``.
         """
         sessions = sessions if wanted is None else ()
         most = max(1, MOST_CARRIED // (PER_LINK * max(1, len(sessions))))
         shown = shown_columns(self.robot)[-most:] if sessions else []
         carried = [(session, columns, False) for session in sessions for columns in shown if len(columns)]
-        return replace(self, orders=tuple(orders), carried=(*self.carried, *carried))._with_effects(
-            MOTION_EFFECTS, wanted
+        found = replace(
+            self,
+            orders=tuple(orders),
+            delays=tuple(delays),
+            fades=tuple(fades),
+            carried=(*self.carried, *carried),
         )
+        return found._with_effects(MOTION_EFFECTS, wanted)
 
     def _with_effects(self, effects: Sequence[MotionEffect], wanted: Wanted | None = None) -> Layout:
         terms, at = [], len(self.kept)
@@ -154,43 +167,56 @@ class Layout:
 
     def signals(self, part: Path, bodies: Bodies, j: int, known: Known | None) -> JointSignals:
         """Return what effects at a joint read; without a model so far there is no load."""
-        load = np.zeros(len(part.t))
-        if known is not None:
-            load = bodies.columns[:, j, : len(known.base)] @ known.base + bodies.stated[:, j]
-        warm = np.zeros(len(part.t)) if part.temperature_c is None else part.temperature_c - self.mean_c
+        load, none = self._load(part, bodies, j, known), np.zeros(len(part.t))
+        warm = none if part.temperature_c is None else part.temperature_c - self.mean_c
         bare = JointSignals(
             part.q[:, j],
             part.qd[:, j],
             part.qdd[:, j],
             load,
-            load,
-            part.step_s,
+            none,
+            none,
             part.t - self.mean_t,
             warm,
             float(self.speeds[j]),
             float(self.middles[j]),
             self.orders[j],
+            self.delays[j] if self.delays else DELAY_STEP_S,
+            self.fades[j] if self.fades else FADE_SHARE * float(self.speeds[j]),
         )
         if known is None:
             return bare
-        common = (e.columns(bare) @ known.common[e.id, j] for e in MOTION_EFFECTS if e.common)
-        return replace(bare, model=load + sum(common))
+        model = load + known.friction(bare, j)
+        if known.in_time is None:
+            return replace(bare, model=model, in_time=model)
+        in_time = self._load(part, bodies, j, known.in_time) + known.in_time.friction(bare, j)
+        return replace(bare, model=model, in_time=in_time)
+
+    def _load(self, part: Path, bodies: Bodies, j: int, known: Known | None) -> Floats:
+        if known is None:
+            return np.zeros(len(part.t))
+        return np.asarray(bodies.columns[:, j, : len(known.base)] @ known.base + bodies.stated[:, j])
 
 
 @dataclass(frozen=True)
 class Known:
     """A model so far: values (m,) of the columns that all joints share, and of the effects that every model has by id and
-    joint.
+    joint; and the model ``in_time``, where it is another, which was fitted to torques as if none were late.
     """
 
     base: Floats
     common: Mapping[tuple[str, int], Floats]
+    in_time: Known | None = None
 
     @classmethod
-    def from_values(cls, layout: Layout, theta: Floats) -> Known:
+    def from_values(cls, layout: Layout, theta: Floats, in_time: Known | None = None) -> Known:
         """Return what the values (width,) of a layout say."""
         common = {(t.effect.id, t.joint): theta[t.columns] for t in layout.terms if t.effect.common}
-        return cls(theta[: layout.n_body_columns], common)
+        return cls(theta[: layout.n_body_columns], common, in_time)
+
+    def friction(self, signals: JointSignals, j: int) -> Floats:
+        """Torque (N,) of the effects that every model has at a joint, N m."""
+        return np.asarray(sum(e.columns(signals) @ self.common[e.id, j] for e in MOTION_EFFECTS if e.common))
 
 
 def _outermost_columns(robot: Robot) -> Ints:

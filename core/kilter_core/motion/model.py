@@ -105,6 +105,7 @@ class TorqueModel:
             "usual_speeds": layout.speeds,
             "middles": layout.middles,
             "orders": list(layout.orders),
+            "fades": list(layout.fades),
             "mean_temperature_c": None if np.isnan(layout.mean_c) else layout.mean_c,
         }
 
@@ -128,6 +129,7 @@ class TorqueModel:
             tuple(document["orders"]),
             0.0,
             np.nan if mean_c is None else mean_c,
+            fades=tuple(document.get("fades", ())),
         )
         effects = {effect.id: effect for effect in MOTION_EFFECTS}
         found = [

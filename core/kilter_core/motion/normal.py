@@ -56,11 +56,12 @@ class Equations:
         return np.stack(out, axis=1)
 
     def squares(self, theta: Floats, weights: Floats) -> Floats:
-        """Weighted squares (B,) of the torques that the values ``theta (width,)`` make."""
-        out = np.zeros(len(self.motion))
+        """Weighted products (B, k, k) of the torques that values ``theta (width, k)`` make."""
+        out = np.zeros((len(self.motion), theta.shape[1], theta.shape[1]))
         for j, w in enumerate(weights):
-            v = theta[self.places[j]]
-            out += w * np.einsum("i,bij,j->b", v, self.products[j][:, :-1, :-1], v)
+            used = np.flatnonzero(np.any(theta[self.places[j]], axis=1))
+            v = theta[self.places[j]][used]
+            out += w * (v.T @ self.products[j][:, used][:, :, used] @ v)
         return out
 
     def scores(self, theta: Floats, weights: Floats) -> Floats:
@@ -81,6 +82,19 @@ class Equations:
             b[self.places[j]] += total[:-1, -1]
         return A, b
 
+    def block_sums(self, columns: Ints, blocks: Bools, weights: Floats) -> tuple[Floats, Floats]:
+        """Normal matrices (b, k, k) and right sides (b, k) of some blocks, for some columns of the layout."""
+        place = np.full(self.layout.width, -1)
+        place[columns] = np.arange(len(columns))
+        A = np.zeros((np.count_nonzero(blocks), len(columns), len(columns)))
+        b = np.zeros(A.shape[:2])
+        for j, w in enumerate(weights):
+            own = np.flatnonzero(place[self.places[j]] >= 0)
+            there, P = place[self.places[j]][own], self.products[j][blocks]
+            A[:, there[:, None], there] += w * P[:, own[:, None], own]
+            b[:, there] += w * P[:, own, -1]
+        return A, b
+
     def rms(self, theta: Floats, blocks: Bools) -> Floats:
         """Root mean square (n,) of what the values ``theta (width,)`` leave of each torque in some blocks."""
         squares = self.losses(theta, np.ones(len(self.products)), blocks).sum(axis=0)
@@ -95,15 +109,15 @@ class Equations:
         return np.concatenate([np.arange(self.base), *(term.columns for term in terms)]).astype(np.int64)
 
 
-def form_equations(layout: Layout, log: Log, known: Known | None = None) -> Equations:
-    """Return the products of the columns of a layout and the torques of a log."""
+def form_equations(layout: Layout, log: Log, known: Known | None = None, early_s: Sequence[float] = ()) -> Equations:
+    """Return the products of the columns of a layout and the torques of a log, which may be read earlier at each joint (n,)."""
     n = layout.robot.n_joints
     sums: list[list[Floats]] = [[] for _ in range(n)]
     rows, motion, session, start_s = [], [], [], []
     length = max(BLOCK_S, sum(float(part.t[-1] - part.t[0]) for part in log.parts()) / MOST_BLOCKS)
     for part in log.parts():
         use = (part.moving & part.usable)[part.rows]
-        joints = _smooth_columns(layout, part, known)
+        joints = _smooth_columns(layout, part, known, early_s or (0.0,) * n)
         block = ((part.t[part.rows] - part.t[0]) / length).astype(np.int64)
         edges = np.flatnonzero(np.diff(block, prepend=-1, append=-1))
         for inside in (slice(a, b) for a, b in pairwise(edges.tolist())):
@@ -119,8 +133,12 @@ def form_equations(layout: Layout, log: Log, known: Known | None = None) -> Equa
     return Equations(layout, products, places, np.array(rows), np.array(motion), np.array(session), np.array(start_s))
 
 
-def _smooth_columns(layout: Layout, part: Part, known: Known | None) -> list[Floats]:
+def _smooth_columns(layout: Layout, part: Part, known: Known | None, early_s: Sequence[float]) -> list[Floats]:
     """Of each joint its columns and the torque, filtered and thinned."""
-    bodies = layout.bodies(part)
-    columns = (layout.joint_columns(part, bodies, j, known) for j in range(layout.robot.n_joints))
-    return [part.smooth(np.column_stack([X, part.tau[:, j] - bodies.stated[:, j]])) for j, X in enumerate(columns)]
+    bodies, out = layout.bodies(part), []
+    for j, early in enumerate(early_s):
+        tau = np.interp(part.t + early, part.t, part.tau[:, j]) if early else part.tau[:, j]
+        out.append(
+            part.smooth(np.column_stack([layout.joint_columns(part, bodies, j, known), tau - bodies.stated[:, j]]))
+        )
+    return out

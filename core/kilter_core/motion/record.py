@@ -69,7 +69,11 @@ class Part(Path):
 
     def smooth(self, columns: Floats) -> Floats:
         """Return columns (N, ...) filtered as the torques are, at the :attr:`rows` that are compared."""
-        return _filter_columns(columns, self.cut_off_hz, self.step_s)[self.rows]
+        return self.filtered(columns)[self.rows]
+
+    def filtered(self, columns: Floats) -> Floats:
+        """Return columns (N, ...) filtered as the torques are."""
+        return _filter_columns(columns, self.cut_off_hz, self.step_s)
 
     @property
     def rows(self) -> slice:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtri
 
-from kilter_core.motion.fit import Fit, Seen, covariance, fit_terms, score_terms
+from kilter_core.motion.fit import Fit, Partial, Seen, covariance, fit_terms, partial_terms, score_terms
 from kilter_core.motion.layout import Term
 from kilter_core.motion.normal import Equations
 from kilter_core.types import Bools, Floats, Ints
@@ -109,14 +109,29 @@ def split_motions(equations: Equations, seed: int, apart: Sequence[int] = ()) ->
     return Split(train, held, folds, whole)
 
 
-def unseen_losses(equations: Equations, terms: Sequence[Term], split: Split, weights: Floats) -> Floats:
-    """Weighted squares (T,) of each block that chooses, from fits to the other folds."""
-    out = np.zeros(len(equations.motion))
+def gain_in_folds(partial: Partial, split: Split) -> tuple[Floats, tuple[float, float]]:
+    """Return what a term gains (T,) in each block that chooses, by its values in the other folds; and its size there, as a
+    share of those values, with its standard error.
+
+    The model beside it is fitted to all of them: what the bodies are is not asked of four fifths of a short log.
+    """
+    along, torque = np.zeros(len(split.train)), np.zeros(len(split.train))
     for fold in range(TIME_FOLDS):
         inside = split.folds == fold
-        fit = fit_terms(equations, terms, split.train & ~inside, weights)
-        out[inside] = equations.losses(fit.theta, weights, inside).sum(axis=1)
-    return out[split.train]
+        along[inside], torque[inside] = partial.size(partial.value(split.train & ~inside), inside)
+    return (2.0 * along - torque)[split.train], _size(along[split.train], torque[split.train])
+
+
+def _size(along: Floats, torque: Floats) -> tuple[float, float]:
+    """Size of a torque in blocks (B,), by its products with what is left and with itself; and its standard error."""
+    whole = max(float(torque.sum()), 1e-12)
+    size = float(along.sum()) / whole
+    return size, float(np.sqrt(np.sum((along - size * torque) ** 2))) / whole
+
+
+def _is_borne_out(size: float, sigma: float) -> bool:
+    """Whether a size on blocks that did not choose it makes them better, and not by chance."""
+    return size > max(LEAST_UNSEEN, DEVIATIONS * sigma)
 
 
 def deviations(gain: Floats) -> float:
@@ -133,20 +148,16 @@ def search_terms(
     """Return the terms that enter the model, common ones first."""
     model = [term for term in equations.terms if term.effect.common]
     rest = [term for term in equations.terms if not term.effect.common and weights[term.joint] > 0.0]
-    losses = unseen_losses(equations, model, split, weights)
     most = len(model) + MOST_TERMS
     while len(model) < most:
         progress(len(model) / most)
         fit = fit_terms(equations, model, split.train, weights)
-        best = _best_entry(
-            equations, split, weights, model, losses, _list_significant_terms(equations, fit, split, rest, tests)
-        )
+        best = _best_entry(equations, fit, split, _list_significant_terms(equations, fit, split, rest, tests))
         if best is None:
             break
-        term, losses = best
-        model.append(term)
-        rest.remove(term)
-        model, losses = _drop_idle_terms(equations, split, weights, model, losses)
+        model.append(best)
+        rest.remove(best)
+        model = _drop_idle_terms(equations, split, weights, model)
     return model
 
 
@@ -163,37 +174,34 @@ def is_plausible(seen: Seen) -> bool:
     return bool(np.all((seen.value > low) & (seen.value < high)))
 
 
-def _best_entry(
-    equations: Equations, split: Split, weights: Floats, model: list[Term], losses: Floats, seen: Sequence[Seen]
-) -> tuple[Term, Floats] | None:
-    best: tuple[float, Term, Floats] | None = None
-    for one in seen:
-        left = unseen_losses(equations, [*model, one.term], split, weights)
-        gain = losses - left
-        if deviations(gain) > DEVIATIONS and (best is None or gain.sum() > best[0]):
-            best = float(gain.sum()), one.term, left
-    return None if best is None else best[1:]
+def _best_entry(equations: Equations, fit: Fit, split: Split, seen: Sequence[Seen]) -> Term | None:
+    """The term that gains most on blocks left out, of those that are borne out there."""
+    best: tuple[float, Term | None] = (0.0, None)
+    terms = [one.term for one in seen]
+    for term, partial in zip(terms, partial_terms(equations, fit, split.train, terms), strict=True):
+        gain, size = gain_in_folds(partial, split)
+        if gain.sum() > best[0] and _is_borne_out(*size):
+            best = float(gain.sum()), term
+    return best[1]
 
 
-def _drop_idle_terms(
-    equations: Equations, split: Split, weights: Floats, model: list[Term], losses: Floats
-) -> tuple[list[Term], Floats]:
+def _drop_idle_terms(equations: Equations, split: Split, weights: Floats, model: list[Term]) -> list[Term]:
     """Leave out what the latest term has made superfluous."""
     for term in [term for term in model[:-1] if not term.effect.common]:
         without = [other for other in model if other is not term]
-        left = unseen_losses(equations, without, split, weights)
-        if deviations(left - losses) <= DEVIATIONS:
-            model, losses = without, left
-    return model, losses
+        fit = fit_terms(equations, without, split.train, weights)
+        (partial,) = partial_terms(equations, fit, split.train, [term])
+        if not _is_borne_out(*gain_in_folds(partial, split)[1]):
+            model = without
+    return model
 
 
 def judge_terms(equations: Equations, split: Split, weights: Floats, model: Sequence[Term]) -> list[Judged]:
     """Judge each term that was found by blocks that no choice saw, by halves, by sessions, and against its rivals."""
     whole = fit_terms(equations, model, split.every, weights)
     spread = covariance(equations, whole, split.every)
-    trained = fit_terms(equations, model, split.train, weights)
     found = [term for term in model if not term.effect.common]
-    return [_judge(equations, split, weights, model, term, whole, spread, trained) for term in found]
+    return [_judge(equations, split, weights, model, term, whole, spread) for term in found]
 
 
 def _judge(
@@ -204,7 +212,6 @@ def _judge(
     term: Term,
     whole: Fit,
     spread: Floats,
-    trained: Fit,
 ) -> Judged:
     without = [other for other in model if other is not term]
     at = _find_places(whole, term)
@@ -213,7 +220,7 @@ def _judge(
         term,
         value,
         sigma,
-        *_unseen_size(equations, split, weights, fit_terms(equations, without, split.train, weights), trained),
+        *_unseen_size(equations, split, fit_terms(equations, without, split.every, weights), term),
         _halves_agree(equations, split, weights, model, term),
         _sessions_that_show(equations, split, weights, model, term, value, sigma),
         _find_rivals(equations, split, weights, model, term),
@@ -222,15 +229,13 @@ def _judge(
     return replace(judged, verdict=_verdict(judged, split))
 
 
-def _unseen_size(
-    equations: Equations, split: Split, weights: Floats, without: Fit, trained: Fit
-) -> tuple[float, float]:
-    """How large a term is on blocks that no choice saw, as a share of what was fitted, and the standard error of that."""
-    torque = equations.squares(trained.theta - without.theta, weights)[split.held]
-    lost = [equations.losses(fit.theta, weights, split.held).sum(axis=1) for fit in (without, trained)]
-    along = 0.5 * (lost[0] - lost[1] + torque)
-    size = float(along.sum() / max(torque.sum(), 1e-12))
-    return size, float(np.sqrt(np.sum((along - size * torque) ** 2)) / max(torque.sum(), 1e-12))
+def _unseen_size(equations: Equations, split: Split, without: Fit, term: Term) -> tuple[float, float]:
+    """How large a term is on blocks that no choice saw, as a share of what the others show, and its standard error.
+
+    The model beside it is fitted to all blocks, as base and tool are to another campaign: asked is what the term does there.
+    """
+    (partial,) = partial_terms(equations, without, split.every, [term])
+    return _size(*partial.size(partial.value(split.train), split.held))
 
 
 def _find_places(fit: Fit, term: Term) -> Ints:
@@ -289,12 +294,12 @@ def _find_rivals(
     seen = score_terms(equations, fit, split.train, [term, *others])
     own = next((one.gain for one in seen if one.term is term), 0.0)
     near = [one for one in seen if one.term is not term and one.gain > 0.5 * own and is_plausible(one)]
-    losses = unseen_losses(equations, model, split, weights)
-    rivals = []
-    for one in near:
-        behind = deviations(unseen_losses(equations, [*without, one.term], split, weights) - losses)
-        if behind <= DEVIATIONS:
-            rivals.append(Rival(one.term, behind))
+    own_gain, *gains = (
+        gain_in_folds(partial, split)[0]
+        for partial in partial_terms(equations, fit, split.train, [term, *(one.term for one in near)])
+    )
+    behind = [deviations(own_gain - gain) for gain in gains]
+    rivals = [Rival(one.term, late) for one, late in zip(near, behind, strict=True) if late <= DEVIATIONS]
     return tuple(sorted(rivals, key=lambda rival: rival.behind))
 
 

@@ -83,6 +83,27 @@ def test_load_friction_delay_and_gain_have_their_sizes() -> None:
     assert abs(delay.value[0] - 0.015) < 4.0 * delay.sigma[0] + 0.001
 
 
+@pytest.mark.parametrize("delay_s", [0.1, -0.06])
+def test_a_long_delay_has_its_size(delay_s: float) -> None:
+    """So long that a torque is no longer late by its slope, and that bodies and friction were fitted to what was late."""
+    logger = Logger(ur_like(np.random.default_rng(4)), seed=4)
+    logger.delay_s = delay_s * (np.arange(6) == 2)
+    (found,) = (one for one in hunt(logger).judged if one.verdict != "contradicted")
+    assert (found.term.effect.id, found.term.joint) == ("torque_delay", 2)
+    assert found.value[0] == pytest.approx(delay_s, rel=0.05)
+
+
+def test_breaking_loose_that_fades_late_is_named() -> None:
+    """Friction that falls up to half of the usual speed, which a tenth of it would not show."""
+    logger = Logger(ur_like(np.random.default_rng(8)), seed=8)
+    speed = 0.4
+    logger.extra = [
+        at_joint(4, lambda s: reversed_softly(s.qd[:, 4], 0.004) * np.exp(-((s.qd[:, 4] / speed) ** 2)), 4.0)(logger)
+    ]
+    (found,) = (one for one in hunt(logger).judged if one.verdict != "contradicted")
+    assert (found.term.effect.id, found.term.joint) == ("stribeck", 4)
+
+
 def test_a_gain_of_a_drive_is_told_from_masses_by_the_other_joints() -> None:
     logger = Logger(ur_like(np.random.default_rng(2)), seed=2)
     logger.gain = np.array([1.0, 1.0, 1.1, 1.0, 1.0, 1.0])
