@@ -73,7 +73,7 @@ def find_corners(path: Path, way: str) -> tuple[Path, dict[str, Any]]:
 
 
 def _write_pictures(seen: rig.Seen) -> None:
-    """Write what each picture shows, while others are still looked at: its corners, or why none, in place of before."""
+    """Write what each picture shows until now, while others are still looked at: its corners, or why it has none."""
     found = [{"picture": Path(one["picture"]).name, "corners": one["corners"]} for one in seen.views]
     refused = [one.to_document() for one in seen.refused]
     found += [{"picture": Path(one["picture"]).name, "why": f"{one['detail']}. {one['remedy']}"} for one in refused]

@@ -142,6 +142,7 @@ SKY = "#56b4e9"
 COLOURS = (BLUE, SKY, GREEN, PURPLE, RED, GREY)
 DASHES = ("", "6 3", "2 3", "8 3 2 3", "1 4", "12 4")
 LEFT, RIGHT, TOP, BOTTOM = 62.0, 14.0, 14.0, 44.0
+NO_LABEL = 20.0  # of the bottom, where the axis has no label
 LINE, THIN = 1.8, 1.0  # width of a stroke, pixels
 LEGEND_LINE, LETTER = 18.0, 6.6  # height of a line of the legend, width of a letter: pixels at 12
 SLANT_DEG = 45  # of names that have no room side by side
@@ -286,7 +287,7 @@ class Plot:
         """Return it as SVG."""
         legend, lines = self._legend_drawn()
         extra = lines * LEGEND_LINE
-        tall = round(self.height + extra + self._below(), 1)
+        tall = round(self.height + extra + self._below() - (0.0 if self.x.label else NO_LABEL), 1)
         head = (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 {-extra} {self.width} {tall}" role="img" '
             f'width="{self.width}" height="{tall}" {FONT} fill="currentColor">'
