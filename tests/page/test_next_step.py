@@ -137,7 +137,7 @@ def test_a_check_is_a_picture_with_its_rivals(
         if width == 1440:
             assert page.evaluate("document.documentElement.scrollHeight") <= 900
             assert page.locator("figure svg").count() == 2
-            page.goto(f"/robots/{result_robot}")
+            page.goto("/robots/zeroed")
             page.locator("[data-arm][data-ready]").wait_for()
             assert page.evaluate("document.documentElement.scrollHeight") <= 900
 
