@@ -26,7 +26,6 @@ from kilter_service.page.shared.curves import (
     bin_points,
     branches,
     curves,
-    has_effect_without_curve,
     own_curves,
     student,
 )
@@ -230,13 +229,6 @@ def test_an_earlier_result_has_its_residuals_only(hunted: Hunted) -> None:
     earlier = GapResult.model_validate({**hunted.closed["result"], "effect_curves": None})
     assert own_curves(earlier.effect_curves) == []
     assert [one.joint for one in curves(earlier.figures, "mm")] == [1]
-
-
-def test_an_effect_without_a_curve_of_its_own_is_known(hunted: Hunted) -> None:
-    result = hunted.closed["result"]
-    assert not has_effect_without_curve(GapResult.model_validate(result))
-    bending = {**result["effects"][0], "id": "link_bending"}
-    assert has_effect_without_curve(GapResult.model_validate({**result, "effects": [*result["effects"], bending]}))
 
 
 def test_the_gap_closes_in_steps(hunted: Hunted) -> None:
