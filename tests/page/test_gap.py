@@ -20,7 +20,7 @@ from kilter_service.contract.gap_details import Evidence, Gates
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
-from kilter_service.page.gap.effects import GATES
+from kilter_service.page.gap.effects import GATES, describe_evidence
 from kilter_service.page.shared.curves import (
     Point,
     bin_points,
@@ -147,7 +147,7 @@ def test_the_level_of_the_claim_and_what_would_raise_it(hunted: Hunted) -> None:
 
 def test_every_test_of_an_effect_has_words() -> None:
     assert set(GATES) == set(Gates.model_fields)
-    assert all(say(Evidence()) for _, say in GATES.values())
+    assert all(describe_evidence(name, Evidence()) for name in GATES)
 
 
 def test_candidates_have_their_outcome_and_its_reason(hunted: Hunted) -> None:
