@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmarks.table import Line, show
 from kilter_client.cli import run
-from kilter_files.rig.see.run import Looker
+from kilter_files.rig.see.run import Looker, Seen
 from kilter_files.rig.see.sources import Source
 from kilter_files.rig.see.target import Target, read_target
 
@@ -64,8 +64,8 @@ def measured(pictures: int) -> list[Line]:
         paths, target = drawn(folder), board(folder)
         began, early = [0.0], [0]
 
-        def told(done: int) -> None:
-            if done == max(1, pictures // 10):
+        def told(seen: Seen) -> None:
+            if seen.pictures == max(1, pictures // 10):
                 began[0], early[0] = time.perf_counter(), _most_kb()
 
         source = Source(tuple(paths[k % DIFFERENT] for k in range(pictures)))

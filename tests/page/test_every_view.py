@@ -60,7 +60,7 @@ OTHERS = {
     "GET /versions/{version}/report.pdf", "GET /jobs/{job}/report.pdf",
     "GET /jobs/{job}/report.html", "GET /jobs/{job}/poses.csv",
     "GET /robots/{robot}/campaigns/new/{draft}", "GET /jobs/{job}/report", "GET /jobs/compare",
-    "GET /robots/{robot}/campaigns/new/board.zip",
+    "GET /robots/{robot}/campaigns/new/board.zip", "GET /robots/{robot}/campaigns/new/reading",
 }  # fmt: skip
 OF_AN_ID = {"GET /versions/{version}", "GET /versions/{version}/report", "GET /campaigns/{campaign}", "GET /jobs/{job}"}
 CELLS = r"[...document.querySelectorAll('td')].map(one => one.textContent.trim())"

@@ -44,3 +44,11 @@ def test_an_interval_that_was_asked_for_is_drawn_as_it_is() -> None:
     middle, _, low, high, band = places(str(found.drawn))
     assert abs(low - middle - 1.0 * band / 10.0) < 0.2
     assert abs(high - middle - 5.0 * band / 10.0) < 0.2
+
+
+def test_what_is_hardly_better_known_than_before_is_told_apart() -> None:
+    rows = [row("wide", 1.0, 4.9), row("narrow", 1.0, 2.0), row("profiled", 1.0, 4.9, lower=90.0, upper=111.0)]
+    found = parameter_rows([*rows, row("new", 1.0, 9.0)], {"wide": 5.0, "narrow": 5.0, "profiled": 5.0})
+    assert {one.parameter.name: one.carried for one in found} == {
+        "wide": False, "narrow": True, "profiled": True, "new": True,
+    }  # fmt: skip

@@ -5,6 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
+import subprocess
+import sys
+import threading
 import zipfile
 from pathlib import Path
 
@@ -12,6 +16,7 @@ import cv2
 import httpx
 import numpy as np
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, expect
 
 from tests.clients.files.rig.see.boards import small
@@ -19,6 +24,9 @@ from tests.clients.files.rig.see.raycaster import Page as Paper
 from tests.clients.files.rig.see.raycaster import clean, finished
 
 from .conftest import opened
+from .test_first_calibration import Person, Server, stage, there, work
+
+__all__ = ["there"]
 
 PRESET = "katana450-chapter5"
 VIEWS = 14
@@ -75,7 +83,10 @@ def test_pictures_become_a_campaign_without_a_command(
         page.wait_for_url("**/campaigns/new/*", timeout=60_000)
         expect(page.get_by_text("Understood.", exact=True)).to_be_visible()
         expect(page.locator("#understood")).to_contain_text(f"{VIEWS} views of {VIEWS + 1} pictures")
-        expect(page.locator("#understood")).to_contain_text("empty.png: no marker of")
+        shown = page.locator(".pictures")
+        expect(shown).to_contain_text(f"{VIEWS} of {VIEWS + 1} pictures show the board")
+        expect(shown.locator("li.bad")).to_have_text(re.compile("empty.png no marker of"))
+        expect(shown).to_contain_text(re.compile(r"pose3.png\s+24 corners"))
         expect(page.locator("#understood")).to_contain_text("the camera stands in the room")  # a guess, and says so
         expect(page.locator("#rig")).to_contain_text("in the room, 480 × 360 px")
         page.get_by_label("Read it", exact=True).select_option("views-flange")
@@ -89,6 +100,79 @@ def test_pictures_become_a_campaign_without_a_command(
     (camera,) = stored["conditions"]["cameras"]
     assert (stored["rows"], camera["mount"]) == (VIEWS, "flange")
     assert abs(camera["fx_px"] - 560.0) < 15.0  # of the lens that the pictures were made with
+
+
+def photographed_in_mujoco(folder: Path) -> list[Path]:
+    """Forty pictures of an arm that MuJoCo moves before a camera, the joints of each, and the arm as drawn."""
+    twin = Path(__file__).parents[2] / "docs/tutorial/camera_twin.py"
+    subprocess.run([sys.executable, twin, "draw", "board.json"], cwd=folder, check=True)
+    return [folder / "board.json", folder / "joints.csv", *sorted((folder / "pictures").iterdir())]
+
+
+@pytest.mark.slow
+def test_an_arm_is_calibrated_with_a_camera_from_its_page(chromium: Browser, there: Server, tmp_path: Path) -> None:
+    client, database = there
+    with opened(chromium, client) as page:
+        client.post("/v1/robots", json={"name": "bare", "convention": "preset", "preset": PRESET}).raise_for_status()
+        page.goto("/robots/bare")
+        with page.expect_download() as board:
+            page.get_by_role("link", name="A board to print").click()
+        with zipfile.ZipFile(board.value.path()) as archive:
+            archive.extractall(tmp_path)
+        files = photographed_in_mujoco(tmp_path)
+        drawn = {
+            "convention": "urdf",
+            "urdf": (tmp_path / "arm.urdf").read_text(),
+            "base_link": "base",
+            "tip_link": "lj6",
+        }
+        client.post("/v1/robots", json={"name": "photographed", **drawn}).raise_for_status()
+        person = Person(page)
+        page.goto("/robots/photographed")
+        stage(page, "Measure")
+        page.locator("#first-file").set_input_files(files)
+        page.wait_for_url("**/campaigns/new/*", timeout=120_000)
+        expect(page.locator(".pictures h2")).to_have_text("40 of 40 pictures show the board")
+        assert Axe().run(page).response["violations"] == []
+        person.press("button", "^Store and identify$")
+        page.wait_for_url("**/jobs/job_*", timeout=60_000)
+        asked = client.get(f"/v1/jobs/{page.url.rpartition('/')[2]}").json()
+        assert (asked["kind"], asked["validation"]) == ("identify", 0.25)
+        page.goto("/robots/photographed")
+        stage(page, "Identify and search")
+        work(database, "identify")
+        page.reload()
+        stage(page, "Activate")
+        person.press("button", "^Activate …$|^Activate [^…]*…$")
+        person.press("button", "^Activate (now|anyway)")
+        page.wait_for_url("**/robots/photographed")
+        stage(page, "Correct")
+        expect(page.locator("#first li.done")).to_have_count(5)
+        assert person.count <= 3
+    version = client.get("/v1/robots/photographed").json()["active_version"]
+    held = client.get(f"/v1/versions/{version}").json()["metrics"]["validation"]
+    assert held["identified"]["mean_mm"] < 0.05 < 1.0 < held["registration_only"]["mean_mm"]
+
+
+def test_what_each_picture_shows_is_said_while_others_are_read(
+    server: httpx.Client, robot: str, tmp_path: Path
+) -> None:
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w") as out:
+        for file in photographed(downloaded(server, robot, tmp_path), tmp_path):
+            out.write(file, file.name)
+    place = f"/robots/{robot}/campaigns/new"
+    assert "pictures show the board" not in server.get(f"{place}/reading").raise_for_status().text
+    sent = threading.Thread(
+        target=lambda: server.post(f"{place}/file", params={"name": "all.zip"}, content=archive.getvalue())
+    )
+    sent.start()
+    seen = set()
+    while sent.is_alive():
+        said = re.search(r"\d+ of (\d+) pictures show the board", server.get(f"{place}/reading").text)
+        seen |= {int(said[1])} if said else set()
+    assert seen
+    assert seen <= set(range(1, VIEWS + 2))
 
 
 @pytest.mark.parametrize(

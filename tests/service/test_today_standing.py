@@ -20,6 +20,9 @@ from tests.service import watched_robot
 from tests.service.conftest import new_database, ready, served
 from tests.service.watched_robot import Watched
 
+CAMERA = {"name": "cell", "mount": "fixed", "width_px": 640, "height_px": 480, "fx_px": 600.0, "fy_px": 600.0,
+          "cx_px": 320.0, "cy_px": 240.0}  # fmt: skip
+CORNERS_MM = [[0.0, 0.0, 0.0], [30.0, 0.0, 0.0], [0.0, 30.0, 0.0], [30.0, 30.0, 0.0]]
 Fleet = tuple[httpx.Client, Database]
 
 
@@ -59,6 +62,17 @@ def test_an_alarm_leads_to_the_version_that_corrects_it(fleet: Fleet, monkeypatc
     assert [name for name, one in stages.items() if one["done"]] == ["describe", "measure", "check"]
     assert stages["search"]["missing"] == "No version was made of the measurements yet."
     assert [one["do"] for one in stages["search"]["steps"]] == ["search"]
+    looked_at = {"cameras": [CAMERA], "boards": [{"name": "board", "mount": "flange", "corners_mm": CORNERS_MM}]}
+    by_camera = {"name": "pictures", "conditions": looked_at}
+    views = client.post("/v1/robots/hit/campaigns", json=by_camera).raise_for_status().json()["id"]
+    joints = len(client.get("/v1/robots/hit").json()["joints"])
+    columns = {f"q{j}_deg": [10.0 * k + j for k in range(3)] for j in range(1, joints + 1)}
+    columns |= {f"{axis}{k}_px": [100.0 * k + n for n in range(3)] for k in range(1, 5) for axis in "uv"}
+    client.post(f"/v1/campaigns/{views}/observations", json=columns).raise_for_status()
+    of_pictures = stands(client, "hit")["steps"][0]
+    assert (of_pictures["do"], of_pictures["campaign_id"]) == ("identify", views)
+    assert of_pictures["command"].endswith(f"{views} --validation 0.25 --effects axial_compliance")
+    client.post(f"/v1/campaigns/{views}/retire").raise_for_status()
     assert not stages["activate"]["steps"]  # another stage comes first
     client.post(f"/v1/campaigns/{campaign}/retire").raise_for_status()
     first = robot.calibrated(database, 0.25)

@@ -15,8 +15,8 @@ RobotState = Literal[
     "as_calibrated", "within",
 ]  # fmt: skip
 StepKind = Literal[
-    "activate", "rezero", "record_repair", "measure", "plan", "plan_check", "upload", "search", "await_job", "evaluate",
-    "correct",
+    "activate", "rezero", "record_repair", "measure", "plan", "plan_check", "upload", "search", "identify", "await_job",
+    "evaluate", "correct",
 ]  # fmt: skip
 FirstStage = Literal["describe", "measure", "check", "search", "activate", "correct"]
 
@@ -26,8 +26,8 @@ class NextStep(Strict):
 
     do: StepKind = Field(
         description="What: `activate` a version, `rezero` what moved, `record_repair`, `measure` poses that a job proposes, "
-        "`plan` poses of a first calibration, `plan_check`, `upload` measurements, `search` for what is missing, `await_job` "
-        "that searches, `evaluate` the version on a campaign, `correct` a path or a stream."
+        "`plan` poses of a first calibration, `plan_check`, `upload` measurements, `search` for what is missing, `identify` "
+        "from pictures, `await_job` that searches, `evaluate` the version on a campaign, `correct` a path or a stream."
     )
     words: str = Field(description="The same as a button says it.")
     command: str = Field(description="The command that does it.")

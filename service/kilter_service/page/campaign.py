@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from fastapi import Form, Query, Request, Response
@@ -35,9 +35,6 @@ from kilter_service.versions import service as versions
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.concurrency import compute
 from kilter_service.web.state import DatabaseOfApp, get_scratch
-
-if TYPE_CHECKING:
-    pass
 
 
 def load_campaign_view(database: Database, campaign_id: str) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from kilter_files.ground import FileError, KilterError, MissingPackageError, mem
 from kilter_files.ground.later import need, parquet
 from kilter_files.look import draft, inspect
 from kilter_service.ground.processes.sandbox import confine
-from kilter_service.page.drop.drafts import RIG
+from kilter_service.page.drop.drafts import PART, PICTURES, RIG
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 TABLES = (".csv", ".tsv", ".txt")
@@ -64,14 +64,22 @@ def find_corners(path: Path, way: str) -> tuple[Path, dict[str, Any]]:
     camera = rig.read_camera(cameras[0], None) if cameras else None
     looker = rig.Looker(targets, rig.read_poses(tables[0], source.count(), False), camera, None if cameras else LENS)
     with Path(VIEWS).open("w", encoding="utf-8", newline="") as stream:
-        seen = looker.write_views(source, stream, None)
+        seen = looker.write_views(source, stream, None, _write_pictures)
     mount = WAYS.get(way, "fixed")
     Path(RIG).write_text(json.dumps(_rig(looker, mount)), encoding="utf-8")
     told = [f"{len(seen.views)} views of {seen.pictures} pictures, {seen.corners} corners"]
-    documents = [one.to_document() for one in seen.refused]
-    refused = [f"{Path(one['picture']).name}: {one['detail']}. {one['remedy']}" for one in documents]
-    said = {"kind": "pictures of a board", "notes": told, "warnings": [*seen.warnings, *refused]}
+    said = {"kind": "pictures of a board", "notes": told, "warnings": seen.warnings}
     return Path(VIEWS), said | {"guessed": [] if way in WAYS else [GUESSED]}
+
+
+def _write_pictures(seen: rig.Seen) -> None:
+    """Write what each picture shows until now, while others are still looked at: its corners, or why it has none."""
+    found = [{"picture": Path(one["picture"]).name, "corners": one["corners"]} for one in seen.views]
+    refused = [one.to_document() for one in seen.refused]
+    found += [{"picture": Path(one["picture"]).name, "why": f"{one['detail']}. {one['remedy']}"} for one in refused]
+    part = Path(PART)
+    part.write_text(json.dumps(found), encoding="ascii")
+    part.replace(PICTURES)
 
 
 def _unpack(path: Path) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import secrets
 import shutil
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from kilter_service.campaigns.facts import Facts
 
 RIG = "rig.json"  # what the reader of a file says of cameras and boards
+PICTURES, PART = "pictures.json", "pictures.part"  # what it says of each picture
 KEPT_S = 3600.0  # after it was last looked at
 MOST_OF_ONE = 4  # drafts of one login; the oldest goes
 MOST = 24
@@ -69,6 +71,12 @@ class Draft:
         return self.folder / "rows"
 
     @property
+    def pictures(self) -> list[dict[str, Any]]:
+        """What was seen in each picture until now."""
+        kept = self.folder / PICTURES
+        return list(json.loads(kept.read_bytes())) if kept.exists() else []
+
+    @property
     def map(self) -> Path:
         """The column map."""
         return self.folder / "map.toml"
@@ -114,6 +122,12 @@ class Drafts:
             draft.used = time.monotonic()
         return draft
 
+    def get_being_read(self, robot: str, owner: str) -> Draft | None:
+        """Return the newest draft of a login that is being read now."""
+        with self._lock:
+            mine = (one for one in self._kept.values() if one.users and (one.robot, one.owner) == (robot, owner))
+            return max(mine, key=lambda one: one.used, default=None)
+
     @contextmanager
     def in_use(self, draft: Draft) -> Iterator[None]:
         """Keep the folder of a draft while a request reads or writes in it, also where the draft is discarded meanwhile.
@@ -157,7 +171,7 @@ class Drafts:
             shutil.rmtree(draft.folder, ignore_errors=True)
 
 
-RESERVED = frozenset({"rows", "map.toml", "asked.json", "understood.json", "words", "views.csv", RIG})
+RESERVED = frozenset({"rows", "map.toml", "asked.json", "understood.json", "words", "views.csv", RIG, PICTURES, PART})
 
 
 def plain_name(name: str) -> str:

@@ -27,7 +27,7 @@ from kilter_service.ground.tables.assemble import rig_from_conditions
 from kilter_service.ground.tables.columns import has
 from kilter_service.page.answers import get_root_path, redirect, render, router
 from kilter_service.page.drop import service
-from kilter_service.page.drop.drafts import RIG, Draft, Drafts, plain_name
+from kilter_service.page.drop.drafts import PICTURES, RIG, Draft, Drafts, plain_name
 from kilter_service.page.shared import asking
 from kilter_service.page.shared.asking import take_step
 from kilter_service.page.shared.measured import describe_facts
@@ -125,7 +125,7 @@ LIMITS = Limits(seconds=60, memory_mb=2048, output_mb=512)
 OF_PICTURES = Limits(seconds=240, memory_mb=4096, output_mb=512)
 MOST_SAID = 32 << 20
 MOST_REFUSAL = 2000
-WRITTEN = ("understood.json", "rows", RIG)
+WRITTEN = ("understood.json", "rows", RIG, PICTURES)
 LISTS = ("open", "guessed", "unused", "notes", "warnings", "remarks", "source", "lines")
 NOTHING: dict[str, Any] = {"kind": "", "reader": "", "map": "", "more": 0, **{name: [] for name in LISTS}}
 ELSEWHERE = "`kilter upload` reads it on your own machine, without these limits."
@@ -159,7 +159,7 @@ def _understood(draft: Draft, joints: list[str]) -> dict[str, Any]:
     ended = sandbox.run(CHILD, draft.folder, [], limits)
     said = draft.folder / "understood.json"
     if ended.code != 0 or not said.exists() or said.stat().st_size > MOST_SAID:
-        return {"refusal": f"{draft.name} {_describe_reader_failure(ended)}", "map": _kept_map(draft)}
+        return {"refusal": f"{draft.name} {_describe_reader_failure(ended, limits)}", "map": _kept_map(draft)}
     found: dict[str, Any] = json.loads(said.read_bytes())
     return {"map": _kept_map(draft)} | found
 
@@ -168,12 +168,12 @@ def _kept_map(draft: Draft) -> str:
     return draft.map.read_text(encoding="utf-8") if draft.map.exists() else ""
 
 
-def _describe_reader_failure(ended: Ended) -> str:
+def _describe_reader_failure(ended: Ended, limits: Limits) -> str:
     if ended.late:
-        return f"took longer than {LIMITS.seconds} s to read: leave out what was not measured, or split it. {ELSEWHERE}"
+        return f"took longer than {limits.seconds} s to read: leave out what was not measured, or split it. {ELSEWHERE}"
     if ended.lacked_memory:
         return (
-            f"takes more than {LIMITS.memory_mb >> 10} GB of memory to read: leave out what was not measured, or split it. "
+            f"takes more than {limits.memory_mb >> 10} GB of memory to read: leave out what was not measured, or split it. "
             + ELSEWHERE
         )
     return "cannot be read: its reader ended before it was done. The file is damaged; export it again."
@@ -251,6 +251,13 @@ async def board(request: Request, columns: Squares = 8, rows: Squares = 6, squar
         content = (folder / BOARD).read_bytes()
     named = {"Content-Disposition": f'attachment; filename="{BOARD}"'}
     return Response(content, media_type="application/zip", headers=named)
+
+
+@router.get("/robots/{robot}/campaigns/new/reading")
+def reading(robot: str, request: Request) -> HTMLResponse:
+    """Show what was seen in the pictures that are being read."""
+    draft = _drafts(request).get_being_read(robot, _owner(request))
+    return render(request, "drop/pictures.html", pictures=[] if draft is None else draft.pictures)
 
 
 @router.get("/robots/{robot}/campaigns/new/{draft}")
@@ -334,7 +341,7 @@ async def store(
     payload_com_mm: Short = "",
     then: Short = "",
 ) -> Response:
-    """Store the rows as a campaign; ``then`` search in them, where that comes next."""
+    """Store the rows as a campaign; ``then`` search in them, or identify from them, where that comes next."""
     found = _draft(request, robot, draft)
     conditions: dict[str, object] = {
         **found.rig,
@@ -353,7 +360,7 @@ async def store(
     }
     with _drafts(request).in_use(found):
         stored = await compute(request, service.store, database, found, campaign, sha256)
-    if then == "search":
+    if then in ("search", "identify"):
         try:
             queued = await compute(request, take_step, database, robot, then, stored.id)
         except ServiceError:  # it is stored; the robot's view says what comes next, and its button why not
@@ -393,6 +400,7 @@ def _render_draft(
         template,
         robot=draft.robot,
         draft=draft,
+        pictures=draft.pictures,
         found=draft.understood,
         seen=shown,
         ways=service.ways(),

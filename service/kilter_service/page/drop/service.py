@@ -222,21 +222,17 @@ def _is_section(place: str, value: Any) -> bool:
 
 
 def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _text(name)
-
-
-def _text(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _value(name)
 
 
 def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{_key(key)} = {_value(part)}" for key, part in value.items()) + " }"
     if isinstance(value, list):
         return f"[{', '.join(_value(part) for part in value)}]"
-    return _text(value) if isinstance(value, str) else repr(value)
+    if isinstance(value, str | bool):  # as JSON has them, but for one character
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr(value)
 
 
 LONGEST_MAP = 200_000
@@ -359,7 +355,6 @@ def column_map_form(draft: Draft, kinds: Sequence[str]) -> dict[str, Any]:
     return {
         "assignments": list(zip(source, found, strict=True)),
         "choices": choices(kinds),
-        "units_for": lambda target: units_for(target, kinds),
         "turned": _orientation_columns(draft),
     }
 

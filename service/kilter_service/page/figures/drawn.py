@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup, escape
 
-from kilter_service.page.figures.plot import FONT, LETTER, Axis, room_for, written
+from kilter_service.page.figures.plot import LETTER, Axis, room_for, whole_svg, written
 from kilter_service.page.words import mm
 
 # Dark to light in even steps, so that it prints in black and white; the other goes from blue over white to red.
@@ -49,13 +49,9 @@ class HeatMap:
         width, height = self.cell * len(self.columns), self.cell * len(self.rows)
         total = left + width + 90
         tall = max(height, 120.0)
-        head = (
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {total:.0f} {tall + below + 8:.0f}" role="img" '
-            f'width="{total:.0f}" height="{tall + below + 8:.0f}" {FONT} fill="currentColor">'
-            f"<title>{escape(self.title)}</title><desc>{escape(self.description or self.title)}</desc>"
-        )
-        body = self._cells(left) + self._names(left, height) + self._scale(left + width + 24, tall)
-        return Markup(f"{head}{body}</svg>")  # noqa: S704 (texts are escaped above)
+        parts = self._cells(left), self._names(left, height), self._scale(left + width + 24, tall)
+        said = self.description or self.title
+        return whole_svg(round(total), round(tall + below + 8), parts, self.title, said)
 
     def colour(self, value: float) -> tuple[int, int, int]:
         """Return the colour of a value."""
@@ -208,12 +204,8 @@ class Space:
             f'<text x="32" y="4">{escape(kind.label)}</text></g>'
             for k, kind in enumerate(self.arrows)
         )
-        head = (
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {self.height:g}" width="{width:g}" '
-            f'height="{self.height:g}" role="img" class="space" font-size="12" fill="currentColor">'
-        )
-        said = f"<title>{escape(self.title)}</title><desc>{len(self.at)} points; arrows are drawn {times} times as long.</desc>"
-        return Markup(f"{head}{said}{keys}{''.join(parts)}</svg>")  # noqa: S704 (texts are escaped above)
+        said = f"{len(self.at)} points; arrows are drawn {times} times as long."
+        return whole_svg(width, self.height, [keys, *parts], self.title, said, more='class="space" font-size="12"')
 
     @staticmethod
     def _tip(at: Point, vector: Point | None, times: int) -> Point | None:
@@ -245,11 +237,6 @@ PRIOR = 170.0
 EDGE = 6.0  # beside the axis, so that no mark is cut
 
 
-def _svg(width: float, title: str, parts: Sequence[str]) -> Markup:
-    head = f'<svg viewBox="0 0 {width:g} {HIGH:g}" width="{width:g}" height="{HIGH:g}" role="img" fill="currentColor">'
-    return Markup(f"{head}<title>{escape(title)}</title>{''.join(parts)}</svg>")  # noqa: S704 (the title is escaped)
-
-
 def place(axis: Axis, value: float, width: float = WIDE) -> float:
     """Return where a value is along a strip, pixels."""
     return round(EDGE + min(max(axis.share(value), 0.0), 1.0) * (width - 2 * EDGE), 1)
@@ -263,7 +250,7 @@ def ruler(axis: Axis) -> Markup:
         f'<text x="{place(axis, at)}" y="18" font-size="11" text-anchor="{anchor}">{escape(text)}</text>'
         for (at, text), anchor in zip(ticks, anchors, strict=False)
     ]
-    return _svg(WIDE, f"Axis: {axis.label}", parts)
+    return whole_svg(WIDE, HIGH, parts, f"Axis: {axis.label}")
 
 
 def error(axis: Axis, mean: float, low: float, high: float, tolerance: float | None, look: str, title: str) -> Markup:
@@ -274,22 +261,23 @@ def error(axis: Axis, mean: float, low: float, high: float, tolerance: float | N
     middle = HIGH / 2
     parts.append(f'<path class="whisker {look}" d="M{place(axis, low)} {middle:g}H{place(axis, high)}"/>')
     parts.append(f'<circle class="dot {look}" cx="{place(axis, mean)}" cy="{middle:g}" r="4.5"/>')
-    return _svg(WIDE, title, parts)
+    return whole_svg(WIDE, HIGH, parts, title)
 
 
 def against_prior(change: float, low: float, high: float, prior: float, title: str) -> Markup:
     """Draw a change with its interval over what was known before: a band of one standard deviation about nominal."""
     axis = Axis("", -1.2 * prior, 1.2 * prior)
     left, right, middle = place(axis, -prior, PRIOR), place(axis, prior, PRIOR), HIGH / 2
-    return _svg(
+    return whole_svg(
         PRIOR,
-        title,
+        HIGH,
         [
             f'<rect class="prior" x="{left}" y="4" width="{round(right - left, 1)}" height="{HIGH - 8:g}"/>',
             f'<path class="decade" d="M{place(axis, 0.0, PRIOR)} 0V{HIGH:g}"/>',
             f'<path class="whisker" d="M{place(axis, low, PRIOR)} {middle:g}H{place(axis, high, PRIOR)}"/>',
             f'<circle class="dot" cx="{place(axis, change, PRIOR)}" cy="{middle:g}" r="4"/>',
         ],
+        title,
     )
 
 
@@ -309,4 +297,4 @@ def spark(days: Sequence[float], means: Sequence[float], marks: Sequence[float],
     parts = [f'<polyline points="{" ".join(f"{x},{y}" for x, y in points)}" class="spark"/>']
     parts.append(f'<circle class="dot" cx="{points[-1][0]}" cy="{points[-1][1]}" r="3"/>')
     parts += [f'<path class="mark" d="M{across(day)} {HIGH:g}v-5"/>' for day in marks if begin <= day <= end]
-    return _svg(SPARK, title, parts)
+    return whole_svg(SPARK, HIGH, parts, title)

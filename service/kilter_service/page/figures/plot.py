@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from datetime import date, timedelta
@@ -142,6 +142,7 @@ SKY = "#56b4e9"
 COLOURS = (BLUE, SKY, GREEN, PURPLE, RED, GREY)
 DASHES = ("", "6 3", "2 3", "8 3 2 3", "1 4", "12 4")
 LEFT, RIGHT, TOP, BOTTOM = 62.0, 14.0, 14.0, 44.0
+NO_LABEL = 20.0  # of the bottom, where the axis has no label
 LINE, THIN = 1.8, 1.0  # width of a stroke, pixels
 LEGEND_LINE, LETTER = 18.0, 6.6  # height of a line of the legend, width of a letter: pixels at 12
 SLANT_DEG = 45  # of names that have no room side by side
@@ -286,13 +287,9 @@ class Plot:
         """Return it as SVG."""
         legend, lines = self._legend_drawn()
         extra = lines * LEGEND_LINE
-        tall = round(self.height + extra + self._below(), 1)
-        head = (
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 {-extra} {self.width} {tall}" role="img" '
-            f'width="{self.width}" height="{tall}" {FONT} fill="currentColor">'
-            f"<title>{escape(self.title)}</title><desc>{escape(self.description or self.title)}</desc>"
-        )
-        return Markup(f"{head}{legend}{self._frame()}{''.join(self._drawn)}</svg>")  # noqa: S704 (texts are escaped above)
+        tall = round(self.height + extra + self._below() - (0.0 if self.x.label else NO_LABEL), 1)
+        drawn = [legend, self._frame(), *self._drawn]
+        return whole_svg(self.width, tall, drawn, self.title, self.description or self.title, -extra)
 
     def _px(self, x: float) -> float:
         return round(LEFT + self.x.share(x) * (self.width - LEFT - RIGHT), 1)
@@ -406,6 +403,17 @@ class Plot:
         if not longest or LETTER * (longest + 1) <= self._room():
             return 0.0
         return DOWN * LETTER * min(longest, self._letters())
+
+
+def whole_svg(
+    width: float, height: float, parts: Iterable[str], title: str, said: str = "", top: float = 0.0, more: str = FONT
+) -> Markup:
+    """Return a picture of parts whose texts are escaped; ``top`` is where it begins, ``more`` attributes it has besides."""
+    words = f"<title>{escape(title)}</title>{f'<desc>{escape(said)}</desc>' if said else ''}"
+    return Markup(  # noqa: S704 (texts are escaped)
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 {top:g} {width:g} {height:g}" role="img" width="{width:g}" '
+        f'height="{height:g}" {more} fill="currentColor">{words}{"".join(parts)}</svg>'
+    )
 
 
 def _half(text: str) -> float:

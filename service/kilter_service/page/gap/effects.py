@@ -39,67 +39,49 @@ RAISED = {
 Say = Callable[[Evidence], str]
 
 
-def _format_or_missing(value: float | None, write: Callable[[float], str]) -> str:
-    return "no number" if value is None else write(value)
-
-
 def _shape(evidence: Evidence) -> str:
     if evidence.bumped:
         return "a local bump of the joint does as well"
-    return _format_or_missing(
-        evidence.no_empirical_alias, lambda v: f"the best such curve is {number(v, 2)} points behind"
-    )
+    return _fill("the best such curve is {number} points behind", evidence.no_empirical_alias)
 
 
-GATES: Mapping[str, tuple[str, Say]] = {
+def _fill(said: str, value: float | None) -> str:
+    """Write a value into what is said of it."""
+    if value is None:
+        return "no number"
+    return said.format(number=number(value, 2), percent=percent(value), poses=plural(round(value), "pose"))
+
+
+def _plausible(evidence: Evidence) -> str:
+    far = evidence.plausible
+    within = far is not None and far <= 0
+    return "within" if within else _fill("{number} standard deviations beyond what is plausible", far)
+
+
+# What each test says where it was passed, and what decided: a sentence of the number of its name, or more than that.
+GATES: Mapping[str, tuple[str, Say | str]] = {
     "physical": ("It is a cause, not only a shape", lambda e: "a cause" if e.physical else "a shape"),
     "adequate": ("With it the model agrees with the measurements", lambda e: f"p = {chance(e.adequate)}"),
     "lasts": (
         "It lasts: nothing else is left, or halves of the campaign or a confirmation bear it out all the same",
         lambda e: f"p of the whole model = {chance(e.adequate)}",
     ),
-    "held_out": (
-        "Held-out poses gain by it",
-        lambda e: _format_or_missing(
-            e.held_out, lambda v: f"{number(v, 2)} standard deviations; more than 3 are needed"
-        ),
-    ),
-    "unseen_poses": (
-        "Poses that took no part in the search judged it",
-        lambda e: _format_or_missing(e.unseen_poses, lambda v: plural(round(v), "pose")),
-    ),
+    "held_out": ("Held-out poses gain by it", "{number} standard deviations; more than 3 are needed"),
+    "unseen_poses": ("Poses that took no part in the search judged it", "{poses}"),
     "no_empirical_alias": ("No curve without a cause does as well", _shape),
-    "plausible": (
-        "Its amplitude is plausible for an arm",
-        lambda e: _format_or_missing(
-            e.plausible,
-            lambda v: "within" if v <= 0 else f"{number(v, 2)} standard deviations beyond what is plausible",
-        ),
-    ),
+    "plausible": ("Its amplitude is plausible for an arm", _plausible),
     "seen": (
         "Its amplitude differs from zero",
         lambda e: "zero is outside" if e.seen else "zero is inside its interval",
     ),
-    "inclusion": (
-        "It is named again on resampled poses",
-        lambda e: _format_or_missing(e.inclusion, lambda v: f"in {percent(v)} of the resamples"),
-    ),
-    "negative_control": (
-        "It vanishes when its labels are shuffled",
-        lambda e: _format_or_missing(e.negative_control, lambda v: f"still named in {percent(v)} of the shuffles"),
-    ),
-    "sensor": (
-        "A sensor at the place shows it",
-        lambda e: _format_or_missing(e.sensor, lambda v: f"in {number(v, 2)} standard deviations"),
-    ),
+    "inclusion": ("It is named again on resampled poses", "in {percent} of the resamples"),
+    "negative_control": ("It vanishes when its labels are shuffled", "still named in {percent} of the shuffles"),
+    "sensor": ("A sensor at the place shows it", "in {number} standard deviations"),
     "complete_geometry": (
         "No rotation that the robot's description lacks does as well",
         lambda e: "the description lacks some",
     ),
-    "confirmation": (
-        "The confirmation does not contradict it",
-        lambda e: _format_or_missing(e.confirmation, lambda v: f"amplitudes {number(v, 2)} standard deviations apart"),
-    ),
+    "confirmation": ("The confirmation does not contradict it", "amplitudes {number} standard deviations apart"),
 }
 
 
@@ -123,12 +105,18 @@ def claim_from_effect(effect: NamedEffect, unit: str = "mm") -> Claim:
     return Claim(format_claim(effect), level, LEVELS.get(level, ""), list(_tests(effect)), higher, remarks)
 
 
+def describe_evidence(name: str, evidence: Evidence) -> str:
+    """Say by what number a test was decided."""
+    _, say = GATES[name]
+    return _fill(say, getattr(evidence, name)) if isinstance(say, str) else say(evidence)
+
+
 def _tests(effect: NamedEffect) -> Iterator[dict[str, Any]]:
     gates = effect.gates.model_dump() if effect.gates is not None else {}
     evidence = effect.evidence or Evidence()
-    for name, (words, say) in GATES.items():
+    for name, (words, _) in GATES.items():
         if gates.get(name) is not None:
-            yield {"name": words, "passed": bool(gates[name]), "number": say(evidence)}
+            yield {"name": words, "passed": bool(gates[name]), "number": describe_evidence(name, evidence)}
 
 
 def _remarks(effect: NamedEffect, unit: str) -> Iterator[str]:

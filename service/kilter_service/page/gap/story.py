@@ -14,7 +14,7 @@ from fastapi import Form, Request, Response
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.contract.gap_details import AtJoints, Detectable, GapSize, NamedEffect, Place, Refused, Untestable
+from kilter_service.contract.gap_details import AtJoints, Detectable, NamedEffect, Place, Refused, Untestable
 from kilter_service.contract.jobs.gap import GAP, GapJob, GapOptions, GapResult
 from kilter_service.contract.jobs.plan import PLAN, PlanOptions
 from kilter_service.contract.jobs.registry import Job
@@ -322,13 +322,13 @@ def result_context(database: Database, job: GapJob) -> dict[str, Any]:
     result = job.result or GapResult()
     unit = errors_drawn.error_unit(result.gap)
     read = errors_drawn.steps_shown(result.figures, unit)
+    verdict = VERDICTS.get(result.verdict or "", (result.verdict or "Searched", "faint"))
     return {
         "version": result.version_id,
         "result": result,
         "unit": unit,
-        "verdict": VERDICTS.get(result.verdict or "", (result.verdict or "", "faint")),
-        "size": sizes(result.gap, unit),
-        "lines": (result.headline or verdict_words(result)).splitlines(),
+        "verdict": verdict,
+        "lines": (result.headline or verdict[0]).splitlines(),
         "cards": effects.cards(result, unit),
         "poses_decide": result.told_apart is None or result.told_apart.enough or not result.told_apart.instead,
         "decide": effects.describe_decision(result),
@@ -349,20 +349,6 @@ def result_context(database: Database, job: GapJob) -> dict[str, Any]:
         "claims": [effects.claim_from_effect(effect, unit) for effect in result.effects or []],
         "newer": newer(database, job),
     }
-
-
-def verdict_words(result: GapResult) -> str:
-    """Say the verdict of a result from before the headlines."""
-    return VERDICTS.get(result.verdict or "", ("Searched", ""))[0]
-
-
-def sizes(gap: GapSize | None, unit: str) -> dict[str, float | None]:
-    """Return the errors before and after and the noise, of held-out poses, in one unit."""
-    if gap is None:
-        return dict.fromkeys(("before", "after", "noise"))
-    values = gap.model_dump()
-    names = {"before": "validation_before", "after": "validation_after", "noise": "validation_noise_rms"}
-    return {name: values[f"{field}_{unit.split()[0]}"] for name, field in names.items()}
 
 
 def searched_campaigns(job: GapJob) -> list[str]:

@@ -61,7 +61,6 @@ def identification_context(database: Database, job: IdentifyJob) -> dict[str, An
         "where": where,
         "points": judged.n if judged else None,
         "left_out": judged.left_out if judged else None,
-        "judged": {name: getattr(judged, name, None) for name, _ in errors_drawn.STAGES},
         "stages": errors_drawn.compared_models(judged),
         "meaning": errors_drawn.MEANING,
         "bars": errors_drawn.bars(judged, where),
@@ -169,7 +168,6 @@ def check_context(database: Database, job: DriftJob) -> dict[str, Any]:
     return {
         "result": result,
         "state": LOOKS.get(result.verdict or "", ("", "faint")),
-        "named": named,
         "steps_next": steps,
         "space": Space("The poses of the check", [one.at_mm for one in rows], names, kinds, table=table)
         if rows

@@ -81,7 +81,16 @@ def _search(database: Database, job: Job) -> GapJob | None:
     return job if GAP.is_kind_of(job) and job.state == "succeeded" else None
 
 
-JOBS = {"rezero": "rezero", "evaluate": "evaluate", "plan": "plan", "plan_check": "plan", "search": "gap"}  # by step
+# by step
+JOBS = {
+    "rezero": "rezero",
+    "evaluate": "evaluate",
+    "plan": "plan",
+    "plan_check": "plan",
+    "search": "gap",
+    "identify": "identify",
+}
+HELD_OUT = 0.25  # of pictures
 NEW_JOB: TypeAdapter[NewJob] = TypeAdapter(NewJob)
 
 
@@ -103,11 +112,19 @@ def take_step(database: Database, name: str, do: str, campaign: str) -> str:
         "rezero": {"causes": step.causes},
         "plan": {"purpose": "identify", "within": "limits"},
         "plan_check": {"purpose": "check"},
+        "identify": {"effects": [{"id": "axial_compliance"}]},
     }
     options = presets.get(do, {})
     if do == "plan_check":
         options["version"] = robots.get(database, name).active_version
-    asked = {"kind": JOBS[do], "robot": name, "campaigns": [campaign] if campaign else [], "options": options}
+    asked: dict[str, Any] = {
+        "kind": JOBS[do],
+        "robot": name,
+        "campaigns": [campaign] if campaign else [],
+        "options": options,
+    }
+    if do == "identify":
+        asked["validation"] = HELD_OUT
     job = NEW_JOB.validate_python(asked)
     if do == "search":
         _check_search(database, job)

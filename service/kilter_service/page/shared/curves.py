@@ -9,7 +9,6 @@ from itertools import pairwise
 
 from kilter_service.contract.effect_curves import CurveSide, CurveVisits, EffectCurve
 from kilter_service.contract.figures import Figure, GapFigures, Scatter
-from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.jobs.curve_words import SIDES, across, model, quantity, title, unit_of_x, upwards, visit
 from kilter_service.page.figures.plot import BLUE, COLOURS, GREY, RED, SKY, THIN, Plot, around
 from kilter_service.page.shared.naming import format_effect_at_joints, format_effect_name
@@ -37,12 +36,6 @@ def own_curves(curves: Sequence[EffectCurve] | None) -> list[OwnCurve]:
         OwnCurve(format_effect_at_joints(curve.id, [curve.joint]), plot(curve), tuple(_describe_curve(curve)))
         for curve in curves or []
     ]
-
-
-def has_effect_without_curve(result: GapResult) -> bool:
-    """Whether an effect was named that no curve shows, as it does more than move joints."""
-    shown = {(curve.id, tuple(curve.joints or ())) for curve in result.effect_curves or []}
-    return any((effect.id, tuple(effect.joints or ())) not in shown for effect in result.effects or [])
 
 
 def plot(curve: EffectCurve, width: float = WIDTH, height: float = HEIGHT) -> Plot:

@@ -14,12 +14,12 @@ from kilter_service.page import words
 from kilter_service.page.figures.plot import (
     BLUE,
     ERROR,
-    FONT,
     LETTER,
     Group,
     Plot,
     places_from_two_sides,
     room_for,
+    whole_svg,
 )
 
 if TYPE_CHECKING:
@@ -56,12 +56,8 @@ class Coverage:
         left = 12 + LETTER * max((len(bar.name) for bar in self.bars), default=0)
         height = HEIGHT * len(self.bars) + 4
         said = "; ".join(f"{bar.name}: {bar.said}" for bar in self.bars)
-        head = (
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" width="{width}" '
-            f'height="{height}" {FONT} fill="currentColor"><title>{escape(self.title)}</title><desc>{escape(said)}</desc>'
-        )
-        body = "".join(self._drawn(bar, left, HEIGHT * k, width - RIGHT - left) for k, bar in enumerate(self.bars))
-        return Markup(f"{head}{body}</svg>")  # noqa: S704 (texts are escaped above)
+        parts = [self._drawn(bar, left, HEIGHT * k, width - RIGHT - left) for k, bar in enumerate(self.bars)]
+        return whole_svg(width, height, parts, self.title, said)
 
     def _drawn(self, bar: Bar, left: float, top: float, room: float) -> str:
         most = max(bar.counts, default=0) or 1

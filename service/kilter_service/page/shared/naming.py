@@ -109,20 +109,30 @@ def chance(p: float | None) -> str:
 
 
 TWO = 1.96  # standard deviations of an end of a 95 % interval
+CARRIED = 0.7  # of what was known before: rows that leave a wider interval say less of it than was known
 
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """A parameter and its drawing, which is empty where nothing says how sure it is, or what was known before."""
+    """A parameter and its drawing, which is empty where nothing says how sure it is, or what was known before.
+
+    ``carried``: the rows say more of it than was known.
+    """
 
     parameter: Parameter
     drawn: Markup | str
+    carried: bool
 
 
 def parameter_rows(parameters: Sequence[Parameter], priors: Mapping[str, float]) -> list[ParameterRow]:
     """Return the rows, sorted by change over standard deviation."""
     ordered = sorted(parameters, key=lambda one: -_clearness(one))
-    return [ParameterRow(one, _draw(one, priors.get(one.name))) for one in ordered]
+    return [ParameterRow(one, _draw(one, prior := priors.get(one.name)), _is_carried(one, prior)) for one in ordered]
+
+
+def _is_carried(one: Parameter, prior: float | None) -> bool:
+    sigma = parameter_sigma(one)
+    return not sigma or not prior or one.lower is not None or sigma < CARRIED * prior
 
 
 def _clearness(one: Parameter) -> float:

@@ -19,7 +19,7 @@ from kilter_service.contract.versions import Version
 from kilter_service.contract.words import interval, widest
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
-from kilter_service.page.figures.plot import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
+from kilter_service.page.figures.plot import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, whole_svg
 from kilter_service.page.shared.errors_drawn import steps_shown
 from kilter_service.page.shared.naming import format_claim
 from kilter_service.page.words import format_in_largest_unit, list_effects
@@ -32,40 +32,28 @@ from kilter_service.web.health import service as health
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Errors of a version on ``n`` points, mm; ``low`` and ``high`` are the ends of the 95 % interval of the mean.
+    """Errors of a version on ``stages.n`` points, mm; ``low`` and ``high`` are the ends of the 95 % interval of the mean.
 
     The interval takes the points as independent. Without held-out rows the errors are those of the fit, which look too good.
     """
 
     held_out: bool
-    n: int | None
     mean: float
+    p95: float | None
     low: float | None
     high: float | None
-    p95: float | None
-    largest: float | None
-    nominal: float | None
-    registration: float | None
+    stages: StageErrors  # of all models
     widest: float  # the largest of the errors that stand beside the mean: its unit is that of all
-    place: float | None = None  # of the nominal error, what is where instrument, base and tool are
-    left_out: int | None = None  # rows that the errors leave out
-    geometry: float | None = None  # what the geometry fitted without effects leaves
     unused: bool = False  # of rows that no fit used, and not of those that its own job held out
 
-    @property
-    def half(self) -> float | None:
-        """Half the width of the interval, mm."""
-        return None if self.low is None or self.high is None else (self.high - self.low) / 2
+    def of(self, stage: str) -> float | None:
+        """Return what another model leaves, mm: ``nominal``, ``registration_only``, ``best_rigid``."""
+        return _mean_mm(self.stages, stage)
 
     @property
     def without(self) -> float:
         """The largest error of the version and of what simpler models leave, mm."""
-        return max(one for one in (self.mean, self.registration, self.nominal) if one is not None)
-
-    @property
-    def better(self) -> float | None:
-        """How many times smaller the error is than with base and tool alone."""
-        return self.registration / self.mean if self.registration and self.mean > 0 else None
+        return max(one for one in (self.mean, self.of("registration_only"), self.of("nominal")) if one is not None)
 
 
 def accuracy_from_metrics(metrics: Metrics) -> Accuracy | None:
@@ -86,27 +74,8 @@ def accuracy_today(today: Today) -> Accuracy | None:
 
 
 def _read(held_out: bool, block: StageErrors, found: Errors) -> Accuracy:
-    ends = interval(found, block.n)
-    low, high = ends or (None, None)
-    return Accuracy(
-        held_out,
-        block.n,
-        found.mean_mm,
-        low,
-        high,
-        found.p95_mm,
-        found.max_mm,
-        _mean(block.nominal),
-        _mean(block.registration_only),
-        widest(found, block.n),
-        block.place_mm,
-        block.left_out,
-        _mean(block.best_rigid),
-    )
-
-
-def _mean(found: Errors | None) -> float | None:
-    return None if found is None else found.mean_mm
+    low, high = interval(found, block.n) or (None, None)
+    return Accuracy(held_out, found.mean_mm, found.p95_mm, low, high, block, widest(found, block.n))
 
 
 OFF = "Not corrected"
@@ -275,8 +244,7 @@ class Budget:
             parts += [f'<path d="M{at} {HIGH:g}l6 -{HIGH:g}" class="hatch"/>' for at in lines]
             x += wide
         words = "; ".join(f"{one.name} {format_in_largest_unit(one.size, self.most)}" for one in self.shares)
-        head = f'<svg viewBox="0 0 {WIDE:g} {HIGH:g}" role="img" class="budget"><title>Budget of the error</title>'
-        return Markup(f"{head}<desc>{escape(words)}</desc>{''.join(parts)}</svg>")  # noqa: S704 (texts are escaped above)
+        return whole_svg(WIDE, HIGH, parts, "Budget of the error", words, more='class="budget"')
 
 
 def error_budget(today: Today, version: Version | None, search: GapResult | None) -> Budget | None:

@@ -1,5 +1,7 @@
 import { archived } from "./archive.js";
 
+const LOOKS_MS = 1000; // between two looks at what was read until now
+
 /** Send a file as it is, and go where the answer says, or look at this view anew; a refusal is shown. */
 async function send(address, file, told, refused, verb) {
   refused.replaceChildren();
@@ -23,8 +25,12 @@ function sendFile(form) {
     if (!input.files.length) return;
     const file = input.files.length > 1 ? await archived([...input.files]) : input.files[0];
     input.disabled = true;
+    const arriving = form.parentElement.querySelector("[data-arriving]");
+    const looks = arriving && setInterval(() => window.kilter.ajax(form.dataset.sendFile.replace(/file$/, "reading"), arriving), LOOKS_MS);
     const asked = new URLSearchParams({ name: file.name, job: form.dataset.job || "" });
     await send(`${form.dataset.sendFile}?${asked}`, file, form.querySelector("[data-sending]"), form.parentElement.querySelector("[data-refused]"), "Reading");
+    clearInterval(looks);
+    arriving?.replaceChildren();
     input.disabled = false;
     input.value = "";
   });

@@ -305,7 +305,7 @@ def activate(
         if error.code != "activation_refused":
             raise
         said = [in_names(database, str(one["message"])) for one in error.context["objections"]]
-        return render(request, "versions/refused.html", 409, version=version, etag=etag, said=said)
+        return render(request, "versions/refused.html", 409, version=version, said=said)
     return redirect(request, f"/robots/{done.robot}")
 
 

@@ -206,12 +206,11 @@ def _was_corrected(made: Iterable[Made], version: Active) -> bool:
     return any(one.was_active and one.id != version.id for one in made)
 
 
-def _fresh(today: Today, campaigns: Campaigns, unused: Sequence[Measured]) -> tuple[str, str] | None:
+def _fresh(today: Today, campaigns: Campaigns, unused: Sequence[Measured]) -> Measured | None:
     """The newest campaign that is to be fitted, and that no version knows."""
     after = [campaigns[one.id] for one in today.not_evaluated if one.id in campaigns] if today.version_id else unused
     wanted = [one for one in after if one.role == "train"]
-    newest = max(wanted, key=lambda one: one.measured_at, default=None)
-    return None if newest is None else (newest.id, newest.name)
+    return max(wanted, key=lambda one: one.measured_at, default=None)
 
 
 def _history(campaigns: Campaigns, evaluated: Iterable[Evaluated]) -> Iterable[ErrorAt]:

@@ -13,6 +13,7 @@ from kilter_service.contract.words import interval, said_of_error
 from kilter_service.ground.db.row import days_since
 from kilter_service.ground.texts import plural
 from kilter_service.versions.today.sentences import ago, largest
+from kilter_service.versions.today.store import Measured
 
 WORDS: dict[FirstStage, str] = {
     "describe": "Describe",
@@ -90,7 +91,7 @@ class Known:
     rezeroed: dict[str, tuple[str, str]] = field(default_factory=dict)
     causes: Sequence[str] = ()
     newest: tuple[str, str] | None = None
-    fresh: tuple[str, str] | None = None
+    fresh: Measured | None = None
     planned: tuple[str, int] | None = None
     proposed: tuple[str, int] | None = None
     searching: str | None = None
@@ -227,9 +228,9 @@ def _steps(state: RobotState, today: Today, drift: DriftSummary, known: Known) -
             words = ("watch", "rezero", robot, "--campaign", campaign)
             yield _step("rezero", _rezero_words(known.causes[0]), *words, campaign_id=campaign, causes=[*known.causes])
     if known.fresh is not None:
-        yield _search(robot, *known.fresh)
+        yield _search(robot, known.fresh)
     newest = today.not_evaluated[-1] if today.not_evaluated else None
-    if not alarm and newest is not None and (known.fresh is None or known.fresh[0] != newest.id):
+    if not alarm and newest is not None and (known.fresh is None or known.fresh.id != newest.id):
         words = ("version", "evaluate", robot, "--campaign", newest.id)
         yield _step("evaluate", f"Evaluate on {newest.name}", *words, campaign_id=newest.id)
     poses = list(_poses(state, today, known))
@@ -245,7 +246,7 @@ def _first_steps(robot: str, known: Known) -> dict[FirstStage, list[NextStep]]:
     poses = [] if known.planned is None else [_measure(*known.planned)]
     if known.planned is None and not known.reached.measured:
         poses = [_step("plan", "Plan the poses", "plan", "poses", robot)]
-    search = [] if known.fresh is None else [_search(robot, *known.fresh)]
+    search = [] if known.fresh is None else [_search(robot, known.fresh)]
     if known.searching is not None:
         search = [
             _step("await_job", "See how far it is", "server", "jobs", "show", known.searching, job_id=known.searching)
@@ -281,9 +282,13 @@ def _activation(version: str, name: str) -> NextStep:
     return _step("activate", f"Activate {name}", "activate", version, version_id=version)
 
 
-def _search(robot: str, campaign: str, name: str) -> NextStep:
-    words = ("gap", robot, "--campaign", campaign)
-    return _step("search", "Identify and search", *words, campaign_id=campaign)
+def _search(robot: str, fresh: Measured) -> NextStep:
+    """What makes a version of a campaign; of pictures a fit with gears that yield, for a search in pixels takes hours."""
+    words = (robot, "--campaign", fresh.id)
+    if fresh.views:
+        more = ("--validation", "0.25", "--effects", "axial_compliance")
+        return _step("identify", "Identify", "identify", *words, *more, campaign_id=fresh.id)
+    return _step("search", "Identify and search", "gap", *words, campaign_id=fresh.id)
 
 
 def _step(

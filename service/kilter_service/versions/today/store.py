@@ -19,7 +19,10 @@ ALARMS = ("moved", "cannot_tell")  # verdicts of a check
 
 @dataclass(frozen=True)
 class Measured:
-    """A campaign in use with rows: the hashes of its files, and when it was measured; not ``stated``: when they came."""
+    """A campaign in use with rows: the hashes of its files, and when it was measured; not ``stated``: when they came.
+
+    ``views``: its rows are corners in pictures.
+    """
 
     id: str
     name: str
@@ -28,6 +31,7 @@ class Measured:
     hashes: frozenset[str]
     whole: str | None = None  # the campaign in use that it is the rest of
     role: str = "train"
+    views: bool = False
 
 
 @dataclass(frozen=True)
@@ -127,6 +131,7 @@ def measured_campaigns(session: Session, of: Collection[int]) -> dict[int, dict[
             row.retired_at,
             row.role,
             begins,
+            row.conditions["cameras"],
             UploadRow.sha256,
             UploadRow.created_at,
         )
@@ -135,11 +140,11 @@ def measured_campaigns(session: Session, of: Collection[int]) -> dict[int, dict[
     )
     retired: set[str] = set()
     out: dict[int, dict[str, Measured]] = {}
-    for robot, key, name, stated, ended, role, notes, sha256, sent in session.execute(query):
+    for robot, key, name, stated, ended, role, notes, cameras, sha256, sent in session.execute(query):
         at, whole = stated or sent, rest.parse_origin_campaign(notes)
         retired |= {key} if ended is not None else set()
         known = out.setdefault(robot, {}).get(
-            key, Measured(key, name, at, stated is not None, frozenset(), whole, role)
+            key, Measured(key, name, at, stated is not None, frozenset(), whole, role, bool(cameras))
         )
         out[robot][key] = replace(known, measured_at=max(known.measured_at, at), hashes=known.hashes | {sha256})
     return {robot: _together(found, retired) for robot, found in out.items()}

@@ -190,6 +190,7 @@ PAGE_RULES: Mapping[str, Rule] = {
     "GET /robots/{robot}/campaigns": READ,
     "GET /robots/{robot}/campaigns/new": READ,
     "GET /robots/{robot}/campaigns/new/board.zip": READ,
+    "GET /robots/{robot}/campaigns/new/reading": READ,
     "GET /robots/{robot}/campaigns/new/{draft}": READ,
     "POST /robots/{robot}/campaigns/new/file": DROP,
     "POST /robots/{robot}/campaigns/new/{draft}/columns": DROP,

@@ -258,7 +258,7 @@ class Rows:
 
 MOST_MOVED_PX, MOST_FRAME_S = 0.2, 0.25  # between frames of a video
 MOST_SEARCHES = 20  # pictures without a board that are searched for what they show instead; later ones are like these
-Told = Callable[[int], None]
+Told = Callable[["Seen"], None]
 
 
 @dataclass
@@ -305,7 +305,7 @@ class Looker:
         rows = Rows(stream, self.poses.log if self.poses else None, self.targets, camera_name)
         for frame in source.frames(seen.size):
             self._frame(frame, rows, seen)
-            told(seen.pictures)
+            told(seen)
         if not seen.views:
             raise _no_view(seen)
         seen.warnings = self._warnings(seen, source)

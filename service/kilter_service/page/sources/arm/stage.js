@@ -114,7 +114,7 @@ export class Stage {
   fit() {
     if (!this.renderer) return;
     const width = this.canvas.parentElement.clientWidth;
-    const height = Math.round(Math.min(0.85 * width, Math.max((this.place.dataset.as === "poses" ? 0.5 : 0.3) * window.innerHeight, 270)));
+    const height = Math.round(Math.min(0.85 * width, Math.max((this.place.dataset.as === "poses" ? 0.5 : 0.28) * window.innerHeight, 250)));
     this.renderer.setSize(width, height);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();

@@ -162,7 +162,7 @@ def _write_views_file(looker: Looker, source: Pictures, output: Path, camera_nam
     try:
         bar = upload_bar(f"{total} pictures", as_json, "looking through")
         with bar as told, part.open("w", encoding="utf-8", newline="") as stream:
-            seen = looker.write_views(source, stream, camera_name, lambda done: told(done, total))
+            seen = looker.write_views(source, stream, camera_name, lambda seen: told(seen.pictures, total))
         if output.suffix.lower() == PARQUET:
             write_parquet(part, whole)
             whole.replace(output)
