@@ -145,7 +145,20 @@ def test_poses_lean_on_the_masses_that_torques_told(server: Path, capsys: Captur
         assert (
             run(["identify", "leaning", "-c", "poses", "--effects", "axial_compliance", "--masses-from", "newest"]) == 0
         )
-    capsys.readouterr()
+        line = "Masses and centres of the links are from torques: search by log."
+        assert line in capsys.readouterr().out.splitlines()
+        assert line in kilter.versions.get(version["version_id"])["headline"].splitlines()
+        with httpx.Client(base_url=kilter.url) as page:
+            page.post("/login", data={"token": (server / "token").read_text().splitlines()[0]})
+            made = kilter.versions.get(version["version_id"])["job_id"]
+            assert line in page.get(f"/jobs/{made}").raise_for_status().text
+            form = page.get("/robots/leaning/jobs?kind=gap").raise_for_status().text
+            assert f'<option value="{searched}">by log</option>' in form
+        plain = kilter.identify("leaning", "poses", level=1, masses_from=searched)
+        assert "from torques" not in plain["headline"]
+        assert any(one["message"].startswith("masses_from did nothing") for one in plain["warnings"])
+        sought = kilter.gap("leaning", "poses", budget_s=1.0, masses_from="newest")
+        assert line in sought["headline"].splitlines()
     right = {f"compliance_{j}": np.degrees(SOFT[j]) for j in (2, 3)}
     wrong = {given: [abs(one[name] / c - 1.0) for name, c in right.items()] for given, one in found.items()}
     assert max(wrong["newest"]) < 0.04 < max(wrong[None])

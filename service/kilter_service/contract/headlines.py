@@ -365,6 +365,11 @@ def describe_fit(
     return "\n".join(line for line in lines if line)
 
 
+def describe_masses(search: str | None) -> str:
+    """Return the line of a headline that says which torques the masses come from; empty: they are those of the description."""
+    return "" if search is None else f"\nMasses and centres of the links are from torques: search {search}."
+
+
 def _describe_views(pixels: PixelsFound | None) -> str:
     """The error of the tool by views, where nothing else measured it."""
     if pixels is None:

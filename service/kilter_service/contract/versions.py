@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from kilter_service.contract.fits import Covariance, FitDetails, JointMotions, Metrics, NullDirection, Parameter
-from kilter_service.contract.headlines import HEADLINE, NEAR, count_noise_left, describe_fit
+from kilter_service.contract.headlines import HEADLINE, NEAR, count_noise_left, describe_fit, describe_masses
 from kilter_service.contract.references import RETIRED_AT, TITLE
 from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Celsius, Deg, Listed, Mm, Stored, Strict
@@ -290,7 +290,8 @@ class Version(VersionSummary):
     def model_post_init(self, context: Any, /) -> None:
         """Add the headline."""
         about = self.details
-        self.headline = describe_fit(self.metrics, self.parameters, self.noise_mm, about.noise, about.pixels)
+        said = describe_fit(self.metrics, self.parameters, self.noise_mm, about.noise, about.pixels)
+        self.headline = said + describe_masses(about.masses_from)
         self.something_missing = (count_noise_left(self.metrics, self.noise_mm, about.noise) or 0.0) > NEAR
 
 

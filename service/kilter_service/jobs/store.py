@@ -248,8 +248,10 @@ def load_job_input(
     kind, robot = get_job_kind(kind_name), robots.core_robot(session, robot_id)
     named = starting_version(session, robot_id, kind, request)
     start = None if named is None else versions.calibration(session, named)
+    masses = None
     if searched := request.options.get("masses_from"):
-        *_, model = ended.get_search_in_torques(session, robot_id, None if searched == NEWEST else searched)
+        job_id, name, model = ended.get_search_in_torques(session, robot_id, None if searched == NEWEST else searched)
+        masses = name or job_id
         robot = replace(robot, told_loads=core_motion.told_loads(robot, model.get("loads")))
         start = None if start is None else start.with_robot(robot)
 
@@ -278,6 +280,7 @@ def load_job_input(
         confirmation=load_rows(request.confirmation),
         default_load=() if robot.load is None else unstated,
         no_load=unstated if robot.load is None else (),
+        masses_from=masses,
         made_from=frozenset() if named is None else versions.training_campaign_ids(session, named),
         fleet=fleet_versions(session, robot_id, allowed) if request.options.get("prior") == "fleet" else (),
     )
