@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import re
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -200,6 +202,22 @@ def test_a_version_holds_the_torques_of_a_log_that_started_from_it(
         assert told.notes[0] == "Torques are by version by log."
         right = np.stack([kilter.torques("holding", path, search="by log").to_numpy()[f"tau{j}_nm"] for j in JOINTS])
         np.testing.assert_array_equal(np.stack([told.to_numpy()[f"tau{j}_nm"] for j in JOINTS]), right)
+        with pytest.raises(ConflictError, match="holds no torques"):
+            kilter.versions.export(first, "torque-c")
+        source = tmp_path / "torque.c"
+        source.write_bytes(kilter.versions.export(second, "torque-c"))
+        command = ["cc", "-std=c99", "-Wall", "-Werror", "-shared", "-fPIC", "-o", str(tmp_path / "t.so"), str(source)]
+        subprocess.run([*command, "-lm"], check=True)
+        library = ctypes.CDLL(str(tmp_path / "t.so"))
+        t = np.arange(8.0)
+        vectors = [[name.format(j) for j in JOINTS] for name in ("q{}_deg", "qd{}_deg_s", "qdd{}_deg_s2")]
+        fast = {"t_s": t} | {name: 20.0 * np.cos(t * k) for names in vectors for k, name in enumerate(names, 1)}
+        by_path = kilter.torques("holding", fast).to_numpy()
+        for k in range(8):
+            motion = [np.radians([fast[name][k] for name in names]) for names in vectors]
+            tau = np.empty(6)
+            library.kt_torques(*(ctypes.c_void_p(one.ctypes.data) for one in (*motion, tau)))
+            np.testing.assert_allclose(tau, [by_path[f"tau{j}_nm"][k] for j in JOINTS], rtol=1e-7, atol=1e-7)
         third = kilter.identify("holding", "poses", start=second, name="on")["version_id"]
         assert json.loads(kilter.versions.export(third, "json"))["calibration_si"]["torques"] == model
         line = "Torques of paths are told by search by log."
