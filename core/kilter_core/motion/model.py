@@ -17,7 +17,7 @@ from kilter_core.motion.effects import LEAST_SPEED, MOTION_EFFECTS, SIGN_SHARE, 
 from kilter_core.motion.fit import Fit
 from kilter_core.motion.kernels import torque
 from kilter_core.motion.layout import Known, Layout, Term
-from kilter_core.motion.loads import loads_document, tell_loads
+from kilter_core.motion.loads import friction_document, loads_document, tell_friction, tell_loads
 from kilter_core.motion.normal import Equations
 from kilter_core.motion.record import Path
 from kilter_core.motion.regressor import PER_LINK, base_columns, link_elements, moving_elements
@@ -51,7 +51,7 @@ class TorqueModel:
 
     ``links`` could be real and have these base parameters; where the log says nothing they are as described. ``joints`` are
     those (from 0) of which the log says something; of the others no torque is told. ``loads`` is what it says of the masses
-    that loads of poses come from.
+    that loads of poses come from, ``friction (n, 2)`` N m of that of each joint near rest.
     """
 
     layout: Layout
@@ -59,6 +59,7 @@ class TorqueModel:
     links: tuple[Link, ...]
     joints: tuple[int, ...]
     loads: CorrelatedPrior | None = None
+    friction: Floats | None = None
 
     @classmethod
     def from_fit(
@@ -71,7 +72,7 @@ class TorqueModel:
         kept = [term for term in terms if term.effect.ahead and term.session is None and term.joint in joints]
         found = [(term, fit.theta[term.columns]) for term in kept]
         model = cls._of_terms(equations.layout, base, found, links, tuple(joints))
-        return replace(model, loads=tell_loads(equations, fit, blocks))
+        return replace(model, loads=tell_loads(equations, fit, blocks), friction=tell_friction(equations, fit, blocks))
 
     @classmethod
     def _of_terms(
@@ -146,6 +147,7 @@ class TorqueModel:
             ],
             "joints": [j + 1 for j in self.joints],
             "loads": loads_document(layout.robot, self.loads),
+            "friction": friction_document(self.friction),
             "usual_speeds": layout.speeds,
             "middles": layout.middles,
             "orders": list(layout.orders),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import uuid
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import ColumnElement, Select, case, func, or_, select
@@ -252,7 +252,7 @@ def load_job_input(
     if searched := request.options.get("masses_from"):
         job_id, name, model = ended.get_search_in_torques(session, robot_id, None if searched == NEWEST else searched)
         masses = name or job_id
-        robot = replace(robot, told_loads=core_motion.told_loads(robot, model.get("loads")))
+        robot = core_motion.with_torques_told(robot, model)
         start = None if start is None else start.with_robot(robot)
 
     def load_rows(ids: Sequence[str]) -> dict[str, Observations]:
