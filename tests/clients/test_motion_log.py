@@ -345,7 +345,7 @@ def test_motions_are_planned_for_a_recording(server: Path, logged: Path, tmp_pat
     program = tmp_path / "motions.src"
     assert run(["plan", "motion", "mover", "--seconds", "15", "--count", "1", "-o", str(program)]) == 0
     assert program.read_text().count("SPTP") > 100
-    assert run(["plan", "motion", "mover", "-o", "motions.ls"]) != 0
+    assert run(["plan", "motion", "mover", "-o", "motions.jbi"]) != 0
     assert ".src" in capsys.readouterr().err
     assert run(["plan", "motion", "mover", "--seconds", "3"]) != 0
     assert "12" in capsys.readouterr().err
