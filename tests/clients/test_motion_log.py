@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import re
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
@@ -145,10 +147,101 @@ def test_poses_lean_on_the_masses_that_torques_told(server: Path, capsys: Captur
         assert (
             run(["identify", "leaning", "-c", "poses", "--effects", "axial_compliance", "--masses-from", "newest"]) == 0
         )
-    capsys.readouterr()
+        line = "Masses and centres of the links are from torques: search by log."
+        assert line in capsys.readouterr().out.splitlines()
+        assert line in kilter.versions.get(version["version_id"])["headline"].splitlines()
+        with httpx.Client(base_url=kilter.url) as page:
+            page.post("/login", data={"token": (server / "token").read_text().splitlines()[0]})
+            made = kilter.versions.get(version["version_id"])["job_id"]
+            assert line in page.get(f"/jobs/{made}").raise_for_status().text
+            form = page.get("/robots/leaning/jobs?kind=gap").raise_for_status().text
+            assert f'<option value="{searched}">by log</option>' in form
+        plain = kilter.identify("leaning", "poses", level=1, masses_from=searched)
+        assert "from torques" not in plain["headline"]
+        assert any(one["message"].startswith("masses_from did nothing") for one in plain["warnings"])
+        sought = kilter.gap("leaning", "poses", budget_s=1.0, masses_from="newest")
+        assert line in sought["headline"].splitlines()
     right = {f"compliance_{j}": np.degrees(SOFT[j]) for j in (2, 3)}
     wrong = {given: [abs(one[name] / c - 1.0) for name, c in right.items()] for given, one in found.items()}
     assert max(wrong["newest"]) < 0.04 < max(wrong[None])
+
+
+def test_a_version_holds_the_torques_of_a_log_that_started_from_it(
+    server: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    logger = Logger(solid(), seed=22)
+    log, rows = logger.log(), measured(standing(), 8)
+    table = {"t_s": log["t"]} | {f"q{j}_deg": np.degrees(log["q"][:, j - 1]) for j in JOINTS}
+    table |= {f"tau{j}_nm": log["tau"][:, j - 1] for j in JOINTS}
+    points = {f"q{j}_deg": np.degrees(rows.q[:, j - 1]) for j in JOINTS}
+    points |= {f"{axis}_mm": 1e3 * rows.position[:, k] for k, axis in enumerate("xyz")}
+    path = path_of(logger)
+    with Kilter() as kilter:
+        kilter.robots.add(solid().document() | {"name": "holding"})
+        kilter.upload("holding", points, name="poses")
+        kilter.upload("holding", table, name="log")
+        first = kilter.identify("holding", "poses", name="plain")["version_id"]
+        with pytest.raises(ConflictError, match="holds no torques") as refused:
+            kilter.torques("holding", path, version=first)
+        assert refused.value.code == "no_torque_model"
+        kilter.versions.activate(first, force=True, reason="a test of torques")
+        found = kilter.identify("holding", "log", start=first, name="by log")
+        second = found["version_id"]
+        held, before = (json.loads(kilter.versions.export(one, "json")) for one in (second, first))
+        model = held["calibration_si"].pop("torques")
+        assert held["calibration_si"] == before["calibration_si"]  # the tool is corrected as before
+        assert held["version"]["limits"] == before["version"]["limits"]
+        assert held["version"]["sha256"] != before["version"]["sha256"]
+        assert [c["use"] for c in held["version"]["campaigns"]] == ["train", "torques"]
+        assert kilter.torques("holding", path).notes[0] == "Torques are by search by log."  # the active one holds none
+        done = kilter.versions.activate(second)
+        assert done["objections"] == []
+        other = kilter.identify("holding", "log", effects=["load_friction"], name="later")
+        assert other["version_id"] is None
+        told = kilter.torques("holding", path)
+        assert told.notes[0] == "Torques are by version by log."
+        right = np.stack([kilter.torques("holding", path, search="by log").to_numpy()[f"tau{j}_nm"] for j in JOINTS])
+        np.testing.assert_array_equal(np.stack([told.to_numpy()[f"tau{j}_nm"] for j in JOINTS]), right)
+        with pytest.raises(ConflictError, match="holds no torques"):
+            kilter.versions.export(first, "torque-c")
+        source = tmp_path / "torque.c"
+        source.write_bytes(kilter.versions.export(second, "torque-c"))
+        command = ["cc", "-std=c99", "-Wall", "-Werror", "-shared", "-fPIC", "-o", str(tmp_path / "t.so"), str(source)]
+        subprocess.run([*command, "-lm"], check=True)
+        library = ctypes.CDLL(str(tmp_path / "t.so"))
+        t = np.arange(8.0)
+        vectors = [[name.format(j) for j in JOINTS] for name in ("q{}_deg", "qd{}_deg_s", "qdd{}_deg_s2")]
+        fast = {"t_s": t} | {name: 20.0 * np.cos(t * k) for names in vectors for k, name in enumerate(names, 1)}
+        by_path = kilter.torques("holding", fast).to_numpy()
+        for k in range(8):
+            motion = [np.radians([fast[name][k] for name in names]) for names in vectors]
+            tau = np.empty(6)
+            library.kt_torques(*(ctypes.c_void_p(one.ctypes.data) for one in (*motion, tau)))
+            np.testing.assert_allclose(tau, [by_path[f"tau{j}_nm"][k] for j in JOINTS], rtol=1e-7, atol=1e-7)
+        third = kilter.identify("holding", "poses", start=second, name="on")["version_id"]
+        assert json.loads(kilter.versions.export(third, "json"))["calibration_si"]["torques"] == model
+        line = "Torques of paths are told by search by log."
+        assert line in kilter.versions.get(third)["headline"].splitlines()
+        assert [one["torques"] for one in kilter.versions.list("holding")] == [True, True, False]
+        assert kilter.robots.today("holding")["own"]["campaigns"][0]["name"] == "poses"
+        with httpx.Client(base_url=kilter.url) as page:
+            page.post("/login", data={"token": (server / "token").read_text().splitlines()[0]})
+            text = page.get(f"/versions/{second}").raise_for_status().text
+            assert "Torques of a path" in text
+            for place in (
+                f"versions/{second}/report",
+                f"jobs/{kilter.versions.get(second)['job_id']}",
+                "robots/holding",
+            ):
+                page.get(f"/{place}").raise_for_status()
+    capsys.readouterr()
+    out = tmp_path / "told.csv"
+    given = tmp_path / "path.csv"
+    np.savetxt(given, np.column_stack(list(path.values())), delimiter=",", header=",".join(path), comments="")
+    assert run(["robot", "torque", "holding", str(given), "-o", str(out), "--version", "on"]) == 0
+    assert "by version on" in capsys.readouterr().err
+    assert run(["version", "list", "holding"]) == 0
+    assert capsys.readouterr().out.count("; torques") == 2
 
 
 def test_a_log_without_its_time_is_refused(server: Path, logged: Path, tmp_path: Path, capsys: Capture) -> None:
@@ -252,7 +345,7 @@ def test_motions_are_planned_for_a_recording(server: Path, logged: Path, tmp_pat
     program = tmp_path / "motions.src"
     assert run(["plan", "motion", "mover", "--seconds", "15", "--count", "1", "-o", str(program)]) == 0
     assert program.read_text().count("SPTP") > 100
-    assert run(["plan", "motion", "mover", "-o", "motions.ls"]) != 0
+    assert run(["plan", "motion", "mover", "-o", "motions.jbi"]) != 0
     assert ".src" in capsys.readouterr().err
     assert run(["plan", "motion", "mover", "--seconds", "3"]) != 0
     assert "12" in capsys.readouterr().err

@@ -75,8 +75,25 @@ def driven_krl(text: str) -> tuple[np.ndarray, np.ndarray]:
     return np.array(t), np.array(q)
 
 
+def driven_tp(text: str) -> tuple[np.ndarray, np.ndarray]:
+    moves, places = text.split("/POS")
+    told = {int(k): [float(x) for x in re.findall(rf"J\d = ({NUMBER}) deg", of)] for k, of in
+            re.findall(r"P\[(\d+)\]\{(.*?)\};", places, re.S)}  # fmt: skip
+    t, q = [0.0], []
+    for line in moves.splitlines():
+        if wait := re.search(rf"WAIT ({NUMBER})\(sec\)", line):
+            t.append(t[-1] + float(wait[1]))
+            q.append(q[-1])
+        elif move := re.search(r":J P\[(\d+)\] (\d+)(msec|%)", line):
+            if move[3] == "msec":
+                t.append(t[-1] + float(move[2]) / 1e3)
+            q.append(told[int(move[1])])
+    return np.array(t), np.array(q)
+
+
 @pytest.mark.parametrize(
-    ("ending", "drive"), [(".script", driven_urscript), (".mod", driven_rapid), (".src", driven_krl)]
+    ("ending", "drive"),
+    [(".script", driven_urscript), (".mod", driven_rapid), (".src", driven_krl), (".ls", driven_tp)],
 )
 def test_a_program_drives_what_was_planned(ending: str, drive: object) -> None:
     text, t, q = planned()
@@ -91,8 +108,15 @@ def test_a_program_drives_what_was_planned(ending: str, drive: object) -> None:
 
 
 def test_a_program_says_that_nobody_checked_it() -> None:
-    for ending in (".script", ".mod", ".src"):
+    for ending in (".script", ".mod", ".src", ".ls"):
         assert "collisions" in write_motions(Path(f"m{ending}"), "ur10", planned()[0])
+
+
+def test_a_tp_program_stops_after_each_motion_and_says_that_its_times_are_rough() -> None:
+    text = write_motions(Path("m.ls"), "fanuc", planned()[0])
+    assert len(re.findall(r"msec FINE ;", text)) == 2
+    assert "times are about" in " ".join(re.findall(r":!(.*?) ;", text))
+    assert max(len(one) for one in re.findall(r":!(.*?) ;", text)) <= 32
 
 
 def test_what_a_dialect_cannot_move_is_refused() -> None:
@@ -102,5 +126,5 @@ def test_what_a_dialect_cannot_move_is_refused() -> None:
         write_motions(Path("m.src"), "rail", planned()[0].replace("q1_deg", "q1_mm"))
     assert "A4" in write_motions(Path("m.src"), "four", planned(4)[0])
     with pytest.raises(UsageError, match="name one of these"):
-        refuse_other_endings(Path("m.ls"))
+        refuse_other_endings(Path("m.jbi"))
     assert write_motions(Path("m.csv"), "ur10", planned()[0]) == planned()[0]

@@ -6,8 +6,9 @@ import ast
 import io
 import re
 import tokenize
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 
 from kilter_core.arm.kernels import se3
 from kilter_core.correct.file import layout_digest
@@ -23,6 +24,7 @@ from kilter_core.correct.kernels import (
     solver,
     stream,
 )
+from kilter_core.motion.kernels import torque
 from tools.c_corrector.translate import Function, wrapped
 from tools.c_corrector.types import Scope
 
@@ -37,22 +39,27 @@ FOLDER = Path(__file__).parent
 
 def assembled() -> dict[str, str]:
     """Name -> text of the C file and its header."""
-    sources = {module: Path(str(module.__file__)).read_text() for module in MODULES}
-    constants = {module: _constants(sources[module]) for module in MODULES}
-    everything = _layout() | {name: value for of in constants.values() for name, value in of.items()}
-    kinds = {name: type(value).__name__.replace("float", "double") for name, value in everything.items()}
-    scope = Scope(kinds, frozenset().union(*(_variables(source) for source in sources.values())))
     parts = [(FOLDER / "head.c").read_text(), _defined(_layout(), "Places in the memory, and flags.")]
-    for module in MODULES:
-        title = module.__name__.removeprefix("kilter_core.").replace(".kernels.", "/")
-        parts.append(f"/* ---- {title} {'-' * (100 - len(title))} */\n")
-        if constants[module]:
-            parts.append(_defined(constants[module], ""))
-        parts += _functions(sources[module], scope)
-    parts.append((FOLDER / "public.c").read_text())
+    parts += [*_kernels(MODULES, _layout()), (FOLDER / "public.c").read_text()]
     header = (FOLDER / "corrector.h").read_text().replace("@LAYOUT@", f"0x{layout_digest():08x}u")
     header = re.sub(r"@(\w+)@", lambda found: str(_layout()[found[1]]), header)
-    return {"kilter_corrector.c": "\n".join(parts), "kilter_corrector.h": header}
+    torques = (FOLDER / "torque.c").read_text().replace("@KERNELS@", "\n".join(_kernels((torque,), {})))
+    return {"kilter_corrector.c": "\n".join(parts), "kilter_corrector.h": header, "kilter_torque.c": torques}
+
+
+def _kernels(modules: Sequence[ModuleType], known: Mapping[str, float]) -> Iterator[str]:
+    """Modules as C, where some constants are known."""
+    sources = {module: Path(str(module.__file__)).read_text() for module in modules}
+    constants = {module: _constants(sources[module]) for module in modules}
+    everything = {**known, **{name: value for of in constants.values() for name, value in of.items()}}
+    kinds = {name: type(value).__name__.replace("float", "double") for name, value in everything.items()}
+    scope = Scope(kinds, frozenset().union(*(_variables(source) for source in sources.values())))
+    for module in modules:
+        title = module.__name__.removeprefix("kilter_core.").replace(".kernels.", "/")
+        yield f"/* ---- {title} {'-' * (100 - len(title))} */\n"
+        if constants[module]:
+            yield _defined(constants[module], "")
+        yield from _functions(sources[module], scope)
 
 
 def _layout() -> dict[str, float]:

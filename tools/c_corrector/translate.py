@@ -241,7 +241,8 @@ class Function:
             step = ast.literal_eval(arguments[2])
         if step == -1:
             return f"for (int {place} = {first}; {place} > {last}; {place}--) {{"
-        return f"for (int {place} = {first}; {place} < {last}; {place}++) {{"
+        onward = f"{place}++" if step == 1 else f"{place} += {step}"
+        return f"for (int {place} = {first}; {place} < {last}; {onward}) {{"
 
     def _assign(self, targets: Sequence[ast.expr], value: ast.expr, depth: int) -> None:
         if len(targets) == 1 and isinstance(targets[0], ast.Tuple):

@@ -32,6 +32,7 @@ EXCEPTIONS: Mapping[tuple[str, str], str] = {
     **{(function, "d"): "double" for function in ("shifted_z", "sine_cosine_near")},
     **{(function, "a"): "double" for function in ("_soft_saturation", "_is_sign_softened")},
     **{(function, "x"): "const row" for function in ("_setpoint_status", "_motion", "correct_setpoint", "correct_row")},
+    **{(function, "x"): "const row" for function in ("feed_forward", "_move_outward")},
     ("_soft_sign", "width"): "double",
     ("_rate_limited", "last"): "double",
 }

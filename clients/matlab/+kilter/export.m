@@ -1,6 +1,7 @@
 function text = export(id, form, file)
 % EXPORT  A version as text in the format of another tool; written to FILE when one is named.
-%   kilter.export('ver_7c', 'matlab', 'my_arm.m'); formats: json, urdf, mjcf, usd, dh-csv, mdh-csv, ur-yaml, matlab, c.
+%   kilter.export('ver_7c', 'matlab', 'my_arm.m'); formats: json, urdf, mjcf, usd, dh-csv, mdh-csv, ur-yaml, matlab, c,
+%   torque-c.
 path = ['/v1/versions/' kilter.internal.quote(id) '/export?format=' kilter.internal.quote(form)];
 text = kilter.internal.request('GET', path);
 if nargin > 2

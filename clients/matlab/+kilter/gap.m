@@ -8,8 +8,9 @@ function job = gap(robot, campaigns, varargin)
 %     fix                  Parameters to hold, by name or pattern (alpha_*).
 %     refit                ["tool"]: every campaign and session has a tool of its own (a remounted marker); []: all
 %                          rows share one.
-%     masses_from          Id of a search in torques of this robot, or newest: masses and centres of links are what
-%                          it found, as surely as it knows them; left out: as the robot is described.
+%     masses_from          Id of a search in torques of this robot, or newest: masses and centres of links, and
+%                          friction of joints, are what it found, as surely as it knows them; left out: as the robot
+%                          is described.
 %     prior                fleet: add what versions of at least five other robots of this type say before the rows;
 %                          left out: none of them is asked.
 %     limits               The largest correction the version may make; left out: what it needs at 99 % of its poses,

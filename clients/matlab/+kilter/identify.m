@@ -11,8 +11,9 @@ function job = identify(robot, campaigns, varargin)
 %     sheet_order          given: the quarter points of drawn sheets are in the right order, do not check; left out:
 %                          checked.
 %     start                Id of the version to start from; left out: the nominal robot.
-%     masses_from          Id of a search in torques of this robot, or newest: masses and centres of links are what
-%                          it found, as surely as it knows them; left out: as the robot is described.
+%     masses_from          Id of a search in torques of this robot, or newest: masses and centres of links, and
+%                          friction of joints, are what it found, as surely as it knows them; left out: as the robot
+%                          is described.
 %     limits               The largest correction the version may make; left out: what it needs at 99 % of its poses,
 %                          from 1 degree and 5 mm to 5 degrees and 10 mm.
 %     socket_distances_mm  Known distances between ball sockets, mm, above 0: {"1-2": 400.0}.

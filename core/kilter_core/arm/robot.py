@@ -67,7 +67,8 @@ class Robot:
     """Nominal description of a serial arm, SI. ``gravity (3,)`` m/s² is in the robot's base frame.
 
     ``load`` is what it carries where no payload is stated. ``payload_sigma`` is how well payloads are known: share of
-    the mass, and m of the place. ``told_loads`` is what torques say of the errors of its masses and first moments.
+    the mass, and m of the place. ``told_loads`` is what torques say of the errors of its masses and first moments,
+    ``told_friction (n, 2)`` N m what they say of the friction of each joint near rest, with its standard deviation.
     """
 
     name: str
@@ -80,6 +81,7 @@ class Robot:
     payload_sigma: tuple[float, float] = (MASS_SHARE, CENTRE_M)
     load: Payload | None = None
     told_loads: CorrelatedPrior | None = None
+    told_friction: Floats | None = None
 
     @property
     def n_joints(self) -> int:

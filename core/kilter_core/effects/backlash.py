@@ -24,7 +24,7 @@ class Backlash(Effect):
     id = "backlash"
     summary = "reversal error with the direction of the joint's last motion"
     physical = REVERSAL
-    separated_by = (Separator.SIDES,)
+    separated_by = (Separator.FRICTION,)
     source = "gap-finder library; Slamani, Nubiola and Bonev 2012"
     needs = frozenset({"direction"})
     sided = True

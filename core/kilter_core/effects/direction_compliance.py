@@ -22,7 +22,7 @@ class DirectionCompliance(Effect):
     id = "direction_compliance"
     summary = "compliance differs with the direction of approach"
     physical = JOINT_TWIST
-    separated_by = (Separator.LOADS, Separator.SIDES)
+    separated_by = (Separator.LOADS,)
     source = "hysteresis of gears, loading and unloading branch: Seyfferth et al. 1995; Tuttle 1992"
     needs = frozenset({"moments", "direction"})
     sided = True

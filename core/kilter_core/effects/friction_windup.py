@@ -30,12 +30,14 @@ class FrictionWindup(Effect):
     id = "friction_windup"
     summary = "wind-up of the drive by friction, on the side of the last motion"
     physical = REVERSAL
-    separated_by = (Separator.SIDES,)
+    separated_by = (Separator.FRICTION,)
     source = "Seyfferth, Maghzal and Angeles 1995; Tuttle 1992, harmonic drives"
     needs = frozenset({"direction"})
     sided = True
     aliases = ("backlash", "backlash_load")
-    remedy = "the same as backlash in positions: compare motor currents, or release the joint by dither after the stop"
+    remedy = (
+        "a log of joint torques (masses_from), and poses at two loads: in positions alone it is the same as backlash"
+    )
 
     prior_sigma_rad: float = option(math.radians(0.05), PRIOR_SIGMA, low=1e-6, high=0.035)
 

@@ -41,9 +41,9 @@ class Separator(Enum):
 
     TURN = "more than one turn of the joint"
     LOADS = "its dependence on the load, at two loads"
-    SIDES = "approaches from both sides"
     TEMPERATURE = "a temperature that does not go along with time"
     ORDER = "poses revisited at other times, or a random order, so that nothing else goes along with time"
+    FRICTION = "friction from torques times compliance from loads"
     SENSOR = "a sensor at the place itself: a link encoder, an inclinometer or a reflector on the base"
 
 

@@ -13,6 +13,7 @@ from kilter_core.gap.budget import MEASURING, SEARCHING, Budget, OutOfTimeError
 from kilter_core.gap.evidence.fits.final_fit import by_rows, jacobian_prior_covariance
 from kilter_core.gap.evidence.fits.intervals import amplitude_significance, are_all_significant
 from kilter_core.gap.evidence.held_out.when import refine_event_positions
+from kilter_core.gap.evidence.separators import compare_with_friction
 from kilter_core.gap.evidence.similarity.testability import Testability, testability, through_loads, to_search
 from kilter_core.gap.search.candidates import FAMILY, JOINT, Candidate, Library, Untestable, with_testable
 from kilter_core.gap.search.finalize import finalize, or_geometry_alone
@@ -155,6 +156,23 @@ def _with_members(found: SearchResult, n: int, left: list[Member]) -> SearchResu
     return replace(cut, steps=cut.extended_steps(problem, chosen))
 
 
+def name_by_friction(found: SearchResult) -> SearchResult:
+    """Return the search with each reversal under the name that torques single out, fitted again."""
+    candidates, chosen = found.selector.scorer.candidates, list(found.chosen)
+    for n, place in enumerate(found.chosen):
+        member, *_ = compare_with_friction(found, place) or (candidates[place].id,)
+        wanted = (member, candidates[place].joints)
+        chosen[n] = (
+            place
+            if member == candidates[place].id
+            else next((k for k, c in enumerate(candidates) if (c.id, c.joints) == wanted), place)
+        )
+    if tuple(chosen) == found.chosen:
+        return found
+    problem = refit(found.problem.settings, found.problem.values, found.selector.columns(chosen))
+    return replace(found, chosen=tuple(chosen), problem=problem, steps=found.extended_steps(problem, tuple(chosen)))
+
+
 SEARCHES = 2  # the second where the noise of the first showed that more could be tested
 SECOND = "a second search under the noise of the first"
 ROUNDS = 3  # of names judged by the noise and noise judged by the names
@@ -204,7 +222,7 @@ def search_effects(study: Study, prepared: Prepared) -> SearchOutcome:
     prepared = prepared.update_noise_and_outliers(found.problem)
     found = or_geometry_alone(found, prepared.problem)
     prepared.problem.resting()
-    found = refine_event_positions(refit_with_wider_priors(found), study.validation)
+    found = refine_event_positions(refit_with_wider_priors(name_by_friction(found)), study.validation)
     return SearchOutcome(prepared, found, judged, candidates, unseen if found.chosen else ())
 
 

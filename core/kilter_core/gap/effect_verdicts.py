@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from kilter_core.effects.physical import Separator
 from kilter_core.gap.budget import MEASURING, RESAMPLING, SHUFFLING
 from kilter_core.gap.evidence.control import control_document, controls
 from kilter_core.gap.evidence.fits.intervals import amplitudes, seen_joints
@@ -13,7 +14,7 @@ from kilter_core.gap.evidence.guarded import Guard
 from kilter_core.gap.evidence.halves import Halves, Sides, halves
 from kilter_core.gap.evidence.held_out.practical_size import moves_mm, outweighing
 from kilter_core.gap.evidence.replication import Confirmation, Replication, replication
-from kilter_core.gap.evidence.separators import separating_evidence
+from kilter_core.gap.evidence.separators import REVERSALS, separating_evidence
 from kilter_core.gap.evidence.similarity.aliases import Alias, find_aliases
 from kilter_core.gap.evidence.similarity.smooth import local_bump_test
 from kilter_core.gap.evidence.stability import inclusion
@@ -84,10 +85,12 @@ def _draft_evidence(study: Study, fit: FitAssessment, aliases: Aliases) -> dict[
     out, left_mm = {}, fit_rms(found.problem) * unit
     for k, told in own.items():
         joints, seen = seen_joints(found, k)
+        separated = separating_evidence(found, k)
+        apart = any(e.separator is Separator.FRICTION and e.met for e in separated)  # then its twin is not a rival
         out[k] = Evidence(
             place=k,
             candidate=candidates[k],
-            aliases=aliases[k],
+            aliases=tuple(a for a in aliases[k] if not apart or a.candidate.id not in REVERSALS),
             inclusion=(1.0, 1.0),
             held_out=held.effect_gain(k),
             control=None,
@@ -100,7 +103,7 @@ def _draft_evidence(study: Study, fit: FitAssessment, aliases: Aliases) -> dict[
             seen=seen,
             moves_mm=moved[k],
             replication=again.get(k),
-            separated=separating_evidence(found, k),
+            separated=separated,
             halves=told,
             untimed=told is None and k in alone and sides.able,
             left_mm=left_mm,

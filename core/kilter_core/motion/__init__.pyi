@@ -7,6 +7,7 @@ from .find import MotionReport as MotionReport
 from .find import find_missing_torque as find_missing_torque
 from .kernels.joint import GEAR_DAMPING as GEAR_DAMPING
 from .loads import told_loads as told_loads
+from .loads import with_torques_told as with_torques_told
 from .model import TorqueModel as TorqueModel
 from .model import path_of_rows as path_of_rows
 from .payload import CarriedBody as CarriedBody

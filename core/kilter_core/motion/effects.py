@@ -17,6 +17,7 @@ from kilter_core.types import Floats
 
 FADE_SHARE = 0.1  # of the joint's usual highest speed, at which the friction of breaking loose has faded
 SIGN_SHARE = 0.005  # of it, over which the sign of the speed changes
+LEAST_SPEED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class JointSignals:
     @property
     def sign(self) -> Floats:
         """The sign of the speed, smooth where it changes."""
-        return np.tanh(self.qd / max(SIGN_SHARE * self.usual_speed, 1e-9))
+        return np.tanh(self.qd / max(SIGN_SHARE * self.usual_speed, LEAST_SPEED))
 
 
 @dataclass(frozen=True)

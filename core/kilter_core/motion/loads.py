@@ -26,6 +26,7 @@ GAIN_SHARE = 0.05  # of a torque: its sensor, or the constant of the motor behin
 UNSTATED_KG = 1.0  # of a link that the description leaves without a mass
 UNSTATED_M = 0.1
 WIDTHS = np.geomspace(1.0, 10.0, 25)  # times standard deviations of the description
+NEAR_REST = ("coulomb", "stribeck")  # friction that is left as a joint stops
 GYRATION_M = 0.1  # of an inertia that is not as stated
 
 
@@ -55,6 +56,21 @@ def tell_loads(equations: Equations, fit: Fit, blocks: Bools) -> CorrelatedPrior
     return CorrelatedPrior(tuple(one.name for one in own), mean[at], spread[np.ix_(at, at)])
 
 
+def tell_friction(equations: Equations, fit: Fit, blocks: Bools) -> Floats:
+    """Return the friction (n, 2) N m of each joint near rest and its standard deviation; NaN where it follows the load, so
+    that it is no one number, or where the log says nothing.
+    """
+    C, out = fit.inverse + covariance(equations, fit, blocks), np.full((equations.layout.robot.n_joints, 2), np.nan)
+    at = {int(column): n for n, column in enumerate(fit.columns)}
+    for j in range(len(out)):
+        own = {t.effect.id: t.columns for t in equations.layout.terms if t.joint == j and t.columns[0] in at}
+        places = [at[int(own[name][0])] for name in NEAR_REST if name in own]
+        value = float(fit.theta[fit.columns[places]].sum())
+        if places and "load_friction" not in own:
+            out[j] = value, np.hypot(np.sqrt(C[np.ix_(places, places)].sum()), GAIN_SHARE * value)
+    return out
+
+
 def loads_document(robot: Robot, loads: CorrelatedPrior | None) -> dict[str, Any] | None:
     """Return what :func:`told_loads` reads: ``mean`` and ``covariance`` (kg, kg m) beyond what the description ``stated``."""
     if loads is None:
@@ -65,6 +81,23 @@ def loads_document(robot: Robot, loads: CorrelatedPrior | None) -> dict[str, Any
         "mean": loads.mean.tolist(),
         "covariance": loads.covariance.tolist(),
     }
+
+
+def friction_document(friction: Floats | None) -> list[list[float | None]] | None:
+    """Return what :func:`with_torques_told` reads of friction (n, 2); None where it is not known."""
+    return None if friction is None else [[None if np.isnan(x) else x for x in row] for row in friction.tolist()]
+
+
+def with_torques_told(robot: Robot, model: Mapping[str, Any]) -> Robot:
+    """Return a robot that knows what the model of a search in torques says of its masses and its friction.
+
+    Raises:
+        OptionError: as of :func:`told_loads`.
+
+    """
+    friction = model.get("friction")
+    told = None if friction is None else np.array(friction, dtype=np.float64)
+    return replace(robot, told_loads=told_loads(robot, model.get("loads")), told_friction=told)
 
 
 def told_loads(robot: Robot, document: Mapping[str, Any] | None) -> CorrelatedPrior:

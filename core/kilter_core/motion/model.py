@@ -13,18 +13,35 @@ import numpy as np
 from kilter_core.arm.robot import Link, Robot
 from kilter_core.errors import ObservationError
 from kilter_core.motion.bodies import physical_links
-from kilter_core.motion.effects import MOTION_EFFECTS
+from kilter_core.motion.effects import LEAST_SPEED, MOTION_EFFECTS, SIGN_SHARE, STRIBECK_SHARE
 from kilter_core.motion.fit import Fit
+from kilter_core.motion.kernels import torque
 from kilter_core.motion.layout import Known, Layout, Term
-from kilter_core.motion.loads import loads_document, tell_loads
+from kilter_core.motion.loads import friction_document, loads_document, tell_friction, tell_loads
 from kilter_core.motion.normal import Equations
 from kilter_core.motion.record import Path
-from kilter_core.motion.regressor import base_columns, link_elements
+from kilter_core.motion.regressor import PER_LINK, base_columns, link_elements, moving_elements
 from kilter_core.observations import Observations
 from kilter_core.parameters import CorrelatedPrior, metres, mm
 from kilter_core.types import Bools, Floats
 
 FEWEST_ROWS = 6
+COLUMNS = {  # of an effect in the rows of joints of a table; without the temperature, what follows it is zero
+    "torque_offset": torque.OFFSET,
+    "coulomb": torque.COULOMB,
+    "viscous": torque.VISCOUS,
+    "stribeck": torque.STRIBECK,
+    "root_speed": torque.ROOT,
+    "quadratic_speed": torque.QUADRATIC,
+    "one_sided_damping": torque.ONE_SIDED,
+    "load_friction": torque.LOADED,
+    "motor_inertia": torque.ROTOR,
+    "drive_gain": torque.GAIN,
+    "gear_ripple": torque.RIPPLE,
+    "spring": torque.SPRING,
+    "counterbalance": torque.BALANCE,
+    "cable_curve": torque.CABLE,
+}
 SPLINE = 5  # degree: accelerations are smooth too
 
 
@@ -34,7 +51,7 @@ class TorqueModel:
 
     ``links`` could be real and have these base parameters; where the log says nothing they are as described. ``joints`` are
     those (from 0) of which the log says something; of the others no torque is told. ``loads`` is what it says of the masses
-    that loads of poses come from.
+    that loads of poses come from, ``friction (n, 2)`` N m of that of each joint near rest.
     """
 
     layout: Layout
@@ -42,6 +59,7 @@ class TorqueModel:
     links: tuple[Link, ...]
     joints: tuple[int, ...]
     loads: CorrelatedPrior | None = None
+    friction: Floats | None = None
 
     @classmethod
     def from_fit(
@@ -54,7 +72,7 @@ class TorqueModel:
         kept = [term for term in terms if term.effect.ahead and term.session is None and term.joint in joints]
         found = [(term, fit.theta[term.columns]) for term in kept]
         model = cls._of_terms(equations.layout, base, found, links, tuple(joints))
-        return replace(model, loads=tell_loads(equations, fit, blocks))
+        return replace(model, loads=tell_loads(equations, fit, blocks), friction=tell_friction(equations, fit, blocks))
 
     @classmethod
     def _of_terms(
@@ -82,6 +100,33 @@ class TorqueModel:
             out[:, j] = bodies.stated[:, j] + X @ self.values[self.layout.places(j)]
         return out
 
+    def table(self) -> Floats:
+        """Return the model as the table ``P`` of :func:`~kilter_core.motion.kernels.torque.feed_forward`."""
+        layout, robot = self.layout, self.layout.robot
+        elements, carried = robot.chain.elements, moving_elements(robot)
+        m, n = len(elements), robot.n_joints
+        P = np.zeros((m + n + 1, torque.TORQUE_COLUMNS))
+        for row, (k, one) in zip(P, enumerate(elements), strict=False):
+            rotates, axis = one.axis.rotates, one.axis % 3
+            row[: torque.SINE] = rotates, axis, (axis + 1) % 3, (axis + 2) % 3
+            row[torque.SINE : torque.JOINT] = (np.sin(one.value), np.cos(one.value)) if rotates else (one.value, 0.0)
+            row[torque.JOINT : torque.CARRIES] = -1 if one.joint is None else one.joint, one.ratio, one.value
+            row[torque.CARRIES] = k in carried
+        bodies = np.zeros(PER_LINK * len(link_elements(robot)))
+        bodies[layout.kept] = self.values[: len(layout.kept)]
+        for k, numbers in zip(link_elements(robot), bodies.reshape(-1, PER_LINK), strict=True):
+            P[k, torque.BODY : torque.BODY + PER_LINK] += numbers
+        joints = P[m : m + n]
+        joints[:, torque.WIDTH] = np.maximum(SIGN_SHARE * layout.speeds, LEAST_SPEED)
+        joints[:, torque.LOOSE] = STRIBECK_SHARE * layout.speeds
+        joints[:, torque.MIDDLE], joints[:, torque.ORDER] = layout.middles, [one or 0.0 for one in layout.orders]
+        joints[list(self.joints), torque.KNOWN] = 1.0
+        for term in layout.terms:
+            if (at := COLUMNS.get(term.effect.id)) is not None:
+                joints[term.joint, at : at + len(term.columns)] = self.values[term.columns]
+        P[m + n, :3] = robot.gravity
+        return P
+
     def to_document(self) -> dict[str, Any]:
         """Return the model as a document: kg, mm, kg m2 in the links' frames; angles of terms in rad, as in URDF and MJCF."""
         layout = self.layout
@@ -102,6 +147,7 @@ class TorqueModel:
             ],
             "joints": [j + 1 for j in self.joints],
             "loads": loads_document(layout.robot, self.loads),
+            "friction": friction_document(self.friction),
             "usual_speeds": layout.speeds,
             "middles": layout.middles,
             "orders": list(layout.orders),

@@ -54,6 +54,12 @@ def link_elements(robot: Robot) -> tuple[int, ...]:
     return tuple(link.element for link in robot.links) or robot.chain.primary
 
 
+def moving_elements(robot: Robot) -> frozenset[int]:
+    """Return the elements of the chain whose load the drive of their joint carries."""
+    chain = robot.chain
+    return frozenset(k for k, one in enumerate(chain.elements) if one.joint is not None and _carries(chain, k))
+
+
 def rigid_regressor(robot: Robot, q: Floats, qd: Floats, qdd: Floats) -> Floats:
     """Return the matrix ``Y (N, n, 10 L)`` of rigid bodies: torques N m (forces N) are ``Y @ pi``.
 

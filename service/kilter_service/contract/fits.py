@@ -11,6 +11,10 @@ from kilter_service.contract.budgets import Budget
 from kilter_service.contract.cameras import BoardFound, CameraFound, PixelsFound
 from kilter_service.contract.units import Deg, Metres, Mm, Rad, Stored
 
+SEARCHED_MASSES = (
+    "Name of the search in torques whose masses count; null: those of the description, or no effect follows the load."
+)
+
 
 class Motion(Stored):
     """A motion of a joint, before and after what was found of it is taken off."""
@@ -462,6 +466,7 @@ class FitDetails(Stored):
     learned: Learned | None = Field(None, description="Whether a learned effect predicts better.")
     load_model: list[LoadNumber] | None = Field(None, description="Masses and centres as stated and as found.")
     masses: MassesTaken | None = Field(None, description="How masses were taken; null: no effect follows the load.")
+    masses_from: str | None = Field(None, description=SEARCHED_MASSES)
     observability: Observability | None = Field(None, description="Observability indices of the poses.")
     correlated_groups: list[CorrelatedGroup] | None = Field(None, description="Parameters that go together.")
     base_refitted: list[OwnBase] | None = Field(None, description="Bases that were fitted to rows of their own.")

@@ -365,6 +365,12 @@ def describe_fit(
     return "\n".join(line for line in lines if line)
 
 
+def describe_masses(search: str | None, torques: str | None = None) -> str:
+    """Return the lines of a headline that say which searches in torques masses, and the torques of paths, come from."""
+    masses = "" if search is None else f"\nMasses and centres of the links are from torques: search {search}."
+    return masses if torques is None else f"{masses}\nTorques of paths are told by search {torques}."
+
+
 def _describe_views(pixels: PixelsFound | None) -> str:
     """The error of the tool by views, where nothing else measured it."""
     if pixels is None:

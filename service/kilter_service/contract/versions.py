@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from kilter_service.contract.fits import Covariance, FitDetails, JointMotions, Metrics, NullDirection, Parameter
-from kilter_service.contract.headlines import HEADLINE, NEAR, count_noise_left, describe_fit
+from kilter_service.contract.gap_details import MotionFound
+from kilter_service.contract.headlines import HEADLINE, NEAR, count_noise_left, describe_fit, describe_masses
 from kilter_service.contract.references import RETIRED_AT, TITLE
 from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Celsius, Deg, Listed, Mm, Stored, Strict
@@ -139,7 +140,7 @@ class UsedCampaign(Stored):
     id: str = Field(description="Id of the campaign.")
     name: str = Field(description="Name of the campaign.")
     role: str = Field(description="What the campaign is meant for.")
-    use: str = Field(description="What it was used for: `train`, `validation` or `confirmation`.")
+    use: str = Field(description="What it was used for: `train`, `validation`, `confirmation` or `torques`.")
     rows: int = Field(description="Rows it had then.")
     sha256: list[str] = Field(description="SHA-256 of the files it had then.")
 
@@ -159,6 +160,7 @@ class VersionSummary(Strict):
     name: str = Field("", description=TITLE)
     notes: str = Field("", description="What people noted on it.")
     retired_at: datetime | None = Field(None, description=RETIRED_AT)
+    torques: bool = Field(False, description="Whether it tells the torques of a path.")
     number: int = Field(
         0, description="Which version of its robot it is, from 1: `tour v2` names the second of `tour`."
     )
@@ -259,6 +261,10 @@ class Details(FitDetails):
         None, description="What joints were measured by: `inclinometer` or `link-side encoder`."
     )
     joints: list[JointMotions] | None = Field(None, description="What link-side encoders say of each joint.")
+    torques_from: str | None = Field(
+        None, description="Name of the search in torques whose model it holds; null: none."
+    )
+    motion: MotionFound | None = Field(None, description="What that search said, without the model.")
 
 
 class Version(VersionSummary):
@@ -290,7 +296,8 @@ class Version(VersionSummary):
     def model_post_init(self, context: Any, /) -> None:
         """Add the headline."""
         about = self.details
-        self.headline = describe_fit(self.metrics, self.parameters, self.noise_mm, about.noise, about.pixels)
+        said = describe_fit(self.metrics, self.parameters, self.noise_mm, about.noise, about.pixels)
+        self.headline = said + describe_masses(about.masses_from, about.torques_from)
         self.something_missing = (count_noise_left(self.metrics, self.noise_mm, about.noise) or 0.0) > NEAR
 
 

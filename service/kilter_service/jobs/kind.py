@@ -117,6 +117,7 @@ class JobInput:
     ``each`` computes independent parts, in several processes where the worker has them; None: one after the other.
     ``default_load`` are the campaigns that state no payload, where the robot has a default load; ``no_load`` those where
     it has none, so that nothing counts as carried.
+    ``masses_from`` names the search in torques whose masses the robot has.
     ``devices``, ``names`` and ``instruments`` (of those that name one) are those of all campaigns, by id, and
     ``certificates`` what those of the instruments have against a campaign.
     ``version_id``, ``calibration``, ``covariance`` and ``report`` are those of
@@ -144,6 +145,7 @@ class JobInput:
     confirmation: dict[str, Observations] = field(default_factory=dict)
     default_load: tuple[str, ...] = ()
     no_load: tuple[str, ...] = ()
+    masses_from: str | None = None
     each: Each | None = None
     fleet: tuple[FleetVersion, ...] = ()
     made_from: frozenset[str] = frozenset()

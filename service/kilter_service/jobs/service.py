@@ -201,6 +201,12 @@ def succeeded_evaluations(database: Database, version_id: str) -> list[str]:
         return store.succeeded_evaluations(session, version_id)
 
 
+def list_searches_in_torques(database: Database, robot: str, limit: int) -> list[tuple[str, str]]:
+    """Return id and name of the searches in torques whose masses and torques a robot can take, the newest first."""
+    with database.reading() as session:
+        return ended_jobs.list_searches_in_torques(session, robots.usable(session, robot).id, limit)
+
+
 def open_of_robots(database: Database) -> dict[str, int]:
     """Return how many jobs of each robot are not over."""
     with database.reading() as session:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import uuid
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import ColumnElement, Select, case, func, or_, select
@@ -14,7 +14,7 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.job import FINAL
 from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.contract.jobs.shared import NEWEST
-from kilter_service.contract.versions import Objection
+from kilter_service.contract.versions import CorrectionLimits, Objection
 from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.called import job_noun
 from kilter_service.ground.caller import allowed_robots, as_document
@@ -44,14 +44,14 @@ from kilter_service.jobs.registry import get_job_kind
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 from kilter_service.versions.records import VersionRecord
-from kilter_service.versions.store import NewVersion
+from kilter_service.versions.store import TORQUES, NewVersion
 
 if TYPE_CHECKING:
     from kilter_core.observations import Observations
 
-    pass
-
 NOBODY = Asked()
+MOTION, TORQUES_FROM = "motion", "torques_from"  # of a report: what a log of torques said, and the search's name
+OF_TORQUES = {TORQUES, MOTION, TORQUES_FROM}
 MOST_PAST = 20  # earlier jobs that tell how long one takes
 MOST_PLACES = 1000  # jobs that are not over whose place is told
 
@@ -248,9 +248,11 @@ def load_job_input(
     kind, robot = get_job_kind(kind_name), robots.core_robot(session, robot_id)
     named = starting_version(session, robot_id, kind, request)
     start = None if named is None else versions.calibration(session, named)
+    masses = None
     if searched := request.options.get("masses_from"):
-        *_, model = ended.get_search_in_torques(session, robot_id, None if searched == NEWEST else searched)
-        robot = replace(robot, told_loads=core_motion.told_loads(robot, model.get("loads")))
+        job_id, name, model = ended.get_search_in_torques(session, robot_id, None if searched == NEWEST else searched)
+        masses = name or job_id
+        robot = core_motion.with_torques_told(robot, model)
         start = None if start is None else start.with_robot(robot)
 
     def load_rows(ids: Sequence[str]) -> dict[str, Observations]:
@@ -278,6 +280,7 @@ def load_job_input(
         confirmation=load_rows(request.confirmation),
         default_load=() if robot.load is None else unstated,
         no_load=unstated if robot.load is None else (),
+        masses_from=masses,
         made_from=frozenset() if named is None else versions.training_campaign_ids(session, named),
         fleet=fleet_versions(session, robot_id, allowed) if request.options.get("prior") == "fleet" else (),
     )
@@ -353,9 +356,10 @@ def succeed(
     row = _row(session, job_id)
     if row.state in FINAL:
         return
-    if content is not None:
-        used = campaigns_used_by_job(session, job_id) if used is None else used
-        version_id = versions.add(session, row.robot_id, job_id, _version(row, content, used))
+    used = campaigns_used_by_job(session, job_id) if used is None else used
+    new = _version(session, row, content, result, used)
+    if new is not None:
+        version_id = versions.add(session, row.robot_id, job_id, new)
         result = {**result, "version_id": version_id, "objections": [one.model_dump() for one in objections]}
         if "figures" in result:
             robot = session.get_one(RobotRow, row.robot_id).name
@@ -401,18 +405,46 @@ def campaigns_used_by_request(session: Session, request: JobRequest) -> list[Use
     return [_used_record(session, campaign, use) for use, campaigns_ in named.items() for campaign in campaigns_]
 
 
-def _version(row: JobRow, content: VersionContent, used: Sequence[UsedRecord]) -> NewVersion:
+def _version(
+    session: Session, row: JobRow, content: VersionContent | None, result: Mapping[str, Any], used: Sequence[UsedRecord]
+) -> NewVersion | None:
+    """Return the version that a job makes; one of a log of torques makes that which it starts from, with the torques found."""
     request, kind = JobRequest.from_document(row.request), get_job_kind(row.kind)
-    fields = {key: value for key, value in asdict(content).items() if key not in ("limits", "parent_id")}
     named = request.options.get(kind.contract.version_option) if kind.contract.version_option else None
+    named = (content.parent_id if content is not None else None) or named
+    start = None if named is None else versions.get(session, named)
+    made_of = [asdict(one) for one in used]
+    if content is None and start is not None and result.get(MOTION):
+        content, made_of = _with_torques_found(start, row.name or row.id, result, made_of)
+    if content is None:
+        return None
+    fields = {key: value for key, value in asdict(content).items() if key not in ("limits", "parent_id")}
+    if start is not None:  # torques of a version are those of what continues it
+        for part, stored in (("calibration", start.calibration), ("report", start.report)):
+            fields[part] = {key: stored[key] for key in OF_TORQUES & stored.keys()} | fields[part]
     return NewVersion(
         **fields,
         limits=content.limits.model_dump(mode="json"),
-        campaigns=[asdict(one) for one in used],
-        parent_id=content.parent_id or named,
+        campaigns=made_of,
+        parent_id=named,
         code_version=code_version(),
         name=row.request.get("name", row.name),
     )
+
+
+def _with_torques_found(
+    start: VersionRecord, name: str, result: Mapping[str, Any], logs: list[dict[str, Any]]
+) -> tuple[VersionContent, list[dict[str, Any]]]:
+    """A version with the torques that a search of this name found, and the campaigns that both are made of."""
+    said = {MOTION: {**result[MOTION], "model": None}, TORQUES_FROM: name}
+    warnings = [*(start.report.get("warnings") or ()), *(result.get("warnings") or ())]
+    content = VersionContent(
+        start.calibration | {TORQUES: result[MOTION]["model"]},
+        start.report | said | {"warnings": warnings},
+        start.covariance,
+        CorrectionLimits(**start.limits),
+    )
+    return content, [*(c for c in start.campaigns if c["use"] != TORQUES), *(c | {"use": TORQUES} for c in logs)]
 
 
 def _used_record(session: Session, campaign_id: str, use: str) -> UsedRecord:

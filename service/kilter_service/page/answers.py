@@ -89,6 +89,7 @@ MACROS = {  # what every template may call, and those below them
     "measured_rows": "rows.html",
     "suspicious_rows": "suspicious.html",
     "masses": "masses.html",
+    "torques": "torques.html",
     "goals": "robot/goals.html",
     "job_table": "job_list/table.html",
     "table_of": "jobs/uses.html",

@@ -85,6 +85,7 @@ class Training:
     changed: int | None = None
 
 
+TORQUES = "torques"  # of a calibration: what tells torques ahead; of a campaign: the log that this was found in
 REZEROED = "rezeroed"  # of a report: the campaign that said what moved; rows from before it are of the arm as it was
 ROBOT_HASHED = 2  # the hash scheme of new versions: calibration, limits and the robot's chain
 POSES, BY_DISTANCE = "poses", "by distance"  # versions without it were split by rounded readings
@@ -190,6 +191,7 @@ def list_versions(
         row.number,
         row.calibration["effects"].label("document"),
         row.report["metrics"].label("errors"),
+        row.calibration[TORQUES]["joints"].label("joints"),
     )
     robot, last = robots.by_id(session, robot_id).name, active_entry(session, robot_id)
     found = session.execute(_of_robot(select(*columns), robot_id, page, with_retired))
@@ -201,6 +203,7 @@ def list_versions(
             active=last is not None and last.version_id == one.id,
             effects=[effect["id"] for effect in one.document or []],
             metrics=as_written(Metrics, one.errors or {}),
+            torques=one.joints is not None,
         )
         for one in found
     ]
@@ -231,6 +234,12 @@ def calibration(session: Session, version_id: str) -> core_model.Calibration:
     """Build core's calibration of a version."""
     row = _row(session, version_id)
     return core_model.Calibration.from_document(robots.core_robot(session, row.robot_id), row.calibration)
+
+
+def torques(session: Session, version_id: str) -> dict[str, Any] | None:
+    """Return the model of torques that a version holds; None where it holds none."""
+    found: dict[str, Any] | None = _row(session, version_id).calibration.get(TORQUES)
+    return found
 
 
 def covariance(session: Session, version_id: str) -> dict[str, Any]:
@@ -328,6 +337,9 @@ def trainings(session: Session, version_id: str) -> list[Training]:
     """Return what a version was fitted to, and what those were that it continues: their rows are in it too."""
     found, following = [], session.get(VersionRow, version_id)
     while following is not None:
+        if any(c["use"] == TORQUES for c in following.campaigns):  # of its line the one before was fitted
+            following = None if following.parent_id is None else session.get(VersionRow, following.parent_id)
+            continue
         request = session.get_one(JobRow, following.job_id)
         held, options = request.request.get("validation"), request.request.get("options", {})
         used = [(c["id"], tuple(c["sha256"])) for c in following.campaigns if c["use"] == "train"]

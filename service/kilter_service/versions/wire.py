@@ -30,6 +30,7 @@ from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
 from kilter_service.versions.objections import objections_from_report
 from kilter_service.versions.records import ActivationRecord, PreviewedPoses, VersionRecord
+from kilter_service.versions.store import TORQUES
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot
@@ -77,7 +78,8 @@ def summary(record: VersionRecord) -> VersionSummary:
 def _read_out(record: VersionRecord) -> dict[str, Any]:
     """What a list tells that no field of the record holds."""
     effects = [effect["id"] for effect in record.calibration["effects"]]
-    return {"effects": effects, "metrics": as_written(Metrics, record.report.get("metrics") or {})}
+    metrics = as_written(Metrics, record.report.get("metrics") or {})
+    return {"effects": effects, "metrics": metrics, "torques": TORQUES in record.calibration}
 
 
 def activation(record: ActivationRecord) -> Activation:

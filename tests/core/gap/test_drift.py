@@ -143,7 +143,7 @@ def test_a_noise_far_above_what_is_left_confirms_nothing():
     options = replace(QUICK, effects=("backlash",))
     right = find_gap(robot, rows, replace(options, noise_mm=0.02))
     assert "noise_too_large" not in {w["code"] for w in right.warnings}
-    assert [j.verdict for j in right.effects] == ["confirmed"]
+    assert [j.verdict for j in right.effects] == ["class_confirmed"]  # friction does it as well, whoever is asked for
     report = find_gap(robot, rows, replace(options, noise_mm=0.04))
     assert "noise_too_large" in {w["code"] for w in report.warnings}
     assert report.adequacy.p_value_low < 0.001

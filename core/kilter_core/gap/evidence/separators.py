@@ -18,13 +18,14 @@ from scipy.stats import rankdata
 
 from kilter_core.effects.law_of_time import SHARES, settled_share
 from kilter_core.effects.physical import JOINT_ZERO, STATION, THERMAL, Separator, joint_numbers
-from kilter_core.gap.evidence.fits.final_fit import amounts
+from kilter_core.gap.evidence.fits.final_fit import amounts, final_effect_amounts
 from kilter_core.gap.evidence.revisits import revisits
 from kilter_core.gap.evidence.similarity.smooth import TURN
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
 from kilter_core.gap.search.linear.projection import Projection, orthonormal
+from kilter_core.gap.search.linear.ranges import library_parameters
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
@@ -141,7 +142,6 @@ def _means(space: Floats, rng: np.random.Generator) -> csr_array:
 ALONE = 3.0  # standard deviations in which the part that follows the condition must show by itself
 ALIKE = 3.0  # standard deviations within which its amplitude must be that of the rest
 COURSE = 3  # degree of the polynomial of time that a temperature must leave, beside settlings of every pace
-EACH_SIDE = 4  # visits from each side
 
 
 @dataclass(frozen=True)
@@ -181,15 +181,57 @@ def _turns(search: SearchResult, place: int) -> Separated:
     return Separated(Separator.TURN, turns >= 1.0, turns)
 
 
-def _sides(search: SearchResult, place: int) -> Separated:
-    settings = search.problem.settings
-    direction = settings.source.observations.direction
-    if direction is None:
-        return Separated(Separator.SIDES, False)
-    joints = list(search.selector.scorer.candidates[place].joints or range(direction.shape[1]))
-    seen = direction[settings.used][:, joints]
-    least = int(min(np.sum(seen > 0, axis=0).min(), np.sum(seen < 0, axis=0).min()))
-    return Separated(Separator.SIDES, least >= EACH_SIDE, float(least))
+# In positions wind-up by friction and backlash are one column. Torques know the friction of a joint, and loads its
+# compliance: where a reversal is as large as their product, friction winds the joint up; where it is far larger, it cannot.
+REVERSALS = {
+    "backlash": ("backlash", 0.5),
+    "friction_windup": ("windup", 1.0),
+}  # parameter, and how much of it is wind-up
+MOST_FRICTION = 0.5  # share of a reversal that friction may be where backlash is named
+
+
+def compare_with_friction(found: SearchResult, place: int) -> tuple[str, float, str] | None:
+    """Return which of wind-up and backlash torques single out for a chosen reversal, how surely, and both numbers in words.
+
+    None where they leave it open: a smaller reversal (friction on the motor's side winds up nothing), or one that is friction
+    in part, or a joint that runs ahead of its motor.
+    """
+    candidate, source = found.selector.scorer.candidates[place], found.problem.settings.source
+    friction = source.model.robot.told_friction
+    if candidate.id not in REVERSALS or friction is None:
+        return None
+    told, library, (name, part) = final_effect_amounts(found), library_parameters(source), REVERSALS[candidate.id]
+    at = {library[column].name: n for n, column in enumerate(found.columns)}
+    members, words, sure = set(), [], np.inf
+    for j in candidate.joints or ():
+        wanted = (f"{name}_{j + 1}", f"compliance_{j + 1}")
+        if not at.keys() >= {*wanted}:
+            return None
+        places = [at[one] for one in wanted]
+        (reversal, c), C, (F, sigma) = told.values[places], told.covariance[np.ix_(places, places)], friction[j]
+        seen, by = -part * reversal, np.array([-part, -F])
+        unsure, product = np.sqrt(by @ C @ by + (c * sigma) ** 2), np.hypot(F * np.sqrt(C[1, 1]), c * sigma)
+        if not (seen > ALONE * unsure and c * F > ALONE * product):
+            return None
+        alike, far = abs(seen - c * F) <= ALONE * unsure, c * F < MOST_FRICTION * seen
+        members.add("friction_windup" if alike else "backlash" if far else "")
+        unit, scale = display_unit_and_scale("rad" if source.model.robot.joints[j].kind == "revolute" else "m")
+        one, other = (
+            with_sigma(scale * c * F, scale * product),
+            with_sigma(scale * seen, scale * part * np.sqrt(C[0, 0])),
+        )
+        words.append(f"friction times compliance of joint {j + 1} is {one} {unit}, half of its reversal {other} {unit}")
+        sure = min(sure, float(c * F / product))
+    member = members.pop() if len(members) == 1 else ""
+    return (member, sure, "; ".join(words)) if member else None
+
+
+def _friction(search: SearchResult, place: int) -> Separated:
+    found = compare_with_friction(search, place)
+    if found is None:
+        return Separated(Separator.FRICTION, False)
+    own = found[0] == search.selector.scorer.candidates[place].id
+    return Separated(Separator.FRICTION, own, found[1], found[2], not own)
 
 
 def _loads(search: SearchResult, place: int) -> Separated:
@@ -286,7 +328,7 @@ def _compare_part_amplitudes(separator: Separator, parts: Floats, r: Floats, var
 TESTS: Mapping[Separator, Callable[[SearchResult, int], Separated]] = {
     Separator.TURN: _turns,
     Separator.LOADS: _loads,
-    Separator.SIDES: _sides,
+    Separator.FRICTION: _friction,
     Separator.TEMPERATURE: _temperature,
     Separator.ORDER: _order,
     Separator.SENSOR: _sensor,

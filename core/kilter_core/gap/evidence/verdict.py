@@ -101,6 +101,11 @@ class Evidence:
         return again or (self.unseen_poses > 0 and self.held_out[0] < 0.0 and not self.is_surely_replicated)
 
     @property
+    def is_told_by_friction(self) -> bool:
+        """Whether torques chose its name: resamples of the rows choose its twin as often."""
+        return any(e.separator is Separator.FRICTION and e.met for e in self.separated)
+
+    @property
     def law(self) -> Law:
         """What tells whether it shares a clock with another."""
         return self.candidate, self.separated, self.moves_mm
@@ -254,7 +259,9 @@ def _numbers(
         "shadowed": _shadow(search, evidence, curves),
         "plausible": max((_beyond(a, library, evidence.candidate) for a in evidence.amplitudes), default=0.0),
         "seen": float(evidence.seen),
-        "inclusion": None if evidence.inclusion is None else evidence.inclusion[1 if class_ else 0],
+        "inclusion": None
+        if evidence.inclusion is None
+        else evidence.inclusion[1 if class_ or evidence.is_told_by_friction else 0],
         "negative_control": None
         if evidence.control is None or not evidence.control.shuffles
         else evidence.control.survived,

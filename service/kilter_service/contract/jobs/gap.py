@@ -8,7 +8,7 @@ from pydantic import Field
 
 from kilter_service.contract.effect_curves import EffectCurve
 from kilter_service.contract.figures import GapFigures
-from kilter_service.contract.fits import LoadNumber, NullDirection, PriorUsed, Reference, SetAside
+from kilter_service.contract.fits import SEARCHED_MASSES, LoadNumber, NullDirection, PriorUsed, Reference, SetAside
 from kilter_service.contract.gap_details import (
     Adequacy,
     AliasMatrix,
@@ -24,7 +24,14 @@ from kilter_service.contract.gap_details import (
     Refused,
     Untestable,
 )
-from kilter_service.contract.headlines import HEADLINE, Found, describe_motion, describe_search, list_found
+from kilter_service.contract.headlines import (
+    HEADLINE,
+    Found,
+    describe_masses,
+    describe_motion,
+    describe_search,
+    list_found,
+)
 from kilter_service.contract.jobs.check import TestabilityCheck
 from kilter_service.contract.jobs.job import JobOf
 from kilter_service.contract.jobs.kind import JobContract
@@ -101,6 +108,7 @@ class GapResult(MadeVersion):
     )
     set_aside: list[SetAside] | None = Field(None, description="Rows that the search set aside, held out or not.")
     load_model: list[LoadNumber] | None = Field(None, description="Masses and centres as stated and as found.")
+    masses_from: str | None = Field(None, description=SEARCHED_MASSES)
     null_directions: list[NullDirection] | None = Field(
         None,
         description="What these data cannot tell apart in the final model, and sums that they know; null: earlier results.",
@@ -119,6 +127,7 @@ class GapResult(MadeVersion):
                 else describe_search(
                     self.verdict, effects, self.gap, self.adequacy, self.noise, self.next_poses or [], self.told_apart
                 )
+                + describe_masses(self.masses_from)
             )
             self.found = list_found(effects)
 

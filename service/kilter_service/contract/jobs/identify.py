@@ -9,7 +9,14 @@ from pydantic import Field
 from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import FitDetails, Metrics, NullDirection, Parameter
 from kilter_service.contract.gap_details import MotionFound, NamedEffect, Untestable
-from kilter_service.contract.headlines import HEADLINE, Found, describe_fit, describe_motion, list_found
+from kilter_service.contract.headlines import (
+    HEADLINE,
+    Found,
+    describe_fit,
+    describe_masses,
+    describe_motion,
+    list_found,
+)
 from kilter_service.contract.jobs.check import IdentifiabilityCheck
 from kilter_service.contract.jobs.job import JobOf
 from kilter_service.contract.jobs.kind import JobContract
@@ -75,7 +82,8 @@ class IdentifyResult(FitDetails, MadeVersion):
         if self.motion is not None:
             self.headline, self.found = describe_motion(self.effects or [], self.motion), list_found(self.effects or [])
         if self.metrics is not None:
-            self.headline = describe_fit(self.metrics, self.parameters or [], self.noise_mm, self.noise, self.pixels)
+            said = describe_fit(self.metrics, self.parameters or [], self.noise_mm, self.noise, self.pixels)
+            self.headline = said + describe_masses(self.masses_from)
 
 
 IDENTIFY = JobContract(

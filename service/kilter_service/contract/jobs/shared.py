@@ -41,8 +41,8 @@ LIMITS = (
 NEWEST = "newest"
 MassesFrom = Annotated[str, Field(max_length=64)] | None
 MASSES_FROM = (
-    "Id of a search in torques of this robot, or `newest`: masses and centres of links are what it found, as surely as it "
-    "knows them; null: as the robot is described."
+    "Id of a search in torques of this robot, or `newest`: masses and centres of links, and friction of joints, are what it "
+    "found, as surely as it knows them; null: as the robot is described."
 )
 PRIOR = (
     "`fleet`: add what versions of at least five other robots of this type say before the rows; null: none of them is "

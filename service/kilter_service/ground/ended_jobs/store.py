@@ -6,7 +6,7 @@ from bisect import bisect_left
 from datetime import timedelta
 from typing import Any
 
-from sqlalchemy import select
+from sqlalchemy import Select, select
 
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import EndedJobsRow, JobRow
@@ -41,6 +41,27 @@ def _duration_bin(took: timedelta) -> int:
     return AT_MOST_MS[at] if at < len(AT_MOST_MS) else LONGER_MS
 
 
+def list_searches_in_torques(session: Session, robot_id: int, limit: int) -> list[tuple[str, str]]:
+    """Return id and name of the newest searches in torques of a robot that have a model, the newest first."""
+    found = session.execute(_searches_in_torques(robot_id).limit(limit))
+    return [(job_id, name) for job_id, name, _ in found]
+
+
+def _searches_in_torques(robot_id: int) -> Select[tuple[str, str, Any]]:
+    row = JobRow
+    model = row.result["motion"]["model"]
+    return (
+        select(row.id, row.name, model)
+        .where(
+            row.robot_id == robot_id,
+            row.kind.in_(("gap", "identify")),
+            row.state == "succeeded",
+            model["base"].as_string().is_not(None),
+        )
+        .order_by(row.created_at.desc(), row.id)
+    )
+
+
 def get_search_in_torques(
     session: Session, robot_id: int, job_id: str | None = None
 ) -> tuple[str, str, dict[str, Any]]:
@@ -50,17 +71,10 @@ def get_search_in_torques(
         ServiceError: ``no_torque_model``: there is none.
 
     """
-    row = JobRow
-    model = row.result["motion"]["model"]
-    query = select(row.id, row.name, model).where(
-        row.robot_id == robot_id,
-        row.kind.in_(("gap", "identify")),
-        row.state == "succeeded",
-        model["base"].as_string().is_not(None),
-    )
+    query = _searches_in_torques(robot_id)
     if job_id is not None:
-        query = query.where(row.id == job_id)
-    found = session.execute(query.order_by(row.created_at.desc(), row.id).limit(1)).one_or_none()
+        query = query.where(JobRow.id == job_id)
+    found = session.execute(query.limit(1)).one_or_none()
     if found is None:
         raise ServiceError(
             f"No search in torques of this robot has a model{'' if job_id is None else f' by the id {job_id!r}'}: upload a log "

@@ -1,8 +1,9 @@
-"""What a job says of a payload that its campaigns do not state: the robot's default load counted, or nothing."""
+"""What a job says of the loads behind it: a payload that its campaigns do not state, and masses that came from torques."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from kilter_core.errors import Finding, Sentences
@@ -18,7 +19,20 @@ THESIS = ("clearance_tilt", "backlash_load", "axial_compliance")  # of level 3 w
 def with_load_warning(kind: str, output: JobOutput, job: JobInput) -> JobOutput:
     """Add to result and version that a default load, or none, was taken, and for which campaigns."""
     found = _default_load(job) or find_unstated_load(kind, job)
+    output = _with_masses_source(kind, output, job)
     return output if found is None else output.with_warnings(found.to_document(SENTENCES))
+
+
+def _with_masses_source(kind: str, output: JobOutput, job: JobInput) -> JobOutput:
+    """Add to result and version which search in torques its masses are from, or that it took none of them."""
+    if job.masses_from is None or output.result.get("motion"):
+        return output
+    masses = output.result.get("masses", {"carried": True})  # a search carries them
+    if not _following(kind, job) or not (masses or {}).get("carried"):
+        return output.with_warnings(Finding("options_unused", {}).to_document(SENTENCES))
+    source = {"masses_from": job.masses_from}
+    version = output.version and replace(output.version, report=output.version.report | source)
+    return JobOutput(output.result | source, version)
 
 
 def find_unstated_load(kind: str, job: JobInput) -> Finding | None:
@@ -75,4 +89,8 @@ def _default_load_used(said: Mapping[str, Any]) -> str:
 SENTENCES: Sentences = {
     "load_not_stated": lambda said: f"{load_not_stated(said)} {REMEDY.format(whole='campaign')}",
     "default_load_used": _default_load_used,
+    "options_unused": lambda _: (
+        "masses_from did nothing: no effect of this fit follows the load of links. Leave it out, or name such an effect "
+        "(axial_compliance)."
+    ),
 }

@@ -289,6 +289,7 @@ def demand(database: Database, key: str, job: NewJob, given: str) -> None:
 MOST_JOBS = 50
 MOST_OFFERED, MOST_SOUGHT = 8, 20  # campaigns beside those that are preset, and of a search
 MOST_VERSIONS = 200  # that a field offers by name
+MOST_SEARCHES = 50
 CAMPAIGNS_USED = ("campaigns", "validation", "confirmation")
 
 
@@ -317,6 +318,7 @@ def new_job_context(database: Database, robot: str, kind: str, chosen: Mapping[s
         "more": len(rest[MOST_OFFERED:]),
         "uses": uses,
         "versions": versions.list_versions(database, robot, Page(limit=MOST_VERSIONS)).versions,
+        "searches": jobs.list_searches_in_torques(database, robot, MOST_SEARCHES),
         "effects": effects_in_words() if any(one.name == "effects" for one in (*usual, *others)) else {},
         "confirms": KINDS[kind].takes_confirmation,
         "found": page_of_jobs(database, robot, Page(limit=MOST_JOBS)),

@@ -209,6 +209,7 @@ NAMES = {
     "matlab": "function for MATLAB",
     "corrector": "program for the corrector in C",
     "c": "corrector and program as one C file",
+    "torque-c": "torques of a setpoint as one C file",
 }
 REFUSED = {
     "CORRECTION_TOO_LARGE": "the correction is larger than the version's limits",

@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from kilter_core.correct import CorrectionProgram, compile_program, to_bytes
+from kilter_service.ground.core import core_motion
 from kilter_service.ground.correction_limits import correction_options
+from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.left_out import sentence, where_sentences
 from kilter_service.robots.exporters.exportable import Exportable, Written
 
@@ -49,6 +51,41 @@ def c_source(version: Exportable) -> Written:
         )
     )
     return Written(text, _notes(program))
+
+
+def torque_source(version: Exportable) -> Written:
+    """Write one C file that tells torques: a table of what a log showed, and the code that reads it.
+
+    Raises:
+        ServiceError: the version holds no torques.
+
+    """
+    held, name = version.document.get("torques"), f"{version.version.id} of {_escape_c_comment(version.version.robot)}"
+    if held is None:
+        raise ServiceError(
+            f"Version {version.version.id} holds no torques: search or fit a log from it (kilter identify ROBOT -c LOG --start "
+            "VERSION).",
+            code="no_torque_model",
+        )
+    robot = version.arm.robot()
+    table = core_motion.TorqueModel.from_document(robot, held).table()
+    rows = [f"    {{{', '.join(map(repr, row))}}}," for row in table.tolist()]
+    sizes = {"JOINTS": robot.n_joints, "ELEMENTS": len(table) - robot.n_joints - 1, "COLUMNS": table.shape[1]}
+    text = "\n".join(
+        (
+            f"/* Torques of version {name}. SHA-256 of the version: {version.version.sha256} */",
+            *(f"#define KT_{key} {value}" for key, value in sizes.items()),
+            f"static const double kt_table[{len(table)}][KT_COLUMNS] = {{",
+            *rows,
+            "};",
+            (_sources() / "kilter_torque.c").read_text(encoding="utf-8"),
+        )
+    )
+    unknown = [str(j + 1) for j in range(robot.n_joints) if j + 1 not in held["joints"]]
+    said = (f"The log says nothing of joints {', '.join(unknown)}: they get NAN.",) if unknown else ()
+    warm = any(term["id"] == "thermal_friction" for term in held["terms"])
+    kept = ("Left out: friction that follows the temperature; it is as at the mean of the log.",) if warm else ()
+    return Written(text, (*said, *kept, "Torques are without a payload beyond what the arm carried in the log."))
 
 
 def _program(version: Exportable) -> CorrectionProgram:

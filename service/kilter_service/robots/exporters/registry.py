@@ -39,6 +39,7 @@ FORMATS: Mapping[str, Format] = {
     "matlab": Format("matlab.matlab", "text/plain", "m"),
     "corrector": Format("corrector.corrector", "application/octet-stream", "klt"),
     "c": Format("corrector.c_source", "text/x-c", "c"),
+    "torque-c": Format("corrector.torque_source", "text/x-c", "torque.c"),
 }
 
 

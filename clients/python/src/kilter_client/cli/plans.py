@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
@@ -158,7 +159,7 @@ def motion(
             "--output",
             "-o",
             metavar="FILE",
-            help="Write them as CSV, or as a program: .script, .mod, .src.",
+            help="Write them as CSV, or as a program: .script, .mod, .src, .ls.",
             dir_okay=False,
         ),
     ] = None,
@@ -215,6 +216,8 @@ AXES = 6
 STEP_S = 0.1  # between targets that a controller blends; a servo gets every row
 STILL_DEG = 1e-4  # from the posture between motions
 FIRST_DEG_S = 10.0  # on the way to the first posture
+TP_COMMENT = 32  # characters of a comment of a TP program
+TP_TIMES = "Moves are blended: times are about these. Log what is driven."
 UNUSED = "9E9"  # an external axis that is not there
 SAID = ("Planned motions of {name}: {seconds:.0f} s.", "Nobody checked them for collisions: run them slowly first.")
 
@@ -285,6 +288,26 @@ def _write_krl(comments: Sequence[str], t: Floats, q: Floats) -> list[str]:
     return [*lines, "END"]
 
 
+def _write_tp(comments: Sequence[str], t: Floats, q: Floats) -> list[str]:
+    """Joint moves of so many ms each. A controller blends them by its own rule, so a motion takes about its time."""
+    words = [line for one in (*comments, TP_TIMES) for line in textwrap.wrap(one, TP_COMMENT)]
+    moves, shown = [*(f"!{line}" for line in words), "J P[1] 10% FINE"], [0]
+    for rest_s, steps in _list_motions(t, q):
+        moves.append(f"WAIT {rest_s:.2f}(sec)")
+        for k, span in steps:
+            shown.append(k)
+            end = "FINE" if k == steps[-1][0] else "CNT100"
+            moves.append(f"J P[{len(shown)}] {max(1, round(1e3 * span))}msec {end}")
+    head = ["/PROG KILTER_MOTIONS", "/ATTR", "DEFAULT_GROUP = 1,*,*,*,*;", "/MN"]
+    places = [
+        f"P[{n}]{{\n   GP1:\n\tUF : 0, UT : 1,\n\t"
+        + ", ".join(f"J{j} = {value:.3f} deg" for j, value in enumerate(q[k].tolist(), 1))
+        + "\n};"
+        for n, k in enumerate(shown, 1)
+    ]
+    return [*head, *(f"{n:4}:{move} ;" for n, move in enumerate(moves, 1)), "/POS", *places, "/END"]
+
+
 def _list_motions(t: Floats, q: Floats) -> Iterator[tuple[float, list[tuple[int, float]]]]:
     """Of each motion the seconds of rest before it, then its targets: rows, and the seconds that the way to each takes."""
     away = np.any(np.abs(q - q[0]) > STILL_DEG, axis=1)
@@ -302,4 +325,5 @@ DIALECTS: dict[str, tuple[int, int, Callable[[Sequence[str], Floats, Floats], li
     ".script": (AXES, AXES, _write_urscript),
     ".mod": (1, AXES, _write_rapid),
     ".src": (1, AXES, _write_krl),
+    ".ls": (1, AXES, _write_tp),
 }

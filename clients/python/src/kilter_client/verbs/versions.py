@@ -181,30 +181,34 @@ def torques(
     *,
     columns: Sequence[str] | None = None,
     search: ResourceReference | None = None,
+    version: ResourceReference | None = None,
     payload_kg: float | None = None,
     payload_com_mm: Sequence[float] | None = None,
 ) -> Steps[Corrected]:
-    """Return a path with the torques of gravity, inertia and friction along it, ``tau1_nm`` ..., by a search in torques.
+    """Return a path with the torques of gravity, inertia and friction along it, ``tau1_nm`` ..., by what a log of torques said.
 
-    The answer has the format that was sent, CSV for arrays. ``notes`` names the search, and joints without a torque.
+    The answer has the format that was sent, CSV for arrays. ``notes`` names what it is by, and joints without a torque.
 
     Args:
         robot: name of the robot.
         path: a file; or columns by name (``{"t_s": ..., "q1_deg": ...}``), a structured array, a pandas DataFrame.
         columns: names of the columns of an array of two dimensions, with units.
-        search: the search to take: id or its beginning, or name; default: the newest of the robot.
+        search: the search in torques to take: id or its beginning, or name.
+        version: the version whose torques to take; default: the active one, and the newest search where that has none.
         payload_kg: mass on the tool along the whole path, kg.
         payload_com_mm: its centre in the tool frame, mm.
 
     Raises:
-        ConflictError: no log of torques was searched. ObservationError: the rows are not what their columns say.
+        ConflictError: the version holds no torques, or no log was searched.
+        ObservationError: the rows are not what their columns say.
         FileError, UsageError: the path is neither such a file nor rows.
 
     """
-    chosen = None if not search else reference("job", search)
+    job = None if not search else reference("job", search)
+    chosen = None if not version else reference("version", version)
     rows = prepare_rows(path, columns)
     return _answered_path(
-        (yield from calls.torques(reference("robot", robot), rows, chosen, payload_kg, payload_com_mm))
+        (yield from calls.torques(reference("robot", robot), rows, job, chosen, payload_kg, payload_com_mm))
     )
 
 

@@ -26,24 +26,31 @@ def torque(
     file: File,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; default is stdout.")] = None,
     column_map: ColumnMap = None,
-    search: Annotated[
-        str | None, typer.Option(help="Search in torques to take: id or name; default: the newest of the robot.")
+    version: Annotated[
+        str | None,
+        typer.Option(help="Version to take torques of; default: the active one, else the newest search in torques."),
     ] = None,
+    search: Annotated[str | None, typer.Option(help="Search in torques to take instead: id or name.")] = None,
     payload_kg: PayloadOnPath = None,
     payload_com_mm: PayloadCentre = None,
     as_json: Json = False,
 ) -> None:
     """Tell the torques that a path (t_s, q1_deg, ...) needs; the answer has the format that was sent.
 
-    They are those of gravity, inertia and friction as the newest search in torques (kilter gap) found them: feed-forward for
-    a controller, or what to compare its own model with. Columns qd1_deg_s and qdd1_deg_s are taken where the path has them.
+    They are those of gravity, inertia and friction as a log of torques showed them (kilter gap, identify): feed-forward for a
+    controller, or what to compare its own model with. Columns qd1_deg_s and qdd1_deg_s are taken where the path has them.
     """
     if as_json and output is None:
         raise UsageError("--json reports what was written: name the file with -o.")
     centre = arguments.three("--payload-com-mm", payload_com_mm)
     with Kilter() as kilter:
         content = kilter.torques(
-            robot, prepare(file, column_map=column_map), search=search, payload_kg=payload_kg, payload_com_mm=centre
+            robot,
+            prepare(file, column_map=column_map),
+            search=search,
+            version=version,
+            payload_kg=payload_kg,
+            payload_com_mm=centre,
         )
     for remark in content.notes:
         note(f"Note: {remark}", as_json)

@@ -32,7 +32,7 @@ def suggest_after_job(kilter: Kilter, job: Document) -> list[str]:
         centre = ",".join(f"{value:.0f}" for value in result["centre_mm"])
         load = ["--payload-kg", f"{result['mass_kg']:.3g}", f"--payload-com-mm={centre}"]
         return format_next("upload", job["robot"], PLACEHOLDER, *load, when=", with rows that carry it")
-    if result.get("motion"):  # torques make no version
+    if result.get("motion") and not result.get("version_id"):  # a log makes a version where it names a start
         weak = any(one["sure"] != "certain" for one in result.get("found") or ())
         when = ", to decide" if weak else ", to see the same in a second log"
         return format_next("plan", "motion", job["robot"], "-o", "motions.csv", when=when)

@@ -188,7 +188,7 @@ def _show_list(document: dict[str, Any]) -> None:
             "*" if v["active"] else "",
             v["id"],
             v["name"] + (" (retired)" if v["retired_at"] else ""),
-            _effects(v["effects"]),
+            _effects(v["effects"]) + ("; torques" if v.get("torques") else ""),
             _held_out(v["metrics"]),
             v["parent_id"] or "",
             str(v["created_at"])[:16].replace("T", " "),

@@ -116,12 +116,16 @@ def torques(
     robot: str,
     path: Prepared,
     search: str | None,
+    version: str | None,
     payload_kg: float | None = None,
     payload_com_mm: Sequence[float] | None = None,
 ) -> Steps[Answer]:
-    """Add the torques that a path needs, by a search in torques."""
-    chosen = None if not search else (yield from resolve_id("job", search, robot))
-    return (yield from _send_path(robot, "torques", path, {"search": chosen}, payload_kg, payload_com_mm))
+    """Add the torques that a path needs, by a search in torques or a version."""
+    wanted = {
+        "search": None if not search else (yield from resolve_id("job", search, robot)),
+        "version": None if not version else (yield from resolve_id("version", version, robot)),
+    }
+    return (yield from _send_path(robot, "torques", path, wanted, payload_kg, payload_com_mm))
 
 
 def _send_path(
