@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+import yaml
 
 import kilter.twin
 from kilter_client.cli import run
@@ -98,13 +99,15 @@ def test_a_hidden_delay_is_told_with_what_had_absorbed_it(tmp_path: Path, capsys
     assert len(told.splitlines()) <= 25
     model = mujoco.MjModel.from_xml_path(str(copy))
     assert model.actuator_delay[0] == pytest.approx(0.05, abs=0.002)
-    ranges = json.loads((tmp_path / "ranges.json").read_text())
-    delay = next(one for one in ranges["parameters"] if one["name"] == "j1.command_delay")
+    text = (tmp_path / "ranges.json").read_text()
+    ranges = json.loads(text)
+    assert yaml.safe_load(text) == ranges
+    delay = next(one for one in ranges["parameters"] if one["name"] == "j1.command_delay_s")
     assert delay["low"] < 0.05 < delay["high"]
-    drawn = np.array([one["j1.command_delay"] for one in ranges["draws"]])
+    drawn = np.array([one["j1.command_delay_s"] for one in ranges["draws"]])
     assert np.mean((drawn > delay["low"]) & (drawn < delay["high"])) == pytest.approx(0.95, abs=0.07)
     assert (
-        np.corrcoef(drawn, [one["j1.damping"] for one in ranges["draws"]])[0, 1] < 0.0
+        np.corrcoef(drawn, [one["j1.damping_nm_s_rad"] for one in ranges["draws"]])[0, 1] < 0.0
     )  # what one takes the other gives
 
 

@@ -15,7 +15,7 @@ from .record import Log as Log
 from .record import join_logs as join_logs
 from .regressor import rigid_regressor as rigid_regressor
 from .rollout.document import describe_rollouts as describe_rollouts
-from .rollout.document import draw_ranges as draw_ranges
+from .rollout.document import draw_joint_ranges as draw_joint_ranges
 from .rollout.effects import ROLLOUT_EFFECTS as ROLLOUT_EFFECTS
 from .rollout.find import RolloutReport as RolloutReport
 from .rollout.find import find_missing_motion as find_missing_motion

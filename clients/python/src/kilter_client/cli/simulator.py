@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -66,7 +65,7 @@ def search_models(logs: Sequence[str], asked: ModelSearch, details: bool, as_jso
         write(asked.output, found[0][1].text.encode())
         documents[0]["output"] = str(asked.output)
     if asked.ranges is not None:
-        write(asked.ranges, (json.dumps(documents[0]["ranges"], indent=2) + "\n").encode())  # JSON is YAML too
+        write(asked.ranges, servo_gap.write_json_for_yaml(documents[0]["ranges"]).encode())
         documents[0]["ranges_file"] = str(asked.ranges)
     document = documents[0] if len(documents) == 1 else {"models": documents, "headline": _compare(documents)}
     emit(document, as_json, partial(_show, details=details))

@@ -22,9 +22,10 @@ from kilter_core.motion import (
     JointRecord,
     RolloutReport,
     describe_rollouts,
-    draw_ranges,
+    draw_joint_ranges,
     find_missing_motion,
 )
+from kilter_core.parameters import write_json_for_yaml as write_json_for_yaml
 from kilter_files.ground.later import mujoco, np
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ def find_servo_gap(
     document["notes"] = list(copy.notes)
     document["warnings"] += [*_list_dropped(read), *_compare_whole_arm(document)]
     document["refuted"] = _is_refuted(document)
-    document["ranges"] = draw_ranges(report.joints, seed=seed)
+    document["ranges"] = draw_joint_ranges(report.joints, seed)
     return document, copy
 
 
