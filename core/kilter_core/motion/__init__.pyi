@@ -1,4 +1,5 @@
 from .document import to_document as to_document
+from .effects import prismatic_unit as prismatic_unit
 from .effects import split_effects as split_effects
 from .excite import MotionPlan as MotionPlan
 from .excite import plan_motions as plan_motions

@@ -59,7 +59,8 @@ class JointFit:
         """The numbers of the servo by name, and the sides of the gear that it and the log read."""
         names = {one.name: one.place for one in BASE}
         names |= {"servo_share": place.SERVO_SHARE, "servo_behind": place.BEHIND, "reads_behind": place.READS_BEHIND}
-        names["moving_load"] = place.MOVING_LOAD
+        names |= {"moving_load": place.MOVING_LOAD, "torque_limit": place.TORQUE_LIMIT}
+        names |= {"impedance": place.IMPEDANCE, "rate": place.RATE}
         return {name: float(self.p[at]) for name, at in names.items()}
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,18 +14,23 @@ from kilter_client.errors import FileError, MissingPackageError
 from kilter_client.twin.motion_step import FORMAT, TABLE, model_text, parse_table, read_joints
 from kilter_client.twin.servo_model import CommandEpisode, CommandLog, ServoModel, read_command_log
 from kilter_client.twin.settled import HINGE
+from kilter_client.twin.simulators import BY_COMMAND, WRITERS, ExportedServo, Rendered
 from kilter_client.twin.step import apply
 from kilter_core.errors import CoreError
 from kilter_core.motion import (
     GEAR_DAMPING,
+    JointFindings,
     JointFit,
     JointRecord,
     RolloutReport,
     describe_rollouts,
     draw_joint_ranges,
     find_missing_motion,
+    prismatic_unit,
 )
+from kilter_core.parameters import FittedNumber
 from kilter_core.parameters import write_json_for_yaml as write_json_for_yaml
+from kilter_core.types import QUANTILE
 from kilter_files.ground.later import mujoco, np
 
 if TYPE_CHECKING:
@@ -88,6 +93,7 @@ def find_servo_gap(
     except CoreError as error:
         raise FileError(f"{logs[0]}: {error.message}", code=error.code, **error.context) from error
     copy = patch_model(arm, records, {one.record.name: one.believed for one in report.joints})
+    copy = replace(copy, servos=tuple(_list_servo(one) for one in report.joints))
     document["model"] = str(model)
     document["whole_arm"] = _judge_whole_arm(arm, report, copy, read, site)
     document["notes"] = list(copy.notes)
@@ -246,6 +252,31 @@ class Patched:
     model: Any
     text: str
     notes: tuple[str, ...]
+    servos: tuple[ExportedServo, ...] = ()
+
+
+def _list_servo(found: JointFindings) -> ExportedServo:
+    """Numbers of a joint for simulators that are not MuJoCo."""
+    fit, values, slides = found.believed, found.believed.values, found.record.slides
+    delay = next((one for one in found.judged if one.term.effect.id == BY_COMMAND), None)
+    half = 0.0 if delay is None else QUANTILE * delay.sigma
+    effects = {}
+    for number, key in zip(fit.fitted, fit.names, strict=True):
+        if key not in values and key not in (BY_COMMAND, "torque_limit"):
+            unit = prismatic_unit(number.unit) if slides else number.unit
+            effects[FittedNumber(key, unit, 0.0).key] = float(fit.p[number.place])
+    return ExportedServo(
+        found.record.name,
+        values["armature"],
+        values["friction"],
+        values["damping"],
+        values["damping"] * values["servo_share"],
+        values["gain"],
+        values["torque_limit"] or None,
+        None if delay is None else (delay.value, delay.value - half, delay.value + half),
+        effects,
+        (values["impedance"], values["rate"]) if fit.creeps else None,
+    )
 
 
 def patch_model(arm: ServoModel, records: Sequence[JointRecord], fits: Mapping[str, JointFit]) -> Patched:
@@ -273,6 +304,13 @@ def patch_model(arm: ServoModel, records: Sequence[JointRecord], fits: Mapping[s
     folder = arm.path.resolve().parent
     spec.meshdir, spec.texturedir = (str(folder / part) for part in (spec.meshdir, spec.texturedir))
     return Patched(spec.compile(), spec.to_xml(), tuple(dict.fromkeys(patch.notes)))
+
+
+def render_copy(form: str, name: str, copy: Patched) -> Rendered:
+    """Write a copy for a simulator: ``mjcf``, or one of :data:`WRITERS`."""
+    if form == "mjcf":
+        return Rendered(copy.text, ())
+    return WRITERS[form](name, mujoco.MjModel.from_xml_string(copy.text), copy.servos)
 
 
 @dataclass
