@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -186,8 +187,6 @@ def test_models_and_logs_that_cannot_be_are_refused_with_a_remedy(tmp_path: Path
         assert path.read_text() != text
         return path
 
-    velocity = changed('<position name="a1" joint="j1" kp="30.0"/>', '<velocity name="a1" joint="j1" kv="3"/>')
-    assert refusal(velocity, logs).code == "model_actuator"
     assert refusal(changed('<position name="a1" joint="j1" kp="30.0"/>', ""), logs).code == "model_without_actuator"
     assert refusal(changed('timestep="0.002"', 'timestep="0.02"'), logs).code == "model_step"
     circle = changed("<worldbody>", '<include file="changed.xml"/><worldbody>')
@@ -197,6 +196,46 @@ def test_models_and_logs_that_cannot_be_are_refused_with_a_remedy(tmp_path: Path
     heavy = changed('name="payload"', 'name="held"')
     carried = write_logs(tmp_path, None, replace(ONE, payload_kg=0.1), 1)
     assert refusal(heavy, carried).code == "model_payload"
+
+
+POSITION = '<position name="a1" joint="j1" kp="30.0"/>'
+OTHERS = {
+    "torque": '<motor name="a1" joint="j1"/>',
+    "velocity": '<velocity name="a1" joint="j1" kv="3"/>',
+    "damper": '<damper name="a1" joint="j1" kv="3" ctrlrange="0 1"/>',
+    "integrates": '<intvelocity name="a1" joint="j1" kp="30" actrange="-3 3"/>',
+    "filters": '<position name="a1" joint="j1" kp="30" timeconst="0.02"/>',
+    "no position": '<general name="a1" joint="j1" gainprm="3" biastype="affine" biasprm="0 -30 0"/>',
+    "a1, a2": f'{POSITION}<velocity name="a2" joint="j1" kv="3"/>',
+}
+
+
+@pytest.mark.parametrize("named", OTHERS)
+def test_other_actuators_are_refused_and_the_remedy_works(tmp_path: Path, named: str) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(arm_xml(STATED).replace(POSITION, OTHERS[named]))
+    with pytest.raises(FileError) as refused:
+        ServoModel.from_file(path)
+    assert refused.value.code == "model_actuator"
+    assert named in str(refused.value) or named == "damper"
+    assert "j1" in str(refused.value)
+    remedy = re.search("<position .*?/>", str(refused.value))
+    assert remedy is not None
+    filled = remedy[0].replace('kp="..."', 'kp="30"').replace('kv="..."', 'kv="0.5"')
+    path.write_text(arm_xml(STATED).replace(POSITION, filled))
+    assert ServoModel.from_file(path).servo(0).servo_damping == 0.5
+
+
+def test_a_delay_that_the_model_states_is_not_missing(tmp_path: Path) -> None:
+    logs = write_logs(tmp_path, Hidden("command_delay", 0, 0.05), ONE, 4)
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        arm_xml(STATED).replace(POSITION, POSITION.replace("/>", ' delay="0.05" nsample="27" interp="linear"/>'))
+    )
+    found, copy = find_servo_gap(path, logs)
+    assert found["effects"] == []
+    assert copy.model.actuator_delay[0] == pytest.approx(0.05)
+    assert found["whole_arm"]["found"]["rms_deg"] < 1.2 * NOISE_DEG
 
 
 def test_logs_that_are_not_of_this_arm_are_refused(tmp_path: Path) -> None:

@@ -213,7 +213,7 @@ def _refit(
     begin = fit.p.copy()
     for term in fit.terms:
         if term not in terms:
-            begin[term.effect.number.place] = 0.0
+            begin[term.effect.number.place] = record.stated[term.effect.number.place]
     return fit_joint(record, terms, rows, _rms(record, fit, rows), begin, evaluations)
 
 
