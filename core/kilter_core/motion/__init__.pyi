@@ -6,7 +6,6 @@ from .excite import plan_motions as plan_motions
 from .find import MotionOptions as MotionOptions
 from .find import MotionReport as MotionReport
 from .find import find_missing_torque as find_missing_torque
-from .kernels.joint import GEAR_DAMPING as GEAR_DAMPING
 from .loads import told_loads as told_loads
 from .model import TorqueModel as TorqueModel
 from .model import path_of_rows as path_of_rows

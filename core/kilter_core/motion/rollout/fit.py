@@ -20,6 +20,7 @@ RESCALED, FAR_LESS = 3, 0.6
 DIFFERENCE = 1e-3
 EVALUATIONS = 20
 LEAST_FRICTION, LEAST_DAMPING = 0.02, 0.02  # of the usual torque (and per usual speed): a fit does not begin at zero
+GEAR_DAMPING_S = 0.002  # damping of a gear over its stiffness, to begin with
 SLIP_SHARE = 0.05  # of the usual speed, at which breaking loose has faded
 BASE = (
     Number("armature", place.ARMATURE, "kg m2", "log", (0.3, 1.0, 3.0)),
@@ -60,13 +61,14 @@ class JointFit:
         names = {one.name: one.place for one in BASE}
         names |= {"servo_share": place.SERVO_SHARE, "servo_behind": place.BEHIND, "reads_behind": place.READS_BEHIND}
         names |= {"moving_load": place.MOVING_LOAD, "torque_limit": place.TORQUE_LIMIT}
-        names |= {"impedance": place.IMPEDANCE, "rate": place.RATE}
+        names |= {"impedance": place.IMPEDANCE, "rate": place.RATE, "gear_damping": place.GEAR_DAMPING}
         return {name: float(self.p[at]) for name, at in names.items()}
 
     @property
     def names(self) -> list[str]:
         """Names of what was ``fitted``: numbers of the servo, and effects."""
-        return [*(number.name for number in BASE), *(term.effect.id for term in self.terms)]
+        beside = (number.name for number in _numbers_beside(self.terms))
+        return [*(number.name for number in BASE), *(term.effect.id for term in self.terms), *beside]
 
     @property
     def slip_speed(self) -> float:
@@ -85,7 +87,7 @@ def start_values(record: JointRecord) -> Floats:
     p[place.ARMATURE] = max(p[place.ARMATURE], 0.02 * record.inertia, 1e-7)
     p[place.FRICTION] = max(p[place.FRICTION], LEAST_FRICTION * record.usual_torque)
     p[place.DAMPING] = max(p[place.DAMPING], LEAST_DAMPING * record.usual_torque / record.usual_speed)
-    p[place.SLIP_SPEED] = SLIP_SHARE * record.usual_speed
+    p[place.SLIP_SPEED], p[place.GEAR_DAMPING] = SLIP_SHARE * record.usual_speed, GEAR_DAMPING_S
     return p
 
 
@@ -123,7 +125,7 @@ def fit_joint(
 def _fit_at_noise(
     record: JointRecord, terms: Sequence[Term], rows: Bools, sigma: float, begin: Floats, evaluations: int
 ) -> JointFit:
-    numbers = [*BASE, *(term.effect.number for term in terms)]
+    numbers = [*BASE, *(term.effect.number for term in terms), *_numbers_beside(terms)]
     scales = np.array([_scale(record, number) for number in numbers])
     logs = np.array([number.scale == "log" for number in numbers])
     places = np.array([number.place for number in numbers])
@@ -146,16 +148,24 @@ def _fit_at_noise(
         left = np.clip(np.where(np.isfinite(left), left, WORST), -WORST, WORST)
         return np.asarray(np.concatenate([left, (x[logs] - prior) / PRIOR_LOG]) / np.sqrt(count))
 
+    steps = [number.difference / scale for number, scale in zip(numbers, scales, strict=True)]
+    usual = np.where(logs, 1.0, [0.2 * abs(number.starts[0]) for number in numbers])
+
+    def jacobian_at(x: Floats) -> Floats:
+        here = left_at(x)
+        h = np.maximum(steps, DIFFERENCE * np.maximum(np.abs(x), usual))
+        return np.stack([(left_at(x + step) - here) / step.sum() for step in np.diag(h)], axis=1)
+
     low = np.where(logs, -np.inf, [number.low for number in numbers] / scales)
     high = np.where(logs, np.inf, [number.high for number in numbers] / scales)
     x0 = np.where(logs, np.log(np.maximum(begin[places], 1e-12)), begin[places] / scales)
     found = least_squares(
         left_at,
         np.clip(x0, low, high),
+        jacobian_at,
         method="lm",
-        diff_step=DIFFERENCE,  # type: ignore[arg-type]  # for MINPACK it is a number
-        x_scale=np.where(logs, 1.0, [0.2 * abs(number.starts[0]) for number in numbers]),
-        max_nfev=evaluations * (len(numbers) + 1),
+        x_scale=usual,
+        max_nfev=evaluations,
         ftol=1e-5,
         xtol=1e-5,
         gtol=1e-9,
@@ -166,6 +176,10 @@ def _fit_at_noise(
     return JointFit(
         tuple(terms), p, left, 2.0 * float(found.cost) * sigma**2, np.asarray(found.jac), tuple(numbers), units, sigma
     )
+
+
+def _numbers_beside(terms: Sequence[Term]) -> list[Number]:
+    return [number for term in terms for number in term.effect.beside]
 
 
 def _scale(record: JointRecord, number: Number) -> float:

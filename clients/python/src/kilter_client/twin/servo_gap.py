@@ -18,7 +18,6 @@ from kilter_client.twin.simulators import BY_COMMAND, WRITERS, ExportedServo, Re
 from kilter_client.twin.step import apply
 from kilter_core.errors import CoreError
 from kilter_core.motion import (
-    GEAR_DAMPING,
     JointFindings,
     JointFit,
     JointRecord,
@@ -416,10 +415,8 @@ class _JointPatch:
 
     def add_flexible_gear(self, size: float) -> None:
         second = self._add_second_joint()
-        bodies, motor = self.record.inertia, self.joint.armature
-        both = motor * bodies / (motor + bodies)
         second.stiffness = _as_before(second.stiffness, 1.0 / size)
-        second.damping = _as_before(second.damping, 2.0 * GEAR_DAMPING * math.sqrt(both / size))
+        second.damping = _as_before(second.damping, self.fit.values["gear_damping"] / size)
 
     def _add_second_joint(self) -> Any:
         """A joint behind the first on the same axis: the first moves the motor, both the bodies."""
