@@ -20,6 +20,7 @@ from .rollout.effects import ROLLOUT_EFFECTS as ROLLOUT_EFFECTS
 from .rollout.find import RolloutReport as RolloutReport
 from .rollout.find import find_missing_motion as find_missing_motion
 from .rollout.fit import JointFit as JointFit
+from .rollout.fit import find_start as find_start
 from .rollout.record import JointEpisode as JointEpisode
 from .rollout.record import JointRecord as JointRecord
 from .rollout.record import Servo as Servo

@@ -21,7 +21,9 @@ BACKLASH, LOAD_FRICTION, STICK, COMPLIANCE, READING_OFFSET, ZERO_OFFSET, SENSOR_
 SLIP_SPEED, IMPEDANCE, RATE, READS_BEHIND, MOVING_LOAD, GEAR_DAMPING = range(16, 22)
 COUNT = 22
 LEAST_ARMATURE_SHARE = 0.02  # of the inertia of the bodies, that a motor before backlash or a soft gear has at least
-STEADY = 1.0  # square of a step in radians of the swing of a gear, beyond which its spring is taken at the end of a step
+STEADY = (
+    1.0  # square of a step in radians of the swing of a gear, beyond which its spring is taken at the end of a step
+)
 
 
 @compile_kernel(**ALONE)

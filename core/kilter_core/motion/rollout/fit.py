@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from kilter_core.motion.kernels import joint as place
 from kilter_core.motion.rollout.effects import Number, RolloutEffect
-from kilter_core.motion.rollout.record import JointRecord
+from kilter_core.motion.rollout.record import SETTLE_S, JointEpisode, JointRecord
 from kilter_core.types import Bools, Floats
 
 PRIOR_LOG = 2.3  # a number of the user's model may be wrong by a factor of ten
@@ -22,6 +22,7 @@ EVALUATIONS = 20
 LEAST_FRICTION, LEAST_DAMPING = 0.02, 0.02  # of the usual torque (and per usual speed): a fit does not begin at zero
 GEAR_DAMPING_S = 0.002  # damping of a gear over its stiffness, to begin with
 SLIP_SHARE = 0.05  # of the usual speed, at which breaking loose has faded
+STARTS = ((0.0, 0.0), (1e-3, 0.0), (0.0, 2e-2))  # rad and rad/s, by which a start is moved to find its best
 BASE = (
     Number("armature", place.ARMATURE, "kg m2", "log", (0.3, 1.0, 3.0)),
     Number("friction", place.FRICTION, "N m", "log", (1.0,)),
@@ -94,16 +95,47 @@ def start_values(record: JointRecord) -> Floats:
 def simulate(record: JointRecord, p: Floats, episodes: Iterable[int] | None = None) -> Floats:
     """Readings (R,) that a joint with these numbers would give; nan outside ``episodes``."""
     wanted = range(len(record.episodes)) if episodes is None else set(episodes)
-    parts = []
-    for k, one in enumerate(record.episodes):
-        out = np.full(len(one.t), np.nan)
-        if k in wanted:
-            out[0] = one.reading[0]
-            speed = float((one.reading[2] - one.reading[0]) / (one.t[2] - one.t[0]))
-            place.simulate_joint(p, one.t, one.command, one.sums, record.step_s, one.bodies, speed, out)
-        parts.append(out)
+    parts = [
+        _run(one, p, record.step_s, find_start(record, p, k), len(one.t))
+        if k in wanted
+        else np.full(len(one.t), np.nan)
+        for k, one in enumerate(record.episodes)
+    ]
     found = np.concatenate(parts)
     return found if record.correction is None else np.asarray(found + record.correction)
+
+
+def find_start(record: JointRecord, p: Floats, k: int) -> tuple[float, float]:
+    """Angle (rad) and speed (rad/s) with which a joint with these numbers begins the ``k``-th episode.
+
+    They are fitted to the rows in which a start dies out, which nothing else is fitted to or judged by: where a servo is at
+    the limit of its torque, nothing takes back what a guessed speed is off.
+    """
+    one = record.episodes[k]
+    rows = max(3, int(np.searchsorted(one.t, one.t[0] + SETTLE_S, side="right")))
+    read = one.reading[:rows]
+    if record.correction is not None:
+        first = sum(len(before.t) for before in record.episodes[:k])
+        read = read - record.correction[first : first + rows]
+    start = (float(read[0]), float((one.reading[2] - one.reading[0]) / (one.t[2] - one.t[0])))
+    runs = [_run(one, p, record.step_s, (start[0] + apart[0], start[1] + apart[1]), rows) for apart in STARTS]
+    J = np.column_stack([(run - runs[0]) / np.sum(apart) for run, apart in zip(runs[1:], STARTS[1:], strict=True)])
+    if not np.isfinite(J).all():
+        return start
+    moved = np.linalg.lstsq(J, read - runs[0], rcond=1e-6)[0]
+    better = (start[0] + float(moved[0]), start[1] + float(moved[1]))
+    squares = [np.sum((read - run) ** 2) for run in (runs[0], _run(one, p, record.step_s, better, rows))]
+    return better if squares[1] < squares[0] else start
+
+
+def _run(one: JointEpisode, p: Floats, step_s: float, start: tuple[float, float], rows: int) -> Floats:
+    """The first ``rows`` readings of an episode that begins at this angle with this speed."""
+    out = np.full(rows, np.nan)
+    out[0], speed = start
+    steps = one.bodies.shape[1] if rows == len(one.t) else int((one.t[rows - 1] - one.t[0]) / step_s) + 1
+    bodies = np.ascontiguousarray(one.bodies[:, :steps])
+    place.simulate_joint(p, one.t[:rows], one.command[:rows], one.sums[:rows], step_s, bodies, speed, out)
+    return out
 
 
 def fit_joint(

@@ -13,7 +13,7 @@ from kilter_core.types import Bools, Floats, Ints
 
 BLOCK_S = 1.0  # a second is one observation
 SMOOTH_S = 0.16  # over which a motion is taken from readings
-SETTLE_S = 0.3  # from the start of an episode, in which a guessed speed dies out
+SETTLE_S = 0.3  # from the start of an episode, by which angle and speed at its start are found
 
 
 def grid_times(t: Floats, step_s: float) -> Floats:
@@ -79,7 +79,7 @@ class JointRecord:
 
     @cached_property
     def used(self) -> Bools:
-        """Rows (R,) that are compared: not those in which a guessed speed dies out."""
+        """Rows (R,) that are compared: not those by which the start of an episode is found."""
         return np.concatenate([one.t > one.t[0] + SETTLE_S for one in self.episodes])
 
     @cached_property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -25,6 +25,7 @@ from kilter_core.motion import (
     describe_rollouts,
     draw_joint_ranges,
     find_missing_motion,
+    find_start,
     prismatic_unit,
 )
 from kilter_core.parameters import FittedNumber
@@ -94,7 +95,7 @@ def find_servo_gap(
     copy = patch_model(arm, records, {one.record.name: one.believed for one in report.joints})
     copy = replace(copy, servos=tuple(_list_servo(one) for one in report.joints))
     document["model"] = str(model)
-    document["whole_arm"] = _judge_whole_arm(arm, report, copy, read, site)
+    document["whole_arm"] = _judge_whole_arm(arm, report, records, copy, read, site)
     document["notes"] = list(copy.notes)
     document["warnings"] += [*_list_dropped(read), *_compare_whole_arm(document)]
     document["refuted"] = _is_refuted(document)
@@ -115,7 +116,12 @@ def _choose_site(arm: ServoModel, site: str | None) -> str | None:
 
 
 def _judge_whole_arm(
-    arm: ServoModel, report: RolloutReport, copy: Patched, logs: Sequence[CommandLog], site: str | None
+    arm: ServoModel,
+    report: RolloutReport,
+    every_joint: Sequence[JointRecord],
+    copy: Patched,
+    logs: Sequence[CommandLog],
+    site: str | None,
 ) -> dict[str, Any]:
     """Errors of the whole arm in MuJoCo on unseen episodes: the model as it is, with its servos fitted, and the copy."""
     every = [one for log in logs for one in log.episodes]
@@ -125,11 +131,13 @@ def _judge_whole_arm(
     used = records[0].used[np.isin(records[0].episode, places)]
     measured = np.concatenate([one.reading for one in held])[used]
     at = None if site is None else tool_points(arm, measured, site)
-    servos = patch_model(arm, records, {one.record.name: one.base for one in report.joints})
-    models = {"stated": arm.model, "servo_fitted": servos.model, "found": copy.model}
+    base = {one.record.name: one.base for one in report.joints}
+    believed = {one.record.name: one.believed for one in report.joints}
+    servos = patch_model(arm, records, base)
+    models = {"stated": (arm.model, {}), "servo_fitted": (servos.model, base), "found": (copy.model, believed)}
     found: dict[str, Any] = {"unseen": report.unseen, "site": site}
-    for name, model in models.items():
-        read = replay_readings(arm, model, held)
+    for name, (model, fits) in models.items():
+        read = replay_readings(arm, model, held, find_starts(every_joint, fits, places))
         tool = None if at is None else np.linalg.norm(at - tool_points(arm, read[used], str(site)), axis=1)
         found[name] = _describe_replay(arm, measured - read[used], tool) if np.isfinite(read).all() else None
     return found
@@ -139,7 +147,8 @@ def _replay_fits(
     arm: ServoModel, records: Sequence[JointRecord], episodes: Sequence[CommandEpisode], fits: Mapping[str, JointFit]
 ) -> dict[str, Floats]:
     """Readings (R,) of each joint in MuJoCo, with these fits of some of them."""
-    readings = replay_readings(arm, patch_model(arm, records, fits).model, episodes)
+    starts = find_starts(records, fits, range(len(episodes)))
+    readings = replay_readings(arm, patch_model(arm, records, fits).model, episodes, starts)
     return dict(zip(arm.joints, readings.T, strict=True))
 
 
@@ -177,12 +186,21 @@ def _list_dropped(logs: Sequence[CommandLog]) -> list[dict[str, Any]]:
     return [{"code": "rows_missing", "message": message}]
 
 
-def replay_readings(arm: ServoModel, model: Any, episodes: Sequence[CommandEpisode]) -> Floats:
-    """Readings (R, n) of an arm, its own model or a patched copy, in some episodes; not finite where it diverges."""
-    return np.concatenate([_run(arm, model, one) for one in episodes])
+def find_starts(records: Sequence[JointRecord], fits: Mapping[str, JointFit], places: Iterable[int]) -> Floats:
+    """Angles and speeds (E, n, 2) of joints at the start of episodes, with these fits of some of them."""
+    numbers = [fits[one.name].p if one.name in fits else one.stated for one in records]
+    return np.array([[find_start(one, p, k) for one, p in zip(records, numbers, strict=True)] for k in places])
 
 
-def _run(arm: ServoModel, model: Any, one: CommandEpisode) -> Floats:
+def replay_readings(arm: ServoModel, model: Any, episodes: Sequence[CommandEpisode], starts: Floats) -> Floats:
+    """Readings (R, n) of an arm, its own model or a patched copy, in some episodes from ``starts (E, n, 2)``.
+
+    They are not finite where it diverges.
+    """
+    return np.concatenate([_run(arm, model, one, start) for one, start in zip(episodes, starts, strict=True)])
+
+
+def _run(arm: ServoModel, model: Any, one: CommandEpisode, start: Floats) -> Floats:
     arm.hang(model, one.payload_kg)
     data = mujoco.MjData(model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -190,8 +208,8 @@ def _run(arm: ServoModel, model: Any, one: CommandEpisode) -> Floats:
     dofs = [int(model.joint(name).dofadr[0]) for name in arm.joints]
     text = model_text(model, TABLE)
     table = {} if text is None else parse_table(text)["joints"]
-    data.qpos[places] = one.reading[0] - [table.get(name, {}).get("reading_offset", 0.0) for name in arm.joints]
-    data.qvel[dofs] = (one.reading[2] - one.reading[0]) / (one.t[2] - one.t[0])
+    data.qpos[places] = start[:, 0] - [table.get(name, {}).get("reading_offset", 0.0) for name in arm.joints]
+    data.qvel[dofs] = start[:, 1]
     _fill_history(arm, model, data, one.command[0])
     mujoco.mj_forward(model, data)
     steps = np.round((one.t - one.t[0]) / model.opt.timestep).astype(int)
@@ -414,6 +432,8 @@ class _JointPatch:
         second.damping = _as_before(second.damping, BACKLASH_RATE * second.armature)
 
     def add_flexible_gear(self, size: float) -> None:
+        if size <= 0.0:  # as a fit that finds it rigid has it
+            return
         second = self._add_second_joint()
         second.stiffness = _as_before(second.stiffness, 1.0 / size)
         second.damping = _as_before(second.damping, self.fit.values["gear_damping"] / size)
