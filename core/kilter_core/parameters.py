@@ -254,12 +254,12 @@ def draw_ranges(
     """Return the range of each number at a ``level`` (0 to 1), and ``draws`` of all of them together, SI.
 
     Raises:
-        OptionError: a level that is no share.
+        OptionError: a level that is not between 0 and 1.
 
     """
     if not 0.0 < level < 1.0:
         raise OptionError(
-            f"A range that covers {100.0 * level:g} % is none: say how much it is to cover, as 95.", parameter="ranges"
+            f"A range cannot cover {100.0 * level:g} %: say how much it is to cover, as 95.", parameter="ranges"
         )
     centre = np.array([math.log(max(one.value, 1e-300)) if one.log else one.value for one in numbers])
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -281,6 +281,6 @@ def draw_ranges(
 
 
 def write_json_for_yaml(document: Mapping[str, Any]) -> str:
-    """Write JSON whose numbers readers of YAML 1.1 read as numbers too: to them 1e-05 is a text, 1.0e-05 is none."""
+    """Write JSON whose numbers readers of YAML 1.1 read as numbers too: to them 1e-05 is a text, and 1.0e-05 a number."""
     text = json.dumps(document, indent=1, allow_nan=False)
     return re.sub(r"(?m)^(\s*(?:\"[^\"]*\": )?-?\d+)(e[-+]?\d+,?)$", r"\1.0\2", text) + "\n"

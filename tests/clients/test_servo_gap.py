@@ -203,7 +203,7 @@ OTHERS = {
     "damper": '<damper name="a1" joint="j1" kv="3" ctrlrange="0 1"/>',
     "integrates": '<intvelocity name="a1" joint="j1" kp="30" actrange="-3 3"/>',
     "filters": '<position name="a1" joint="j1" kp="30" timeconst="0.02"/>',
-    "no position": '<general name="a1" joint="j1" gainprm="3" biastype="affine" biasprm="0 -30 0"/>',
+    "not a position": '<general name="a1" joint="j1" gainprm="3" biastype="affine" biasprm="0 -30 0"/>',
     "a1, a2": f'{POSITION}<velocity name="a2" joint="j1" kv="3"/>',
 }
 

@@ -37,7 +37,7 @@ def ranges(version: Exportable) -> Written:
 
     Raises:
         ServiceError: nothing says how well the version is known.
-        OptionError: a level that is no share.
+        OptionError: a level that is not between 0 and 1.
 
     """
     known = Predictive.from_document(version.version.covariance.model_dump(exclude_none=True))

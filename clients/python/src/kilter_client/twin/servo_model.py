@@ -220,7 +220,7 @@ def _describe_other_actuator(model: Any, name: str, actuators: Sequence[int]) ->
     if int(model.actuator_dyntype[a]) != int(mujoco.mjtDyn.mjDYN_NONE):
         return f"the actuator of {name} filters or integrates its command"
     if not (bias < 0.0 and abs(gain + bias) < 1e-9 * abs(gain)):
-        return f"the actuator of {name} is no position actuator"
+        return f"the actuator of {name} is not a position actuator"
     return None
 
 
