@@ -80,7 +80,7 @@ def export(
     Form ``ranges`` is how far the arm may be from it; the ranges cover ``ranges_percent``, by default 95.
     """
     path = yield from place("version", version, robot, "export")
-    wanted = {"format": form, "ranges": ranges_percent}
+    wanted = {"format": form} | ({} if ranges_percent is None else {"ranges": str(ranges_percent)})
     answer = yield from send_with_retries(Request("GET", path, params=wanted))
     exported = Exported(answer.content)
     exported.notes = server_notes(answer)
