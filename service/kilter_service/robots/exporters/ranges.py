@@ -48,13 +48,7 @@ def ranges(version: Exportable) -> Written:
         )
     calibration, level = version.calibration, version.ranges_percent / 100.0
     scatter = float(np.hypot(known.inadequacy, known.noise))
-    document = {
-        "format": "kilter-ranges/1",
-        "robot": version.version.robot,
-        "version": version.version.id,
-        "arm": _draw_arms(calibration, known.names, None, known.covariance, scatter, level),
-        "tool_sigma_m": scatter,
-    }
+    spreads: dict[str, tuple[Sequence[str], Floats | None, Floats]] = {"arm": (known.names, None, known.covariance)}
     notes = [
         "arm: how far this arm may be from the version. tool_sigma_m: what a measured coordinate scatters by beside that.",
         "What moves together and leaves the tool where it is, as a base and a first link, is not drawn.",
@@ -68,9 +62,15 @@ def ranges(version: Exportable) -> Written:
             f"parameters, and {len(version.fleet)} have a version."
         )
     else:
-        document["type"] = _draw_arms(calibration, prior.names, prior.mean, prior.covariance, scatter, level)
+        spreads["type"] = (prior.names, prior.mean, prior.covariance)
         notes.append(f"type: how another arm of the type may be, by versions of {len(version.fleet)} others.")
-    return Written(write_json_for_yaml(document), tuple(notes))
+
+    def write() -> str:
+        head = {"format": "kilter-ranges/1", "robot": version.version.robot, "version": version.version.id}
+        drawn = {key: _draw_arms(calibration, *spread, scatter, level) for key, spread in spreads.items()}
+        return write_json_for_yaml(head | drawn | {"tool_sigma_m": scatter})
+
+    return Written(write, tuple(notes))
 
 
 def _draw_arms(
