@@ -5,14 +5,17 @@ Reports, messages and documents have mm and degrees; whatever else the core has 
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from scipy.special import ndtri
 
 from kilter_core.errors import OptionError
 from kilter_core.types import Bools, Floats, Ints
@@ -215,3 +218,69 @@ def refuse_collisions(names: Sequence[str]) -> None:
         if name in seen:
             raise OptionError(f"Two parameters are named {name!r}: rename one of them.", parameter=name)
         seen.add(name)
+
+
+@dataclass(frozen=True)
+class FittedNumber:
+    """A number with a covariance: its name, SI unit and ``value``, and the values that physics allows.
+
+    ``log`` says that the covariance is that of its logarithm.
+    """
+
+    name: str
+    unit: str
+    value: float
+    log: bool = False
+    low: float = -math.inf
+    high: float = math.inf
+
+    @property
+    def key(self) -> str:
+        """Name with its unit: ``j1.damping_nm_s_rad``."""
+        unit = re.sub(r"[^a-z0-9]+", "_", self.unit.lower().replace("n m", "nm")).strip("_")
+        return self.name if unit == "1" else f"{self.name}_{unit}"
+
+    def bring_back(self, x: Floats) -> Floats:
+        """Values where the covariance is, as values of the number."""
+        return np.clip(np.exp(x) if self.log else x, self.low, self.high)
+
+
+DRAWS = 100
+
+
+def draw_ranges(
+    numbers: Sequence[FittedNumber], covariance: Floats, level: float, draws: int = DRAWS, seed: int = 0
+) -> dict[str, Any]:
+    """Return the range of each number at a ``level`` (0 to 1), and ``draws`` of all of them together, SI.
+
+    Raises:
+        OptionError: a level that is not between 0 and 1.
+
+    """
+    if not 0.0 < level < 1.0:
+        raise OptionError(
+            f"A range cannot cover {100.0 * level:g} %: say how much it is to cover, as 95.", parameter="ranges"
+        )
+    centre = np.array([math.log(max(one.value, 1e-300)) if one.log else one.value for one in numbers])
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    half = float(ndtri(0.5 + 0.5 * level)) * sigma
+    scale = np.where(sigma > 0.0, sigma, 1.0)  # metres beside radians per newton metre: correlations keep their digits
+    sizes, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    normal = np.random.default_rng(seed).normal(size=(draws, len(numbers)))
+    samples = centre + scale * ((normal * np.sqrt(np.maximum(sizes, 0.0))) @ axes.T)
+    drawn = {one.key: one.bring_back(x) for one, x in zip(numbers, samples.T, strict=True)}
+    ends = [one.bring_back(np.array([x - h, x + h])) for one, x, h in zip(numbers, centre, half, strict=True)]
+    return {
+        "level": level,
+        "parameters": [
+            {"name": one.key, "value": one.value, "low": float(low), "high": float(high)}
+            for one, (low, high) in zip(numbers, ends, strict=True)
+        ],
+        "draws": [{key: float(values[k]) for key, values in drawn.items()} for k in range(draws)],
+    }
+
+
+def write_json_for_yaml(document: Mapping[str, Any]) -> str:
+    """Write JSON whose numbers readers of YAML 1.1 read as numbers too: to them 1e-05 is a text, and 1.0e-05 a number."""
+    text = json.dumps(document, indent=1, allow_nan=False)
+    return re.sub(r"(?m)^(\s*(?:\"[^\"]*\": )?-?\d+)(e[-+]?\d+,?)$", r"\1.0\2", text) + "\n"

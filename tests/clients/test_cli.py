@@ -145,6 +145,9 @@ def _versions(robot: str, first: str, command: Command, tmp_path: Path) -> None:
     written = command.json("export", first, "-o", tmp_path / "version.json")
     assert written["bytes"] == (tmp_path / "version.json").stat().st_size
     assert "name the file" in command.json("export", first, code=2)["detail"]
+    command("export", first, "--ranges", "80", "-o", tmp_path / "ranges.yaml")
+    assert json.loads((tmp_path / "ranges.yaml").read_text())["arm"]["level"] == 0.8
+    assert "a file of its own" in command.json("export", first, "--ranges", "95", "--format", "mjcf", code=2)["detail"]
     table = command.json("export", first, "--format", "dh-csv", "-o", tmp_path / "arm.csv")
     assert {one["where"] for one in table["numbers"]} >= {"base", "tool"}
     offsets = {one["joint"]: one["offset_deg"] for one in table["zero_offsets"]}

@@ -10,10 +10,10 @@ import pytest
 
 from kilter_service.ground.caller import CALLER, Caller, as_document
 from kilter_service.ground.db import Database
-from kilter_service.jobs.store import fleet_versions
 from kilter_service.jobs.work import store
 from kilter_service.jobs.work.runner import Runner
 from kilter_service.robots import store as robots
+from kilter_service.versions.store import fleet_versions
 from tests.core.identify.fleet.simulated import Arm, Type, document, poses
 from tests.service.test_fleet_jobs import work
 

@@ -165,7 +165,9 @@ def test_export_json_and_the_list_of_formats(client: httpx.Client, versions: Ver
     assert "Left out: clearance_tilt" in urdf.headers["kilter-notes"]
     refused = client.get(f"/v1/versions/{version}/export", params={"format": "stone"})
     assert refused.status_code == 400
-    formats = ["json", "urdf", "mjcf", "usd", "dh-csv", "mdh-csv", "ur-yaml", "matlab", "corrector", "c", "torque-c"]
+    formats = [
+        "json", "urdf", "mjcf", "usd", "dh-csv", "mdh-csv", "ur-yaml", "matlab", "ranges", "corrector", "c", "torque-c",
+    ]  # fmt: skip
     assert refused.json()["context"]["formats"] == formats
 
 

@@ -17,6 +17,7 @@ from .estimate import registration_only as registration_only
 from .fit.tukey import RowErrors as RowErrors
 from .fit.tukey import mean_marker_error as mean_marker_error
 from .fit.tukey import whitened_row_sizes as whitened_row_sizes
+from .fleet.prior import fleet_prior as fleet_prior
 from .fleet.versions import FleetVersion as FleetVersion
 from .fleet.versions import same_type as same_type
 from .holdout import Folds as Folds
@@ -44,5 +45,6 @@ from .steps.report import Identification as Identification
 from .uncertainty.predictive import Predictive as Predictive
 from .uncertainty.predictive import Workspace as Workspace
 from .uncertainty.predictive import acting as acting
+from .uncertainty.predictive import restrict_to_what_moves_the_tool as restrict_to_what_moves_the_tool
 from .uncertainty.zero_offsets import KnownZeros as KnownZeros
 from .uncertainty.zero_offsets import known_zeros as known_zeros

@@ -1,11 +1,11 @@
 from .document import to_document as to_document
+from .effects import prismatic_unit as prismatic_unit
 from .effects import split_effects as split_effects
 from .excite import MotionPlan as MotionPlan
 from .excite import plan_motions as plan_motions
 from .find import MotionOptions as MotionOptions
 from .find import MotionReport as MotionReport
 from .find import find_missing_torque as find_missing_torque
-from .kernels.joint import GEAR_DAMPING as GEAR_DAMPING
 from .loads import told_loads as told_loads
 from .loads import with_torques_told as with_torques_told
 from .model import TorqueModel as TorqueModel
@@ -16,11 +16,12 @@ from .record import Log as Log
 from .record import join_logs as join_logs
 from .regressor import rigid_regressor as rigid_regressor
 from .rollout.document import describe_rollouts as describe_rollouts
-from .rollout.document import draw_ranges as draw_ranges
+from .rollout.document import draw_joint_ranges as draw_joint_ranges
 from .rollout.effects import ROLLOUT_EFFECTS as ROLLOUT_EFFECTS
 from .rollout.find import RolloutReport as RolloutReport
 from .rollout.find import find_missing_motion as find_missing_motion
 from .rollout.fit import JointFit as JointFit
+from .rollout.fit import find_start as find_start
 from .rollout.record import JointEpisode as JointEpisode
 from .rollout.record import JointRecord as JointRecord
 from .rollout.record import Servo as Servo

@@ -57,6 +57,7 @@ PROBLEMS: Mapping[str, tuple[int, str]] = {
     "metric_not_supported": (400, "The data cannot support this criterion"),
     "kind_unavailable": (400, "This kind of job does not exist"),
     "export_unavailable": (400, "This export format does not exist"),
+    "ranges_unknown": (409, "Nothing says how well this version is known"),
     "campaigns_invalid": (400, "The campaigns do not fit the job"),
     "mesh_invalid": (400, "The file cannot be a mesh"),
     "upload_incomplete": (400, "The upload broke off"),

@@ -1,11 +1,11 @@
-"""Rows of jobs, and the versions of other robots that a prior of the type is made of."""
+"""Rows of jobs."""
 
 from __future__ import annotations
 
 import uuid
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import ColumnElement, Select, case, func, or_, select
@@ -18,7 +18,7 @@ from kilter_service.contract.versions import CorrectionLimits, Objection
 from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.called import job_noun
 from kilter_service.ground.caller import allowed_robots, as_document
-from kilter_service.ground.core import core_identify, core_motion
+from kilter_service.ground.core import core_motion
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import NOT_OVER, JobRow, RobotRow, VersionRow
@@ -282,7 +282,7 @@ def load_job_input(
         no_load=unstated if robot.load is None else (),
         masses_from=masses,
         made_from=frozenset() if named is None else versions.training_campaign_ids(session, named),
-        fleet=fleet_versions(session, robot_id, allowed) if request.options.get("prior") == "fleet" else (),
+        fleet=versions.fleet_versions(session, robot_id, allowed) if request.options.get("prior") == "fleet" else (),
     )
 
 
@@ -451,45 +451,3 @@ def _used_record(session: Session, campaign_id: str, use: str) -> UsedRecord:
     campaign, uploads = campaigns.get(session, campaign_id), campaigns.uploads_of_campaign(session, campaign_id)
     rows, hashes = sum(upload.rows for upload in uploads), [upload.sha256 for upload in uploads]
     return UsedRecord(campaign.id, campaign.name, campaign.role, use, rows, hashes)
-
-
-def fleet_versions(
-    session: Session, robot_id: int, allowed: Collection[str] | None
-) -> tuple[core_identify.FleetVersion, ...]:
-    """Return a version of every other robot in use with the same nominal chain: the active one, else the newest.
-
-    Of robots only those ``allowed`` to whoever asked, None: all. Versions that were identified with a prior of the type, or
-    continue one that was, are passed over: a fleet must not learn from itself.
-    """
-    robot, found = robots.core_robot(session, robot_id), []
-    for other in robots.others_in_use(session, robot_id):
-        if other.chain is None or (allowed is not None and other.name not in allowed):
-            continue
-        if not core_identify.same_type(robot, other.robot()):
-            continue
-        made = _of_robot(session, other.id)
-        if made is not None:
-            calibration, covariance = versions.calibration(session, made.id), versions.covariance(session, made.id)
-            found.append(core_identify.FleetVersion.from_calibration(other.name, made.id, calibration, covariance))
-    return tuple(found)
-
-
-def _of_robot(session: Session, robot_id: int) -> VersionRecord | None:
-    """Return the active version of a robot, else its newest that says what it knows and asked no fleet."""
-    known = {one.id: one for one in versions.of_robot(session, robot_id, with_retired=True)}
-    made = [
-        one
-        for one in known.values()
-        if one.retired_at is None and one.covariance.get("names") and not _asked_fleet(one, known)
-    ]
-    return next((one for one in made if one.active), made[0] if made else None)
-
-
-def _asked_fleet(version: VersionRecord, known: Mapping[str, VersionRecord]) -> bool:
-    """Whether a prior of the type had a part in a version, or in one that it continues."""
-    following: VersionRecord | None = version
-    while following is not None:
-        if (following.report.get("prior") or {}).get("source"):
-            return True
-        following = known.get(following.parent_id or "")
-    return False

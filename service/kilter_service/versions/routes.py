@@ -172,9 +172,18 @@ def residuals(
     response_class=Response,
     responses={200: {"content": EXPORTS, "description": "The file"}},
 )
-def export(version: AddressedVersion, database: DatabaseOfApp, format: str = "json") -> Response:  # noqa: A002 (the contract's name)
-    """Download a version in the format of another tool; the header Kilter-Notes says what the file leaves out."""
-    file = service.export_version(database, version, format)
+def export(
+    version: AddressedVersion,
+    database: DatabaseOfApp,
+    format: str = "json",  # noqa: A002 (the contract's name)
+    ranges: Annotated[float, Query(gt=0.0, lt=100.0, description="With format ranges: what they cover, %.")] = 95.0,
+) -> Response:
+    """Download a version in the format of another tool; the header Kilter-Notes says what the file leaves out.
+
+    Format `ranges` says how far the arm may be from the version: ranges of its parameters and 100 draws of all together,
+    to train with; of other arms of the type too, where versions of five are known.
+    """
+    file = service.export_version(database, version, format, ranges)
     headers = {"Content-Disposition": f'attachment; filename="{file.name}"'}
     if file.notes:
         headers["Kilter-Notes"] = " | ".join(file.notes)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.references import Change, Tombstone
 from kilter_service.contract.versions import ActivationList, Version, VersionList, VersionSummary
 from kilter_service.ground.by_name import copy_fields
+from kilter_service.ground.caller import allowed_robots
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
@@ -13,7 +16,7 @@ from kilter_service.ground.paging import Page, in_time
 from kilter_service.ground.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.robots.exporters.exportable import Exportable
-from kilter_service.robots.exporters.registry import Exported, export, export_notes
+from kilter_service.robots.exporters.registry import RANGES, Exported, export, export_notes
 from kilter_service.robots.into_controller import said_of_controller
 from kilter_service.versions import store, wire
 from kilter_service.versions.records import VersionRecord
@@ -55,9 +58,10 @@ def activations(database: Database, robot: str, page: Page) -> ActivationList:
     return ActivationList(activations=[wire.activation(entry) for entry in shown], next=cursor)
 
 
-def export_version(database: Database, version_id: str, format_name: str) -> Exported:
+def export_version(database: Database, version_id: str, format_name: str, ranges_percent: float = 95.0) -> Exported:
     """Return a version as a file of another tool's format, and what to say of a controller that is given it."""
     version, told = _exportable(database, version_id, format_name)
+    version = replace(version, ranges_percent=ranges_percent)
     found = export(format_name, version)
     return found._replace(notes=(*found.notes, *told))
 
@@ -72,7 +76,9 @@ def _exportable(database: Database, version_id: str, format_name: str) -> tuple[
     with database.reading() as session:
         record = store.get(session, version_id)
         robot, rules = robots.get(session, record.robot), store.rules_of(session, version_id)
-    return Exportable(robot, wire.version(record), record.calibration, rules), said_of_controller(format_name, robot)
+        fleet = store.fleet_versions(session, robot.id, allowed_robots()) if format_name == RANGES else ()
+    version = Exportable(robot, wire.version(record), record.calibration, rules, fleet=fleet)
+    return version, said_of_controller(format_name, robot)
 
 
 def change(database: Database, version_id: str, wanted: Change) -> Version:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -372,3 +372,45 @@ def robots_with_active(session: Session) -> list[str]:
     """Return the names of the robots that have an active version."""
     query = select(RobotRow.name).where(RobotRow.id.in_(select(ActivationRow.robot_id))).order_by(RobotRow.name)
     return list(session.execute(query).scalars())
+
+
+def fleet_versions(
+    session: Session, robot_id: int, allowed: Collection[str] | None
+) -> tuple[core_identify.FleetVersion, ...]:
+    """Return a version of every other robot in use with the same nominal chain: the active one, else the newest.
+
+    Of robots only those ``allowed`` to whoever asked, None: all. Versions that were identified with a prior of the type, or
+    continue one that was, are passed over: a fleet must not learn from itself.
+    """
+    robot, found = robots.core_robot(session, robot_id), []
+    for other in robots.others_in_use(session, robot_id):
+        if other.chain is None or (allowed is not None and other.name not in allowed):
+            continue
+        if not core_identify.same_type(robot, other.robot()):
+            continue
+        made = _choose_fleet_version(session, other.id)
+        if made is not None:
+            found_in, known = calibration(session, made.id), covariance(session, made.id)
+            found.append(core_identify.FleetVersion.from_calibration(other.name, made.id, found_in, known))
+    return tuple(found)
+
+
+def _choose_fleet_version(session: Session, robot_id: int) -> VersionRecord | None:
+    """Return the active version of a robot, else its newest that says what it knows and asked no fleet."""
+    known = {one.id: one for one in of_robot(session, robot_id, with_retired=True)}
+    made = [
+        one
+        for one in known.values()
+        if one.retired_at is None and one.covariance.get("names") and not _asked_fleet(one, known)
+    ]
+    return next((one for one in made if one.active), made[0] if made else None)
+
+
+def _asked_fleet(version: VersionRecord, known: Mapping[str, VersionRecord]) -> bool:
+    """Whether a prior of the type had a part in a version, or in one that it continues."""
+    following: VersionRecord | None = version
+    while following is not None:
+        if (following.report.get("prior") or {}).get("source"):
+            return True
+        following = known.get(following.parent_id or "")
+    return False

@@ -22,8 +22,9 @@ from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.pixels import PixelsAlone
 from kilter_core.measurement.contacts import Contacts
 from kilter_core.measurement.kind import POINTS
-from kilter_core.model import Calibration
+from kilter_core.model import Calibration, workspace
 from kilter_core.observations import Observations
+from kilter_core.parameters import indices
 from kilter_core.transforms import inverse
 from kilter_core.types import QUANTILE, Bools, Floats, Ints
 
@@ -167,6 +168,36 @@ class Predictive:
         C = np.zeros((len(free), len(free)))
         C[np.ix_(place, place)] = self.covariance[np.ix_(own, own)]
         return np.array(free, dtype=np.int64), C
+
+
+UNSEEN_SHARE = 0.05  # of the scatter of a tool coordinate, below which what moves together does not show at the tool
+LEVER_M = 0.1  # at which a rotation of the tool counts
+
+
+def restrict_to_what_moves_the_tool(
+    calibration: Calibration, names: Sequence[str], covariance: Floats, tool_sigma: float
+) -> Floats:
+    """Covariance (K, K) without the combinations of parameters ``names`` that leave the tool where it is all over the reach.
+
+    A base that rises as the first link shortens is one: no pose tells it, so its prior is wide, and a draw that goes far
+    along it moves the tool after all, by what is not linear. ``tool_sigma`` m is that of a measured coordinate. Rotations of
+    the tool count where the fit knows them. Effects whose columns a pose by itself lacks are kept as they are.
+    """
+    rows = workspace(calibration.robot)
+    arm = acting(calibration, rows)
+    place = [k for k, name in enumerate(names) if name in arm.names]
+    free = indices(arm.names, [names[k] for k in place])
+    J = arm.model.jacobian(rows, arm.values, free, False)[1]
+    J = np.concatenate([J[:, :3], LEVER_M * J[:, 3:6]], axis=1) if "tool_rx" in names else J[:, :3]
+    sigma = np.sqrt(np.diag(covariance))
+    moved = (J * sigma[place]).reshape(-1, len(place))
+    squares, axes = np.linalg.eigh(moved.T @ moved / len(moved))
+    unseen = axes[:, squares < (UNSEEN_SHARE * tool_sigma) ** 2]
+    project = np.eye(len(names))
+    project[np.ix_(place, place)] -= unseen @ unseen.T
+    scaled = np.where(sigma > 0.0, sigma, 1.0)
+    correlation = project @ (covariance / np.outer(scaled, scaled)) @ project
+    return np.asarray(correlation * np.outer(scaled, scaled))
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,12 @@ ALONE = {"error_model": "numpy", "nogil": True}  # joints are fitted side by sid
 # places of the numbers of a joint
 ARMATURE, FRICTION, DAMPING, GAIN, COMMAND_DELAY, EFFORT_DELAY, TORQUE_LIMIT = range(7)
 BACKLASH, LOAD_FRICTION, STICK, COMPLIANCE, READING_OFFSET, ZERO_OFFSET, SENSOR_LAG, BEHIND, SERVO_SHARE = range(7, 16)
-SLIP_SPEED, IMPEDANCE, RATE, READS_BEHIND, MOVING_LOAD = range(16, 21)
-COUNT = 21
+SLIP_SPEED, IMPEDANCE, RATE, READS_BEHIND, MOVING_LOAD, GEAR_DAMPING = range(16, 22)
+COUNT = 22
 LEAST_ARMATURE_SHARE = 0.02  # of the inertia of the bodies, that a motor before backlash or a soft gear has at least
-GEAR_DAMPING = 0.05  # of critical, of a soft gear
+STEADY = (
+    1.0  # square of a step in radians of the swing of a gear, beyond which its spring is taken at the end of a step
+)
 
 
 @compile_kernel(**ALONE)
@@ -75,11 +77,18 @@ def _step_rigid(p: Floats, step: float, v: float, M: float, push: float, damping
 def _step_compliant(
     p: Floats, step: float, state: Floats, M: float, tau: float, weight: float, damping: float, f: float
 ) -> None:
-    """Move motor and bodies that a spring holds together, implicit in the spring; friction acts on the motor."""
+    """Move motor and bodies that a spring holds together; friction acts on the motor.
+
+    As in MuJoCo the spring pulls as it is at the beginning, its damping as it is at the end of a step; a spring too stiff for
+    that is taken at the end too.
+    """
     q, v, motor, w = state[0], state[1], state[2], state[3]
     A = max(p[ARMATURE], LEAST_ARMATURE_SHARE * M)
     stiff = 1.0 / p[COMPLIANCE]
-    s = step * 2.0 * GEAR_DAMPING * math.sqrt(stiff * A * M / (A + M)) + step * step * stiff
+    both = A * M / (A + M)
+    s = step * p[GEAR_DAMPING] * stiff
+    if step * step * stiff > STEADY * both:
+        s += step * step * stiff
     pull = step * stiff * (q - motor)
     bodies = M * v - step * weight - pull
     momentum = A * w + step * tau + pull + s * bodies / (M + s)
@@ -107,12 +116,19 @@ def _step_with_backlash(
             return side
     w = _speed_after_friction(A * w + step * tau, A + step * damping, w, f, step, p[IMPEDANCE], p[RATE])
     v -= step * weight / M
-    motor, q = motor + step * w, q + step * v
+    before = motor - q
+    apart = before + step * (w - v)
     side = 0
-    if abs(motor - q) >= half:
-        side = 1 if motor > q else -1
-        v = w = (A * w + M * v) / (A + M)
+    if abs(apart) >= half:
+        side = 1 if apart > 0.0 else -1
+        together = (A * w + M * v) / (A + M)
+        closing = step * (w - v)
+        flown = min(max((half * side - before) / closing, 0.0), 1.0) if closing * side > 0.0 else 0.0  # of the step
+        motor += step * (flown * w + (1.0 - flown) * together)
+        v = w = together
         q = motor - half * side
+    else:
+        motor, q = motor + step * w, q + step * v
     state[0], state[1], state[2], state[3] = q, v, motor, w
     return side
 

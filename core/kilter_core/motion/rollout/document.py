@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from kilter_core.motion.effects import prismatic_unit
 from kilter_core.motion.rollout.effects import ROLLOUT_EFFECTS, RolloutEffect
 from kilter_core.motion.rollout.find import Absorbed, RolloutReport, list_absorbed
+from kilter_core.motion.rollout.record import JointRecord
 from kilter_core.motion.rollout.search import JointFindings, JudgedEffect, covariance, servo_sigmas
+from kilter_core.parameters import FittedNumber, draw_ranges
 from kilter_core.types import QUANTILE
 
 EDGE = {  # SI -> factor and unit at the edge
@@ -23,7 +27,7 @@ EDGE = {  # SI -> factor and unit at the edge
 OF_SLIDES = {"rad": (1e3, "mm"), "N m": (1.0, "N"), "rad/(N m)": (1e3, "mm/N")}
 SURE = {"replicated": "certain", "confirmed": "certain", "class_confirmed": "certain", "provisional": "probable"}
 LOOSE = 0.3  # of a number of the servo, that its standard error may be
-LEVEL = 0.95  # to which QUANTILE belongs
+LEVEL = 0.95  # of ranges
 MUCH = 1.2  # times, from which a number that had absorbed an effect is worth saying
 
 
@@ -206,34 +210,26 @@ def _list_warnings(report: RolloutReport) -> list[dict[str, Any]]:
     return found
 
 
-def draw_ranges(joints: Sequence[JointFindings], draws: int = 100, seed: int = 0) -> dict[str, Any]:
-    """Return ranges of each number of each joint, and ``draws`` of all of them, in SI as MJCF has them.
+def draw_joint_ranges(joints: Sequence[JointFindings], seed: int = 0) -> dict[str, Any]:
+    """Return ranges of each number of each joint, and draws of all of them, in SI as MJCF has them.
 
     Numbers of one joint are drawn together, from the covariance of their fit with each second as one observation; numbers
-    that cannot be negative are drawn as their logarithms.
+    that cannot be negative are drawn as their logarithms. ``readings`` say within what the readings of a joint that was
+    drawn lie about the simulated ones, as often as the level says, on rows that no choice saw.
     """
-    rng = np.random.default_rng(seed)
-    parameters: list[dict[str, Any]] = []
-    drawn: list[dict[str, float]] = [{} for _ in range(draws)]
+    numbers, spreads, readings = [], [], {}
     for found in joints:
         fit, record = found.believed, found.record
-        spread = covariance(record, fit, found.split.train)
-        logs = np.array([number.scale == "log" for number in fit.fitted])
-        values = np.array([fit.p[number.place] for number in fit.fitted])
-        centre = np.where(logs, np.log(np.maximum(values, 1e-300)), values / fit.scales)
-        sigma = np.sqrt(np.diag(spread))
-        samples = rng.multivariate_normal(centre, spread, draws, method="svd")
-        keys = [f"{record.name}.{key}" for key in fit.names]
-        for k, (number, key) in enumerate(zip(fit.fitted, keys, strict=True)):
-            low, high = (
-                _from_fit(centre[k] + sign * QUANTILE * sigma[k], logs[k], fit.scales[k]) for sign in (-1.0, 1.0)
-            )
-            low, high = max(low, number.low), min(high, number.high)
-            parameters.append({"name": key, "unit": number.unit, "value": float(values[k]), "low": low, "high": high})
-            for one, x in zip(drawn, samples[:, k], strict=True):
-                one[key] = float(np.clip(_from_fit(x, logs[k], fit.scales[k]), number.low, number.high))
-    return {"level": LEVEL, "parameters": parameters, "draws": drawn}
+        for number, name in zip(fit.fitted, fit.names, strict=True):
+            own = _name_in_joint(record, name, number.unit)
+            value = float(fit.p[number.place])
+            numbers.append(replace(own, value=value, log=number.scale == "log", low=number.low, high=number.high))
+        scales = np.where([number.scale == "log" for number in fit.fitted], 1.0, fit.scales)
+        spreads.append(covariance(record, fit, found.split.train) * np.outer(scales, scales))
+        left = np.abs(fit.left[found.split.held & record.used])
+        readings[_name_in_joint(record, "reading_within", "rad").key] = float(np.quantile(left, LEVEL))
+    return draw_ranges(numbers, np.asarray(block_diag(*spreads)), LEVEL, seed=seed) | {"readings": readings}
 
 
-def _from_fit(x: float, log: bool, scale: float) -> float:
-    return float(np.exp(x)) if log else float(x * scale)
+def _name_in_joint(record: JointRecord, name: str, unit: str) -> FittedNumber:
+    return FittedNumber(f"{record.name}.{name}", prismatic_unit(unit) if record.slides else unit, 0.0)

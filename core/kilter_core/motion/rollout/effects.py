@@ -18,7 +18,8 @@ class Number:
     """A number of a joint: its ``place`` in the kernel, its unit, the values that physics allows, and values to start from.
 
     Starts are in multiples of the joint's own ``scale``: ``s`` (1), ``rad`` (1), ``torque`` (its usual torque), ``share`` (1),
-    ``rad/torque`` (a radian under its usual torque).
+    ``rad/torque`` (a radian under its usual torque). A derivative is taken over ``difference`` at least: what comes and goes
+    within a step of the simulation has none over less.
     """
 
     name: str
@@ -28,18 +29,20 @@ class Number:
     starts: tuple[float, ...]
     low: float = 0.0
     high: float = float("inf")
+    difference: float = 0.0
 
 
 @dataclass(frozen=True)
 class RolloutEffect(JointEffect):
     """An effect of one joint: ``number`` is fitted, ``settings`` are places that its variant sets; ``least`` is worth a name.
 
-    ``element`` says what a simulator needs for it.
+    ``beside`` are numbers that the effect has too and nobody asks for; ``element`` says what a simulator needs for it.
     """
 
     number: Number
     least: float
     variants: tuple[dict[int, float], ...] = ({},)
+    beside: tuple[Number, ...] = ()
     element: str = ""
     remedy: str = ""
 
@@ -94,7 +97,7 @@ ROLLOUT_EFFECTS = (
         "backlash",
         "backlash between motor and bodies",
         PLAY,
-        Number("width", place.BACKLASH, "rad", "rad", (0.005, 0.015, 0.03), 0.0, 0.2),
+        Number("width", place.BACKLASH, "rad", "rad", (0.005, 0.015, 0.03), 0.0, 0.2, 5e-4),
         1e-3,
         SIDES,
         element="second joint",
@@ -126,6 +129,7 @@ ROLLOUT_EFFECTS = (
         Number("compliance", place.COMPLIANCE, "rad/(N m)", "rad/torque", (0.003, 0.01, 0.03)),
         0.0,
         SIDES,
+        (Number("gear_damping", place.GEAR_DAMPING, "s", "log", (0.002,)),),  # over its stiffness
         element="second joint",
         remedy="a fast motion with a larger payload",
     ),

@@ -13,7 +13,7 @@ from kilter_core.types import Bools, Floats, Ints
 
 BLOCK_S = 1.0  # a second is one observation
 SMOOTH_S = 0.16  # over which a motion is taken from readings
-SETTLE_S = 0.3  # from the start of an episode, in which a guessed speed dies out
+SETTLE_S = 0.3  # from the start of an episode, by which angle and speed at its start are found
 
 
 def grid_times(t: Floats, step_s: float) -> Floats:
@@ -79,7 +79,7 @@ class JointRecord:
 
     @cached_property
     def used(self) -> Bools:
-        """Rows (R,) that are compared: not those in which a guessed speed dies out."""
+        """Rows (R,) that are compared: not those by which the start of an episode is found."""
         return np.concatenate([one.t > one.t[0] + SETTLE_S for one in self.episodes])
 
     @cached_property
@@ -113,7 +113,8 @@ class JointRecord:
 class Servo:
     """Armature kg m2, friction N m, damping N m s/rad of joint and servo, gain N m/rad, and the limit of its torque, 0: none.
 
-    ``impedance`` and ``rate`` 1/s are those of MuJoCo's friction; a rate of 0 holds without creep.
+    ``impedance`` and ``rate`` 1/s are those of MuJoCo's friction; a rate of 0 holds without creep. ``delay`` s is that of the
+    command.
     """
 
     armature: float
@@ -124,13 +125,14 @@ class Servo:
     torque_limit: float = 0.0
     impedance: float = 1.0
     rate: float = 0.0
+    delay: float = 0.0
 
     def numbers(self) -> Floats:
         """Numbers (COUNT,) of a joint that has nothing else."""
         p = np.zeros(place.COUNT)
         damping = self.joint_damping + self.servo_damping
         p[place.ARMATURE], p[place.FRICTION], p[place.DAMPING] = self.armature, self.friction, damping
-        p[place.GAIN], p[place.TORQUE_LIMIT] = self.gain, self.torque_limit
+        p[place.GAIN], p[place.TORQUE_LIMIT], p[place.COMMAND_DELAY] = self.gain, self.torque_limit, self.delay
         p[place.SERVO_SHARE] = self.servo_damping / damping if damping > 0.0 else 0.0
         p[place.IMPEDANCE], p[place.RATE], p[place.SLIP_SPEED] = self.impedance, self.rate, 1.0
         return p

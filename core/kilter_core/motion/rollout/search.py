@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from kilter_core.errors import ObservationError
+from kilter_core.motion.kernels import joint as place
 from kilter_core.motion.rollout.effects import BY_ID, ROLLOUT_EFFECTS, RolloutEffect
 from kilter_core.motion.rollout.fit import BASE, EVALUATIONS, JointFit, Term, fit_base, fit_joint, fit_with, simulate
 from kilter_core.motion.rollout.record import JointRecord
@@ -181,6 +182,7 @@ def _choose(
             if name != best and _standard_errors(own, losses[best]) < RIVAL and _gains(without, own)
         )
         fit, without = _drop_idle_terms(record, chosen, losses[best], split.train)
+        fit, without = _choose_friction_anew(record, fit, without, split.train)
     return base, fit, rivals, tried
 
 
@@ -207,13 +209,23 @@ def _drop_idle_terms(record: JointRecord, fit: JointFit, losses: Floats, train: 
     return fit, losses
 
 
+def _choose_friction_anew(record: JointRecord, fit: JointFit, losses: Floats, train: Bools) -> tuple[JointFit, Floats]:
+    """Let friction creep where it held, or hold, if that is nearer now: without an effect, which was nearer says little."""
+    begin = fit.p.copy()
+    begin[place.RATE] = 0.0 if fit.creeps else record.stated[place.RATE]
+    other = _refit(record, replace(fit, p=begin), fit.terms, train)
+    if other.cost >= fit.cost:
+        return fit, losses
+    return other, _fold_losses(record, other, train)
+
+
 def _refit(
     record: JointRecord, fit: JointFit, terms: Sequence[Term], rows: Bools, evaluations: int = 2 * REFITS
 ) -> JointFit:
     begin = fit.p.copy()
     for term in fit.terms:
         if term not in terms:
-            begin[term.effect.number.place] = 0.0
+            begin[term.effect.number.place] = record.stated[term.effect.number.place]
     return fit_joint(record, terms, rows, _rms(record, fit, rows), begin, evaluations)
 
 

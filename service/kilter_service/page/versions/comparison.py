@@ -207,6 +207,7 @@ NAMES = {
     "mdh-csv": "table of modified DH parameters",
     "ur-yaml": "calibration of the Universal Robots driver",
     "matlab": "function for MATLAB",
+    "ranges": "ranges and draws to train with",
     "corrector": "program for the corrector in C",
     "c": "corrector and program as one C file",
     "torque-c": "torques of a setpoint as one C file",

@@ -17,6 +17,7 @@ from kilter_service.ground.core import core_model, transforms
 if TYPE_CHECKING:
     from kilter_core.arm import Robot, Screws
     from kilter_core.effects import Effect
+    from kilter_core.identify import FleetVersion
     from kilter_core.model import Calibration, Loss
 
 
@@ -37,12 +38,17 @@ class Arm(Protocol):
 
 @dataclass(frozen=True)
 class Exportable:
-    """A version: its robot as stored, the version as the API shows it, and core's calibration document (SI)."""
+    """A version: its robot as stored, the version as the API shows it, and core's calibration document (SI).
+
+    Ranges cover ``ranges_percent``; ``fleet`` are versions of other robots of the type, for theirs.
+    """
 
     arm: Arm
     version: Version
     document: dict[str, Any]
     rules: dict[str, Any] | None = None  # that it was activated under
+    ranges_percent: float = 95.0
+    fleet: tuple[FleetVersion, ...] = ()
 
     @property
     def robot(self) -> dict[str, Any]:

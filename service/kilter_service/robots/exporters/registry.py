@@ -28,6 +28,7 @@ class Format(NamedTuple):
     suffix: str
 
 
+RANGES = "ranges"  # which asks for versions of other robots too
 FORMATS: Mapping[str, Format] = {
     "json": Format("json_file.json_file", "application/json", "json"),
     "urdf": Format("urdf_file.urdf_file", "application/xml", "urdf"),
@@ -37,6 +38,7 @@ FORMATS: Mapping[str, Format] = {
     "mdh-csv": Format("table_csv.mdh_csv", "text/csv", "mdh.csv"),
     "ur-yaml": Format("ur_yaml.ur_yaml", "application/yaml", "yaml"),
     "matlab": Format("matlab.matlab", "text/plain", "m"),
+    RANGES: Format("ranges.ranges", "application/json", "ranges.json"),
     "corrector": Format("corrector.corrector", "application/octet-stream", "klt"),
     "c": Format("corrector.c_source", "text/x-c", "c"),
     "torque-c": Format("corrector.torque_source", "text/x-c", "torque.c"),

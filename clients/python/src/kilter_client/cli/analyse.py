@@ -273,6 +273,16 @@ def gap(
         Path | None,
         typer.Option("--output", "-o", help="With --model: write a copy that has what was found.", dir_okay=False),
     ] = None,
+    form: Annotated[
+        Literal["mjcf", "sdf", "isaaclab", "lerobot"],
+        typer.Option(
+            "--format",
+            help="With --output: a copy of the model, SDF, actuators of Isaac Lab, or LeRobot's calibration with found zeros.",
+        ),
+    ] = "mjcf",
+    servos: Annotated[
+        Literal["feetech", "dynamixel"] | None, typer.Option(help="With --format lerobot: whose servos they are.")
+    ] = None,
     ranges: Annotated[
         Path | None,
         typer.Option(
@@ -295,7 +305,19 @@ def gap(
     if model is not None:
         held = arguments.split_names(validation)
         asked = ModelSearch(
-            model, held, joints, site, payload_body, output, calibration, norm_mode, column_map, ranges, seed
+            model,
+            held,
+            joints,
+            site,
+            payload_body,
+            output,
+            calibration,
+            norm_mode,
+            column_map,
+            ranges,
+            form,
+            servos,
+            seed,
         )
         return search_models(robot, asked, details, as_json)
     if len(robot) > 1 or output is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -14,6 +13,8 @@ from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import split_names
 from kilter_client.cli.terminal.output import emit, job_bar, print_line, show_rows
 from kilter_client.errors import MissingPackageError, UsageError
+from kilter_client.files import files_formats
+from kilter_client.twin.simulators import Rendered
 from kilter_files.formats import LogHints
 from kilter_files.ground.later import later
 
@@ -40,6 +41,8 @@ class ModelSearch:
     norm_mode: str | None
     column_map: Path | None
     ranges: Path | None
+    form: str
+    servos: str | None
     seed: int | None
 
 
@@ -60,16 +63,51 @@ def search_models(logs: Sequence[str], asked: ModelSearch, details: bool, as_jso
         raise UsageError("--output and --ranges are of one model: leave them out to compare several.")
     if asked.output is not None and asked.output.resolve() == asked.models[0].resolve():
         raise UsageError(f"{asked.output} is the model itself, which stays as it is: name another file.")
+    if asked.form != "mjcf" and asked.output is None:
+        raise UsageError(f"--format {asked.form} is of the file that --output names: add -o FILE.")
+    if asked.form == "lerobot" and (asked.calibration is None or asked.servos is None):
+        raise UsageError(
+            "--format lerobot writes a copy of a calibration: name it with --calibration, its make with --servos."
+        )
     found = [_search(model, logs, asked, as_json) for model in asked.models]
     documents = [document for document, _ in found]
     if asked.output is not None:
-        write(asked.output, found[0][1].text.encode())
-        documents[0]["output"] = str(asked.output)
+        rendered = _render(asked, *found[0])
+        write(asked.output, rendered.text.encode())
+        documents[0] |= {"output": str(asked.output), "notes": [*documents[0]["notes"], *rendered.notes]}
     if asked.ranges is not None:
-        write(asked.ranges, (json.dumps(documents[0]["ranges"], indent=2) + "\n").encode())  # JSON is YAML too
+        write(asked.ranges, servo_gap.write_json_for_yaml(documents[0]["ranges"]).encode())
         documents[0]["ranges_file"] = str(asked.ranges)
     document = documents[0] if len(documents) == 1 else {"models": documents, "headline": _compare(documents)}
     emit(document, as_json, partial(_show, details=details))
+
+
+def _render(asked: ModelSearch, document: Mapping[str, Any], copy: Patched) -> Rendered:
+    """Write what was found for the simulator, or for LeRobot, that was asked for.
+
+    Raises:
+        UsageError: no zero was found that LeRobot's calibration could have.
+
+    """
+    if asked.form != "lerobot":
+        return servo_gap.render_copy(asked.form, asked.models[0].stem, copy)
+    assert asked.calibration is not None
+    assert asked.servos is not None
+    zeros = {
+        one["joint"]: -one["parameters"][0]["value"]
+        for one in document["effects"]
+        if one["id"] == "zero_offset" and one["sure"] == "certain" and not one["alias_set"]
+    }
+    if not zeros:
+        raise UsageError(
+            "No joint has another zero by these logs, and LeRobot's calibration has nothing else that a search finds: "
+            "friction, gains and delays are of a simulator, --format mjcf, sdf or isaaclab."
+        )
+    calibration = files_formats.of_follower(asked.calibration)
+    text, _ = files_formats.with_zero_offsets(calibration, zeros, asked.norm_mode or "RANGE_M100_100", asked.servos)
+    listed = ", ".join(f"{joint} by {degrees:.2f} deg" for joint, degrees in zeros.items())
+    notes = f"LeRobot: homing offsets of {listed}. Friction, gains and delays have no place in its files."
+    return Rendered(text, (notes,))
 
 
 def _search(model: Path, logs: Sequence[str], asked: ModelSearch, as_json: bool) -> tuple[dict[str, Any], Patched]:

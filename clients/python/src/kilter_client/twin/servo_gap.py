@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,17 +14,23 @@ from kilter_client.errors import FileError, MissingPackageError
 from kilter_client.twin.motion_step import FORMAT, TABLE, model_text, parse_table, read_joints
 from kilter_client.twin.servo_model import CommandEpisode, CommandLog, ServoModel, read_command_log
 from kilter_client.twin.settled import HINGE
+from kilter_client.twin.simulators import BY_COMMAND, WRITERS, ExportedServo, Rendered
 from kilter_client.twin.step import apply
 from kilter_core.errors import CoreError
 from kilter_core.motion import (
-    GEAR_DAMPING,
+    JointFindings,
     JointFit,
     JointRecord,
     RolloutReport,
     describe_rollouts,
-    draw_ranges,
+    draw_joint_ranges,
     find_missing_motion,
+    find_start,
+    prismatic_unit,
 )
+from kilter_core.parameters import FittedNumber
+from kilter_core.parameters import write_json_for_yaml as write_json_for_yaml
+from kilter_core.types import QUANTILE
 from kilter_files.ground.later import mujoco, np
 
 if TYPE_CHECKING:
@@ -87,12 +93,13 @@ def find_servo_gap(
     except CoreError as error:
         raise FileError(f"{logs[0]}: {error.message}", code=error.code, **error.context) from error
     copy = patch_model(arm, records, {one.record.name: one.believed for one in report.joints})
+    copy = replace(copy, servos=tuple(_list_servo(one) for one in report.joints))
     document["model"] = str(model)
-    document["whole_arm"] = _judge_whole_arm(arm, report, copy, read, site)
+    document["whole_arm"] = _judge_whole_arm(arm, report, records, copy, read, site)
     document["notes"] = list(copy.notes)
     document["warnings"] += [*_list_dropped(read), *_compare_whole_arm(document)]
     document["refuted"] = _is_refuted(document)
-    document["ranges"] = draw_ranges(report.joints, seed=seed)
+    document["ranges"] = draw_joint_ranges(report.joints, seed)
     return document, copy
 
 
@@ -109,7 +116,12 @@ def _choose_site(arm: ServoModel, site: str | None) -> str | None:
 
 
 def _judge_whole_arm(
-    arm: ServoModel, report: RolloutReport, copy: Patched, logs: Sequence[CommandLog], site: str | None
+    arm: ServoModel,
+    report: RolloutReport,
+    every_joint: Sequence[JointRecord],
+    copy: Patched,
+    logs: Sequence[CommandLog],
+    site: str | None,
 ) -> dict[str, Any]:
     """Errors of the whole arm in MuJoCo on unseen episodes: the model as it is, with its servos fitted, and the copy."""
     every = [one for log in logs for one in log.episodes]
@@ -119,11 +131,13 @@ def _judge_whole_arm(
     used = records[0].used[np.isin(records[0].episode, places)]
     measured = np.concatenate([one.reading for one in held])[used]
     at = None if site is None else tool_points(arm, measured, site)
-    servos = patch_model(arm, records, {one.record.name: one.base for one in report.joints})
-    models = {"stated": arm.model, "servo_fitted": servos.model, "found": copy.model}
+    base = {one.record.name: one.base for one in report.joints}
+    believed = {one.record.name: one.believed for one in report.joints}
+    servos = patch_model(arm, records, base)
+    models = {"stated": (arm.model, {}), "servo_fitted": (servos.model, base), "found": (copy.model, believed)}
     found: dict[str, Any] = {"unseen": report.unseen, "site": site}
-    for name, model in models.items():
-        read = replay_readings(arm, model, held)
+    for name, (model, fits) in models.items():
+        read = replay_readings(arm, model, held, find_starts(every_joint, fits, places))
         tool = None if at is None else np.linalg.norm(at - tool_points(arm, read[used], str(site)), axis=1)
         found[name] = _describe_replay(arm, measured - read[used], tool) if np.isfinite(read).all() else None
     return found
@@ -133,7 +147,8 @@ def _replay_fits(
     arm: ServoModel, records: Sequence[JointRecord], episodes: Sequence[CommandEpisode], fits: Mapping[str, JointFit]
 ) -> dict[str, Floats]:
     """Readings (R,) of each joint in MuJoCo, with these fits of some of them."""
-    readings = replay_readings(arm, patch_model(arm, records, fits).model, episodes)
+    starts = find_starts(records, fits, range(len(episodes)))
+    readings = replay_readings(arm, patch_model(arm, records, fits).model, episodes, starts)
     return dict(zip(arm.joints, readings.T, strict=True))
 
 
@@ -171,12 +186,21 @@ def _list_dropped(logs: Sequence[CommandLog]) -> list[dict[str, Any]]:
     return [{"code": "rows_missing", "message": message}]
 
 
-def replay_readings(arm: ServoModel, model: Any, episodes: Sequence[CommandEpisode]) -> Floats:
-    """Readings (R, n) of an arm, its own model or a patched copy, in some episodes; not finite where it diverges."""
-    return np.concatenate([_run(arm, model, one) for one in episodes])
+def find_starts(records: Sequence[JointRecord], fits: Mapping[str, JointFit], places: Iterable[int]) -> Floats:
+    """Angles and speeds (E, n, 2) of joints at the start of episodes, with these fits of some of them."""
+    numbers = [fits[one.name].p if one.name in fits else one.stated for one in records]
+    return np.array([[find_start(one, p, k) for one, p in zip(records, numbers, strict=True)] for k in places])
 
 
-def _run(arm: ServoModel, model: Any, one: CommandEpisode) -> Floats:
+def replay_readings(arm: ServoModel, model: Any, episodes: Sequence[CommandEpisode], starts: Floats) -> Floats:
+    """Readings (R, n) of an arm, its own model or a patched copy, in some episodes from ``starts (E, n, 2)``.
+
+    They are not finite where it diverges.
+    """
+    return np.concatenate([_run(arm, model, one, start) for one, start in zip(episodes, starts, strict=True)])
+
+
+def _run(arm: ServoModel, model: Any, one: CommandEpisode, start: Floats) -> Floats:
     arm.hang(model, one.payload_kg)
     data = mujoco.MjData(model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -184,8 +208,8 @@ def _run(arm: ServoModel, model: Any, one: CommandEpisode) -> Floats:
     dofs = [int(model.joint(name).dofadr[0]) for name in arm.joints]
     text = model_text(model, TABLE)
     table = {} if text is None else parse_table(text)["joints"]
-    data.qpos[places] = one.reading[0] - [table.get(name, {}).get("reading_offset", 0.0) for name in arm.joints]
-    data.qvel[dofs] = (one.reading[2] - one.reading[0]) / (one.t[2] - one.t[0])
+    data.qpos[places] = start[:, 0] - [table.get(name, {}).get("reading_offset", 0.0) for name in arm.joints]
+    data.qvel[dofs] = start[:, 1]
     _fill_history(arm, model, data, one.command[0])
     mujoco.mj_forward(model, data)
     steps = np.round((one.t - one.t[0]) / model.opt.timestep).astype(int)
@@ -245,6 +269,31 @@ class Patched:
     model: Any
     text: str
     notes: tuple[str, ...]
+    servos: tuple[ExportedServo, ...] = ()
+
+
+def _list_servo(found: JointFindings) -> ExportedServo:
+    """Numbers of a joint for simulators that are not MuJoCo."""
+    fit, values, slides = found.believed, found.believed.values, found.record.slides
+    delay = next((one for one in found.judged if one.term.effect.id == BY_COMMAND), None)
+    half = 0.0 if delay is None else QUANTILE * delay.sigma
+    effects = {}
+    for number, key in zip(fit.fitted, fit.names, strict=True):
+        if key not in values and key not in (BY_COMMAND, "torque_limit"):
+            unit = prismatic_unit(number.unit) if slides else number.unit
+            effects[FittedNumber(key, unit, 0.0).key] = float(fit.p[number.place])
+    return ExportedServo(
+        found.record.name,
+        values["armature"],
+        values["friction"],
+        values["damping"],
+        values["damping"] * values["servo_share"],
+        values["gain"],
+        values["torque_limit"] or None,
+        None if delay is None else (delay.value, delay.value - half, delay.value + half),
+        effects,
+        (values["impedance"], values["rate"]) if fit.creeps else None,
+    )
 
 
 def patch_model(arm: ServoModel, records: Sequence[JointRecord], fits: Mapping[str, JointFit]) -> Patched:
@@ -272,6 +321,13 @@ def patch_model(arm: ServoModel, records: Sequence[JointRecord], fits: Mapping[s
     folder = arm.path.resolve().parent
     spec.meshdir, spec.texturedir = (str(folder / part) for part in (spec.meshdir, spec.texturedir))
     return Patched(spec.compile(), spec.to_xml(), tuple(dict.fromkeys(patch.notes)))
+
+
+def render_copy(form: str, name: str, copy: Patched) -> Rendered:
+    """Write a copy for a simulator: ``mjcf``, or one of :data:`WRITERS`."""
+    if form == "mjcf":
+        return Rendered(copy.text, ())
+    return WRITERS[form](name, mujoco.MjModel.from_xml_string(copy.text), copy.servos)
 
 
 @dataclass
@@ -376,11 +432,11 @@ class _JointPatch:
         second.damping = _as_before(second.damping, BACKLASH_RATE * second.armature)
 
     def add_flexible_gear(self, size: float) -> None:
+        if size <= 0.0:  # as a fit that finds it rigid has it
+            return
         second = self._add_second_joint()
-        bodies, motor = self.record.inertia, self.joint.armature
-        both = motor * bodies / (motor + bodies)
         second.stiffness = _as_before(second.stiffness, 1.0 / size)
-        second.damping = _as_before(second.damping, 2.0 * GEAR_DAMPING * math.sqrt(both / size))
+        second.damping = _as_before(second.damping, self.fit.values["gear_damping"] / size)
 
     def _add_second_joint(self) -> Any:
         """A joint behind the first on the same axis: the first moves the motor, both the bodies."""

@@ -62,7 +62,7 @@ class ServoModel:
             )
         ids = [find_element_id(model, "joint", name, path) for name in names]
         for name, j in zip(names, ids, strict=True):
-            _refuse_joint(model, path, name, j, driven.get(j))
+            _refuse_joint(model, path, name, j, driven.get(j, ()))
         if model.opt.timestep > LARGEST_STEP_S:
             raise FileError(
                 f"{path}: its time step of {model.opt.timestep * 1e3:g} ms is too long for a servo: "
@@ -71,7 +71,7 @@ class ServoModel:
                 code="model_step",
             )
         silence_warnings()
-        return cls(path, model, tuple(names), tuple(ids), tuple(driven[j] for j in ids), payload)
+        return cls(path, model, tuple(names), tuple(ids), tuple(driven[j][0] for j in ids), payload)
 
     def records(self, logs: Sequence[CommandLog]) -> list[JointRecord]:
         """Return what each joint was told and read in all episodes, with the loads of its bodies along the readings."""
@@ -127,6 +127,7 @@ class ServoModel:
             float(m.actuator_forcerange[a, 1]) * abs(gear) if limited else 0.0,
             float(m.dof_solimp[dof, 0]),
             2.0 / (dmax * timeconst) if timeconst > 0.0 else 0.0,
+            float(m.actuator_delay[a]) if hasattr(m, "actuator_delay") else 0.0,
         )
 
     def _clamped(self, j: int, command: Floats) -> Floats:
@@ -172,36 +173,55 @@ class ServoModel:
         return np.array([[*joint, motion[j, 0]] for j, joint in enumerate(dense)])
 
 
-def _actuators_by_joint(model: Any) -> dict[int, int]:
-    return {int(model.actuator_trnid[a, 0]): a for a in range(model.nu) if int(model.actuator_trntype[a]) == JOINT}
+def _actuators_by_joint(model: Any) -> dict[int, list[int]]:
+    found: dict[int, list[int]] = {}
+    for a in range(model.nu):
+        if int(model.actuator_trntype[a]) == JOINT:
+            found.setdefault(int(model.actuator_trnid[a, 0]), []).append(a)
+    return found
 
 
 def _name(model: Any, joint: int) -> str:
     return str(mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint {joint + 1}")
 
 
-def _refuse_joint(model: Any, path: Path, name: str, joint: int, actuator: int | None) -> None:
+def _refuse_joint(model: Any, path: Path, name: str, joint: int, actuators: Sequence[int]) -> None:
     if int(model.jnt_type[joint]) not in (HINGE, SLIDE):
         raise FileError(
             f"{path}: {name} is a free or ball joint, and a log commands neither: name the others with --joints.",
             file=str(path),
             code="model_joint",
         )
-    if actuator is None:
+    if not actuators:
         raise FileError(
             f'{path}: no actuator drives {name}. Add <position joint="{name}" kp="..."/>, or leave it out with --joints.',
             file=str(path),
             code="model_without_actuator",
         )
-    gain, bias = float(model.actuator_gainprm[actuator, 0]), float(model.actuator_biasprm[actuator, 1])
-    if not (bias < 0.0 and abs(gain + bias) < 1e-9 * abs(gain)):
-        kind = "a velocity or torque" if bias == 0.0 else "no position"
+    what = _describe_other_actuator(model, name, actuators)
+    if what is not None:
         raise FileError(
-            f"{path}: the actuator of {name} is {kind} actuator, and the log commands positions. Replace it by "
-            f'<position joint="{name}" kp="..."/> with the gain of the servo.',
+            f"{path}: {what}, and the log commands positions of one servo. Let "
+            f'<position joint="{name}" kp="..." kv="..."/> alone drive the joint, with the gains of the servo.',
             file=str(path),
             code="model_actuator",
         )
+
+
+def _describe_other_actuator(model: Any, name: str, actuators: Sequence[int]) -> str | None:
+    """What drives a joint in place of one position actuator without memory; None where that does."""
+    a = actuators[0]
+    if len(actuators) > 1:
+        names = ", ".join(model.actuator(k).name or f"number {k + 1}" for k in actuators)
+        return f"{len(actuators)} actuators drive {name} ({names})"
+    gain, bias = float(model.actuator_gainprm[a, 0]), float(model.actuator_biasprm[a, 1])
+    if bias == 0.0:
+        return f"the actuator of {name} is a velocity or torque actuator"
+    if int(model.actuator_dyntype[a]) != int(mujoco.mjtDyn.mjDYN_NONE):
+        return f"the actuator of {name} filters or integrates its command"
+    if not (bias < 0.0 and abs(gain + bias) < 1e-9 * abs(gain)):
+        return f"the actuator of {name} is not a position actuator"
+    return None
 
 
 GAP_ROWS = 10  # of usual steps without a row, by which an episode ends

@@ -105,17 +105,23 @@ def residuals(
 
 
 def export(
-    version: ResourceReference, form: str = "json", *, robot: str | None = None, path: str | Path | None = None
+    version: ResourceReference,
+    form: str = "json",
+    *,
+    robot: str | None = None,
+    path: str | Path | None = None,
+    ranges_percent: float | None = None,
 ) -> Steps[Exported]:
     """Return a version as a file (``"json"``, ``"urdf"``, ``"dh-csv"``, ...), and write it to ``path`` if one is given.
 
-    Its ``notes`` say what the file leaves out.
+    Its ``notes`` say what the file leaves out. ``"ranges"`` is how far the arm may be from the version, to train with;
+    the ranges cover ``ranges_percent``, by default 95.
 
     Raises:
         OptionError: there is no such format; FileError: the file cannot be written.
 
     """
-    content = yield from calls.export(reference("version", version), form, robot)
+    content = yield from calls.export(reference("version", version), form, robot, ranges_percent)
     if path is not None:
         write_file(content, path)
     return content

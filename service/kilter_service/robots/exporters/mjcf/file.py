@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 from kilter_service.robots.exporters.exportable import Exportable, Written, numbers
@@ -9,6 +10,9 @@ from kilter_service.robots.exporters.mjcf.effects import drives, exported_effect
 from kilter_service.robots.exporters.mjcf.notes import KNOWN_OF_MUJOCO, in_mujoco, notes, of_sharpened
 from kilter_service.robots.exporters.mjcf.table import table, twisting
 from kilter_service.robots.exporters.mjcf.tree import bodies, nominal_frames
+
+if TYPE_CHECKING:
+    from kilter_core.model import Calibration
 
 TABLE, NOMINAL = "kilter", "kilter_nominal"  # names of the text and of the numbers among <custom>
 # Every release of MuJoCo since 2.3.3 has this integrator; what it needs of stiff gains is in drives.py.
@@ -25,11 +29,25 @@ def mjcf(version: Exportable) -> Written:
     """
     calibration = version.calibration
     exported = exported_effects(calibration)
-    driven = drives(exported.robot, [passive_joint_part(joint) for joint in exported.form.joints])
     written = notes(version.version, calibration, in_mujoco(exported), (*of_sharpened(exported), *KNOWN_OF_MUJOCO))
-    root = Element("mujoco", model=f"{version.version.robot} {version.version.id}")
+    root = model_element(calibration)
+    root.set("model", f"{version.version.robot} {version.version.id}")
     head = [f" Calibrated by Kilter: version {version.version.id} of robot {version.version.robot}.", *written]
-    root.append(Comment("\n  ".join(head).replace("--", "-") + "\n"))
+    root.insert(0, Comment("\n  ".join(head).replace("--", "-") + "\n"))
+    indent(root)
+    return Written('<?xml version="1.0"?>\n' + tostring(root, encoding="unicode") + "\n", written)
+
+
+def model_element(calibration: Calibration) -> Element:
+    """Return the model without what is to be known of it.
+
+    Raises:
+        RobotError: a joint drives several axes.
+
+    """
+    exported = exported_effects(calibration)
+    driven = drives(exported.robot, [passive_joint_part(joint) for joint in exported.form.joints])
+    root = Element("mujoco")
     SubElement(root, "compiler", COMPILER)
     SubElement(root, "option", OPTION | {"gravity": numbers(exported.robot.gravity)})
     SubElement(root, "size", nuserdata=str(2 * calibration.robot.n_joints + 1))
@@ -45,5 +63,4 @@ def mjcf(version: Exportable) -> Written:
     rest = table(exported.form)
     if rest is not None:
         SubElement(custom, "text", name=TABLE, data=rest)
-    indent(root)
-    return Written('<?xml version="1.0"?>\n' + tostring(root, encoding="unicode") + "\n", written)
+    return root

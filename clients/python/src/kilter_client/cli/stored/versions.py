@@ -146,16 +146,27 @@ def export(
     version: VersionId,
     form: Annotated[str, typer.Option("--format", help="json, urdf, mjcf, usd, dh-csv, ...")] = "json",
     output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; default is stdout.")] = None,
+    ranges: Annotated[
+        float | None,
+        typer.Option(
+            metavar="PERCENT",
+            help="Write how far the arm may be from the version, to train with: ranges that cover so much (95), and draws.",
+        ),
+    ] = None,
     robot: OfRobot = None,
     details: Details = False,
     as_json: Json = False,
 ) -> None:
     """Write a version as a file for other programs."""
+    if ranges is not None:
+        if form not in ("json", "ranges"):
+            raise UsageError(f"--ranges writes a file of its own: leave --format {form} out, and export that apart.")
+        form = "ranges"
     if as_json and output is None:
         raise UsageError("--json reports what was written: name the file with -o.")
     with Kilter() as kilter:
         version = resolve_reference(kilter, "version", version, robot, as_json)
-        content = kilter.versions.export(version, form)
+        content = kilter.versions.export(version, form, ranges_percent=ranges)
     for said in content.notes:
         note(f"Note: {said}", as_json)
     if output is None:

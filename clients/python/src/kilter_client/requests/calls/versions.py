@@ -72,10 +72,16 @@ def residuals(version: str, campaigns: Sequence[str] = (), form: str = "csv", ro
     return answer.content
 
 
-def export(version: str, form: str = "json", robot: str | None = None) -> Steps[Exported]:
-    """Return a version as a file: json, urdf, dh-csv, ...; its ``notes`` say what it leaves out."""
+def export(
+    version: str, form: str = "json", robot: str | None = None, ranges_percent: float | None = None
+) -> Steps[Exported]:
+    """Return a version as a file: json, urdf, dh-csv, ...; its ``notes`` say what it leaves out.
+
+    Form ``ranges`` is how far the arm may be from it; the ranges cover ``ranges_percent``, by default 95.
+    """
     path = yield from place("version", version, robot, "export")
-    answer = yield from send_with_retries(Request("GET", path, params={"format": form}))
+    wanted = {"format": form} | ({} if ranges_percent is None else {"ranges": str(ranges_percent)})
+    answer = yield from send_with_retries(Request("GET", path, params=wanted))
     exported = Exported(answer.content)
     exported.notes = server_notes(answer)
     return exported
