@@ -514,7 +514,7 @@ PAGE, ROW = "docs/reference/effects.md", "| `toy_wobble` | a test | dq = w sin 3
 ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
     "effect": (3, {
         "core/kilter_core/effects/toy_wobble.py": EFFECT,
-        EFFECTS: lined(EFFECTS, ("from kilter_core.effects.tracking_lag",
+        EFFECTS: lined(EFFECTS, ("from kilter_core.effects.instrument",
                                   "from kilter_core.effects.toy_wobble import ToyWobble\n"),
                        ("    UnknownSmoothCurve,\n", "    ToyWobble,\n")),
         PAGE: lined(PAGE, ("| `encoder_scale` |", ROW)),

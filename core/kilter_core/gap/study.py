@@ -14,7 +14,7 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS
-from kilter_core.effects.other_campaigns import placed_later
+from kilter_core.effects.laws import placed_later
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.gap.budget import Budget
 from kilter_core.gap.evidence.replication import refuse_unfit

@@ -13,7 +13,7 @@ from kilter_core.arm.documents.resolved import resolved_document, robot_from_res
 from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Payload, Robot
 from kilter_core.correct.program import CorrectionOptions, compile_program
-from kilter_core.effects.axial_compliance import AxialCompliance
+from kilter_core.effects.compliance import AxialCompliance
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations

@@ -17,7 +17,7 @@ from scipy.stats import norm
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect
-from kilter_core.effects.law_of_time import LawOfTime
+from kilter_core.effects.laws import LawOfTime
 from kilter_core.errors import CoreError, ObservationError, TooFewPosesError
 from kilter_core.gap.evidence.fits.final_fit import Posterior
 from kilter_core.gap.evidence.guarded import Guarded

@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 from scipy.stats import rankdata
 
-from kilter_core.effects.law_of_time import SHARES, settled_share
+from kilter_core.effects.laws import SHARES, settled_share
 from kilter_core.effects.physical import JOINT_ZERO, STATION, THERMAL, Separator, joint_numbers
 from kilter_core.gap.evidence.fits.final_fit import amounts
 from kilter_core.gap.evidence.revisits import revisits

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.stats import f
 
 from kilter_core.effects import Effect
-from kilter_core.effects.joint_curve import JointCurve
-from kilter_core.effects.law_of_temperature import LawOfTemperature
+from kilter_core.effects.curves import JointCurve
+from kilter_core.effects.laws import LawOfTemperature
 from kilter_core.effects.physical import JOINT_CURVE
 from kilter_core.gap.evidence.fits.final_fit import Posterior, posterior
 from kilter_core.gap.evidence.fits.intervals import scale_freedom

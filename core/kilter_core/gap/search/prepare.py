@@ -10,7 +10,7 @@ import numpy as np
 import scipy.linalg
 
 from kilter_core.effects import Effect
-from kilter_core.effects.load_error import LoadError
+from kilter_core.effects.masses import LoadError
 from kilter_core.errors import NotConvergedError, ObservationError, TooFewPosesError
 from kilter_core.gap.budget import Budget
 from kilter_core.gap.noise.from_repeats import add_approach_noise, fit_noise, spikes

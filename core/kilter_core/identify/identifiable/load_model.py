@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kilter_core.arm.loads.slopes import EACH, LIGHTEST_KG, links_with_mass, with_masses
-from kilter_core.effects.load_error import LoadError
+from kilter_core.effects.masses import LoadError
 from kilter_core.identify.identifiable.identifiability import identifiable
 from kilter_core.model import Calibration
 from kilter_core.parameters import MM

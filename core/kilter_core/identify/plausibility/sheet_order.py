@@ -17,8 +17,7 @@ from itertools import product
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.backlash import Backlash
-from kilter_core.effects.clearance_tilt import ClearanceTilt
+from kilter_core.effects.backlash import Backlash, ClearanceTilt
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.observations.directions import last_motion

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.arm.chain import Element
-from kilter_core.effects.load_error import LoadError
+from kilter_core.effects.masses import LoadError
 from kilter_core.identify.carried_masses import beside_drawn_masses, considered_masses
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet.said import prior_warnings

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.other_campaigns import placed_later
+from kilter_core.effects.laws import placed_later
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify.carried_masses import with_masses
 from kilter_core.identify.fleet.prior import FleetPrior, of_its_type

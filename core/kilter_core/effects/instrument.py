@@ -1,4 +1,4 @@
-"""Motion of the base as an inclinometer on it reads it: a measured tilt that enters the model and the correction."""
+"""Errors of the measurement and of its time: scale, clock, servo lag, and a tilt that an inclinometer reads."""
 
 from __future__ import annotations
 
@@ -8,14 +8,90 @@ from typing import Self
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.arm.run_time import RunTimeForm
+from kilter_core.arm.run_time import RunTimeForm, Shape
 from kilter_core.effects.base import BASE, Derivative, Effect, Local, linear, option
 from kilter_core.effects.batch import Batch
-from kilter_core.effects.physical import READ_STATION
+from kilter_core.effects.physical import DELAY, INSTRUMENT, READ_STATION
 from kilter_core.errors import OptionError
 from kilter_core.observations import Observations
 from kilter_core.parameters import Parameter
 from kilter_core.types import Floats
+
+
+@dataclass(frozen=True)
+class MeasurementScale(Effect):
+    """The measured position is (1 + s) times the real one, seen from the origin of the measurements."""
+
+    id = "measurement_scale"
+    summary = "scale error of the instrument"
+    physical = INSTRUMENT
+    source = "measurement scale: absorbed exactly by the link lengths"
+    stage = "measurement"
+    aliases = ("thermal_growth", "encoder_scale")
+    remedy = "measure an artefact of known length: from robot data it cannot be distinguished from the link lengths"
+    at_joints = False
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Relative scale error s."""
+        return (Parameter("measurement_scale", "1", 0.0, 1e-3, -0.02, 0.02, "relative scale error of the instrument"),)
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Stretch and its derivative by s."""
+        return linear(batch, values, [Derivative(0, scale=np.ones(len(batch)))])
+
+
+@dataclass(frozen=True)
+class TimeOffset(Effect):
+    """dq = q̇ dt for all joints: the position was taken dt after the joint readings of its row."""
+
+    id = "time_offset"
+    summary = "delay between the joint readings and the measured positions"
+    physical = DELAY
+    source = "time offset of controller and tracker; first order in dt"
+    needs = frozenset({"qd"})
+    stage = "measurement"
+    aliases = ("tracking_lag", "drift")
+    remedy = "record moving arms at different speed profiles: at rest, or at one speed, it cannot be seen"
+    at_joints = False
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Delay dt, s."""
+        return (
+            Parameter("time_offset", "s", 0.0, 0.02, -0.5, 0.5, "delay of the positions behind the joint readings"),
+        )
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint corrections and their derivative by dt."""
+        speed = self.column(batch, "qd")
+        return linear(batch, values, [Derivative(0, j, dq=speed[:, j]) for j in range(batch.q.shape[1])])
+
+
+@dataclass(frozen=True)
+class TrackingLag(Effect):
+    """dq = −τ q̇ per joint, τ >= 0: the joint is where its setpoint was τ ago. For rows whose q are setpoints."""
+
+    id = "tracking_lag"
+    summary = "servo lag of a joint behind its setpoint"
+    physical = DELAY
+    source = "Slamani, Nubiola and Bonev 2012, contouring errors against speed"
+    needs = frozenset({"qd"})
+    signs = "positive"
+    aliases = ("time_offset",)
+    remedy = "record moving arms and read back the actual joint angles: equal lags of all joints are a time offset"
+
+    def parameters(self, robot: Robot) -> tuple[Parameter, ...]:
+        """Lag τ per joint, s."""
+        return self.per_joint(robot, "lag", "s", 0.02, 0.0, 0.5, "lag behind the setpoint")
+
+    def local(self, batch: Batch, values: Floats) -> Local:
+        """Joint correction and its derivative by τ."""
+        return self.joint_angle(batch, values, -self.column(batch, "qd"))
+
+    def at_run_time(self, form: RunTimeForm, values: Floats) -> bool:
+        """Add the lag of each joint."""
+        for j, value in zip(self.acting(len(form.joints)), values.tolist(), strict=True):
+            form.curve(j, Shape.LAG, value)
+        return True
 
 
 @dataclass(frozen=True)
