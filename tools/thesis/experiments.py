@@ -16,7 +16,7 @@ from kilter_core.effects import make_effect
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.estimate import prepare_problem
 from kilter_core.identify.methods.per_pose import pose_solutions
-from kilter_core.identify.rows.influence import imposed_step, relative_influence
+from kilter_core.identify.rows.measured import imposed_step, relative_influence
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations

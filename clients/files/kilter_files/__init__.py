@@ -14,7 +14,7 @@ from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepare
 if TYPE_CHECKING:
     from kilter_files.formats.reader import LogHints
     from kilter_files.look.drafts import Draft
-    from kilter_files.tables.joint_log import JointLog
+    from kilter_files.tables.table import JointLog
 
     DEVICES: Mapping[str, Callable[[Path], Table]]
 
@@ -25,9 +25,9 @@ with later(__name__):
     from kilter_files.look import drafts
     from kilter_files.maps import column_map as column_maps
     from kilter_files.maps import mapped
-    from kilter_files.rig import points
-    from kilter_files.tables import joint_log as joint_logs
+    from kilter_files.rig import tilt_join
     from kilter_files.tables import source
+    from kilter_files.tables import table as joint_logs
 
 __all__ = ["DEVICES", "Prepared", "draft", "has_contract_header", "inspect", "prepare", "read_joints"]
 
@@ -83,7 +83,7 @@ def prepare(
             return as_it_is(path)
         table = by_device.read(path)
     elif preset is not None:
-        table = points.read_points(path, preset, euler, other, hints)
+        table = tilt_join.read_points(path, preset, euler, other, hints)
     else:
         table = _read_with_map(path, None if column_map is None else Path(column_map), other)
     return Prepared.from_table(table)

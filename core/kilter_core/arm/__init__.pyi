@@ -5,11 +5,11 @@ from .conversions.documents import drive_document as drive_document
 from .conversions.documents import load_document as load_document
 from .conversions.documents import pose_document as pose_document
 from .conversions.documents import robot_document as robot_document
-from .conversions.screws import JointFrames as JointFrames
-from .conversions.screws import Screws as Screws
-from .conversions.screws import joint_frames as joint_frames
-from .conversions.screws import screws_of_chain as screws_of_chain
+from .conversions.tables import JointFrames as JointFrames
+from .conversions.tables import Screws as Screws
 from .conversions.tables import angles_and_lengths as angles_and_lengths
+from .conversions.tables import joint_frames as joint_frames
+from .conversions.tables import screws_of_chain as screws_of_chain
 from .documents.document import robot_from_document as robot_from_document
 from .documents.parts import parse_pose as parse_pose
 from .documents.resolved import resolved_document as resolved_document

@@ -27,8 +27,7 @@ from kilter_core.gap.report.effect_curves import effect_curves
 from kilter_core.gap.report.localization import remains
 from kilter_core.gap.report.next_poses import set_aside_again
 from kilter_core.gap.report.report import GapReport, Remains
-from kilter_core.gap.search.finalize import rejected_candidates
-from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.forward_selection import SearchResult, rejected_candidates
 from kilter_core.gap.search.linear.complete_form import incomplete_sentence
 from kilter_core.gap.search.linear.in_space import cholesky_root, displacement_by_columns, weighted_displacement
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, ignore_step

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kilter_core.arm.conversions.screws import Screws, chain_frames, screws_of_chain
+from kilter_core.arm.conversions.tables import Screws, chain_frames, screws_of_chain
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.transforms import inverse
 from kilter_core.types import Floats

@@ -25,9 +25,18 @@ from kilter_core.arm.loads.wrenches import (
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Batch, Effect
 from kilter_core.errors import ObservationError
-from kilter_core.model.joint_columns import joint_rows, own_turns, rotation_derivatives
 from kilter_core.model.load_errors import Reader
-from kilter_core.model.prediction import NOTHING, TOOL_ROWS, Prediction, ToolColumns, Total, find_instrument
+from kilter_core.model.prediction import (
+    NOTHING,
+    TOOL_ROWS,
+    Prediction,
+    ToolColumns,
+    Total,
+    find_instrument,
+    joint_rows,
+    own_turns,
+    rotation_derivatives,
+)
 from kilter_core.observations import Observations
 from kilter_core.parameters import CorrelatedPrior, Parameter, Prior, indices, refuse_collisions
 from kilter_core.types import Bools, Floats, Ints

@@ -10,8 +10,7 @@ import numpy as np
 from kilter_core.arm.driving_order import driving_order, joint_ranges
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect
-from kilter_core.identify.fleet.prior import fleet_prior
-from kilter_core.identify.fleet.versions import FleetVersion
+from kilter_core.identify.fleet.prior import FleetVersion, fleet_prior
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.region import Region

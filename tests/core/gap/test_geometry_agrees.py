@@ -14,7 +14,7 @@ from kilter_core.gap.search.linear.in_space import fit_rms
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.sources.tool_source import ToolSource
 from kilter_core.identify import identify
-from kilter_core.measurement.metrics import Errors
+from kilter_core.measurement.frames import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.blind.generator import generate

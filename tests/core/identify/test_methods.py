@@ -17,7 +17,7 @@ from kilter_core.identify.fit.least_squares import Problem, Weights
 from kilter_core.identify.methods.kalman import run_kalman_filter
 from kilter_core.identify.methods.per_pose import pose_solutions
 from kilter_core.identify.registry import METHODS
-from kilter_core.identify.rows.influence import parameter_influence
+from kilter_core.identify.rows.measured import parameter_influence
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations

@@ -39,8 +39,8 @@ from .programs.poses.postures import by_configuration as by_configuration
 from .programs.poses.postures import find_posture_with_joints as find_posture_with_joints
 from .programs.poses.postures import fitting_signs as fitting_signs
 from .programs.poses.postures import not_followed as not_followed
+from .programs.poses.postures import parse_track as parse_track
 from .programs.poses.postures import select_following_posture as select_following_posture
-from .programs.poses.track import parse_track as parse_track
 from .programs.reading import dialect_of_file as dialect_of_file
 from .programs.reading import read_programs as read_programs
 from .programs.reading import remedies as remedies

@@ -1,4 +1,7 @@
-"""What a reader of files states: which files it recognises, how it describes one, and how it reads it."""
+"""What a reader of files states: which files it recognises, how it describes one, and how it reads it.
+
+A column of numbers, described.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
+from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError, read_head
+from kilter_files.ground.later import np
 from kilter_files.ground.text_layout import TextLayout, lines_in_cells, sniff
 from kilter_files.tables.source import Layout
 
 if TYPE_CHECKING:
     from kilter_files.ground.arrays import Floats
     from kilter_files.tables.recording import Recording
+
 
 Document = dict[str, Any]
 Read = TypeVar("Read", covariant=True)
@@ -154,3 +160,10 @@ class RecordingReader(Reader["Recording"]):
         from kilter_files.formats.recordings.described import describe_recording
 
         return describe_recording(self.read(head.path, head.hints))
+
+
+def column(name: str, unit: str | None, values: Floats) -> Document:
+    """Describe a column of numbers: unit, range, and how many cells are empty."""
+    known = values[~np.isnan(values)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (None, None)
+    return {"name": name, "unit": unit, "low": low, "high": high, "empty": len(values) - len(known)}

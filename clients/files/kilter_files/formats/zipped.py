@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kilter_files.ground.archives import member_names
 from kilter_files.ground.errors import FileError, fault
+from kilter_files.ground.workbook_formulas import member_names
 
 ZIP = b"PK\x03\x04"
 DATA_SET = "meta/info.json"

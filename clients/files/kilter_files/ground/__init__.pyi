@@ -1,4 +1,3 @@
-from .archives import member_names as member_names
 from .arrays import Floats as Floats
 from .errors import FileError as FileError
 from .errors import KilterError as KilterError
@@ -12,3 +11,4 @@ from .units import UNKNOWN as UNKNOWN
 from .units import column_unit as column_unit
 from .units import converter as converter
 from .units import units_like as units_like
+from .workbook_formulas import member_names as member_names

@@ -15,9 +15,8 @@ from kilter_files.ground.time_stamps import continuous_seconds, parse_stamp_colu
 from kilter_files.ground.units import JOINT, MARKER, TIMESTAMP, column_unit, converter
 from kilter_files.maps.column_map import ColumnMap, Keep, Orientation, add_joined, joined_columns
 from kilter_files.maps.columns import Column, expand_patterns
-from kilter_files.tables.source import Source, row_line_numbers
+from kilter_files.tables.source import Source, TextSource, row_line_numbers
 from kilter_files.tables.table import Table
-from kilter_files.tables.text_source import TextSource
 
 # The table [markers] of a column map: rows that measure one marker each, with a column that names it.
 #

@@ -16,8 +16,7 @@ from kilter_files.formats.logs.ballbar import BallBar
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import fault
 from kilter_files.rig.drawn_circle import commanded_mm, refuse_other_length
-from kilter_files.tables.joint_log import JointLog
-from kilter_files.tables.table import Table
+from kilter_files.tables.table import JointLog, Table
 
 NEAR_MM = 1.5  # rows of the log farther from the circle are the way to it
 SAME_FOOT_MM = 0.5

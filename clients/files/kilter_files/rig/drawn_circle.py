@@ -20,9 +20,8 @@ from kilter_files.ground.names import did_you_mean
 from kilter_files.ground.text_blocks import blocks, count_rows, line_number_of_row
 from kilter_files.ground.text_layout import sniff
 from kilter_files.ground.units import SIZES, converter
-from kilter_files.tables.joint_log import JointLog
 from kilter_files.tables.source import Layout
-from kilter_files.tables.table import Table
+from kilter_files.tables.table import JointLog, Table
 
 REGISTERED_MM = 3.0
 REACH_MM = 1.5  # a row this near to the circle and to its gap was at that gap

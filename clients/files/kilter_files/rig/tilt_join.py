@@ -1,23 +1,35 @@
-"""Inclinometer logs joined with the joint log: dwells are found and averaged as those of a tracker, and become readings."""
+"""Inclinometer logs joined with the joint log: dwells are found and averaged as those of a tracker, and become readings.
+
+Points of a tracker or CMM with the joints of another file, row by row, as rows.
+
+Readings of inclinometers at joints, a row each, as ``kilter measure joint-parameters --propose`` writes them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import csv
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from kilter_files.formats.joints.joint_log import read_joint_log
 from kilter_files.formats.logs.inclinometer import read_inclinometer, tilt_column_indices
+from kilter_files.formats.reader import Hints, LogHints
+from kilter_files.formats.registry import all_readers
+from kilter_files.formats.tracker_header import PRESETS
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.errors import FileError, fault
+from kilter_files.ground.errors import FileError, UsageError, fault
 from kilter_files.ground.text_layout import sniff
-from kilter_files.ground.units import SIZES
+from kilter_files.ground.units import JOINT, SIZES
 from kilter_files.match.dwells import RestOptions
-from kilter_files.match.matching import match_dwells
-from kilter_files.tables.joint_log import JointLog
+from kilter_files.match.matching import Columns, match_dwells, pose_numbers, pose_row_indices
 from kilter_files.tables.recording import Block, Recording
+from kilter_files.tables.table import JointLog, Table
 
 ARM_MM = 1000.0  # the tip of a pointer so long stands for an angle: 1 mm/s is 0.06 deg/s
 ROW = "log_row"
@@ -143,3 +155,112 @@ def stated_unit(path: Path) -> str:
     """Return the unit a log states for its inclinations, deg where it states none."""
     layout = sniff(path)
     return next((layout.units[i] or "deg" for i in tilt_column_indices(layout).values()), "deg")
+
+
+def read_points(path: Path, preset: str, euler: str | None, joints: Path | None, hints: LogHints | None) -> Table:
+    """Read an export of points; its joints are its own, or those of the log ``joints``, row by row.
+
+    Raises:
+        FileError: the export or the log is not what it should be, or there are no joints at all.
+        UsageError: a preset that there is not.
+
+    """
+    if preset not in PRESETS:
+        raise UsageError(f"--preset {preset}: is not one of {', '.join(PRESETS)}.")
+    log = None if joints is None else read_joint_log(joints, hints or LogHints())
+    beside = None if log is None else joint_columns_at_rest(log)
+    table: Table = all_readers()["tracker-text"].read(path, Hints(preset=preset, euler=euler, joints=beside))
+    if not any(JOINT.fullmatch(name) for name in table.columns):
+        remedy = "Name the file that holds them (--joints), or send the export with a column map (--map)."
+        raise fault(path, "holds points, but no joints with a unit", remedy)
+    if log is not None:
+        table.notes += [f"joints from {log.path.name}, row by row", *log.notes]
+        table.warnings += log.warnings
+    return table
+
+
+def joint_columns_at_rest(joints: JointLog) -> Columns:
+    """Return the columns of a joint log that belong beside points: a row for each time the arm came to rest."""
+    rows = pose_row_indices(joints)
+    columns = {name: joints.columns[name][rows] for name in joints.joints}
+    known = joints.columns["pose_id"][rows] if "pose_id" in joints.columns else pose_numbers(joints, rows)
+    return columns | {"pose_id": known}
+
+
+TO_DEG: Mapping[str, float] = {"deg": 1.0, "mrad": 180.0 / math.pi / 1000.0, "arcmin": 1.0 / 60.0}
+JOINT_VALUE = re.compile(r"^q(\d+)_(deg|mm)$")
+CENTRE = ("payload_com_x_mm", "payload_com_y_mm", "payload_com_z_mm")
+OTHERS = ("joint", "axis", "payload_kg", *CENTRE, "series")
+
+
+def read_readings(path: Path) -> list[dict[str, Any]]:
+    """Readings for a ``joint_parameters`` job.
+
+    Columns: ``joint``, ``axis`` (x, y or z), ``q1_deg`` ... (``_mm`` if prismatic), ``reading_deg`` (or ``_mrad``,
+    ``_arcmin``), optional ``payload_kg``, ``payload_com_x_mm`` ... and ``series``. Lines that start with # are notes.
+
+    Raises:
+        FileError: a column that is missing or unknown, or a cell that is not a number; names line and column.
+
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise fault(path, "cannot be read as text", "Save it as CSV in UTF-8.") from error
+    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip() and line[0] != "#"]
+    if len(lines) < 2:
+        raise fault(path, "it holds no readings", "Give a line of column names and a line for each reading.")
+    names = [name.strip() for name in next(csv.reader([lines[0][1]]))]
+    joints, reading = _columns(path, names, lines[0][0])
+    return [_reading(path, number, names, next(csv.reader([line])), joints, reading) for number, line in lines[1:]]
+
+
+def _columns(path: Path, names: Sequence[str], line: int) -> tuple[list[str], str]:
+    """Joint columns in order, and the column of the reading."""
+    places = {int(m[1]): name for name in names if (m := JOINT_VALUE.match(name))}
+    readings = [name for name in names if name.startswith("reading_") and name[8:] in TO_DEG]
+    known = {*OTHERS, *places.values(), *readings}
+    for name in names:
+        if name not in known:
+            remedy = (
+                "There are joint, axis, q1_deg (q1_mm) ..., payload_kg, payload_com_x_mm ..., series, and reading_ in "
+                f"{', '.join(TO_DEG)}."
+            )
+            raise fault(path, "an unknown column", remedy, line=line, column=name)
+    for name, there in (("joint", "joint" in names), ("axis", "axis" in names), ("reading_deg", len(readings) == 1)):
+        if not there:
+            raise fault(path, f"the column {name} is missing or there twice", "Name it so.", line=line)
+    if sorted(places) != list(range(1, len(places) + 1)) or not places:
+        raise fault(
+            path, "the joint values are not q1 to qn", "Give every joint, as q1_deg (prismatic: q1_mm).", line=line
+        )
+    return [places[k] for k in sorted(places)], readings[0]
+
+
+def _reading(
+    path: Path, line: int, names: Sequence[str], cells: Sequence[str], joints: Sequence[str], reading: str
+) -> dict[str, Any]:
+    if len(cells) != len(names):
+        raise fault(path, f"{len(cells)} cells under {len(names)} columns", "Complete the row.", line=line)
+    row = {name: cell.strip() for name, cell in zip(names, cells, strict=True)}
+    if not row[reading]:
+        raise fault(path, "there is no reading", "Fill it in, or delete the row.", line=line, column=reading)
+
+    def value(name: str) -> float:
+        try:
+            number = float(row[name])
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise fault(path, f"{row[name]!r} is not a number", "Correct the cell.", line=line, column=name)
+        return number
+
+    out: dict[str, Any] = {"joint": row["joint"], "axis": row["axis"].lower(), "q_deg": [value(q) for q in joints]}
+    out["reading_deg"] = value(reading) * TO_DEG[reading[8:]]
+    if row.get("payload_kg"):
+        out["payload_kg"] = value("payload_kg")
+    if any(row.get(name) for name in CENTRE):
+        out["payload_com_mm"] = [value(name) for name in CENTRE]
+    if row.get("series"):
+        out["series"] = round(value("series"))
+    return out

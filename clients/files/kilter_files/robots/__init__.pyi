@@ -1,7 +1,8 @@
+from .exported import checked_name as checked_name
 from .exported import lists_of_export as lists_of_export
+from .exported import plain_name as plain_name
+from .exported import read_text as read_text
 from .mesh_files import link_meshes as link_meshes
-from .names import checked_name as checked_name
-from .names import plain_name as plain_name
 from .read import KATANA as KATANA
 from .read import TABLES as TABLES
 from .read import UR as UR
@@ -9,7 +10,6 @@ from .read import URDF as URDF
 from .read import Described as Described
 from .read import described_document as described_document
 from .read import read_robot as read_robot
-from .text import read_text as read_text
 from .usd_poses import NOMINAL as NOMINAL
 from .usd_poses import STEP_TABLE as STEP_TABLE
 from .usd_poses import TOOL as TOOL

@@ -24,7 +24,7 @@ from kilter_core.gap.evidence.guarded import Guarded
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
-from kilter_core.gap.search.linear.tails import tail
+from kilter_core.gap.search.linear.settings import tail
 from kilter_core.gap.search.prepare import SPARE, Prepared, prepare_data
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts

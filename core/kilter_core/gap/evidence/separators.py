@@ -23,8 +23,8 @@ from kilter_core.gap.evidence.revisits import revisits
 from kilter_core.gap.evidence.similarity.smooth import TURN
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linear.gram import Projection, orthonormal
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
-from kilter_core.gap.search.linear.projection import Projection, orthonormal
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations

@@ -38,8 +38,8 @@ from kilter_core.identify.report import (
 from kilter_core.identify.uncertainty.predictive import CHANCE, EXACT, Predictive
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts as held_rows
+from kilter_core.measurement.frames import Errors, metrics_document
 from kilter_core.measurement.kind import POINTS
-from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.calibration import Doubt
 from kilter_core.observations import Observations

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from kilter_core.identify.plausibility.mix_ups import mix_ups
-from kilter_core.identify.plausibility.placed import Sample
+from kilter_core.identify.plausibility.set_up_changes import Sample
 from kilter_core.parameters import degrees
 from kilter_core.transforms import nearest_rotation, rotation_log, scipy_rotation
 from kilter_core.types import Floats

@@ -17,13 +17,12 @@ from typing import Any
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.identify.plausibility.believable import believable, reach
-from kilter_core.identify.plausibility.lacking import find_lacking
+from kilter_core.identify.plausibility.believable import believable, find_lacking, reach
 from kilter_core.identify.plausibility.mix_ups import LENGTHS, MixUp, mix_ups
 from kilter_core.identify.plausibility.orientation_mix_ups import rotation_faults
-from kilter_core.identify.plausibility.placed import ROWS, Placed, Sample, place
+from kilter_core.identify.plausibility.set_up_changes import ROWS, Placed, Sample, place
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.marker_checks import equal_markers
+from kilter_core.measurement.markers import equal_markers
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import mm

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from kilter_files.formats.column import column
 from kilter_files.formats.logs.ballbar import circle_fit_by_run, read_ballbar
 from kilter_files.formats.logs.inclinometer import read_inclinometer
-from kilter_files.formats.reader import Document, Head
+from kilter_files.formats.reader import Document, Head, column
 from kilter_files.ground.units import column_unit
 
 

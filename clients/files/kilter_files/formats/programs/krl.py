@@ -17,8 +17,13 @@ from kilter_files.formats.programs.found import (
     line_number,
     sign,
 )
-from kilter_files.formats.programs.keyed import Tailed
-from kilter_files.formats.programs.krl_lines import MOTIONS, not_kept, reassigned_or_passed_variables, used_as_data
+from kilter_files.formats.programs.krl_lines import (
+    MOTIONS,
+    Tailed,
+    not_kept,
+    reassigned_or_passed_variables,
+    used_as_data,
+)
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use, Ways, note_use
 from kilter_files.formats.programs.poses.in_force import Variable
 from kilter_files.formats.programs.poses.krl import (

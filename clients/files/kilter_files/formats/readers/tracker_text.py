@@ -9,8 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kilter_files.formats.column import column
-from kilter_files.formats.reader import NO_HINTS, PRESET, Document, Head, Hints, Reader
+from kilter_files.formats.reader import NO_HINTS, PRESET, Document, Head, Hints, Reader, column
 from kilter_files.formats.recordings.marker_header import unit_above
 from kilter_files.formats.tracker_header import PRESETS, Preset, meaning
 from kilter_files.ground.arrays import Floats

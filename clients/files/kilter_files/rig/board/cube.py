@@ -13,8 +13,16 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.errors import UsageError
-from kilter_files.rig.board.layout import AROUND_MM, DICTIONARIES, Board, Point, check_board, page_for, smallest_page
-from kilter_files.rig.board.opencv import dictionary
+from kilter_files.rig.board.layout import (
+    AROUND_MM,
+    DICTIONARIES,
+    Board,
+    Point,
+    check_board,
+    dictionary,
+    page_for,
+    smallest_page,
+)
 from kilter_files.rig.printed import Printed, Rect, Shape, Stroke, Text, check_ending, marker_shapes, save_described
 
 Vector = tuple[float, float, float]

@@ -12,7 +12,7 @@ from kilter_files.formats.joints.joint_log import read_joint_log
 from kilter_files.ground.errors import FileError, fault
 from kilter_files.ground.units import column_unit
 from kilter_files.rig.see.sources import Frame
-from kilter_files.tables.joint_log import JointLog, checked_log
+from kilter_files.tables.table import JointLog, checked_log
 
 PICTURE = "picture"
 MOST_APART_S = 0.1

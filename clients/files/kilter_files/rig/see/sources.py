@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from kilter_files.ground.errors import FileError, UsageError, fault
-from kilter_files.rig.board.opencv import opencv
+from kilter_files.rig.board.layout import opencv
 from kilter_files.rig.see.pictures import ENDINGS, Grey, Refusal, RefusedError, check_size, read_grey
 
 VIDEOS = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v")

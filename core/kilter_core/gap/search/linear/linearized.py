@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from kilter_core.effects import Batch
-from kilter_core.gap.search.linear.gram import Gram
-from kilter_core.gap.search.linear.projection import (
+from kilter_core.gap.search.linear.gram import (
+    Gram,
     Projection,
     Soft,
     Stacked,
@@ -23,8 +23,7 @@ from kilter_core.gap.search.linear.projection import (
     orthonormal,
     split_geometry_directions,
 )
-from kilter_core.gap.search.linear.ranges import ends, exactly_within
-from kilter_core.gap.search.linear.settings import Derivatives, ProblemSettings
+from kilter_core.gap.search.linear.settings import Derivatives, ProblemSettings, ends, exactly_within
 from kilter_core.identify.fit.problem import ByCovariance, LeastSquares, Whitened
 from kilter_core.identify.fit.solver import minimise
 from kilter_core.parameters import Prior

@@ -15,8 +15,8 @@ from scipy.linalg.blas import dtrmm
 from scipy.linalg.lapack import dtrtri
 from scipy.stats import chi2, f
 
+from kilter_core.gap.search.linear.gram import Stacked
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, ignore_step
-from kilter_core.gap.search.linear.projection import Stacked
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.rows.wrong_rows import find_wrong
 from kilter_core.identify.fit.robust import bulk_scale, descend_to_tukey_weights, median_scale

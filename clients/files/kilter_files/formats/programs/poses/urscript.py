@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_number
-from kilter_files.formats.programs.keyed import Keyed, arguments, nested
+from kilter_files.formats.programs.krl_lines import Keyed, arguments, nested
 from kilter_files.formats.programs.notations import URSCRIPT, Frame
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
 from kilter_files.formats.programs.poses.in_force import Flow, InForce, Variable, calls_of_own, calls_that_set

@@ -1,4 +1,8 @@
-"""What each kind of measurement says in a fit: its noise, its errors, and the parameters that are known because of it.
+"""Influence of the parameters on the tool point (thesis 3.5), pose by pose.
+
+What rows are to an identification: points and poses in a frame, distances between poses, or contacts.
+
+What each kind of measurement says in a fit: its noise, its errors, and the parameters that are known because of it.
 
 Kinds see different things: encoders on the links see no geometry, the tool mixes up what they tell apart. Where several
 are fitted together, the report names what none of them tells alone.
@@ -6,20 +10,159 @@ are fitted together, the report names what none of them tells alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from kilter_core.effects import Effect
+from kilter_core.errors import OptionError
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.identifiable.identifiability import identifiable
+from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.rows.noise import pooled_columns
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.kind import Kind
 from kilter_core.model import Calibration
-from kilter_core.parameters import display_unit_and_scale
+from kilter_core.observations import Observations
+from kilter_core.parameters import Parameter, display_unit_and_scale, indices, mm
 from kilter_core.types import Bools, Floats
+
+STEP_RAD = math.radians(0.05)  # the deviations of thesis 3.5
+STEP_M = 1e-4
+STEP_SHARE = STEP_M / 0.005  # of the prior sigma, for parameters that are neither: what 0.1 mm is of a length's
+
+
+@dataclass(frozen=True)
+class Influence:
+    """Displacement of the tool point ``moved (N, F)`` m when each of ``names`` alone deviates by its step (SI)."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    steps: Floats
+    moved: Floats
+
+    @property
+    def relative(self) -> Floats:
+        """Influence vector k (N, F) of each pose, the largest being 1 (thesis 3.6)."""
+        return relative_influence(self.moved)
+
+    def to_document(self) -> list[dict[str, Any]]:
+        """Rows {name, step, unit, mean_mm, min_mm, max_mm, mean_k, leads} in falling order of the mean.
+
+        ``leads`` is the share of poses in which the parameter moves the tool more than any other.
+        """
+        k = self.relative
+        first = np.bincount(np.argmax(k, axis=1), minlength=len(self.names)) / len(k)
+        rows = []
+        for c in np.argsort(-self.moved.mean(axis=0), kind="stable"):
+            unit, scale = display_unit_and_scale(self.units[c])
+            column = mm(self.moved[:, c])
+            rows.append(
+                {
+                    "name": self.names[c],
+                    "step": float(self.steps[c]) * scale,
+                    "unit": unit,
+                    "mean_mm": float(column.mean()),
+                    "min_mm": float(column.min()),
+                    "max_mm": float(column.max()),
+                    "mean_k": float(k[:, c].mean()),
+                    "leads": float(first[c]),
+                }
+            )
+        return rows
+
+
+def parameter_influence(calibration: Calibration, observations: Observations, names: Sequence[str]) -> Influence:
+    """Impose +0.05 deg on angles and +0.1 mm on lengths, one at a time, at every pose (thesis 3.5, figure 3.8).
+
+    Raises:
+        OptionError: a name the model does not have.
+
+    """
+    model, values = calibration.model, calibration.values
+    batch = model.batch(observations)
+    still = model.predict(batch, values).position
+    chosen = indices(model.names, names)
+    steps = np.array([imposed_step(model.parameters[k]) for k in chosen])
+    moved = np.empty((len(still), len(chosen)))
+    for c, k in enumerate(chosen):
+        there = values.copy()
+        there[k] += steps[c]
+        moved[:, c] = np.linalg.norm(model.predict(batch, there).position - still, axis=1)
+    return Influence(tuple(names), tuple(model.parameters[k].unit for k in chosen), steps, moved)
+
+
+def imposed_step(parameter: Parameter) -> float:
+    """Deviation imposed on a parameter, SI."""
+    return {"rad": STEP_RAD, "m": STEP_M}.get(parameter.unit, STEP_SHARE * parameter.prior_sigma)
+
+
+def relative_influence(moved: Floats) -> Floats:
+    """Scale displacements (N, F) so that the largest of each pose is 1; a pose that nothing moves has all zero."""
+    largest = moved.max(axis=1, keepdims=True)
+    return np.asarray(moved / np.where(largest > 0.0, largest, 1.0))
+
+
+def measurement_for(
+    observations: Observations,
+    options: IdentifyOptions,
+    points: Floats | None = None,
+    anchor: Measurement | None = None,
+) -> Measurement:
+    """Measurement of rows as the options want them.
+
+    ``points (m, 3)`` is the markers' known shape; ``anchor`` are the rows that say where contacts stand, and what encoders
+    and inclinometers read at zero.
+
+    Raises:
+        ObservationError: nothing measured. OptionError: a method that does not go with these rows.
+
+    """
+    made = Measurement.from_observations(
+        observations,
+        points,
+        relative=options.base == "removed",
+        held=True,
+        socket_distances=options.socket_distances,
+        anchor=anchor,
+    )
+    for kind in made.kinds:
+        if kind.plain_fits_only:
+            _refuse(options, kind.summary[0].upper() + kind.summary[1:])
+    return made
+
+
+def between_rows(options: IdentifyOptions, rows: Observations) -> IdentifyOptions:
+    """The options for some of the rows: distances to sockets that are held out are not there to be fitted."""
+    known = set() if rows.socket is None else set(np.unique(rows.socket).tolist())
+    kept = {p: mm for p, mm in options.socket_distances_mm.items() if {int(n) for n in p.split("-")} <= known}
+    return options if len(kept) == len(options.socket_distances_mm) else replace(options, socket_distances_mm=kept)
+
+
+def _refuse(options: IdentifyOptions, what: str) -> None:
+    if options.method != "least_squares":
+        raise OptionError(f"{what} are identified by method least_squares only.", option="method")
+    if options.loss == "tukey":
+        raise OptionError(f'{what} have no rows to let go one by one: take loss "huber".', option="loss")
+    if options.intervals == "bootstrap":
+        raise OptionError(f"{what} have no poses to resample one by one: take intervals profile.", option="intervals")
+    if any(effect.id == "unknown_residual" for effect in options.make_effects()):
+        raise OptionError(f"{what} cannot gate a learned effect: leave unknown_residual out.", option="effects")
+
+
+def as_inputs(named: Sequence[Effect | type[Effect]], start: Calibration | None, *given: Any) -> tuple[Any, ...]:
+    """What was given, its rows with the tilt of the base as a condition where an effect takes it so.
+
+    The effects are those ``named`` and those of the ``start``.
+    """
+    effects = (*named, *(() if start is None else start.model.effects))
+    if not any("base_tilt_x" in effect.needs for effect in effects):
+        return given
+    return tuple(one.with_tilt_as_condition() if isinstance(one, Observations) else one for one in given)
+
 
 SHARPER = 2.0  # times more certain, from which a parameter is named
 Stages = Mapping[str, Calibration]
