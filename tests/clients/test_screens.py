@@ -20,7 +20,7 @@ from kilter_client.cli.reports.answer import fit_messages, format_answer
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.stored.versions import _show_diff
 from kilter_client.cli.terminal import output
-from kilter_client.cli.terminal.session_notes import is_note_due
+from kilter_client.cli.terminal.output import is_note_due
 from tests.clients.arms_with_play import ArmWithPlay
 
 LINES, COLUMNS = 25, 120

@@ -20,7 +20,7 @@ from kilter_service.contract.words import interval
 from kilter_service.ground.db.tables import JobRow, RobotRow
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
-from kilter_service.web.health import store as health
+from kilter_service.web import store as health
 
 from .conftest import opened
 from .made import Made, made

@@ -12,11 +12,10 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
-from kilter_service.contract.drift import DriftSummary
 from kilter_service.contract.fits import Errors, Parameter, StageErrors
 from kilter_service.contract.jobs.job import JobSummary, Progress
 from kilter_service.contract.streams import Bridge
-from kilter_service.contract.today import ErrorsToday, Today
+from kilter_service.contract.today import DriftSummary, ErrorsToday, Today
 from kilter_service.contract.versions import VersionSummary
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db.row import utc_now

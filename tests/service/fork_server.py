@@ -45,7 +45,7 @@ IMPORTED = (
     "kilter_service.run.backup.upgrade",
     "kilter_service.run.program",
     "kilter_service.run.supervisor",
-    "kilter_service.web.connections",
+    "kilter_service.web.gate",
     *(f"kilter_service.stream.corrector.{name}" for name in ("process", "fast_path", "loop", "queries")),
     "pyarrow.dataset",
     "pyarrow.parquet",

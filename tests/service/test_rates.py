@@ -20,13 +20,11 @@ from kilter_service.ground.caller import CALLER, Caller
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
-from kilter_service.robots.frames import service as frames
+from kilter_service.robots import frames
 from kilter_service.run.app import create_app
-from kilter_service.web import connections, gate
+from kilter_service.web import gate, tokens
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.connections import TimedConnection
-from kilter_service.web.gate import MOST_SENDERS, Rates
-from kilter_service.web.tokens import service as tokens
+from kilter_service.web.gate import MOST_SENDERS, Rates, TimedConnection
 
 from .conftest import served
 
@@ -108,7 +106,7 @@ def quick(
 ) -> Iterator[tuple[httpx.Client, dict[str, str]]]:
     """A server that waits for a moment only, on its own connections."""
     monkeypatch.setattr(gate, "GRACE_S", 0.5)
-    monkeypatch.setattr(connections, "HEAD_S", 0.5)
+    monkeypatch.setattr(gate, "HEAD_S", 0.5)
     with served(create_app(settings), http=TimedConnection) as client:
         yield client, {"Authorization": f"Bearer {admin_token(settings)}"}
 

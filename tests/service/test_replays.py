@@ -26,10 +26,9 @@ from kilter_service.ground.settings import DATABASE_FILE, Settings
 from kilter_service.robots import service as robots
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.run.backup import service as backups
-from kilter_service.stream.corrector.database_source import DatabaseSource
+from kilter_service.stream.corrector.active import DatabaseSource
 from kilter_service.versions import activation, store
-from kilter_service.versions.answers.store import BY_UPGRADE
-from kilter_service.versions.store import NewVersion
+from kilter_service.versions.store import BY_UPGRADE, NewVersion
 from tests.corrector.conftest import calibration_of
 
 ROBOT = "katana450-chapter4"

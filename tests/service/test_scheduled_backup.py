@@ -15,7 +15,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.files import backup_folder
 from kilter_service.ground.settings import Settings
 from kilter_service.run.doctor import commands
-from kilter_service.versions.metrics import service as metrics
+from kilter_service.versions import metrics
 from tests.service.conftest import ready
 from tests.service.forked import forked_command
 

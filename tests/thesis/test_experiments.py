@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kilter_core.identify.rows.measured import parameter_influence
+from kilter_core.identify.measured_rows import parameter_influence
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from tools.thesis import arms, combining

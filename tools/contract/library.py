@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import Any
 
 import kilter
-from kilter_client.results import corrected, dry_run, program, record, rows, shown, shown_jobs
+from kilter_client.results import corrected, record, rows, shown, shown_jobs
 from kilter_client.typed.names import JOBS, MODULE_OF
 
 MADE = "<!-- Made from the docstrings by `make contract`: change it there. -->\n"
@@ -79,11 +79,11 @@ BEHAVIOUR = {
     "Identifications, versions and gap searches": (shown.Shown, shown.Asking),
     "Versions": (shown_jobs.OfVersion,),
     "Plans": (shown_jobs.ShownPlan,),
-    "Dry runs": (dry_run.DryRun,),
+    "Dry runs": (corrected.DryRun,),
     "Figures": (shown.ShownFigure,),
     "Rows": (rows.Rows,),
     "Corrected trajectories": (corrected.Corrected,),
-    "Corrected programs": (program.FilteredProgram,),
+    "Corrected programs": (corrected.FilteredProgram,),
 }
 SECTION = re.compile(r"^(Args|Raises):\n", re.MULTILINE)
 # What the signatures mean by these.

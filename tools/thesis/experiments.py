@@ -15,8 +15,8 @@ from kilter_core.arm.robot import Robot
 from kilter_core.effects import make_effect
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.estimate import prepare_problem
+from kilter_core.identify.measured_rows import imposed_step, relative_influence
 from kilter_core.identify.methods.per_pose import pose_solutions
-from kilter_core.identify.rows.measured import imposed_step, relative_influence
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations

@@ -1,6 +1,4 @@
-"""Denavit-Hartenberg, modified Denavit-Hartenberg and Hayati rows into chains of elementary transforms.
-
-Complete models without redundancy: product of exponentials, CPC and MCPC, as chains of elementary transforms.
+"""Chains of elementary transforms from rows of a convention: DH, modified DH, Hayati; and complete models without redundancy.
 
 Two tilts and two shifts place a revolute axis after the one before, two tilts a prismatic axis, six numbers the flange: any
 arm of R revolute and P prismatic joints is near 4 R + 2 P + 6 of them (Mooring, Roth and Driels 1991), and no pose is

@@ -1,12 +1,8 @@
-"""What a version needs to be corrected over its workspace, and limits that follow from it.
+"""What a version needs to be corrected over its workspace, and what a program promises of every correction.
 
 A limit that is too small leaves errors that the version knows how to remove, one that is too large lets a wrong version
 move the arm far. So the rows are corrected within the widest limits that :func:`needs` would ever suggest, and what
 most of them need is the suggestion.
-
-How far each joint can move the tool at most: the lever by which an error of a joint is bounded at the tool.
-
-What a program promises of every correction it makes, read from the numbers that the kernel runs on.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""A chain for the correction kernel: everything that does not move is multiplied into constants.
-
-Rows of the correction's program from what the effects do at run time: names to columns.
-"""
+"""Rows of the correction's program: the chain with all constants multiplied out, and what the effects do at run time."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""How sure each name is: its evidence from the rows searched, held out and of a confirmation, and the gates it passes.
-
-The last fit as a version: its uncertainty, what it leaves of the rows searched, and what of those that no choice saw.
-"""
+"""The last fit as a version, and how sure each name is."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""What can be asked of a gap search, checked before anything is computed.
-
-How long a search may take: what is cut short when the time is over, and what is said of it.
+"""What can be asked of a gap search, checked before anything is computed; and how long it may take.
 
 The geometry, its noise and the first scan are made whatever they take: without them there is nothing to report. Everything
 else looks at the time at each of its steps, the search for wrong readings too. What was cut short never makes a claim

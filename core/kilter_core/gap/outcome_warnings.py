@@ -27,7 +27,7 @@ from kilter_core.identify.comparison import (
     grown,
     worse_warning,
 )
-from kilter_core.identify.identifiable.load_model import far_from_stated
+from kilter_core.identify.identifiability import far_from_stated
 from kilter_core.identify.plausibility.believable import another_arm
 from kilter_core.identify.report import large_residual
 from kilter_core.measurement import Measurement

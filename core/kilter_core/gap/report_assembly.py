@@ -34,8 +34,8 @@ from kilter_core.gap.search.linear.linearized import LinearizedProblem, ignore_s
 from kilter_core.gap.search.prepare import Prepared
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.sources.source import Source
-from kilter_core.identify.fit.tukey import points_mm, whitened_row_sizes
-from kilter_core.identify.rows.noise import pooled_columns
+from kilter_core.identify.fit.robust import points_mm, whitened_row_sizes
+from kilter_core.identify.measurement_noise import pooled_columns
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts
 from kilter_core.model import Calibration

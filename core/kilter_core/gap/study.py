@@ -21,8 +21,8 @@ from kilter_core.gap.options import Budget, GapOptions
 from kilter_core.gap.search.candidates import joints_by_effect
 from kilter_core.gap.search.events import with_row_numbers
 from kilter_core.identify.holdout import split
+from kilter_core.identify.measured_rows import as_inputs
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
-from kilter_core.identify.rows.measured import as_inputs
 from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.identify.views import PlannedViews
 from kilter_core.measurement import Measurement

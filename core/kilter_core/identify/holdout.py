@@ -1,4 +1,4 @@
-"""Setting observations aside: always whole poses, so that a repeat never sits on both sides.
+"""Rows set aside as whole poses, and learned effects that stay out unless they predict such rows.
 
 Of rows held by sockets, planes and bars whole placements are set aside: where a placement stands is fitted to its rows, so
 rows of one placement on both sides would judge themselves. Of several motions whole ones are, of a single one its end:
@@ -8,8 +8,6 @@ scale; views are set aside.
 What is drawn depends on the joint readings and the seed only, never on the order of the rows, on ids or on the kind of job:
 the same campaign and the same share are the same poses for whoever holds them out, and versions can be compared there. A
 share is where folds begin: half of the poses are the first of two folds.
-
-Learned effects stay out unless they predict poses they never saw: the gate before the fit.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ from scipy.linalg import null_space
 from kilter_core.arm.robot import Robot
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet.said import resting
-from kilter_core.identify.identifiable.identifiability import NullDirection, identifiable, own_members
-from kilter_core.identify.rows.noise import Repeats
+from kilter_core.identify.identifiability import NullDirection, identifiable, own_members
+from kilter_core.identify.measurement_noise import Repeats
 from kilter_core.identify.uncertainty.intervals import Intervals
 from kilter_core.measurement.markers import bending
 from kilter_core.model import Calibration, RobotModel

@@ -1,10 +1,8 @@
-"""Where only cameras measure and the scale of the boards is free, everything may grow together: who is believed.
+"""What the scale of a fit hangs on: the length of a ball bar, or the size of printed boards.
 
 A board, the distances to the cameras and all lengths of the arm grow by one factor, and no pixel changes. So the factor is
 that at which the board's stated scale and the nominal lengths, which a maker holds to half a millimetre, contradict each
 other the least.
-
-Whether a ball bar is as long as its readings say: by the sphere on which the joints put the tool, and by the fit.
 
 The nominal arm only raises the question, because an arm that is to be calibrated is wrong by more than many bars are. What
 answers it is the fit: with the length as read and with the length that the joints command, whose deviations are then left
@@ -21,7 +19,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.plausibility.views.unrelated_views import scale_sentence
+from kilter_core.identify.plausibility.unrelated_views import scale_sentence
 from kilter_core.identify.views import Cameras, rig_from_calibration, unknown_rig
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig

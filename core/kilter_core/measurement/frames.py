@@ -1,12 +1,10 @@
-"""Where the robot stands in the frame of the measurements, and where the measured point sits on its tool.
+"""Frames of robot, measurements and tool, and errors of a prediction in mm and degrees.
 
 With flange frames (F, f), measured points p = b + R (f + F t) say R'p - f = R'b + F t. For a known base rotation R that is
 linear in base and tool, by a matrix that does not depend on R. Projected on what neither can explain, the loss is quadratic
 in the nine entries of R' alone, whatever the number of rows: all of SO(3) can be looked through, and the best of it is
 walked to its end. Left free to be any matrix, as in the linear solution for all unknowns at once, R' collapses to zero
 wherever the flange moves on a sphere (a wrist, a shoulder, a head with two axes): the tool then explains everything.
-
-Errors of a prediction against measurements, in the units people read: mm and degrees.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Markers on the tool, each measured as a point; together they show how the tool is oriented.
-
-Whether markers are what their numbers say: rigid, numbered alike in all rows, and as the known shape has them.
-"""
+"""Markers on the tool: the shape they share, and whether they are what their numbers say."""
 
 from __future__ import annotations
 

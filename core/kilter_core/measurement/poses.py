@@ -1,8 +1,4 @@
-"""Poses of the tool: position and orientation, as a probe with its own orientation or a camera gives them.
-
-Positions of the tool point: a laser tracker on one reflector, a measuring arm, a total station.
-
-How well position and rotation of a pose are known together, as weights.
+"""Positions and poses of the tool, and how well position and rotation are known together.
 
 A view knows the tilt of its board badly, and a wrong tilt moves the tool by its lever: the two errors go together, over half
 a metre and more for a camera on the flange. Taken apart, as the deviation of each axis alone, most of what the view knows is

@@ -1,14 +1,8 @@
-"""Channels that are known up to a constant: encoders and inclinometers, whose zeros are taken out session by session.
-
-A zero is linear, so taking the mean out of residuals and Jacobian is what fitting it beside the parameters would do.
-
-Inclinometers on links and base: how each joint rotates about the axes of its frame beyond its command, up to a constant.
+"""Channels that are known up to a constant: encoders on the links, and inclinometers.
 
 A reading is that of the sensor behind the joint minus that of one before it. It separates clearance and tilting from a rotation
 about the axis, which positions of the tool mix up. A sensor on the base reads how that rotates about the axes of the base
 frame, which tells a mount that deflects from the first joints. A sensor mounted again, in another session, has another zero.
-
-Encoders on the links: the angle of each joint behind gear and backlash, up to a constant that belongs to the encoder.
 
 They see what happens between motor and link and nothing else: not the lengths of the links, and no tilt of a joint. Beside
 tool data they tell what the tool alone mixes up. An encoder is referenced again in every session, so its zero is taken out

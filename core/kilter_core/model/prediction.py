@@ -1,7 +1,4 @@
-"""What a model predicts of rows: where the tool is, and what its joints rotate by.
-
-Derivatives of what the joints rotate by, whatever the tool does: encoders on the links and inclinometers see them.
-"""
+"""What a model predicts of rows: where the tool is, what its joints rotate by, and the derivatives."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
-"""Which joint vectors are repeats of one pose: recognised by their distance, never by rounding.
+"""Repeats of a pose, and the step that joint readings are multiples of.
 
 Rounded readings fall apart where a pose lies near the edge between two steps: 20 poses measured three times with noise of
 a ten-thousandth of a degree became 47, and repeats of a pose sat on both sides of a split.
-
-The step that joint readings are multiples of: controllers that show hundredths of a degree, encoders that count ticks.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""A frame from digitised points: known points found again, or a plane, a line in it and an origin.
-
-Hand-eye calibration from flange poses alone: no joint angles, so nothing of the arm is fitted.
+"""Frames from digitised points, and hand-eye calibration from flange poses alone.
 
 AX = ZB in closed form is the start, then all pixels are fitted at once. What the flange is off by is told by how views scatter
 beyond their corners, and views count as far as an arm that is off so much lets them.

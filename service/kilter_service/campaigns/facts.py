@@ -20,7 +20,7 @@ from kilter_service.campaigns.repeats import MAD, Repeats, repeats
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.ground.core import core_identify, core_model, transforms
 from kilter_service.ground.db import Database
-from kilter_service.ground.recent import Recent
+from kilter_service.ground.limits import Recent
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.wire import to_deg, to_mm
 

@@ -1,15 +1,20 @@
-"""Names and notes of campaigns; retiring, restoring and purging them."""
+"""Names and notes of campaigns; retiring, restoring and purging them.
+
+A campaign that is another one without some rows says so first in its notes; without that it is one of its own.
+"""
 
 from __future__ import annotations
+
+import re
 
 from kilter_service.campaigns import store
 from kilter_service.campaigns.service import load_campaign, refuse_other_servos
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.references import Change, Tombstone
+from kilter_service.ground import store as references
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.robots.documents import hash_canonical_json
 
@@ -75,3 +80,18 @@ def purge(database: Database, campaign_id: str, actor: str) -> Tombstone:
         references.add_tombstone(session, left)
         store.delete_whole(session, campaign_id)
     return left
+
+
+WHOLE = re.compile(r"Campaign (cmp_[0-9a-f]{16}) \(")
+READ = 32  # characters of the notes that tell
+
+
+def format_origin_note(campaign: str, name: str, without: str, actor: str) -> str:
+    """Return the sentence with which the notes of the rest begin."""
+    return f"Campaign {campaign} ({name}) without rows {without}, set aside by {actor} on the page."
+
+
+def parse_origin_campaign(notes: str) -> str | None:
+    """Return the campaign that a campaign is the rest of, by the beginning of its notes; None: it is one of its own."""
+    found = WHOLE.match(notes)
+    return None if found is None else found[1]

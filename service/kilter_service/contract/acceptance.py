@@ -8,8 +8,8 @@ from pydantic import Field
 
 from kilter_service.contract.budgets import Budget
 from kilter_service.contract.fits import Errors
-from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Mm, Strict
+from kilter_service.contract.words import Remark
 
 Decision = Literal["accepted", "rejected", "not_proved"]
 Span = tuple[Mm, Mm]

@@ -10,8 +10,8 @@ from pydantic import AfterValidator, AwareDatetime, BeforeValidator, Field, With
 from pydantic_core import PydanticCustomError
 
 from kilter_service.contract.references import RETIRED_AT
-from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Celsius, Listed, Load, Mm, Name, Newton, NewtonMetre, PointMm, Strict
+from kilter_service.contract.words import Remark
 
 SaidBy = Literal["rows", "identification", "search"]
 

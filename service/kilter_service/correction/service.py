@@ -17,11 +17,10 @@ from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
 from kilter_service.contract.columns import LOAD_PARTS, PAYLOAD_CENTRE
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground import correction_outcome as outcome
-from kilter_service.ground.correction_limits import correction_options
+from kilter_service.ground.correction_limits import correction_options, where_sentences
 from kilter_service.ground.correction_outcome import OK, flag_names
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.left_out import where_sentences
 from kilter_service.ground.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_CELLS, MAX_TRAJECTORY_ROWS
 from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.assemble import observations, with_default_load

@@ -1,9 +1,12 @@
-"""What people call a version, a job or a campaign: its name or number, else what it is and when it was made."""
+"""What people call a version, a job or a campaign: its name or number, else what it is and when it was made.
+
+What is stored, answered and computed under the same names: copied by them, so that a field is not listed again.
+"""
 
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 from kilter_service.contract.jobs.registry import KINDS
 
@@ -42,3 +45,19 @@ def job_noun(kind: str) -> str:
 def name_unnamed_job(kind: str, robot: str, created_at: datetime) -> str:
     """Return what a job of an earlier release is called that nobody named: "gap search of tour, 2026-11-02 14:05:09"."""
     return f"{job_noun(kind)} of {robot}, {created_at:%Y-%m-%d %H:%M:%S}"
+
+
+T = TypeVar("T")
+
+FIELDS = ("model_fields", "_fields", "__dataclass_fields__")  # where an answer, a tuple and a record name theirs
+
+
+def copy_fields(kind: type[T], source: object, /, **own: Any) -> T:
+    """Return a record or an answer with what ``source`` has under the names of its fields; ``own`` is what it has not.
+
+    Raises:
+        TypeError: a field of a record is in neither. ValueError: one of an answer.
+
+    """
+    names = next(getattr(kind, fields) for fields in FIELDS if hasattr(kind, fields))
+    return kind(**{name: getattr(source, name) for name in names if name not in own and hasattr(source, name)}, **own)

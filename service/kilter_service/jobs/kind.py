@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from kilter_core.observations import Observations
     from kilter_core.types import Each
     from kilter_service.contract.instruments import Instrument
-    from kilter_service.contract.remarks import Remark
-    from kilter_service.versions.drift.records import StoredCheck
+    from kilter_service.contract.words import Remark
+    from kilter_service.versions.drift.charts import StoredCheck
 
 
 How = Literal["campaigns", "fraction", "folds", "unasked", "none"]

@@ -7,25 +7,22 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.jobs.check import CheckedCampaign, Duration, HeldOut, JobProblem, Missing
+from kilter_service.contract.jobs.check import NEWEST, CheckedCampaign, Duration, HeldOut, JobProblem, Missing
 from kilter_service.contract.jobs.job import FINAL, Folds, JobError, JobList, JobSummary, Progress
 from kilter_service.contract.jobs.registry import Job, JobCheck, NewJob
-from kilter_service.contract.jobs.shared import NEWEST
-from kilter_service.contract.written import as_written
-from kilter_service.ground.by_name import copy_fields
-from kilter_service.ground.called import display_name
+from kilter_service.contract.words import as_written
+from kilter_service.ground import store as references
+from kilter_service.ground.called import copy_fields, display_name
 from kilter_service.ground.db import Database, Session
-from kilter_service.ground.ended_jobs import store as ended_jobs
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
-from kilter_service.ground.references import store as references
 from kilter_service.jobs import store
 from kilter_service.jobs.kind import JobKind, JobPreview
 from kilter_service.jobs.records import Asked, JobRecord, ListedJob, Place, ProgressRecord, WantedJobs
 from kilter_service.jobs.registry import get_job_kind
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
-from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_document
+from kilter_service.web.idempotency import NOT_REPEATED, Once, hash_document
 from kilter_service.web.observability import logs, tracing
 
 JOB: TypeAdapter[Job] = TypeAdapter(Job)
@@ -74,7 +71,7 @@ def _with_searched_masses(session: Session, job: NewJob) -> NewJob:
     if named is None:
         return job
     robot_id = robots.usable(session, job.robot).id
-    found, *_ = ended_jobs.get_search_in_torques(session, robot_id, None if named == NEWEST else named)
+    found, *_ = references.get_search_in_torques(session, robot_id, None if named == NEWEST else named)
     return job.model_copy(update={"options": job.options.model_copy(update={"masses_from": found})})
 
 

@@ -6,11 +6,11 @@ import re
 from collections.abc import Sequence
 
 from kilter_service.contract.references import By, Kind, ResolvedReference, TombstoneList
+from kilter_service.ground import store
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
-from kilter_service.ground.references import store
-from kilter_service.ground.references.store import LATEST, PREFIXES, Found
+from kilter_service.ground.store import LATEST, PREFIXES, Found
 from kilter_service.robots import store as robots
 
 HEXADECIMAL = re.compile("[0-9a-f]+")

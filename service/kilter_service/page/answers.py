@@ -29,8 +29,7 @@ from kilter_service.ground.errors import PROBLEMS, ServiceError
 from kilter_service.ground.version import code_version
 from kilter_service.page import words
 from kilter_service.page.figures import plot as room
-from kilter_service.web.audit import refusals
-from kilter_service.web.logins import service as logins
+from kilter_service.web import logins, refused_requests
 from kilter_service.web.problems import headers_of
 from kilter_service.web.routing import FOR_GOOD, GuardedRoute
 
@@ -269,7 +268,7 @@ def render_refusal(request: Request, error: CoreError | RequestValidationError) 
     else:
         code, message, context = error.code, error.message, error.context
     if code != "token_missing":  # whoever is not logged in yet is asked to, and has done nothing wrong
-        refusals.note(request, code)
+        refused_requests.note(request, code)
     if code in LOG_IN_FIRST:
         return _to_login(request)
     status, title = PROBLEMS.get(code, UNKNOWN)

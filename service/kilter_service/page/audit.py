@@ -20,7 +20,7 @@ from kilter_service.jobs import service as jobs
 from kilter_service.page.answers import render, router
 from kilter_service.page.shared.lists import Asked, select_page
 from kilter_service.versions import service as versions
-from kilter_service.web.audit import service as audit
+from kilter_service.web import audit
 from kilter_service.web.state import DatabaseOfApp
 
 # What the method and path of a route did; names in braces are those of what was changed, of campaigns, versions and jobs with

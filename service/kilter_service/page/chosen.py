@@ -20,7 +20,7 @@ from kilter_service.contract.campaigns import Campaign
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.recent import Recent
+from kilter_service.ground.limits import Recent
 from kilter_service.ground.tables.reading import CSV
 from kilter_service.ground.tables.writing import write_table
 from kilter_service.ground.wire import joint_scale, joint_units

@@ -27,8 +27,8 @@ from kilter_service.campaigns.facts import campaign_cache_key
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.versions import Version
 from kilter_service.ground.db import Database
+from kilter_service.ground.limits import Recent
 from kilter_service.ground.paging import Page
-from kilter_service.ground.recent import Recent
 from kilter_service.ground.wire import to_deg
 from kilter_service.page.answers import render, router
 from kilter_service.robots import service as robots

@@ -12,14 +12,13 @@ from fastapi.responses import HTMLResponse, JSONResponse
 from pydantic import ValidationError
 
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.suspicious import service as suspicious
+from kilter_service.campaigns import suspicious
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.contract.drift import NewRepair
 from kilter_service.contract.jobs.gap import GAP, GapResult
 from kilter_service.contract.references import RobotChange
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.robots import MeshUnit
-from kilter_service.contract.today import Today
+from kilter_service.contract.today import NewRepair, Today
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.contract.versions import Version, VersionSummary
 from kilter_service.ground.db import Database
@@ -40,10 +39,10 @@ from kilter_service.page.shared.standing import (
     error_budget,
 )
 from kilter_service.page.words import validation_words
+from kilter_service.robots import repairs
 from kilter_service.robots import service as robots
 from kilter_service.robots.compensation import WORDS
 from kilter_service.robots.meshes import service as meshes
-from kilter_service.robots.repairs import service as repairs
 from kilter_service.versions import service as versions
 from kilter_service.versions.drift import service as drift
 from kilter_service.versions.today import service as today

@@ -1,12 +1,19 @@
-"""What a controller that corrects by itself means for Kilter's corrections: applied on top of it, they move the arm wrongly."""
+"""What a controller that corrects by itself means for Kilter's corrections: applied on top of it, they move the arm wrongly.
+
+What to say of a robot's controller when it is given a calibration that Kilter exported.
+"""
 
 from __future__ import annotations
 
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.contract.versions import Objection
 from kilter_service.ground.errors import ServiceError
+
+if TYPE_CHECKING:
+    from kilter_service.robots.store import StoredRobot
+
 
 TWICE, UNKNOWN = "corrected_twice", "compensation_unknown"
 VALUES: tuple[ControllerCompensation, ...] = get_args(ControllerCompensation)
@@ -88,3 +95,27 @@ def sentence(robot: str, compensation: str) -> str:
     """Say what the controller does, and what follows; empty where nothing does."""
     found = objection(robot, compensation) or remark(robot, compensation)
     return "" if found is None else found.message
+
+
+INTO_CONTROLLERS = {
+    "dh-csv": "enters this table",
+    "mdh-csv": "enters this table",
+    "ur-yaml": "enters these lengths and angles",
+    "corrector": "runs this program",
+    "c": "runs this code",
+}
+
+
+def said_of_controller(form: str, robot: StoredRobot) -> tuple[str, ...]:
+    """Return what must be said of the controller once it has a file, or that it corrects by itself already."""
+    if form not in INTO_CONTROLLERS:
+        return ()
+    if robot.controller_compensation == "kilter":
+        return ()
+    found = objection(robot.name, robot.controller_compensation)
+    if found is not None:
+        return (found.message,)
+    return (
+        f"A controller that {INTO_CONTROLLERS[form]} corrects by itself: say so then with `kilter robot compensation "
+        f"{robot.name} kilter`, so that nothing corrects the arm twice.",
+    )

@@ -7,7 +7,7 @@ import numpy as np
 from kilter_core.errors import OptionError
 from kilter_service.contract.kinematics import Flanges, JointRows, Posture, Postures
 from kilter_service.contract.units import Pose
-from kilter_service.ground.by_name import copy_fields
+from kilter_service.ground.called import copy_fields
 from kilter_service.ground.core import core_arm, core_model
 from kilter_service.ground.db import Database
 from kilter_service.ground.wire import to_deg, to_rad

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from kilter_service.contract.references import RobotChange, Tombstone
 from kilter_service.contract.robot_reports import RobotList, RobotReport
 from kilter_service.contract.robots import RobotDocument
+from kilter_service.ground import store as references
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.paging import Page
-from kilter_service.ground.references import store as references
 from kilter_service.robots import store, wire
 from kilter_service.robots.documents import resolve, without_settings
 

@@ -10,44 +10,44 @@ from fastapi import APIRouter, FastAPI
 from fastapi.concurrency import run_in_threadpool
 
 from kilter_service.campaigns.routes import router as campaigns
-from kilter_service.campaigns.suspicious.routes import router as suspicious
+from kilter_service.campaigns.routes import suspicious_router as suspicious
 from kilter_service.correction.routes import router as correction
-from kilter_service.correction.torques import router as torques
+from kilter_service.correction.routes import torque_router as torques
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.files.private_files import TEMPORARY, Scratch
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.version import code_version
-from kilter_service.jobs.fleet.routes import router as fleet_jobs
+from kilter_service.jobs.routes import fleet_router as fleet_jobs
 from kilter_service.jobs.routes import router as jobs
 from kilter_service.kept.routes import router as references
 from kilter_service.page.drop.drafts import Drafts
 from kilter_service.page.routes import ROUTERS as PAGE
-from kilter_service.robots.frames.routes import router as frames
-from kilter_service.robots.instruments.routes import router as instruments
-from kilter_service.robots.meshes.routes import router as meshes
-from kilter_service.robots.repairs.routes import router as repairs
+from kilter_service.robots.routes import frame_router as frames
+from kilter_service.robots.routes import instrument_router as instruments
+from kilter_service.robots.routes import mesh_router as meshes
+from kilter_service.robots.routes import repair_router as repairs
 from kilter_service.robots.routes import router as robots
 from kilter_service.run.path_lookups import look_up
-from kilter_service.stream.bridges.routes import router as bridges
 from kilter_service.stream.live.followers import get_viewers
-from kilter_service.stream.signing.routes import router as streams
+from kilter_service.stream.routes import router as bridges
+from kilter_service.stream.routes import session_router as streams
 from kilter_service.stream.signing.service import end_sessions
-from kilter_service.versions.acceptance.routes import router as acceptance
-from kilter_service.versions.drift.routes import router as drift
-from kilter_service.versions.metrics.routes import router as metrics
+from kilter_service.versions.routes import acceptance_router as acceptance
+from kilter_service.versions.routes import drift_router as drift
+from kilter_service.versions.routes import metrics_router as metrics
 from kilter_service.versions.routes import router as versions
-from kilter_service.versions.today.routes import router as today
+from kilter_service.versions.routes import today_router as today
 from kilter_service.web import problems
-from kilter_service.web.audit.refusals import Refusals
-from kilter_service.web.audit.routes import router as audit
 from kilter_service.web.auth.token import admin_token
 from kilter_service.web.concurrency import rooms_with
 from kilter_service.web.docs_page import openapi_with_security, serve_openapi
 from kilter_service.web.docs_page import router as docs_page
 from kilter_service.web.gate import Gate, Rates, Unhurried
-from kilter_service.web.health.routes import router as health
 from kilter_service.web.observability.requests import Observed
-from kilter_service.web.token_routes import router as tokens
+from kilter_service.web.refused_requests import Refusals
+from kilter_service.web.routes import health_router as health
+from kilter_service.web.routes import router as audit
+from kilter_service.web.routes import token_router as tokens
 
 SUMMARY = "Keeps a serial robot arm accurate: it identifies its errors from measured poses and corrects its setpoints."
 

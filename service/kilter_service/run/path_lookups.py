@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from kilter_service.campaigns import store as campaigns
 from kilter_service.ground.db import Session
-from kilter_service.ground.references.store import NOMINAL
+from kilter_service.ground.store import NOMINAL
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.fleet import store as fleet_jobs
 from kilter_service.robots import store as robots

@@ -36,7 +36,7 @@ with later(__name__):
     from kilter_service.run.doctor import commands as doctor_commands
     from kilter_service.stream.corrector import process as corrector_process
     from kilter_service.stream.ros2 import process as ros2_process
-    from kilter_service.web.audit import service as audits
+    from kilter_service.web import audit as audits
     from kilter_service.web.auth import token
 
 ASIDE = frozenset({"compile", "doctor"})  # which change nothing in the data folder

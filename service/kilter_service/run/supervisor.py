@@ -21,7 +21,7 @@ from typing import IO, Any
 
 from kilter_files.ground.later import later
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.migration_lock import migration_lock
+from kilter_service.ground.files.backup_folder import migration_lock
 from kilter_service.ground.files.private_files import ServerFile, private_folder
 from kilter_service.ground.processes.child import Child, ChildOutput
 from kilter_service.ground.settings import LOCK_FILE, Settings

@@ -14,7 +14,7 @@ from kilter_service.contract.versions import CorrectionLimits, Objection, Versio
 from kilter_service.ground.db import Database
 from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.versions import store, wire
-from kilter_service.versions.predictions import preview
+from kilter_service.versions.predictions import at_pose
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot
@@ -47,7 +47,7 @@ def ability(database: Database, version_id: str, temperature_c: float | None) ->
         with database.reading() as session:
             limits = CorrectionLimits(**store.get(session, version_id).limits)
             calibration = store.calibration(session, version_id)
-        robot, within, found = preview.over_poses(database, version_id, temperature_c)
+        robot, within, found = at_pose.over_poses(database, version_id, temperature_c)
         shown = wire.preview(version_id, robot, found, within, temperature_c)
         objection = of_poses(calibration, found, limits, temperature_c)
     except (CoreError, ArithmeticError, ValueError) as error:
@@ -82,7 +82,7 @@ def _remedy(
 ) -> str:
     """What helps: zero offsets that the controller should have, and limits within which the version corrects."""
     some = evenly(len(found.q), TRIED)
-    wide = preview.at_poses(calibration, None, WIDEST, found.q[some], temperature_c)
+    wide = at_pose.at_poses(calibration, None, WIDEST, found.q[some], temperature_c)
     if sum(wide.refusal_counts.values()) + wide.counts.get("LIMITED", 0) > MOST_REFUSED * len(some):
         return (
             f"Not even within {WIDEST.max_joint_deg:g} deg and {WIDEST.max_position_mm:g} mm would it: it describes another "

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_correct, core_identify
 from kilter_service.ground.wire import to_deg, to_mm
-from kilter_service.versions.predictions.preview import at_poses, drawn
+from kilter_service.versions.predictions.at_pose import at_poses, drawn
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot

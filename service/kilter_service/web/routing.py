@@ -13,7 +13,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.params import Query
 from fastapi.routing import APIRoute
 
-from kilter_service.contract.problems import REFUSALS
+from kilter_service.contract.health import REFUSALS
 from kilter_service.web.auth.access import admit
 from kilter_service.web.auth.policy import Kind, Rule
 from kilter_service.web.bodies import check_address, check_names, is_json, parse_json, read_document

@@ -15,8 +15,8 @@ from kilter_core.gap.report.stored import Stored
 from kilter_core.gap.search.linear import linearized
 from kilter_core.identify import IdentifyOptions
 from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.measured_rows import measurement_for
 from kilter_core.identify.methods.fit import fit_by_method
-from kilter_core.identify.rows.measured import measurement_for
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import CorrelatedPrior

@@ -18,7 +18,7 @@ from kilter_core.identify import Identification, IdentifyOptions, identify
 from kilter_core.motion import find_missing_torque, told_loads
 from kilter_core.motion.regressor import rigid_regressor, stated_numbers
 from kilter_core.observations import Observations
-from kilter_service.jobs.inputs.plain import to_json_types
+from kilter_service.jobs.inputs.setups import to_json_types
 from tests.core.identify.test_carried_masses import ASKED, SOFT, measured, standing
 from tests.core.motion.moving_arm import Logger
 from tests.core.truth import Arm

@@ -5,7 +5,8 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
-from kilter_client.requests.calls import access, fleet, references
+from kilter_client.requests.calls import jobs as fleet
+from kilter_client.requests.calls import references
 from kilter_client.requests.connection import AsyncConnection, locate
 from kilter_client.requests.methods import make_async_method
 from kilter_client.requests.steps import Steps
@@ -15,7 +16,7 @@ from kilter_client.verbs import dry_run as dry_runs
 from kilter_client.verbs import jobs as computed
 from kilter_client.verbs import robots as described
 from kilter_client.verbs import versions as made
-from kilter_client.verbs.error_wording import rephrase_error
+from kilter_client.verbs.progress import rephrase_error
 
 if TYPE_CHECKING:
     import httpx
@@ -110,15 +111,15 @@ class AsyncKilter:
     restore = make_async_method(keeping.restore)
     purge = make_async_method(keeping.purge)
     resolve = make_async_method(references.resolve)
-    health = make_async_method(access.health)
-    tombstones = make_async_method(access.tombstones)
-    whoami = make_async_method(access.whoami)
-    login_link = make_async_method(access.login_link)
-    add_token = make_async_method(access.add_token)
-    tokens = make_async_method(access.tokens)
-    revoke_token = make_async_method(access.revoke_token)
-    audit = make_async_method(access.audit)
-    verify_audit = make_async_method(access.verify_audit)
+    health = make_async_method(references.health)
+    tombstones = make_async_method(references.tombstones)
+    whoami = make_async_method(references.whoami)
+    login_link = make_async_method(references.login_link)
+    add_token = make_async_method(references.add_token)
+    tokens = make_async_method(references.tokens)
+    revoke_token = make_async_method(references.revoke_token)
+    audit = make_async_method(references.audit)
+    verify_audit = make_async_method(references.verify_audit)
 
     async def close(self) -> None:
         """Close the connections."""

@@ -1,9 +1,7 @@
-"""The axes of an arm as a DH, MDH or Hayati table.
+"""The axes of an arm as screws, with a frame on each of them, and as a DH, MDH or Hayati table.
 
 All three come from one row of motions: base · Rz(θ1) Tz(d1) · L1 · Rz(θ2) Tz(d2) · L2 ... Rz(θn) Tz(dn) · Ln · tool, with
 links L = Rx(α) Ry(β) Tx(a). DH takes a joint with the link behind it, MDH with the link before it.
-
-The axes of an arm as screws, and a frame on each of them, of which URDF and MATLAB's rigidBodyTree are made.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""Noise from visits of one pose from other sides or under other loads: what is left of their differences.
+"""Covariances from repeats: one for the room or by a tracker's line of sight, and from visits under other loads.
 
 Geometry and every other error of a pose are the same for all its visits, so these differ by noise, by drift, and by what
 sides and loads do. The library's candidates of sides and loads are fitted to the differences, and what they leave is noise
 as that of repeats is. Too few differences to fit them leave a bound: the noise is this at most.
-
-Covariances from repeats: one for the whole room or by a tracker's line of sight, and no more shape than is seen.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""Visits: rows taken without leaving a pose, averaged, so that what remains is independent from one to the next.
-
-Trajectories: samples of a motion are not independent, and there are too many of them.
+"""Visits: rows taken without leaving a pose, averaged; and samples of trajectories, thinned.
 
 With 5 ms correlation a naive test on 4600 Hz samples false-alarms 99 %. Residuals are averaged over windows, the
 window's middle row represents it, what correlation is left inflates the noise, and blocks of ten correlation times are
@@ -14,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.identify.rows.noise import with_sides_of_repeats
+from kilter_core.identify.measurement_noise import with_sides_of_repeats
 from kilter_core.observations import Observations
 from kilter_core.observations.groups import segments
 from kilter_core.observations.repeats import group_means

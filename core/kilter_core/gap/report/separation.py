@@ -1,7 +1,4 @@
-"""Poses that distinguish two named effects, without a search before: the planning job's purpose "separate A from B".
-
-Whether proposed poses tell two effects apart, how many would, and what does where poses do not.
-"""
+"""Poses that distinguish two named effects, whether they do, and how many would."""
 
 from __future__ import annotations
 

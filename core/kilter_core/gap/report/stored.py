@@ -24,8 +24,7 @@ from kilter_core.gap.search.prepare import with_masses
 from kilter_core.gap.study import SHIFT
 from kilter_core.identify.comparison import geometry_alone
 from kilter_core.identify.fleet.said import prior_dominated_mask
-from kilter_core.identify.identifiable.identifiability import identifiable, null_directions
-from kilter_core.identify.identifiable.load_model import load_rows
+from kilter_core.identify.identifiability import identifiable, load_rows, null_directions
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import frame_sources, register_nominal, wanted_frames
 from kilter_core.identify.report import (

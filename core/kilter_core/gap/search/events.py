@@ -1,10 +1,8 @@
-"""When something happened once: every place between two rows is tried, and the best one kept, for each effect that jumps.
+"""When something happened once, and what is noise after every new name.
 
 An effect that jumps is linear in how far, not in when. For each of them all its columns, one per place between two visits,
 are scored at once by sums along the order of measurement: given geometry and what is chosen, what it takes off chi-square
 there. The candidate is the best place; that it is the best of so many counts against it (:attr:`Candidate.places`).
-
-After every name: what is noise, and which readings are wrong, judged again by the model with what it knows by now.
 
 Without repeats the noise is the scatter of the fit. Frozen at the first fit it holds the gap itself: wrong readings do not
 show above it, and the next effect hides under the first (an arm of 0.02 mm was said to have 0.08). With repeats a name
@@ -35,7 +33,7 @@ from kilter_core.gap.search.linear.linearized import (
     with_columns_of,
 )
 from kilter_core.gap.search.linear.settings import ProblemSettings
-from kilter_core.gap.search.rows.outliers import LARGE, outliers, stands_out
+from kilter_core.gap.search.outliers import LARGE, outliers, stands_out
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import read_clock

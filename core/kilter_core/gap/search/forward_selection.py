@@ -1,6 +1,4 @@
-"""The search: enter the best, re-fit everything, swap and drop, until what is left is no better than noise (E5).
-
-After the search: no name that chance could have given, no shape without a cause where a cause does as well.
+"""The search: enter the best, re-fit, swap and drop; and afterwards no name that chance could have given.
 
 The search judged each entry before the last re-fit. Here everything is judged again at the final fit, with the null
 distribution the report quotes; and an empirical term that a physical one could replace at the same price is replaced.

@@ -27,7 +27,7 @@ from kilter_core.gap.search.candidates import Library, build_library
 from kilter_core.gap.search.events import place_events, under, without_wrong
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, ignore_step, refit
 from kilter_core.gap.search.linear.settings import ProblemSettings
-from kilter_core.gap.search.rows.noise_reader import (
+from kilter_core.gap.search.noise_reader import (
     JUDGED_AGAIN,
     REPEATS_SET_ASIDE,
     NoiseReader,

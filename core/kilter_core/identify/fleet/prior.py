@@ -1,7 +1,4 @@
-"""The prior of a type: which versions carry it, what each robot looks like to the others, and the model that has it.
-
-Versions of other arms, and whether they are of one type and in one gauge: only then do their parameters mean the same.
-"""
+"""The prior of a type of arm, and which versions may carry it."""
 
 from __future__ import annotations
 
@@ -14,8 +11,8 @@ from scipy.special import fdtrc
 
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import CoreError
+from kilter_core.identify.measured_rows import measurement_for
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.rows.measured import measurement_for
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.parameters import CorrelatedPrior

@@ -1,8 +1,4 @@
-"""Whether a reading of the rows can be true at all, however well it fits: nine free numbers fit some readings by chance.
-
-One fixed transform that the description of an arm lacks between two joints: another drawing, not other rows.
-
-Whether what was identified is still the arm that is described: distances and angles of consecutive axes.
+"""Whether a reading of the rows can be true, whether this is still the arm described, and what its description lacks.
 
 A fit with enough freedom makes one arm of another: rows of a robot of 0.9 m on a preset of 1.3 m were fitted to 0.05 mm, with
 a link longer by 52 mm and an axis rotated by 90 degrees. What is compared does not depend on how the arm is described, and

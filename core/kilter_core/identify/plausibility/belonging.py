@@ -16,7 +16,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError
 from kilter_core.identify.plausibility.plausibility import FACTOR, FOREIGN, refuse_foreign
 from kilter_core.identify.plausibility.set_up_changes import Sample, place_nearer, seen_tool
-from kilter_core.identify.plausibility.views.unrelated_views import refuse_unrelated_views
+from kilter_core.identify.plausibility.unrelated_views import refuse_unrelated_views
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.frames import register
 from kilter_core.measurement.marker_shape import fit_poses

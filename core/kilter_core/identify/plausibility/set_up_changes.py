@@ -1,9 +1,7 @@
-"""Campaigns that a model fits one by one and not together: the tool, or the base, was another one in each.
+"""A few rows placed by base and tool alone, and campaigns whose tool or base was another one.
 
 Beside the model's own parameters, linear about the fit of all campaigns together, every campaign after the first gets a
 tool, a base, or both. What these take from what is left says whether the arm, or how it was set up, differed.
-
-A few rows of a campaign placed on the robot by base and tool alone: fast enough to try readings and units of them.
 """
 
 from __future__ import annotations

@@ -13,13 +13,12 @@ from kilter_core.effects.masses import LoadError
 from kilter_core.identify.carried_masses import beside_drawn_masses, considered_masses
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet.said import prior_warnings
-from kilter_core.identify.identifiable.identifiability import identifiable
-from kilter_core.identify.identifiable.load_model import far_from_stated, load_rows
+from kilter_core.identify.identifiability import far_from_stated, identifiable, load_rows
+from kilter_core.identify.measurement_noise import Repeats
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.believable import another_arm
 from kilter_core.identify.plausibility.belonging import unless_astray
 from kilter_core.identify.report import fit_warnings
-from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.scale_gauge import free_scale
 from kilter_core.identify.setup_frames import marginal, of_the_arm
 from kilter_core.identify.steps.start import Fitted, Study

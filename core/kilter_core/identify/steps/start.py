@@ -1,7 +1,4 @@
-"""What an identification begins with: the model with the effects asked for, rows that belong to it, and the hold-out.
-
-The fit of a study: frames registered first, then all free parameters, and the stages that are compared.
-"""
+"""What an identification begins with, and the fit of a study."""
 
 from __future__ import annotations
 
@@ -16,12 +13,12 @@ from kilter_core.identify.carried_masses import with_masses
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet.prior import FleetPrior, FleetVersion, of_its_type
 from kilter_core.identify.holdout import Folds, Learned, select_learned_effects, split
+from kilter_core.identify.measured_rows import as_inputs, between_rows, measurement_for
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.belonging import of_held_out, refuse_mixed_up
 from kilter_core.identify.reference import is_continued, place_nominal, wanted_frames
-from kilter_core.identify.rows.measured import as_inputs, between_rows, measurement_for
 from kilter_core.identify.scale_gauge import with_likeliest_scale
 from kilter_core.identify.setup_frames import Frames, without_frames
 from kilter_core.identify.uncertainty.by_view import beside_tool_error

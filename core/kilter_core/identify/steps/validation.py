@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 
 from kilter_core.identify.comparison import PoseErrors, elsewhere, geometry_alone
-from kilter_core.identify.fit.tukey import RowErrors
+from kilter_core.identify.fit.robust import RowErrors
 from kilter_core.identify.holdout import Folds, fold_splits, select_learned_effects
-from kilter_core.identify.methods.fit import fit_by_method
-from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.reference import place_nominal, refuse_contradicted
-from kilter_core.identify.rows.measured import (
+from kilter_core.identify.measured_rows import (
     KindErrors,
     between_rows,
     measurement_for,
     pool_kind_errors,
     squared_errors_by_kind,
 )
+from kilter_core.identify.methods.fit import fit_by_method
+from kilter_core.identify.options import IdentifyOptions
+from kilter_core.identify.reference import place_nominal, refuse_contradicted
 from kilter_core.identify.setup_frames import OwnFrame, frame_shift, split_by_setup, with_own_frames
 from kilter_core.identify.steps.start import Fitted, Study, name_stages
 from kilter_core.identify.uncertainty.by_view import beside_tool_error

@@ -1,4 +1,4 @@
-"""A fit by views, no instrument beside them: each view counts as far as the model of the arm is known to hold there.
+"""What a fit by views alone knows: of its parameters, of the tool where a camera sees it, of the zeros of a table.
 
 All corners of a view share what the arm is off by there. Taken for independent they would hold a shift of the camera with a
 rotation that undoes it in the picture by hundredths of a pixel, and the arm's millimetre moves the two at will: zeros fitted
@@ -6,14 +6,10 @@ beside constants that were off left 8.4 mm of new views where frames alone left 
 its own beside its corners, as wide as the views scatter: generalised least squares, with widths as
 :mod:`~kilter_core.measurement.camera.view_scatter` finds them.
 
-What an identification from pixels alone knows: of its parameters, of the tool where a camera sees it, and of its cameras.
-
 Corners of one view share what the model gets wrong there, blur and a bent board
 (:mod:`~kilter_core.identify.uncertainty.by_view`). And views of one pose share what the model gets wrong of the arm there:
 what each pose says counts as far as it differs from that by more than chance, as in
 :mod:`~kilter_core.identify.uncertainty.clustered`.
-
-How well the zeros of a closest table are known: what a controller or a servo is given should say so.
 """
 
 from __future__ import annotations

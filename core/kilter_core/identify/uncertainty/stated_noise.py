@@ -17,7 +17,7 @@ from scipy.special import fdtri
 
 from kilter_core.identify.carried_masses import of_masses
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.rows.noise import Repeats
+from kilter_core.identify.measurement_noise import Repeats
 from kilter_core.identify.uncertainty.predictive import EXACT, residual_sigma
 from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats, Ints

@@ -1,10 +1,8 @@
-"""Whether pictures were taken when their joints were read, and all lines of them at once: by what moving views leave.
+"""Whether pictures were taken when their joints were read, and whether printed boards are flat.
 
 A picture that is late shows the board where the arm is a moment later: what is left lies along the joints' velocity. A
 camera that reads line by line (rolling shutter) shows each line a little later than the one above, which no motion of the
 board as a whole explains. Both are one number of all views, with its variance by poses.
-
-Whether printed boards are flat: a bow along each side and a twist, tested against what their corners leave within views.
 
 What a view leaves is freed of every motion of its board first, so errors of the arm, of joints and of places have no part in
 it; then of what free intrinsics and scales explain. Corners of one pose share blur and errors of the lens, so the variance

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field
 
-from kilter_service.contract.effect_curves import EffectCurve
+from kilter_service.contract.effect_curves import EffectCurve, NextPose, ToldApart
 from kilter_service.contract.figures import GapFigures
 from kilter_service.contract.fits import LoadNumber, NullDirection, PriorUsed, Reference, SetAside
 from kilter_service.contract.gap_details import (
@@ -25,10 +25,7 @@ from kilter_service.contract.gap_details import (
     Untestable,
 )
 from kilter_service.contract.headlines import HEADLINE, Found, describe_motion, describe_search, list_found
-from kilter_service.contract.jobs.check import TestabilityCheck
-from kilter_service.contract.jobs.job import JobOf
-from kilter_service.contract.jobs.kind import JobContract
-from kilter_service.contract.jobs.shared import (
+from kilter_service.contract.jobs.check import (
     FIX,
     FREE,
     LIMITS,
@@ -40,9 +37,11 @@ from kilter_service.contract.jobs.shared import (
     MassesFrom,
     Names,
     PriorName,
+    TestabilityCheck,
     Version,
 )
-from kilter_service.contract.next_poses import NextPose, ToldApart
+from kilter_service.contract.jobs.job import JobOf
+from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.options import WithCoreOptions, with_core_options
 
 

@@ -10,22 +10,22 @@ from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import FitDetails, Metrics, NullDirection, Parameter
 from kilter_service.contract.gap_details import MotionFound, NamedEffect, Untestable
 from kilter_service.contract.headlines import HEADLINE, Found, describe_fit, describe_motion, list_found
-from kilter_service.contract.jobs.check import IdentifiabilityCheck
-from kilter_service.contract.jobs.job import JobOf
-from kilter_service.contract.jobs.kind import JobContract
-from kilter_service.contract.jobs.shared import (
+from kilter_service.contract.jobs.check import (
     FIX,
     FREE,
     LIMITS,
     MASSES_FROM,
     START,
     Effects,
+    IdentifiabilityCheck,
     Limits,
     MadeVersion,
     MassesFrom,
     Names,
     Version,
 )
+from kilter_service.contract.jobs.job import JobOf
+from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.options import WithCoreOptions, with_core_options
 from kilter_service.contract.units import Mm
 

@@ -1,24 +1,61 @@
-"""Set-ups of rows and their conditions: a sheet of a pencil has a frame of its own, for it lies elsewhere every time."""
+"""Set-ups of rows and their conditions: a sheet of a pencil has a frame of its own, for it lies elsewhere every time.
+
+What a job says of a payload that its campaigns do not state: the robot's default load counted, or nothing.
+
+Documents that JSON can hold, and rows as a job counts them over all its campaigns.
+"""
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kilter_core.errors import Finding, Sentences
 from kilter_files.ground import NAMED_SESSIONS
-from kilter_service.ground.core import core_watch
+from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
+from kilter_service.contract.jobs.registry import KINDS
+from kilter_service.ground.core import core_effects, core_observations, core_watch
 from kilter_service.ground.wire import to_metres, to_metres_if_known, to_mm
-from kilter_service.robots.instruments.store import permissible
+from kilter_service.jobs.kind import JobInput, JobOutput
+from kilter_service.robots.store import permissible
 
 if TYPE_CHECKING:
     from kilter_core.identify import Predictive
     from kilter_core.observations import Observations
     from kilter_core.watch import Conditions
     from kilter_service.jobs.kind import JobInput
-    from kilter_service.versions.drift.records import StoredCheck
+    from kilter_service.versions.drift.charts import StoredCheck
+
+
+def to_json_types(value: Any) -> Any:
+    """Return a document with Python's own types, and None where a number is not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): to_json_types(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [to_json_types(part) for part in value]
+    if isinstance(value, np.ndarray):
+        return to_json_types(value.tolist())
+    if isinstance(value, np.generic):
+        return to_json_types(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def by_campaign(rows: Sequence[Mapping[str, Any]], counts: Mapping[str, int]) -> list[dict[str, Any]]:
+    """Return rows of all campaigns together, ``row`` from 0, as rows of each, from 1; ``counts`` in their order."""
+    names, starts = list(counts), [0, *accumulate(counts.values())]
+    out = []
+    for one in rows:
+        k = bisect_right(starts, one["row"], hi=len(names)) - 1
+        out.append({"campaign": names[k], **one, "row": one["row"] - starts[k] + 1})
+    return out
 
 
 # A tracker keeps its frame, and a base fitted to each campaign would hide that it, or the arm, has moved.
@@ -151,3 +188,70 @@ def _of_another(job: JobInput, known: Predictive) -> float | None:
     far = float(np.nanmean(np.linalg.norm(rows.position, axis=1)))  # an instrument measures in its own frame
     own = float(permissible(instrument).standard(np.array([far]))[0])
     return own if np.isfinite(own) and own > known.noise else None
+
+
+READ = frozenset({"moments", "payload_kg"})
+THESIS = ("clearance_tilt", "backlash_load", "axial_compliance")  # of level 3 without named effects
+
+
+def with_load_warning(kind: str, output: JobOutput, job: JobInput) -> JobOutput:
+    """Add to result and version that a default load, or none, was taken, and for which campaigns."""
+    found = _default_load(job) or find_unstated_load(kind, job)
+    return output if found is None else output.with_warnings(found.to_document(SENTENCES))
+
+
+def find_unstated_load(kind: str, job: JobInput) -> Finding | None:
+    """Say which campaigns state no payload, where nothing counted and an effect of the job follows the load; else None."""
+    if all(core_observations.is_log(rows) for rows in job.campaigns.values()):
+        return None  # what it carries is part of the last body
+    following = _following(kind, job) if job.no_load else []
+    if not following:
+        return None
+    names = [job.names.get(c, c) for c in job.no_load]
+    return Finding("load_not_stated", {"campaigns": list(job.no_load), "effects": following}, {"names": names})
+
+
+def _following(kind: str, job: JobInput) -> list[str]:
+    """Effects that the job identifies, tests or carries, by id, that read the load."""
+    reading = [
+        e.id for e in core_effects.EFFECTS.values() if e.needs & READ and not e.nuisance and e.stage != "measurement"
+    ]
+    own = [] if job.calibration is None else [e.id for e in job.calibration.model.effects]
+    if kind == "gap":
+        asked = [str(e if isinstance(e, str) else e.id) for e in getattr(job.options, "effects", None) or ()]
+        own += asked or (reading if job.robot.has_masses else [])
+    elif kind == "identify":
+        asked = [str(e if isinstance(e, str) else e.id) for e in job.options.effects]
+        own = asked or (list(THESIS) if job.options.level == 3 and not own else own)
+    elif not KINDS[kind].against_fit:
+        return []
+    return [name for name in dict.fromkeys(own) if name in reading]
+
+
+def _default_load(job: JobInput) -> Finding | None:
+    load = job.robot.load
+    if load is None or not job.default_load:
+        return None
+    names = [job.names.get(c, c) for c in job.default_load]
+    said = {"names": names, "mass_kg": load.mass, "com_m": load.com}
+    return Finding("default_load_used", {"campaigns": list(job.default_load)}, said)
+
+
+def load_not_stated(said: Mapping[str, Any]) -> str:
+    """Say which campaigns state no payload, and which effects follow it."""
+    state = "state" if len(said["campaigns"]) > 1 else "states"
+    return counted_as_nothing(f"{', '.join(said['names'])} {state}", said["effects"])
+
+
+def _default_load_used(said: Mapping[str, Any]) -> str:
+    at = ", ".join(f"{value * 1e3:.6g}" for value in said["com_m"])
+    return (
+        f"{', '.join(said['names'])}: no payload is stated, so the robot's default load counts, {said['mass_kg']:.6g} kg at "
+        f"({at}) mm in the tool frame. If it carried another, state payload_kg."
+    )
+
+
+SENTENCES: Sentences = {
+    "load_not_stated": lambda said: f"{load_not_stated(said)} {REMEDY.format(whole='campaign')}",
+    "default_load_used": _default_load_used,
+}

@@ -10,7 +10,7 @@ from kilter_core.errors import OptionError
 from kilter_core.parameters import mm
 from kilter_service.contract.jobs.payload import PAYLOAD, PayloadOptions
 from kilter_service.ground.core import core_motion
-from kilter_service.jobs.inputs.plain import to_json_types
+from kilter_service.jobs.inputs.setups import to_json_types
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Progress
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ import numpy as np
 
 from kilter_core.errors import CancelledError, CoreError
 from kilter_core.observations import evenly
-from kilter_service.contract.drift import ControlChart, DriftHistory
 from kilter_service.contract.jobs.drift import DriftResult
-from kilter_service.contract.written import as_written
+from kilter_service.contract.today import ControlChart, DriftHistory
+from kilter_service.contract.words import as_written
 from kilter_service.ground.caller import on_behalf
 from kilter_service.ground.core import core_effects, core_identify, core_model
 from kilter_service.ground.db import Database, DatabaseAwayError, Session
@@ -29,10 +29,8 @@ from kilter_service.ground.wire import to_mm
 from kilter_service.jobs import store
 from kilter_service.jobs.fan_out import FanOut, fan_out
 from kilter_service.jobs.fleet import store as fleet
-from kilter_service.jobs.fleet.comparison import compare_with_previous
-from kilter_service.jobs.inputs.default_load import with_load_warning
-from kilter_service.jobs.inputs.plain import to_json_types
-from kilter_service.jobs.inputs.setups import LAID_AGAIN
+from kilter_service.jobs.fleet.service import compare_with_previous
+from kilter_service.jobs.inputs.setups import LAID_AGAIN, to_json_types, with_load_warning
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import get_job_kind
@@ -44,7 +42,7 @@ from kilter_service.versions.drift import service as drift
 from kilter_service.versions.drift import store as drifts
 from kilter_service.versions.drift.charts import height
 from kilter_service.versions.objections import objections_from_report
-from kilter_service.versions.predictions import preview
+from kilter_service.versions.predictions import at_pose
 from kilter_service.versions.suggested import WORKSPACE, suggest_limits
 from kilter_service.web.observability import logs, tracing
 
@@ -139,7 +137,7 @@ def with_ability_warning(output: JobOutput, job: JobInput) -> JobOutput:
     q = q[evenly(len(q), MOST_POSES)]
     calibration = core_model.Calibration.from_document(job.robot, version.calibration)
     try:
-        found = preview.at_poses(calibration, None, version.limits, q)
+        found = at_pose.at_poses(calibration, None, version.limits, q)
         objection = ability.of_poses(calibration, found, version.limits)
     except (CoreError, ArithmeticError, ValueError):  # activation says so
         return output

@@ -22,7 +22,7 @@ from kilter_service.ground.db.database import Lookout
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.failure_log import log_failure
-from kilter_service.ground.files.migration_lock import wait_for_migration
+from kilter_service.ground.files.backup_folder import wait_for_migration
 from kilter_service.ground.processes.memory import end_before_others
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.webhook import Webhook
@@ -32,7 +32,7 @@ from kilter_service.jobs.work import store
 from kilter_service.jobs.work.retention import Retention
 from kilter_service.jobs.work.runner import CreepingPosts, Runner
 from kilter_service.jobs.work.store import Claim
-from kilter_service.web.health import store as health
+from kilter_service.web import store as health
 
 LOOK_S = 0.1
 

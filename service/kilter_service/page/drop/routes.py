@@ -32,15 +32,15 @@ from kilter_service.page.shared import asking
 from kilter_service.page.shared.asking import take_step
 from kilter_service.page.shared.measured import describe_facts
 from kilter_service.page.words import validation_words
+from kilter_service.robots import instruments
 from kilter_service.robots import service as robots
-from kilter_service.robots.instruments import service as instruments
 from kilter_service.versions.today import service as today
+from kilter_service.web import logins
 from kilter_service.web.auth.access import get_caller
 from kilter_service.web.bodies import parse_json, read_document, spool_upload
 from kilter_service.web.concurrency import compute
-from kilter_service.web.logins import service as logins
 from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
-from kilter_service.web.tokens.service import hash_secret
+from kilter_service.web.tokens import hash_secret
 
 PARTS: Mapping[str, type[Camera] | type[Board]] = {"cameras": Camera, "boards": Board}
 MISSING = (

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from fastapi import Form, Request, Response
 
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.suspicious import service as suspicious
+from kilter_service.campaigns import suspicious
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.gap_details import AtJoints, Detectable, GapSize, NamedEffect, Place, Refused, Untestable
 from kilter_service.contract.jobs.gap import GAP, GapJob, GapOptions, GapResult

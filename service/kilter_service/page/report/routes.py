@@ -13,9 +13,8 @@ from markupsafe import Markup
 
 from kilter_core.errors import CoreError
 from kilter_files.look import why_unusual
-from kilter_service.campaigns import looking
+from kilter_service.campaigns import looking, suspicious
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import Parameter, StageErrors
 from kilter_service.contract.jobs.evaluate import EVALUATE
@@ -52,9 +51,9 @@ from kilter_service.page.shared.errors_drawn import cumulative
 from kilter_service.page.shared.naming import in_names
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
-from kilter_service.versions.acceptance.routes import LARGEST_MM, REFITS, Refit
-from kilter_service.versions.acceptance.service import Wish
-from kilter_service.versions.addressed import AddressedVersion
+from kilter_service.versions.acceptance import Wish
+from kilter_service.versions.if_match import AddressedVersion
+from kilter_service.versions.routes import LARGEST_MM, REFITS, Refit
 from kilter_service.versions.today import service as today
 from kilter_service.web.state import DatabaseOfApp, get_scratch
 

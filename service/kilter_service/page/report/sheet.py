@@ -18,9 +18,9 @@ from kilter_service.page import words
 from kilter_service.page.figures.plot import Group, Plot, Table, places_from_two_sides
 from kilter_service.page.shared import errors_drawn
 from kilter_service.page.words import of_joints
-from kilter_service.versions.acceptance import service as acceptance
-from kilter_service.versions.acceptance.routes import LARGEST_MM
-from kilter_service.versions.acceptance.service import Wish
+from kilter_service.versions import acceptance
+from kilter_service.versions.acceptance import Wish
+from kilter_service.versions.routes import LARGEST_MM
 
 INK, HEIGHT = "#141414", 230.0
 SHADES_OF_BARS = ("#c8c8c8", "#828282", INK)

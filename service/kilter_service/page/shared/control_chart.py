@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
 
-from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftMark, DriftSummary
-from kilter_service.contract.today import Today
+from kilter_service.contract.today import CheckOfRobot, ControlChart, DriftHistory, DriftMark, DriftSummary, Today
 from kilter_service.ground.texts import plural
 from kilter_service.page.figures.plot import GREY, Axis, Days, Plot, days_around, lengths
 from kilter_service.page.words import bare, format_in_largest_unit, moment, number, unit

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from kilter_service.contract.robots import Mesh, MeshList, MeshUnit, UrdfShape, UrdfShapes
-from kilter_service.ground.by_name import copy_fields
+from kilter_service.ground.called import copy_fields
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError

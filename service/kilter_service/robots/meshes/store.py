@@ -9,7 +9,7 @@ from typing import Literal
 from sqlalchemy import select
 
 from kilter_service.contract.robots import MeshUnit
-from kilter_service.ground.by_name import copy_fields
+from kilter_service.ground.called import copy_fields
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import MeshRow

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kilter_service.stream.corrector.specs import Rules
+from kilter_service.stream.corrector.session import Rules
 from kilter_service.stream.corrector.wire import Status
 
 

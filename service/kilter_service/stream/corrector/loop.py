@@ -26,7 +26,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.stream.corrector import endpoints, fast_path, wire
 from kilter_service.stream.corrector.active import Active, nothing_active
 from kilter_service.stream.corrector.orphan import ORPHAN_S, Door, State
-from kilter_service.stream.corrector.session import ENCODING, close, open_listening
+from kilter_service.stream.corrector.session import ENCODING, StreamSpec, close, open_listening
 from kilter_service.stream.corrector.slots import (
     Admitted,
     Gate,
@@ -36,7 +36,6 @@ from kilter_service.stream.corrector.slots import (
     parse_setpoint_key,
     unsigned_refusal,
 )
-from kilter_service.stream.corrector.specs import StreamSpec
 from kilter_service.stream.corrector.telemetry import PERIOD_S, Telemetry, TurnedAway
 from kilter_service.stream.corrector.wire import Status
 from kilter_service.stream.signing import questions, sealed

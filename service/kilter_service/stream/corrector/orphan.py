@@ -21,7 +21,7 @@ from kilter_service.ground.files.private_files import hold_scratch_folder
 from kilter_service.ground.version import code_version
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.endpoints import orphan_door_path
-from kilter_service.stream.corrector.specs import StreamSpec
+from kilter_service.stream.corrector.session import StreamSpec
 
 ORPHAN_S = 60.0  # longer than a server takes to start; an arm should not follow for long what nobody can change
 ANSWER_S = 3.0  # in which both sides answer, which takes milliseconds

@@ -19,8 +19,7 @@ from kilter_core.errors import ObservationError
 from kilter_core.types import Floats
 from kilter_service.stream.corrector import endpoints, wire
 from kilter_service.stream.corrector.active import Active
-from kilter_service.stream.corrector.session import ENCODING, close, open_inside
-from kilter_service.stream.corrector.specs import QuerySpec, Rules
+from kilter_service.stream.corrector.session import ENCODING, QuerySpec, Rules, close, open_inside
 from kilter_service.stream.corrector.wire import Flag, FrameError, Header, Kind, Status
 from kilter_service.stream.signing import questions, sealed
 from kilter_service.stream.signing.sealed import Session

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from kilter_core.types import Floats
-from kilter_service.contract.stream_messages import Flag as Flag
-from kilter_service.contract.stream_messages import Kind as Kind
-from kilter_service.contract.stream_messages import Status as Status
+from kilter_service.contract.streams import Flag as Flag
+from kilter_service.contract.streams import Kind as Kind
+from kilter_service.contract.streams import Status as Status
 
 MAGIC = b"KLT1"
 HEADER = struct.Struct("<4sBBHQQQ")  # magic, kind, joints, flags, seq, t_send_ns, t_apply_ns

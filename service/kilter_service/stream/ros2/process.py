@@ -30,14 +30,13 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.failure_log import Failing
 from kilter_service.ground.settings import Settings
 from kilter_service.stream.corrector import endpoints, wire
-from kilter_service.stream.corrector.active import Active, VersionSource
-from kilter_service.stream.corrector.database_source import DatabaseSource
+from kilter_service.stream.corrector.active import Active, DatabaseSource, VersionSource
 from kilter_service.stream.corrector.endpoints import check_ros2
 from kilter_service.stream.corrector.session import close, config
 from kilter_service.stream.corrector.stream import Stream
 from kilter_service.stream.corrector.wire import Flag, Status
 from kilter_service.stream.ros2 import cdr
-from kilter_service.web.health.pulse import Pulse
+from kilter_service.web.pulse import Pulse
 
 _ATTACHMENT = struct.Struct("<qqB16s")
 NODE = "kilter"

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from kilter_service.contract.remarks import Remark
-from kilter_service.contract.stream_messages import MAX_AGE_NS
-from kilter_service.contract.streams import NewStreamSession, StreamSession
+from kilter_service.contract.streams import MAX_AGE_NS, NewStreamSession, StreamSession
+from kilter_service.contract.words import Remark
 from kilter_service.ground.caller import CALLER
 from kilter_service.ground.db import Database, audited
 from kilter_service.ground.db import Session as Opened
@@ -14,11 +13,12 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
-from kilter_service.stream.signing import sealed, store
+from kilter_service.stream import store
+from kilter_service.stream.signing import sealed
 from kilter_service.stream.signing.masters import Masters, load_masters, update_masters_file
 from kilter_service.stream.signing.sealed import Session
-from kilter_service.stream.signing.store import Holder
-from kilter_service.web.tokens import store as tokens
+from kilter_service.stream.store import Holder
+from kilter_service.web import store as tokens
 
 MAX_JOINTS, MAX_POINTS = 16, 4096
 

@@ -12,7 +12,7 @@ from kilter_core.observations import Observations
 from kilter_core.parameters import display_unit_and_scale
 from kilter_core.types import QUANTILE, Bools, Floats, Ints
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.stream_messages import Status
+from kilter_service.contract.streams import Status
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_arm, core_correct, core_identify, core_measurement, core_model, transforms
 from kilter_service.ground.correction_limits import correction_options
@@ -20,7 +20,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
-from kilter_service.versions.predictions.preview import at_poses, drawn
+from kilter_service.versions.predictions.at_pose import at_poses, drawn
 from kilter_service.versions.predictions.residuals import Part, iter_frame_groups, load_parts, refit_frames
 from kilter_service.versions.records import PreviewedPoses
 

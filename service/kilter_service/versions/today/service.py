@@ -5,27 +5,32 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from kilter_service.contract.drift import Repair
 from kilter_service.contract.fits import Metrics, StageErrors
 from kilter_service.contract.gap_details import AtJoints, NamedEffect
 from kilter_service.contract.headlines import name_effects
 from kilter_service.contract.jobs.gap import GapResult
-from kilter_service.contract.today import ErrorAt, ErrorsToday, MeasuredCampaign, NamedMissing, SearchToday, Today
+from kilter_service.contract.today import (
+    ErrorAt,
+    ErrorsToday,
+    MeasuredCampaign,
+    NamedMissing,
+    Repair,
+    SearchToday,
+    Today,
+)
 from kilter_service.contract.units import ControllerCompensation
-from kilter_service.contract.words import interval
-from kilter_service.contract.written import as_written
-from kilter_service.ground.by_name import copy_fields
+from kilter_service.contract.words import as_written, interval
+from kilter_service.ground.called import copy_fields
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
 from kilter_service.robots import store as arms
 from kilter_service.robots.compensation import parse_compensation, sentence
-from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions.drift import service as drift
 from kilter_service.versions.predictions.unfitted_rows import larger
 from kilter_service.versions.today import sentences, store
 from kilter_service.versions.today.standing import Known, Reached, assess
 from kilter_service.versions.today.store import Active, Evaluated, Made, Measured, Searched
-from kilter_service.web.observability.store import streams
+from kilter_service.web.store import streams
 
 
 def against(found: Searched, active: Active | None) -> SearchToday:
@@ -124,7 +129,7 @@ def of_robot(database: Database, robot: str) -> Today:
         searched = None if found is None else against(found, active)
         compensation = parse_compensation(arms.get_compensation(session, key))
         known = _with_repair(
-            _today_by_robot(session, robots, searched, MOST)[robots[key]], repairs.last_repair(session, key)
+            _today_by_robot(session, robots, searched, MOST)[robots[key]], arms.last_repair(session, key)
         )
         return _with_controller(known, compensation)
 

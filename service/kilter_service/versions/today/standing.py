@@ -7,8 +7,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from kilter_service.contract.drift import DriftSummary
-from kilter_service.contract.today import UNUSED, FirstStage, FirstStep, NextStep, RobotState, Standing, StepKind, Today
+from kilter_service.contract.today import (
+    UNUSED,
+    DriftSummary,
+    FirstStage,
+    FirstStep,
+    NextStep,
+    RobotState,
+    Standing,
+    StepKind,
+    Today,
+)
 from kilter_service.contract.words import interval, said_of_error
 from kilter_service.ground.db.row import days_since
 from kilter_service.ground.texts import plural

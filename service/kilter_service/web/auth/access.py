@@ -13,10 +13,9 @@ from kilter_service.ground.caller import ADMIN, ANYBODY, CALLER, RANK, Caller
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
+from kilter_service.web import logins, tokens
 from kilter_service.web.auth.forwarded import client_address, is_direct
 from kilter_service.web.auth.policy import Rule, rule_for_route
-from kilter_service.web.logins import service as logins
-from kilter_service.web.tokens import service as tokens
 
 # A token that is limited to robots: what a path names must be of one of them, before the body is read.
 #

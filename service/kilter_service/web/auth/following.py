@@ -13,9 +13,8 @@ from fastapi.concurrency import run_in_threadpool
 
 from kilter_service.ground.caller import ANYBODY
 from kilter_service.ground.errors import ServiceError
+from kilter_service.web import logins, tokens
 from kilter_service.web.auth.access import Credentials, get_caller
-from kilter_service.web.logins import service as logins
-from kilter_service.web.tokens import service as tokens
 
 MOST = 64  # that one token, or one address without a token, follows at a time
 CHECK_S = 0.4

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_client.bridges.news import Kind
+from kilter_client.bridges.versions import Kind
 from kilter_core.correct import JOINT_LIMIT, NOT_FINITE, OK, RATE_LIMIT, TOO_LARGE, Stored, Track, from_bytes, warm_up
 from kilter_core.errors import OptionError
 

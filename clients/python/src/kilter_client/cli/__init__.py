@@ -41,7 +41,7 @@ def show_version_or_help(
 ) -> None:
     """Show the version, or the help where no command is given."""
     if version:
-        from kilter_client.cli.release import show_releases
+        from kilter_client.cli.quick_start import show_releases
 
         show_releases(as_json)
         raise typer.Exit

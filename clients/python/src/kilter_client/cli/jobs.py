@@ -9,7 +9,7 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
-from kilter_client.cli.reports.next_step import suggest_after_job
+from kilter_client.cli.reports.answer import suggest_after_job
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.terminal.arguments import Details, Json
 from kilter_client.cli.terminal.interrupt import job_goes_on, job_name, on_interrupt

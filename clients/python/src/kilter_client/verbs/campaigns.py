@@ -11,11 +11,18 @@ from kilter_client.errors import ApiError, ObservationError, UsageError
 from kilter_client.requests.calls import campaigns as calls
 from kilter_client.requests.calls.references import resolve_id
 from kilter_client.requests.steps import Document, Sent, Steps
-from kilter_client.resources.name_match import is_same_campaign
+from kilter_client.resources.references import is_same_campaign
 from kilter_client.results.record import Records
-from kilter_client.verbs.inputs import Data, default_name, parse_day, parse_time, prepare_rows
+from kilter_client.verbs.inputs import (
+    Data,
+    ResourceReference,
+    default_name,
+    parse_day,
+    parse_time,
+    prepare_rows,
+    reference,
+)
 from kilter_client.verbs.progress import Watching, show_progress
-from kilter_client.verbs.references import ResourceReference, reference
 from kilter_client.verbs.servo_calibration import compare_calibration_file
 
 if TYPE_CHECKING:

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, Unpack, cast
 from kilter_client.errors import UsageError
 from kilter_client.requests.steps import Steps
 from kilter_client.verbs import campaigns, jobs
-from kilter_client.verbs.inputs import Data
+from kilter_client.verbs.inputs import Data, ResourceReference, reference
 from kilter_client.verbs.progress import Watching
-from kilter_client.verbs.references import ResourceReference, reference
 
 if TYPE_CHECKING:
     from datetime import date, datetime

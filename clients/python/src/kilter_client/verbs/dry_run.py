@@ -11,14 +11,13 @@ from kilter_client.errors import ApiError, CalibrationError, ConflictError, Kilt
 from kilter_client.files import files_look
 from kilter_client.requests.calls import campaigns, robots
 from kilter_client.requests.steps import Document, Steps
-from kilter_client.results.dry_run import DryRun
+from kilter_client.results.corrected import DryRun
 from kilter_client.verbs.campaigns import build_conditions, find_stored_campaign
-from kilter_client.verbs.inputs import Data, default_name, prepare_rows
-from kilter_client.verbs.references import ResourceReference, reference
+from kilter_client.verbs.inputs import Data, ResourceReference, default_name, prepare_rows, reference
 from kilter_client.verbs.servo_calibration import compare_calibration_file
 
 if TYPE_CHECKING:
-    from kilter_client.results.dry_run import DryRun
+    from kilter_client.results.corrected import DryRun
     from kilter_files import Prepared
 
 PIXEL = re.compile(r"[uv]\d+_px")

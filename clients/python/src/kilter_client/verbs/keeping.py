@@ -11,7 +11,7 @@ from kilter_client.requests.calls import robots as robot_calls
 from kilter_client.requests.calls.references import Kind
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.record import Record
-from kilter_client.verbs.references import ResourceReference, What, infer_kind, reference
+from kilter_client.verbs.inputs import ResourceReference, What, infer_kind, reference
 
 
 def change(

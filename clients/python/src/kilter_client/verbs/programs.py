@@ -14,14 +14,13 @@ from kilter_client.errors import FileError, UsageError
 from kilter_client.files import files_formats
 from kilter_client.requests.calls import robots, versions
 from kilter_client.requests.steps import Document, Steps
-from kilter_client.results.program import FilteredProgram
-from kilter_client.verbs.inputs import parse_signs
+from kilter_client.results.corrected import FilteredProgram
+from kilter_client.verbs.inputs import ResourceReference, parse_signs, reference
 from kilter_client.verbs.program_poses import ProgramJoints, Understood, not_kept, rewritten, understand
-from kilter_client.verbs.references import ResourceReference, reference
 from kilter_client.verbs.versions import correct
 
 if TYPE_CHECKING:
-    from kilter_client.results.program import FilteredProgram
+    from kilter_client.results.corrected import FilteredProgram
     from kilter_files.formats import JointTarget, PoseTarget, Program, Stated, Track
 
 AT_LIMIT_DEG = 1e-6  # what is held stands at the limit, but for the last digits

@@ -12,8 +12,7 @@ from kilter_client.requests.steps import Answer, Steps
 from kilter_client.results.corrected import Corrected
 from kilter_client.results.record import Records
 from kilter_client.results.rows import Rows, write_file
-from kilter_client.verbs.inputs import Data, prepare_rows
-from kilter_client.verbs.references import ResourceReference, reference, references
+from kilter_client.verbs.inputs import Data, ResourceReference, prepare_rows, reference, references
 
 if TYPE_CHECKING:
     from kilter_client.requests.calls.versions import Exported

@@ -18,8 +18,8 @@ from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.in_space import cholesky_root, fit_rms, noise_rms, rms_error_at_values
 from kilter_core.gap.search.linear.linearized import fit_nonlinear_values
 from kilter_core.gap.search.linear.settings import ProblemSettings
+from kilter_core.gap.search.outliers import along_one_motion
 from kilter_core.gap.search.prepare import Prepared, average_motion_rows
-from kilter_core.gap.search.rows.wrong_rows import along_one_motion
 from kilter_core.gap.search.sources.source import Source, rounding_document
 from kilter_core.observations import Observations
 from kilter_core.observations.groups import is_trajectory

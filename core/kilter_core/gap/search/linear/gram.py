@@ -1,16 +1,12 @@
-"""Inner products of data and candidates: all that a selection needs, conditioned on one set of columns after another.
+"""Inner products of data and candidates, conditioned on one set of columns, and that set less a few of them.
 
 Rank is decided once, for every set alike: :data:`RIDGE` is added to the square of each column that enters, as if its
 amount had been measured to be zero, hardly surely. So every set has an inverse, what a set takes never becomes less with
 more columns, and a direction that the data do not see counts for nothing, smoothly: a set has as many directions as the
 trace of its fit, to the nearest whole number.
 
-Conditioned on a set less a few of its columns: from the inverse of the whole set, without another.
-
 An exchange asks what every candidate does beside a set without one or two of its members, for each of them. What these
 columns take back is a matrix of as many directions as they have; the rest of the set stays projected off.
-
-Columns of thousands of rows less what geometry explains, made some rows at a time: whole they fill the memory.
 """
 
 from __future__ import annotations

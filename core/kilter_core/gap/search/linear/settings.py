@@ -1,9 +1,4 @@
-"""What stays the same through a search: rows, noise and what whitens; and the whitened derivatives at a fit.
-
-Tail probabilities of chi-square over a noise variance that is known, or only estimated.
-
-Physical ranges of what a search fits: no refit leaves an amplitude beyond them.
-"""
+"""What stays the same through a search: rows, noise, whitening, ranges and tail probabilities."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""What a search measures against what the model says: residuals, their derivatives, and what follows from their kind.
-
-Rounded joint readings as noise: each is off by up to half a step, which the Jacobian carries to what was measured.
+"""What a search measures against what the model says, and rounded joint readings as noise.
 
 The variance of a joint is step² / 12 (Widrow, Kollar and Liu 1996). Repeats do not show it: a pose that is visited again
 is rounded the same way again, so its visits share one error.

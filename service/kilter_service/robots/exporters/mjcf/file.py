@@ -6,8 +6,7 @@ from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 from kilter_service.robots.exporters.exportable import Exportable, Written, numbers
 from kilter_service.robots.exporters.mjcf.effects import drives, exported_effects, passive_joint_part
-from kilter_service.robots.exporters.mjcf.notes import KNOWN_OF_MUJOCO, in_mujoco, notes, of_sharpened
-from kilter_service.robots.exporters.mjcf.table import table, twisting
+from kilter_service.robots.exporters.mjcf.notes import KNOWN_OF_MUJOCO, in_mujoco, notes, of_sharpened, table, twisting
 from kilter_service.robots.exporters.mjcf.tree import bodies, nominal_frames
 
 TABLE, NOMINAL = "kilter", "kilter_nominal"  # names of the text and of the numbers among <custom>

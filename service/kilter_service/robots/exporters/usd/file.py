@@ -31,8 +31,7 @@ from kilter_service.robots.exporters.mjcf.effects import (
     exported_effects,
     passive_joint_part,
 )
-from kilter_service.robots.exporters.mjcf.notes import notes, of_sharpened
-from kilter_service.robots.exporters.mjcf.table import table
+from kilter_service.robots.exporters.mjcf.notes import notes, of_sharpened, table
 from kilter_service.robots.exporters.mjcf.tree import LEAST_INERTIA, identified_axes, nominal_poses, possible, thickness
 
 if TYPE_CHECKING:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.files.calibrated_rows import calibration_conditions
 from kilter_client.cli.files.inspect import (
     AllowCut,
     Calibration,
@@ -22,6 +21,7 @@ from kilter_client.cli.files.inspect import (
     check_numpy,
     fetch_joint_names,
 )
+from kilter_client.cli.files.sending import calibration_conditions
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Json
 from kilter_client.cli.terminal.interrupt import on_interrupt

@@ -17,12 +17,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.files.calibrated_rows import stated_servos
 from kilter_client.cli.files.inspect import JointOrder, Topic, fetch_joint_names
 from kilter_client.cli.files.match import match
-from kilter_client.cli.files.sending import rig_conditions, send
-from kilter_client.cli.reports.answer import fit_messages
-from kilter_client.cli.reports.next_step import suggest_after_upload
+from kilter_client.cli.files.sending import rig_conditions, send, stated_servos
+from kilter_client.cli.reports.answer import fit_messages, suggest_after_upload
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import ColumnMap, File, Json, PayloadCentre, Robot
 from kilter_client.cli.terminal.output import emit, note, number, print_line, print_lines, screen_columns, show_rows

@@ -5,10 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from kilter_client.cli.reports.answer import IN_JSON, LINES, fit_messages
-from kilter_client.cli.reports.next_step import PLACEHOLDER, format_next, suggest_after_today
-from kilter_client.cli.terminal.output import number, print_line, print_lines, screen_columns, show_list, show_rows
-from kilter_client.cli.terminal.session_notes import is_note_due
+from kilter_client.cli.reports.answer import IN_JSON, LINES, PLACEHOLDER, fit_messages, format_next, suggest_after_today
+from kilter_client.cli.terminal.output import (
+    is_note_due,
+    number,
+    print_line,
+    print_lines,
+    screen_columns,
+    show_list,
+    show_rows,
+)
 
 ONCE = {"compensation_unknown"}  # warnings that hold until somebody does what they ask for
 

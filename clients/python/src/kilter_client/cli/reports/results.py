@@ -7,12 +7,10 @@ from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
-from kilter_client.cli.reports.answer import show_answer
+from kilter_client.cli.reports.answer import show_answer, suggest_for_version
 from kilter_client.cli.reports.gap_report import show_gap, show_unobservable
 from kilter_client.cli.reports.identify_report import show_identification, show_parameters
-from kilter_client.cli.reports.next_step import suggest_for_version
-from kilter_client.cli.terminal.output import number, print_line, print_lines, show_list, show_rows
-from kilter_client.cli.terminal.session_notes import is_note_due
+from kilter_client.cli.terminal.output import is_note_due, number, print_line, print_lines, show_list, show_rows
 from kilter_client.results.shown import MODELS, nominal_words
 
 STAGES = tuple(MODELS)
