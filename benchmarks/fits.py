@@ -14,7 +14,7 @@ from kilter_core.effects import make_effect
 from kilter_core.identify import IdentifyOptions
 from kilter_core.identify.estimate import estimate, prepare_problem
 from kilter_core.identify.fit.least_squares import solve
-from kilter_core.identify.uncertainty.intervals import RESAMPLES, bootstrap
+from kilter_core.identify.uncertainty.stated_noise import RESAMPLES, bootstrap
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations

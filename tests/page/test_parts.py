@@ -13,7 +13,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
 from kilter_service.contract.fits import Errors, Parameter, StageErrors
-from kilter_service.contract.jobs.job import JobSummary, Progress
+from kilter_service.contract.jobs.kind import JobSummary, Progress
 from kilter_service.contract.streams import Bridge
 from kilter_service.contract.today import DriftSummary, ErrorsToday, Today
 from kilter_service.contract.versions import VersionSummary

@@ -30,7 +30,7 @@ from kilter_service.page.audit import REFUSED
 from kilter_service.run.app import create_app
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
-from kilter_service.web import audit, refused_requests
+from kilter_service.web import audit
 from kilter_service.web.audit import Head
 from kilter_service.web.auth.token import admin_token
 
@@ -121,29 +121,29 @@ def test_refused_requests_are_in_the_audit_in_groups(
     assert "was refused 3 times at POST /v1/robots: the role does not suffice" in page
     assert "was refused once at POST /login: a wrong token" in page
     assert not re.search(r"<td[^>]*>\s*(added robot|logged in)", page)  # what was asked for was not done
-    assert set(REFUSED) == refused_requests.NOTED | {"several"}
+    assert set(REFUSED) == audit.NOTED | {"several"}
 
 
 def test_nobody_fills_the_audit_by_being_refused(client: httpx.Client, database: Database) -> None:
-    counted = refused_requests.Refusals(database, first_s=3600.0)
+    counted = audit.Refusals(database, first_s=3600.0)
     for number in range(1000):
-        counted.count(refused_requests.Group("token_wrong", Caller("anybody", "viewer", address=f"10.0.0.{number}")))
+        counted.count(audit.Group("token_wrong", Caller("anybody", "viewer", address=f"10.0.0.{number}")))
     counted.close()
     found = refused(client)
-    assert len(found) == refused_requests.MOST_GROUPS + 1
+    assert len(found) == audit.MOST_GROUPS + 1
     assert sum(one[3]["times"] for one in found) == 1000
-    assert found[-1][2:] == ("(several)", {"code": "several", "times": 1000 - refused_requests.MOST_GROUPS})
+    assert found[-1][2:] == ("(several)", {"code": "several", "times": 1000 - audit.MOST_GROUPS})
 
 
 def test_refused_requests_are_written_by_themselves_and_more_slowly_while_they_go_on(
     client: httpx.Client, database: Database, until: Callable[..., None]
 ) -> None:
-    group = refused_requests.Group("token_wrong", Caller("anybody", "viewer", address="10.0.0.1"))
-    soon = refused_requests.Refusals(database, first_s=0.02)
+    group = audit.Group("token_wrong", Caller("anybody", "viewer", address="10.0.0.1"))
+    soon = audit.Refusals(database, first_s=0.02)
     soon.count(group)
     until(lambda: len(refused(client)) == 1)
     soon.close()
-    counted = refused_requests.Refusals(database, first_s=400.0)
+    counted = audit.Refusals(database, first_s=400.0)
     pauses = []
     for times in (2, 1, 0):
         for _ in range(times):
@@ -151,7 +151,7 @@ def test_refused_requests_are_written_by_themselves_and_more_slowly_while_they_g
         counted._due()
         pauses.append(counted._pause_s)
     counted.close()
-    assert pauses == [refused_requests.LONGEST_S, refused_requests.LONGEST_S, 400.0]
+    assert pauses == [audit.LONGEST_S, audit.LONGEST_S, 400.0]
     assert [one[3]["times"] for one in refused(client)] == [1, 2, 1]
 
 
@@ -159,8 +159,8 @@ def test_refused_requests_wait_for_a_database_that_is_away(
     tmp_path: Path, client: httpx.Client, database: Database
 ) -> None:
     away = Database(f"sqlite:///{tmp_path / 'none' / 'none.sqlite'}")
-    counted = refused_requests.Refusals(away, first_s=3600.0)
-    counted.count(refused_requests.Group("token_wrong", Caller("anybody", "viewer")))
+    counted = audit.Refusals(away, first_s=3600.0)
+    counted.count(audit.Group("token_wrong", Caller("anybody", "viewer")))
     counted.write()
     counted._database = database
     counted.close()

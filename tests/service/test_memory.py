@@ -61,7 +61,7 @@ from kilter_core.observations.repeats import numbered_poses
 from kilter_core.twin import Twin
 from kilter_service.ground.core import core_observations
 from kilter_service.ground.correction_outcome import about
-from kilter_service.versions.predictions.paired import chance
+from kilter_service.versions.predictions.differences import chance
 print(round(float(about(np.array([0.0]), np.array([2.0]))[0]), 9), round(chance(2, 6), 9))
 rows = Twin(robot_from_document(preset_document("ur10")), {}, ()).observe(np.zeros((2, 6)))
 print(rows.position.shape, numbered_poses(rows.q), core_observations.is_log(rows))

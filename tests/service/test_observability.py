@@ -32,7 +32,7 @@ from kilter_service.versions import metrics
 from kilter_service.versions.metrics import HELD_BACK
 from kilter_service.web import store as health
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.observability import logs, tracing
+from kilter_service.web.observability import logs
 from kilter_service.web.observability.requests import UNKNOWN
 from tests.service.forked import ForkedPopen
 
@@ -272,4 +272,4 @@ def test_request_and_job_share_their_identifiers_from_client_to_worker(
 
 
 def test_without_a_collector_nothing_is_traced() -> None:
-    assert tracing.traceparent() == ""
+    assert logs.traceparent() == ""

@@ -12,8 +12,8 @@ from .conversions.tables import joint_frames as joint_frames
 from .conversions.tables import screws_of_chain as screws_of_chain
 from .documents.document import robot_from_document as robot_from_document
 from .documents.parts import parse_pose as parse_pose
-from .documents.resolved import resolved_document as resolved_document
-from .documents.resolved import robot_from_resolved as robot_from_resolved
+from .documents.parts import resolved_document as resolved_document
+from .documents.parts import robot_from_resolved as robot_from_resolved
 from .kernels.compiled import EXACT as EXACT
 from .kernels.compiled import KernelCache as KernelCache
 from .kernels.compiled import compile_kernel as compile_kernel

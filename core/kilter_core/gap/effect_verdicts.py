@@ -26,7 +26,7 @@ from kilter_core.gap.report.effect_curves import measured_range
 from kilter_core.gap.report.stored import Stored, build_stored_version, refit_chosen, settled_search
 from kilter_core.gap.search.forward_selection import SearchResult, chance
 from kilter_core.gap.search.linear.complete_form import MissingDirection, missing_directions
-from kilter_core.gap.search.linear.in_space import fit_rms
+from kilter_core.gap.search.linear.linearized import fit_rms
 from kilter_core.gap.search.prepare import Prepared
 from kilter_core.gap.study import Study
 from kilter_core.identify.comparison import Difference

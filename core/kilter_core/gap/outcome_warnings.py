@@ -17,7 +17,7 @@ from kilter_core.gap.evidence.verdict import CONTRADICTED, Judged
 from kilter_core.gap.report.localization import Place
 from kilter_core.gap.report.separation import ToldApart
 from kilter_core.gap.search.linear.complete_form import incomplete_warnings
-from kilter_core.gap.search.linear.in_space import fit_rms
+from kilter_core.gap.search.linear.linearized import fit_rms
 from kilter_core.gap.study import Study
 from kilter_core.identify.comparison import (
     CONFIRM,

@@ -29,8 +29,13 @@ from kilter_core.gap.report.next_poses import set_aside_again
 from kilter_core.gap.report.report import GapReport, Remains
 from kilter_core.gap.search.forward_selection import SearchResult, rejected_candidates
 from kilter_core.gap.search.linear.complete_form import incomplete_sentence
-from kilter_core.gap.search.linear.in_space import cholesky_root, displacement_by_columns, weighted_displacement
-from kilter_core.gap.search.linear.linearized import LinearizedProblem, ignore_step
+from kilter_core.gap.search.linear.linearized import (
+    LinearizedProblem,
+    cholesky_root,
+    displacement_by_columns,
+    ignore_step,
+    weighted_displacement,
+)
 from kilter_core.gap.search.prepare import Prepared
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.sources.source import Source

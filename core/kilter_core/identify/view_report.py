@@ -20,8 +20,8 @@ from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.measured_rows import measurement_for
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
+from kilter_core.identify.plausibility.orientation_mix_ups import NUMBERS, Part, ViewResiduals, astray, astray_views
 from kilter_core.identify.plausibility.unrelated_views import shuffled_control
-from kilter_core.identify.plausibility.view_residuals import NUMBERS, Part, ViewResiduals, astray, astray_views
 from kilter_core.identify.scale_gauge import contradicted_scale
 from kilter_core.identify.uncertainty.by_view import (
     beside_tool_error,

@@ -1,11 +1,14 @@
 """Names and notes of campaigns; retiring, restoring and purging them.
 
 A campaign that is another one without some rows says so first in its notes; without that it is one of its own.
+
+A load that nobody stated, in words: the same wherever a load matters, in jobs, their checks and corrections.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 from kilter_service.campaigns import store
 from kilter_service.campaigns.service import load_campaign, refuse_other_servos
@@ -95,3 +98,18 @@ def parse_origin_campaign(notes: str) -> str | None:
     """Return the campaign that a campaign is the rest of, by the beginning of its notes; None: it is one of its own."""
     found = WHOLE.match(notes)
     return None if found is None else found[1]
+
+
+REMEDY = (
+    "Say the load with payload_kg (0 for an empty tool), as a column or for the whole {whole}, or give the robot a default "
+    "load."
+)
+
+
+def counted_as_nothing(subject: str, following: Sequence[str]) -> str:
+    """Say that a payload which nobody stated counts as 0 kg, and for which effects that matters."""
+    named = ", ".join(following[:3]) + (f" and {len(following) - 3} more effects" if len(following) > 3 else "")
+    return (
+        f"{subject} no payload and the robot has no default load, so it counted as 0 kg: {named} "
+        f"{'follows' if len(following) == 1 else 'follow'} the load."
+    )

@@ -42,7 +42,7 @@ from kilter_service.ground.tables.reading import Names
 from kilter_service.ground.tables.writing import write_table
 from kilter_service.robots import store as robots
 from kilter_service.robots.store import remarks
-from kilter_service.web.idempotency import NOT_REPEATED, Once, hash_document
+from kilter_service.web.routing import NOT_REPEATED, Once, hash_document
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot

@@ -25,7 +25,7 @@ from kilter_files.ground.later import pa, parquet
 from kilter_service.contract.campaigns import NewCampaign
 from kilter_service.contract.columns import CONTACTS
 from kilter_service.contract.instruments import Instrument
-from kilter_service.contract.jobs.job import FINAL
+from kilter_service.contract.jobs.kind import FINAL
 from kilter_service.contract.words import Remark
 from kilter_service.ground import store as references
 from kilter_service.ground.called import copy_fields

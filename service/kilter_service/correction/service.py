@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.types import Floats
 from kilter_files.ground.later import pa
-from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
+from kilter_service.campaigns.keeping import REMEDY, counted_as_nothing
 from kilter_service.contract.columns import LOAD_PARTS, PAYLOAD_CENTRE
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground import correction_outcome as outcome

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import store as campaigns
-from kilter_service.campaigns.unstated_load import REMEDY
+from kilter_service.campaigns.keeping import REMEDY
 from kilter_service.contract.jobs.check import CheckedCampaign
 from kilter_service.contract.jobs.registry import JobCheck, NewJob
 from kilter_service.ground.called import copy_fields

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from kilter_core.types import Each
     from kilter_service.contract.instruments import Instrument
     from kilter_service.contract.words import Remark
-    from kilter_service.versions.drift.charts import StoredCheck
+    from kilter_service.versions.drift.wire import StoredCheck
 
 
 How = Literal["campaigns", "fraction", "folds", "unasked", "none"]

@@ -19,17 +19,16 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import StreamingResponse
 
 from kilter_service.contract.jobs.fleet import FleetJob, FleetJobList, FleetJobSummary, NewFleetJob
-from kilter_service.contract.jobs.job import FINAL, JobList
+from kilter_service.contract.jobs.kind import FINAL, JobList
 from kilter_service.contract.jobs.registry import Job, JobCheck, NewJob
 from kilter_service.ground.db import Database
-from kilter_service.ground.failure_log import Failing
+from kilter_service.ground.db.failures import Failing
 from kilter_service.jobs import checking, service, store
 from kilter_service.jobs.fleet import service as fleets
 from kilter_service.jobs.refusals import refusal, without_kind
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.auth.following import limit_event_stream
-from kilter_service.web.idempotency import OnceOnly
-from kilter_service.web.routing import FOR_GOOD, ConditionalRoute
+from kilter_service.web.auth.token import limit_event_stream
+from kilter_service.web.routing import FOR_GOOD, ConditionalRoute, OnceOnly
 from kilter_service.web.state import DatabaseOfApp, PageOfJobs
 
 # The life of jobs as server-sent events.

@@ -8,7 +8,7 @@ from pydantic import TypeAdapter
 
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.check import NEWEST, CheckedCampaign, Duration, HeldOut, JobProblem, Missing
-from kilter_service.contract.jobs.job import FINAL, Folds, JobError, JobList, JobSummary, Progress
+from kilter_service.contract.jobs.kind import FINAL, Folds, JobError, JobList, JobSummary, Progress
 from kilter_service.contract.jobs.registry import Job, JobCheck, NewJob
 from kilter_service.contract.words import as_written
 from kilter_service.ground import store as references
@@ -22,8 +22,8 @@ from kilter_service.jobs.records import Asked, JobRecord, ListedJob, Place, Prog
 from kilter_service.jobs.registry import get_job_kind
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
-from kilter_service.web.idempotency import NOT_REPEATED, Once, hash_document
-from kilter_service.web.observability import logs, tracing
+from kilter_service.web.observability import logs
+from kilter_service.web.routing import NOT_REPEATED, Once, hash_document
 
 JOB: TypeAdapter[Job] = TypeAdapter(Job)
 
@@ -49,7 +49,7 @@ def submit(database: Database, job: NewJob, once: Once = NOT_REPEATED) -> Job:
         known = once.first_answer(session, body, JOB)
         if known is not None:
             return known
-        asked = Asked(logs.request_id(), tracing.traceparent())
+        asked = Asked(logs.request_id(), logs.traceparent())
         job_id = store.add(session, validate_job(session, job, kind), job, asked)  # robot and campaigns are still there
         queued = once.keep(session, body, describe_job(store.get(session, job_id)))
     return queued

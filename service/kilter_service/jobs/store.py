@@ -12,7 +12,7 @@ from sqlalchemy import ColumnElement, Select, case, func, or_, select
 
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.check import NEWEST
-from kilter_service.contract.jobs.job import FINAL
+from kilter_service.contract.jobs.kind import FINAL
 from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.contract.versions import Objection
 from kilter_service.ground import store as ended
@@ -23,7 +23,7 @@ from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import NOT_OVER, JobRow, RobotRow, VersionRow
 from kilter_service.ground.paging import Page
-from kilter_service.ground.version import code_version
+from kilter_service.ground.settings import code_version
 from kilter_service.jobs.durations import PastRun
 from kilter_service.jobs.kind import FitOfVersion, JobInput, JobKind, VersionContent
 from kilter_service.jobs.plotly_figures.layout import add_captions

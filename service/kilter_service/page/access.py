@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 from fastapi import Form, Request, Response
 from fastapi.responses import HTMLResponse
 
-from kilter_service.contract.tokens import ROLE, NewToken, Role, TokenName
+from kilter_service.contract.health import ROLE, NewToken, Role, TokenName
 from kilter_service.ground.caller import ADMIN, CALLER, Caller
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
@@ -20,7 +20,7 @@ from kilter_service.ground.settings import Settings
 from kilter_service.page.answers import get_root_path, redirect, render, router
 from kilter_service.page.shared.lists import Asked, select_page
 from kilter_service.robots import service as robots
-from kilter_service.web import logins, refused_requests, tokens
+from kilter_service.web import audit, logins, tokens
 from kilter_service.web.auth.access import Admin, get_caller
 from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
 
@@ -61,7 +61,7 @@ def _start_login_session(request: Request, database: Database, token_sha256: Cal
         sha256 = token_sha256()
         CALLER.set(_caller(request, database, sha256))
     except ServiceError as error:
-        refused_requests.note(request, error.code)
+        audit.note(request, error.code)
         return render(request, "login.html", 401, then=_local_path(then), problem=error.message)
     answer = redirect(request, _local_path(then))
     answer.set_cookie(

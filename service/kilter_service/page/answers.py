@@ -22,14 +22,14 @@ from fastapi.responses import HTMLResponse, RedirectResponse, StreamingResponse
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from kilter_core.errors import CoreError
-from kilter_service.contract.tokens import Role
+from kilter_service.contract.health import Role
 from kilter_service.ground.caller import ANYBODY, CALLER, RANK
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import PROBLEMS, ServiceError
-from kilter_service.ground.version import code_version
+from kilter_service.ground.settings import code_version
 from kilter_service.page import words
 from kilter_service.page.figures import plot as room
-from kilter_service.web import logins, refused_requests
+from kilter_service.web import audit, logins
 from kilter_service.web.problems import headers_of
 from kilter_service.web.routing import FOR_GOOD, GuardedRoute
 
@@ -268,7 +268,7 @@ def render_refusal(request: Request, error: CoreError | RequestValidationError) 
     else:
         code, message, context = error.code, error.message, error.context
     if code != "token_missing":  # whoever is not logged in yet is asked to, and has done nothing wrong
-        refused_requests.note(request, code)
+        audit.note(request, code)
     if code in LOG_IN_FIRST:
         return _to_login(request)
     status, title = PROBLEMS.get(code, UNKNOWN)

@@ -11,7 +11,7 @@ from fastapi.responses import HTMLResponse
 
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import service as campaigns
-from kilter_service.contract.tokens import AuditEntry
+from kilter_service.contract.health import AuditEntry
 from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError

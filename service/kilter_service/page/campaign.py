@@ -16,12 +16,12 @@ from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.facts import cached_campaign_facts
 from kilter_service.contract.campaigns import Campaign, NewCampaign, Parts
 from kilter_service.contract.references import Change
+from kilter_service.ground.called import plural
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.ground.tables.reading import PARQUET
 from kilter_service.ground.tables.writing import write_table
-from kilter_service.ground.texts import plural
 from kilter_service.page import chosen
 from kilter_service.page.answers import redirect, render, router
 from kilter_service.page.chosen import keep_columns, named_rows, ranges

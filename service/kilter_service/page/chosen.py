@@ -27,7 +27,7 @@ from kilter_service.ground.wire import joint_scale, joint_units
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 from kilter_service.versions.predictions import places
-from kilter_service.versions.predictions.paired import error_lengths, residuals
+from kilter_service.versions.predictions.differences import error_lengths, residuals
 
 if TYPE_CHECKING:
     from kilter_core.types import Floats

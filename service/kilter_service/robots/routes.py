@@ -22,21 +22,31 @@ from fastapi.concurrency import run_in_threadpool
 
 from kilter_core.errors import ObservationError, OptionError
 from kilter_service.contract.instruments import Instrument, InstrumentList, NewInstrument
-from kilter_service.contract.kinematics import Flanges, Frame, JointRows, NewFrame, Postures
 from kilter_service.contract.references import RobotChange, Tombstone
-from kilter_service.contract.robot_reports import CircleAxis, FoundRobot, RobotCheck, RobotList, RobotReport
+from kilter_service.contract.robot_reports import (
+    CircleAxis,
+    Flanges,
+    FoundRobot,
+    Frame,
+    JointRows,
+    NewFrame,
+    Postures,
+    RobotCheck,
+    RobotList,
+    RobotReport,
+)
 from kilter_service.contract.robots import Mesh, MeshList, MeshUnit, RobotDocument, Target, UrdfShapes
 from kilter_service.contract.today import NewRepair, Repair
 from kilter_service.contract.units import MAX_JOINTS, Name
 from kilter_service.ground.core import core_procedures
-from kilter_service.ground.files.file_hash import check_digest
+from kilter_service.ground.files.backup_folder import check_digest
 from kilter_service.ground.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_MB, MAX_CIRCLE_ROWS, MAX_MESH_MB
 from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.tables.columns import read_columns
 from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.robots import check as checks
-from kilter_service.robots import documents, frames, instruments, nominal, repairs, service
+from kilter_service.robots import documents, frames, instruments, repairs, service
 from kilter_service.robots.meshes import service as meshes
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.web.auth.access import Admin
@@ -263,13 +273,13 @@ def get(robot: str, database: DatabaseOfApp) -> RobotReport:
 @router.post("/{robot}/forward")
 def forward(robot: str, rows: JointRows, database: DatabaseOfApp) -> Flanges:
     """Say where the nominal flange is at these joints."""
-    return nominal.forward(database, robot, rows)
+    return frames.forward(database, robot, rows)
 
 
 @router.post("/{robot}/inverse")
 def inverse(robot: str, wanted: Flanges, database: DatabaseOfApp) -> Postures:
     """Find all joints that bring the nominal flange to these poses, of a six-axis arm."""
-    return nominal.inverse(database, robot, wanted)
+    return frames.inverse(database, robot, wanted)
 
 
 @router.patch("/{robot}")

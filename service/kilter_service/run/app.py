@@ -15,8 +15,7 @@ from kilter_service.correction.routes import router as correction
 from kilter_service.correction.routes import torque_router as torques
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.files.private_files import TEMPORARY, Scratch
-from kilter_service.ground.settings import Settings
-from kilter_service.ground.version import code_version
+from kilter_service.ground.settings import Settings, code_version
 from kilter_service.jobs.routes import fleet_router as fleet_jobs
 from kilter_service.jobs.routes import router as jobs
 from kilter_service.kept.routes import router as references
@@ -38,13 +37,13 @@ from kilter_service.versions.routes import metrics_router as metrics
 from kilter_service.versions.routes import router as versions
 from kilter_service.versions.routes import today_router as today
 from kilter_service.web import problems
+from kilter_service.web.audit import Refusals
 from kilter_service.web.auth.token import admin_token
 from kilter_service.web.concurrency import rooms_with
 from kilter_service.web.docs_page import openapi_with_security, serve_openapi
 from kilter_service.web.docs_page import router as docs_page
 from kilter_service.web.gate import Gate, Rates, Unhurried
 from kilter_service.web.observability.requests import Observed
-from kilter_service.web.refused_requests import Refusals
 from kilter_service.web.routes import health_router as health
 from kilter_service.web.routes import router as audit
 from kilter_service.web.routes import token_router as tokens

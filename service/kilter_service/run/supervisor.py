@@ -27,7 +27,7 @@ from kilter_service.ground.processes.child import Child, ChildOutput
 from kilter_service.ground.settings import LOCK_FILE, Settings
 from kilter_service.run.serving import listener, listening_url
 from kilter_service.stream.corrector.endpoints import check_free, check_listening
-from kilter_service.stream.corrector.orphan import goes_on_alone
+from kilter_service.stream.corrector.session import goes_on_alone
 from kilter_service.web.auth.token import admin_token, check_binding
 
 with later(__name__):

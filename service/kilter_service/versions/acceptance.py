@@ -12,9 +12,9 @@ from kilter_core.errors import CoreError, TooFewPosesError
 from kilter_core.observations import Observations, evenly
 from kilter_core.types import Floats, Ints
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.acceptance import Acceptance, Decision, JudgedCampaign
 from kilter_service.contract.fits import Errors
 from kilter_service.contract.instruments import Instrument
+from kilter_service.contract.today import Acceptance, Decision, JudgedCampaign
 from kilter_service.contract.words import Remark
 from kilter_service.ground.core import core_evaluate, core_identify, core_measurement, core_model, core_watch
 from kilter_service.ground.db import Database, Session
@@ -26,8 +26,8 @@ from kilter_service.robots.store import permissible, remarks
 from kilter_service.versions import store as versions
 from kilter_service.versions.guard import AsItWas
 from kilter_service.versions.predictions.unfitted_rows import Archive
-from kilter_service.versions.today import sentences
 from kilter_service.versions.today import service as today
+from kilter_service.versions.today import standing
 
 if TYPE_CHECKING:
     from kilter_core.evaluate import Conformity
@@ -347,7 +347,7 @@ def _build_part(session: Session, key: str, found: Judged, used: Instrument | No
     campaign = JudgedCampaign(
         id=key,
         name=record.name,
-        when=sentences.describe_measurement_time(at, days_since(at), stated=record.measured_at is not None),
+        when=standing.describe_measurement_time(at, days_since(at), stated=record.measured_at is not None),
         instrument=used and used.name,
         rows=len(found.sizes),
         sha256=[one.sha256 for one in uploads],

@@ -15,9 +15,8 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
 
-from kilter_service.contract.acceptance import Acceptance
 from kilter_service.contract.references import Change, Tombstone
-from kilter_service.contract.today import DriftHistory, DriftList, Today
+from kilter_service.contract.today import Acceptance, DriftHistory, DriftList, Today
 from kilter_service.contract.units import MAX_NAMED, Name
 from kilter_service.contract.versions import (
     ActivatedVersion,
@@ -39,7 +38,7 @@ from kilter_service.versions.drift import service as drift_service
 from kilter_service.versions.if_match import AddressedVersion, ExpectedState, FirstVersion, SecondVersion, tag_of_robot
 from kilter_service.versions.predictions import at_pose as previews
 from kilter_service.versions.predictions import differences
-from kilter_service.versions.predictions import residuals as left
+from kilter_service.versions.predictions import unfitted_rows as left
 from kilter_service.versions.today import service as today_service
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.routing import ConditionalRoute, GuardedRoute

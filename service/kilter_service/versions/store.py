@@ -14,7 +14,7 @@ from sqlalchemy import Select, and_, func, or_, select
 from sqlalchemy.orm import InstrumentedAttribute
 
 from kilter_service.contract.fits import Metrics
-from kilter_service.contract.jobs.job import FINAL
+from kilter_service.contract.jobs.kind import FINAL
 from kilter_service.contract.versions import CorrectionLimits, VersionSummary
 from kilter_service.contract.words import as_written
 from kilter_service.ground import store as references
@@ -24,7 +24,7 @@ from kilter_service.ground.db import Session
 from kilter_service.ground.db.audited import note
 from kilter_service.ground.db.tables import ActivationRow, JobRow, ReplayRow, RobotRow, VersionRow
 from kilter_service.ground.paging import ALL, Page
-from kilter_service.ground.version import code_version
+from kilter_service.ground.settings import code_version
 from kilter_service.robots import store as robots
 from kilter_service.robots.documents import hash_canonical_json
 from kilter_service.versions.records import ActivationRecord, VersionRecord

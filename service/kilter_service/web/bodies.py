@@ -18,9 +18,9 @@ from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect
 
+from kilter_service.ground.called import ANY, LINE, LINES
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.limits import MAX_DOCUMENT_DEPTH, MAX_DOCUMENT_KEYS, MAX_DOCUMENT_PARTS, MAX_NUMBER
-from kilter_service.ground.texts import ANY, LINE, LINES
 
 FORM = "multipart/form-data"
 

@@ -16,9 +16,8 @@ from pydantic import Field
 from kilter_service.contract.health import Check, Health
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.db.database import is_read_only
-from kilter_service.ground.failure_log import Failing
-from kilter_service.ground.settings import Settings
-from kilter_service.ground.version import code_version
+from kilter_service.ground.db.failures import Failing
+from kilter_service.ground.settings import Settings, code_version
 from kilter_service.web import store
 
 log = logging.getLogger("kilter.api")

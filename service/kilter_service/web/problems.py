@@ -18,7 +18,7 @@ from kilter_core.errors import CoreError
 from kilter_service.contract.health import Problem
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import PROBLEMS
-from kilter_service.web import refused_requests
+from kilter_service.web import audit
 from kilter_service.web.observability.requests import REFUSALS, new_request_id
 
 log = logging.getLogger("kilter.api")
@@ -60,7 +60,7 @@ def problem(
     listed, title = PROBLEMS.get(code, (400, "The request cannot be fulfilled"))
     status = status or listed
     REFUSALS.labels(code).inc()
-    refused_requests.note(request, code)
+    audit.note(request, code)
     if request.headers.get("hx-request") == "true":
         return _render_problem_part(code, title, detail, status, headers_of(code, status, context))
     if _reads(request):

@@ -10,9 +10,9 @@ from __future__ import annotations
 from anyio import to_thread
 from fastapi import APIRouter, Request, Response
 
-from kilter_service.contract.health import Health
-from kilter_service.contract.tokens import (
+from kilter_service.contract.health import (
     AuditPage,
+    Health,
     Identity,
     LoginLink,
     MadeToken,
@@ -22,7 +22,7 @@ from kilter_service.contract.tokens import (
     TokenList,
 )
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.version import code_version
+from kilter_service.ground.settings import code_version
 from kilter_service.web import audit, logins, tokens
 from kilter_service.web import health as health_service
 from kilter_service.web.auth.access import Admin, get_caller

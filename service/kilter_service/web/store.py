@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import and_, delete, func, or_, select
 
-from kilter_service.contract.tokens import Role, Token
+from kilter_service.contract.health import Role, Token
 from kilter_service.ground.called import copy_fields
 from kilter_service.ground.caller import CALLER
 from kilter_service.ground.db import Session

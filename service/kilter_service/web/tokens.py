@@ -7,7 +7,7 @@ import logging
 import secrets
 from datetime import timedelta
 
-from kilter_service.contract.tokens import MadeToken, NewToken, Token, TokenList
+from kilter_service.contract.health import MadeToken, NewToken, Token, TokenList
 from kilter_service.ground.caller import ADMIN, ANYBODY
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now

@@ -9,7 +9,7 @@ import pytest
 
 from kilter_core.arm.conversions import robot_document
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.documents.resolved import resolved_document, robot_from_resolved
+from kilter_core.arm.documents.parts import resolved_document, robot_from_resolved
 from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Payload, Robot
 from kilter_core.correct.program import CorrectionOptions, compile_program

@@ -10,7 +10,7 @@ import pytest
 
 from kilter_core.arm.robot import Robot
 from kilter_core.gap import GapOptions
-from kilter_core.gap.search.linear.in_space import fit_rms
+from kilter_core.gap.search.linear.linearized import fit_rms
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.sources.tool_source import ToolSource
 from kilter_core.identify import identify

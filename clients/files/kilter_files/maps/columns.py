@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.names import did_you_mean
+from kilter_files.ground.errors import FileError, did_you_mean
 from kilter_files.ground.time_stamps import DATE_FORMATS
 from kilter_files.ground.units import TIMESTAMP, UNKNOWN, column_unit, converter, units_like
 

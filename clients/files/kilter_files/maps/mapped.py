@@ -8,11 +8,19 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from kilter_files.ground.clusters import clusters
-from kilter_files.ground.errors import FileError, fault
-from kilter_files.ground.names import number_of_session
-from kilter_files.ground.orientation import Quaternion, from_euler, from_matrix, upright
+from kilter_files.ground.errors import FileError, fault, number_of_session
 from kilter_files.ground.time_stamps import continuous_seconds, parse_stamp_column, times_of_rows
-from kilter_files.ground.units import JOINT, MARKER, TIMESTAMP, column_unit, converter
+from kilter_files.ground.units import (
+    JOINT,
+    MARKER,
+    TIMESTAMP,
+    Quaternion,
+    column_unit,
+    converter,
+    from_euler,
+    from_matrix,
+    upright,
+)
 from kilter_files.maps.column_map import ColumnMap, Keep, Orientation, add_joined, joined_columns
 from kilter_files.maps.columns import Column, expand_patterns
 from kilter_files.tables.source import Source, TextSource, row_line_numbers

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import fault
-from kilter_files.ground.orientation import matrices_from_quaternions, quaternions_from_matrices
+from kilter_files.ground.units import matrices_from_quaternions, quaternions_from_matrices
 from kilter_files.match.dwells import mean_seen, thin
 from kilter_files.tables.recording import Block, Recording
 from kilter_files.tables.table import JointLog

@@ -40,13 +40,13 @@ from .live.server import serve_live_page as serve_live_page
 from .see.bag_pictures import is_bag as is_bag
 from .see.bag_pictures import pictures_of_bag as pictures_of_bag
 from .see.optics.camera import read_camera as read_camera
-from .see.poses import Poses as Poses
-from .see.poses import read_poses as read_poses
 from .see.run import Looker as Looker
 from .see.run import Seen as Seen
 from .see.run import create_second_detector as create_second_detector
 from .see.sources import Pictures as Pictures
+from .see.sources import Poses as Poses
 from .see.sources import gather_source as gather_source
+from .see.sources import read_poses as read_poses
 from .see.target import check_apart as check_apart
 from .see.target import check_pyarrow as check_pyarrow
 from .see.target import read_target as read_target

@@ -15,8 +15,7 @@ from kilter_files.formats.tables.mat import read_mat
 from kilter_files.formats.tables.tdms import Calibration, channels, read_channel
 from kilter_files.formats.tracker_header import canonical_column_name
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.errors import FileError, fault
-from kilter_files.ground.names import did_you_mean
+from kilter_files.ground.errors import FileError, did_you_mean, fault
 from kilter_files.ground.text_blocks import blocks, count_rows, line_number_of_row
 from kilter_files.ground.text_layout import sniff
 from kilter_files.ground.units import SIZES, converter

@@ -10,9 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from kilter_files.ground.errors import FileError, UsageError
+from kilter_files.ground.errors import FileError, UsageError, did_you_mean
 from kilter_files.ground.later import need
-from kilter_files.ground.names import did_you_mean
 from kilter_files.ground.workbook_formulas import REMEDY, describe_cells, formulas_without_value, unpacked_bytes
 from kilter_files.robots.exported import read_text
 

@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from kilter_files.ground.cell_numbers import element, elements, parse_element_name, parse_number
-from kilter_files.ground.errors import FileError
-from kilter_files.ground.names import did_you_mean
+from kilter_files.ground.errors import FileError, did_you_mean
 from kilter_files.ground.time_stamps import parse_stamp
 
 

@@ -11,8 +11,7 @@ from kilter_client.requests.connection import AsyncConnection, locate
 from kilter_client.requests.methods import make_async_method
 from kilter_client.requests.steps import Steps
 from kilter_client.verbs import campaigns as measured
-from kilter_client.verbs import drifts, keeping, programs
-from kilter_client.verbs import dry_run as dry_runs
+from kilter_client.verbs import drifts, programs
 from kilter_client.verbs import jobs as computed
 from kilter_client.verbs import robots as described
 from kilter_client.verbs import versions as made
@@ -72,7 +71,7 @@ class AsyncKilter:
     add_instrument = make_async_method(measured.add_instrument)
     instruments = make_async_method(measured.instruments)
     upload = make_async_method(measured.upload)
-    dry_run = make_async_method(dry_runs.dry_run)
+    dry_run = make_async_method(measured.dry_run)
     campaign = make_async_method(measured.campaign)
     suspicious = make_async_method(measured.suspicious)
     campaigns = make_async_method(measured.campaigns)
@@ -106,10 +105,10 @@ class AsyncKilter:
     torques = make_async_method(made.torques)
     filter = make_async_method(programs.filter)
     versions = make_async_method(made.versions)
-    change = make_async_method(keeping.change)
-    retire = make_async_method(keeping.retire)
-    restore = make_async_method(keeping.restore)
-    purge = make_async_method(keeping.purge)
+    change = make_async_method(made.change)
+    retire = make_async_method(made.retire)
+    restore = make_async_method(made.restore)
+    purge = make_async_method(made.purge)
     resolve = make_async_method(references.resolve)
     health = make_async_method(references.health)
     tombstones = make_async_method(references.tombstones)

@@ -10,9 +10,8 @@ from kilter_client.requests.calls import references
 from kilter_client.requests.connection import Connection, Reword, locate
 from kilter_client.requests.methods import waiting
 from kilter_client.requests.steps import Steps
-from kilter_client.resources.documents import Campaigns, Jobs, Robots, Versions
-from kilter_client.verbs import campaigns, drifts, jobs, keeping, programs, robots, versions
-from kilter_client.verbs import dry_run as dry_runs
+from kilter_client.resources import Campaigns, Jobs, Robots, Versions
+from kilter_client.verbs import campaigns, drifts, jobs, programs, robots, versions
 from kilter_client.verbs.progress import rephrase_error
 
 if TYPE_CHECKING:
@@ -87,7 +86,7 @@ class Kilter:
     add_instrument = waiting(campaigns.add_instrument)
     instruments = waiting(campaigns.instruments)
     upload = waiting(campaigns.upload)
-    dry_run = waiting(dry_runs.dry_run)
+    dry_run = waiting(campaigns.dry_run)
     campaign = waiting(campaigns.campaign)
     suspicious = waiting(campaigns.suspicious)
     identify = waiting(jobs.identify)
@@ -118,10 +117,10 @@ class Kilter:
     correct = waiting(versions.correct)
     torques = waiting(versions.torques)
     filter = waiting(programs.filter)
-    change = waiting(keeping.change)
-    retire = waiting(keeping.retire)
-    restore = waiting(keeping.restore)
-    purge = waiting(keeping.purge)
+    change = waiting(versions.change)
+    retire = waiting(versions.retire)
+    restore = waiting(versions.restore)
+    purge = waiting(versions.purge)
     resolve = waiting(references.resolve)
     health = waiting(references.health)
     tombstones = waiting(references.tombstones)

@@ -14,8 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2
 
-from kilter_core.gap.noise.drift import scalar_blocks, visit_clocks
-from kilter_core.gap.noise.shared_drift import SCALARS_BESIDE_DRIFT, moments_and_motions
+from kilter_core.gap.noise.shared_drift import SCALARS_BESIDE_DRIFT, moments_and_motions, scalar_blocks, visit_clocks
 from kilter_core.gap.noise.variogram import SPIKE
 from kilter_core.gap.noise.visits import Visits, isolate_unused_visits
 from kilter_core.observations.groups import subtract_group_means

@@ -17,8 +17,7 @@ from scipy.stats import chi2
 from kilter_core.gap.options import SEARCHING, Budget, GapOptions, OutOfTimeError
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.events import place_events, refit_with_updated_noise, under
-from kilter_core.gap.search.linear.in_space import fit_rms
-from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, ignore_step, nearest, refit
+from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, fit_rms, ignore_step, nearest, refit
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.scan import Null, Scorer, null_distribution, residual_given
 from kilter_core.gap.search.select import MARGIN, SMALLEST_GAIN, Selector

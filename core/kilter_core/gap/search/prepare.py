@@ -46,7 +46,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.model.load_errors import load_sign_blur as shared_blur
+from kilter_core.model.prediction import load_sign_blur as shared_blur
 from kilter_core.observations import Observations
 from kilter_core.observations.groups import FEWEST_ROWS, is_trajectory
 from kilter_core.observations.shared_rows import identical_repeats

@@ -25,7 +25,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.registry import METHODS
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.model.load_errors import load_sign_blur
+from kilter_core.model.prediction import load_sign_blur
 from kilter_core.observations import Observations
 from kilter_core.parameters import CorrelatedPrior
 from kilter_core.types import Floats, Progress

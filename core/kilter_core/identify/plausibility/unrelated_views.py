@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.identify.plausibility.view_residuals import rows_off
+from kilter_core.identify.plausibility.orientation_mix_ups import rows_off
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.board_poses import board_poses
 from kilter_core.measurement.camera.pixels import Pixels

@@ -24,9 +24,8 @@ from kilter_core.identify.setup_frames import marginal, of_the_arm
 from kilter_core.identify.steps.start import Fitted, Study
 from kilter_core.identify.steps.validation import HeldOut
 from kilter_core.identify.uncertainty.by_view import predictive_of_views, tool_sigma_from_views
-from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
 from kilter_core.identify.uncertainty.predictive import Predictive, predictive
-from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
+from kilter_core.identify.uncertainty.stated_noise import BeyondNoise, Intervals, bootstrap, profile
 from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.identify.view_report import (
     tell_less,

@@ -24,9 +24,8 @@ from kilter_core.identify.registry import METHODS
 from kilter_core.identify.report import known_of_fit, null_rows, parameter_rows
 from kilter_core.identify.setup_frames import OwnFrame
 from kilter_core.identify.steps.findings import Outcome, list_findings
-from kilter_core.identify.uncertainty.intervals import Intervals
 from kilter_core.identify.uncertainty.predictive import Predictive, residual_sigma
-from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
+from kilter_core.identify.uncertainty.stated_noise import BeyondNoise, Intervals
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import degrees, mm

@@ -10,8 +10,7 @@ from pydantic import Field
 from kilter_service.contract.fits import StageErrors
 from kilter_service.contract.headlines import HEADLINE
 from kilter_service.contract.jobs.check import NewFrames, NoiseMm, SetupMm, Version
-from kilter_service.contract.jobs.job import JobOf
-from kilter_service.contract.jobs.kind import JobContract
+from kilter_service.contract.jobs.kind import JobContract, JobOf
 from kilter_service.contract.units import Asked, Celsius, JointNumber, Mm, PointMm, Stored
 from kilter_service.contract.words import Remark
 

@@ -10,8 +10,7 @@ from kilter_service.contract.fits import StageErrors
 from kilter_service.contract.headlines import HEADLINE, MOST_NAMED, number
 from kilter_service.contract.instruments import LeftOpen
 from kilter_service.contract.jobs.check import NewFrames, Version
-from kilter_service.contract.jobs.job import JobOf
-from kilter_service.contract.jobs.kind import JobContract
+from kilter_service.contract.jobs.kind import JobContract, JobOf
 from kilter_service.contract.units import Asked, Deg, Mm, Stored
 from kilter_service.contract.words import Remark
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field
 
+from kilter_service.contract.columns import WithCoreOptions, with_core_options
 from kilter_service.contract.effect_curves import EffectCurve, NextPose, ToldApart
 from kilter_service.contract.figures import GapFigures
 from kilter_service.contract.fits import LoadNumber, NullDirection, PriorUsed, Reference, SetAside
@@ -40,9 +41,7 @@ from kilter_service.contract.jobs.check import (
     TestabilityCheck,
     Version,
 )
-from kilter_service.contract.jobs.job import JobOf
-from kilter_service.contract.jobs.kind import JobContract
-from kilter_service.contract.options import WithCoreOptions, with_core_options
+from kilter_service.contract.jobs.kind import JobContract, JobOf
 
 
 @with_core_options("gap")

@@ -9,8 +9,7 @@ from pydantic import ConfigDict, Field
 from kilter_service.contract.effect_curves import ToldApart
 from kilter_service.contract.jobs.check import PRIOR, Effects, NoiseMm, PriorName, Seed, Version
 from kilter_service.contract.jobs.drift import SmallestChange
-from kilter_service.contract.jobs.job import JobOf
-from kilter_service.contract.jobs.kind import JobContract
+from kilter_service.contract.jobs.kind import JobContract, JobOf
 from kilter_service.contract.units import MAX_JOINTS, Asked, JointNumber, Kg, Mm, PointMm, Stored
 from kilter_service.contract.words import Remark
 

@@ -23,7 +23,7 @@ from kilter_service.contract.jobs.fleet import (
     NewFleetJob,
 )
 from kilter_service.contract.jobs.identify import IDENTIFY, IdentifyOptions
-from kilter_service.contract.jobs.job import FINAL, JobError, NewJobOf, Progress, State
+from kilter_service.contract.jobs.kind import FINAL, JobError, NewJobOf, Progress, State
 from kilter_service.contract.versions import Comparison, Objection
 from kilter_service.contract.words import Remark, as_written
 from kilter_service.ground.db import Database, Session
@@ -40,8 +40,8 @@ from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 from kilter_service.versions.guard import judge_unstored
 from kilter_service.versions.store import Training
-from kilter_service.web.idempotency import NOT_REPEATED, Once, hash_document
-from kilter_service.web.observability import logs, tracing
+from kilter_service.web.observability import logs
+from kilter_service.web.routing import NOT_REPEATED, Once, hash_document
 
 ANSWER = TypeAdapter(FleetJobSummary)
 
@@ -66,7 +66,7 @@ def submit(database: Database, fleet: NewFleetJob, once: Once = NOT_REPEATED) ->
         known = once.first_answer(session, body, ANSWER)
         if known is not None:
             return known
-        fleet_id = store.add(session, fleet, planned, Asked(logs.request_id(), tracing.traceparent()))
+        fleet_id = store.add(session, fleet, planned, Asked(logs.request_id(), logs.traceparent()))
         return once.keep(session, body, summary(store.get(session, fleet_id)))
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from kilter_core.errors import Finding, Sentences
 from kilter_files.ground import NAMED_SESSIONS
-from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
+from kilter_service.campaigns.keeping import REMEDY, counted_as_nothing
 from kilter_service.contract.jobs.registry import KINDS
 from kilter_service.ground.core import core_effects, core_observations, core_watch
 from kilter_service.ground.wire import to_metres, to_metres_if_known, to_mm
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from kilter_core.observations import Observations
     from kilter_core.watch import Conditions
     from kilter_service.jobs.kind import JobInput
-    from kilter_service.versions.drift.charts import StoredCheck
+    from kilter_service.versions.drift.wire import StoredCheck
 
 
 def to_json_types(value: Any) -> Any:

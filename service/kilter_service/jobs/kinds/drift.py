@@ -15,7 +15,7 @@ from kilter_service.jobs.budgets import uncertainty_budget
 from kilter_service.jobs.inputs.setups import build_check_conditions, counted_noise, remark, to_json_types
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Progress
 from kilter_service.versions.drift import wire
-from kilter_service.versions.drift.charts import last_otherwise
+from kilter_service.versions.drift.wire import last_otherwise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -20,9 +20,8 @@ from kilter_service.contract.words import as_written
 from kilter_service.ground.caller import on_behalf
 from kilter_service.ground.core import core_effects, core_identify, core_model
 from kilter_service.ground.db import Database, DatabaseAwayError, Session
-from kilter_service.ground.db.failures import in_words
+from kilter_service.ground.db.failures import Failing, in_words, log_failure
 from kilter_service.ground.db.row import utc_now
-from kilter_service.ground.failure_log import Failing, log_failure
 from kilter_service.ground.processes.memory import return_freed_memory
 from kilter_service.ground.webhook import Webhook
 from kilter_service.ground.wire import to_mm
@@ -38,13 +37,13 @@ from kilter_service.jobs.work import store as work_store
 from kilter_service.jobs.work.store import Claim
 from kilter_service.versions import ability
 from kilter_service.versions.ability import CODE as CANNOT_CORRECT
+from kilter_service.versions.ability import WORKSPACE, suggest_limits
 from kilter_service.versions.drift import service as drift
 from kilter_service.versions.drift import store as drifts
-from kilter_service.versions.drift.charts import height
+from kilter_service.versions.drift.wire import height
 from kilter_service.versions.objections import objections_from_report
 from kilter_service.versions.predictions import at_pose
-from kilter_service.versions.suggested import WORKSPACE, suggest_limits
-from kilter_service.web.observability import logs, tracing
+from kilter_service.web.observability import logs
 
 if TYPE_CHECKING:
     from kilter_core.errors import Finding
@@ -271,7 +270,7 @@ class Runner:
             job = self._patiently(lambda: self._record(claim))
             with (
                 logs.about(request_id=job.asked.request_id, job_id=job.id, robot=job.robot),
-                tracing.job(job.kind, job.id, job.robot, job.asked.traceparent),
+                logs.job(job.kind, job.id, job.robot, job.asked.traceparent),
             ):
                 began = time.monotonic()
                 outcome = self._compute(claim)

@@ -11,7 +11,7 @@ from datetime import datetime
 
 from sqlalchemy import ColumnElement, Select, String, and_, cast, delete, func, or_, select, update
 
-from kilter_service.contract.jobs.job import FINAL
+from kilter_service.contract.jobs.kind import FINAL
 from kilter_service.ground import store as references
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.audited import note

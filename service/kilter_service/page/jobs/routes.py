@@ -20,7 +20,7 @@ from pydantic import TypeAdapter, ValidationError
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.jobs.check import MadeVersion
-from kilter_service.contract.jobs.job import Folds
+from kilter_service.contract.jobs.kind import Folds
 from kilter_service.contract.jobs.registry import KINDS, Job, JobCheck, NewJob
 from kilter_service.ground.core import core_effects
 from kilter_service.ground.db import Database

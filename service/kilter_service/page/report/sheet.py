@@ -7,10 +7,10 @@ from typing import Any
 
 from kilter_core.errors import CoreError
 from kilter_files.look import why_unusual
-from kilter_service.contract.acceptance import Acceptance, JudgedCampaign
 from kilter_service.contract.budgets import Budget
 from kilter_service.contract.fits import Errors, Parameter, StageErrors, split_nominal_and_moved
 from kilter_service.contract.jobs.gap import GapResult
+from kilter_service.contract.today import Acceptance, JudgedCampaign
 from kilter_service.contract.versions import Version
 from kilter_service.ground.core import core_effects
 from kilter_service.ground.db import Database

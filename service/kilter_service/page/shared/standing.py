@@ -26,7 +26,7 @@ from kilter_service.page.words import format_in_largest_unit, list_effects
 from kilter_service.robots.compensation import CORRECTS, WORDS
 from kilter_service.stream import bridges as known_bridges
 from kilter_service.versions import metrics as observability
-from kilter_service.versions.today.sentences import largest
+from kilter_service.versions.today.standing import largest
 from kilter_service.web import health
 
 

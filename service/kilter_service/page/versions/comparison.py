@@ -29,7 +29,7 @@ from kilter_service.versions.if_match import tag_of_robot
 from kilter_service.versions.predictions import differences
 from kilter_service.versions.predictions import places as measured
 from kilter_service.versions.predictions.at_pose import preview
-from kilter_service.versions.predictions.paired import Pairs
+from kilter_service.versions.predictions.differences import Pairs
 
 if TYPE_CHECKING:
     from kilter_core.types import Floats

@@ -12,8 +12,7 @@ from kilter_core.errors import RobotError
 from kilter_core.types import Floats
 from kilter_service.ground.core import transforms
 from kilter_service.robots.importers.urdf import chain_document, hanging
-from kilter_service.robots.importers.urdf_tree import numbers, parse, parse_rpy
-from kilter_service.robots.importers.xml_text import read_xml
+from kilter_service.robots.importers.urdf_tree import numbers, parse, parse_rpy, read_xml
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

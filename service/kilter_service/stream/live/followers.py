@@ -14,8 +14,8 @@ from fastapi import FastAPI
 from fastapi.concurrency import run_in_threadpool
 
 from kilter_service.ground.db import Database
+from kilter_service.ground.db.failures import Failing
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.failure_log import Failing
 from kilter_service.ground.settings import Settings
 from kilter_service.stream import store
 from kilter_service.stream.corrector.endpoints import robot_from_key, stream_from_key

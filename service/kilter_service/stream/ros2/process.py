@@ -26,8 +26,8 @@ import zenoh
 from kilter_core.correct import side_by_side, walk_from_rest, warm_up
 from kilter_core.errors import ObservationError
 from kilter_core.types import Floats
+from kilter_service.ground.db.failures import Failing
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.failure_log import Failing
 from kilter_service.ground.settings import Settings
 from kilter_service.stream.corrector import endpoints, wire
 from kilter_service.stream.corrector.active import Active, DatabaseSource, VersionSource

@@ -25,7 +25,7 @@ from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
 from kilter_service.robots import store as robots
 from kilter_service.versions.drift import store
-from kilter_service.versions.drift.charts import FALSE_ALARM, RUN_LENGTH, Activated, KeptCharts, StoredCheck, height
+from kilter_service.versions.drift.wire import FALSE_ALARM, RUN_LENGTH, Activated, KeptCharts, StoredCheck, height
 
 
 def check(one: StoredCheck) -> CheckOfRobot:

@@ -21,7 +21,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
 from kilter_service.versions.predictions.at_pose import at_poses, drawn
-from kilter_service.versions.predictions.residuals import Part, iter_frame_groups, load_parts, refit_frames
+from kilter_service.versions.predictions.unfitted_rows import Part, iter_frame_groups, load_parts, refit_frames
 from kilter_service.versions.records import PreviewedPoses
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from kilter_service.robots import store as arms
 from kilter_service.robots.compensation import parse_compensation, sentence
 from kilter_service.versions.drift import service as drift
 from kilter_service.versions.predictions.unfitted_rows import larger
-from kilter_service.versions.today import sentences, store
+from kilter_service.versions.today import standing, store
 from kilter_service.versions.today.standing import Known, Reached, assess
 from kilter_service.versions.today.store import Active, Evaluated, Made, Measured, Searched
 from kilter_service.web.store import streams
@@ -253,7 +253,7 @@ def _today_without_version(robot: str, searched: SearchToday | None) -> Today:
         missing=searched,
         sentences=[],
     )
-    return found.model_copy(update={"sentences": sentences.describe_today(found)})
+    return found.model_copy(update={"sentences": standing.describe_today(found)})
 
 
 def _today(
@@ -274,12 +274,12 @@ def _today(
         own=own,
         changed=more is not None,
         larger_by_mm=more,
-        compared=sentences.describe_change(robot, newest, own, more),
+        compared=standing.describe_change(robot, newest, own, more),
         not_evaluated=_not_evaluated(version, campaigns, newest, candidates),
         missing=searched,
         sentences=[],
     )
-    return found.model_copy(update={"sentences": sentences.describe_today(found)})
+    return found.model_copy(update={"sentences": standing.describe_today(found)})
 
 
 def _age(found: ErrorsToday) -> tuple[bool, Any, Any]:
@@ -343,7 +343,7 @@ def _errors(
         at=at,
         campaigns=[_campaign(one) for one in found],
         refit=refit or [],
-        rows=sentences.rows(source, refit or []),
+        rows=standing.rows(source, refit or []),
         errors=errors,
     )
 
@@ -354,7 +354,7 @@ def _campaign(found: Measured) -> MeasuredCampaign:
         MeasuredCampaign,
         found,
         age_days=days,
-        when=sentences.describe_measurement_time(found.measured_at, days, stated=found.stated),
+        when=standing.describe_measurement_time(found.measured_at, days, stated=found.stated),
     )
 
 

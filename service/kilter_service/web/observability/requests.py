@@ -12,7 +12,7 @@ from prometheus_client.gc_collector import GCCollector
 from prometheus_client.process_collector import ProcessCollector
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from kilter_service.web.observability import logs, tracing
+from kilter_service.web.observability import logs
 
 # When a counter was made: twice the lines, and nobody asks for it.
 disable_created_metrics()  # type: ignore[no-untyped-call]
@@ -64,7 +64,7 @@ class Observed:
         began = time.perf_counter()
         OPEN.inc()
         try:
-            with logs.about(request_id=request_id), tracing.request(scope):
+            with logs.about(request_id=request_id), logs.request(scope):
                 await self.app(scope, receive, answer.send)
         finally:
             OPEN.dec()

@@ -18,9 +18,8 @@ from kilter_files.formats.joints.lerobot.log import arm_joint_names, log_of_data
 from kilter_files.formats.programs.marks import read_targets
 from kilter_files.formats.reader import NO_LOG_HINTS, Document, LogHints, column
 from kilter_files.formats.registry import has_format, open_source
-from kilter_files.ground.errors import FileError, fault
+from kilter_files.ground.errors import FileError, did_you_mean, fault
 from kilter_files.ground.later import np
-from kilter_files.ground.names import did_you_mean
 from kilter_files.ground.units import NAMES, column_unit
 from kilter_files.tables.source import Layout, TextSource
 from kilter_files.tables.table import JointLog, checked_log

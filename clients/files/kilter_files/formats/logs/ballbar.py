@@ -1,4 +1,7 @@
-"""Double ball bar logs: angle and radius, or its deviation from a nominal radius; one run or several in one text file."""
+"""Double ball bar logs: angle and radius, or its deviation from a nominal radius; one run or several in one text file.
+
+How the log of an instrument is read.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kilter_files.formats.logs.inclinometer import TIME
+from kilter_files.formats.logs.inclinometer import TIME, read_inclinometer
+from kilter_files.formats.reader import Document, Head, column
 from kilter_files.formats.tracker_header import canonical_column_name
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
@@ -16,11 +20,12 @@ from kilter_files.ground.errors import FileError, fault
 from kilter_files.ground.later import np
 from kilter_files.ground.text_blocks import cut_remark, numbered_lines
 from kilter_files.ground.text_layout import UNITS, TextLayout, sniff
-from kilter_files.ground.units import converter
+from kilter_files.ground.units import column_unit, converter
 from kilter_files.tables.table import Table
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
 
 ANGLE = re.compile(r"^(?:angle|winkel|theta|angularposition|ang)[a-z]*$")
 RADIUS = re.compile(r"^(?:radius|ballbarlength|barlength|length|r)$")
@@ -267,3 +272,37 @@ def ballbar_table(path: Path) -> Table:
         "bar_id counts the runs: give runs about one centre mount the same number to determine the scale of the arm better"
     )
     return table
+
+
+def describe_inclinometer(head: Head) -> Document:
+    """Describe the log of an inclinometer."""
+    assert head.layout is not None  # it was recognised
+    found = read_inclinometer(head.path, head.hints.unit)
+    columns = [column(name, column_unit(name), values) for name, values in found.columns.items()]
+    rows = len(found.columns["t_s"])
+    told = {"notes": list(found.notes), "warnings": list(found.warnings)}
+    shape = {"layout": head.layout.to_document()}
+    return {"rows": rows, "columns": columns} | told | shape
+
+
+def describe_ballbar(head: Head) -> Document:
+    """Describe the log of a ball bar; with joints it is ready to be sent."""
+    assert head.layout is not None  # it was recognised
+    found = read_ballbar(head.path)
+    measured = {"angle_deg": ("deg", found.angle_deg), "radius_mm": ("mm", found.radius_mm)}
+    columns = [column(name, unit, values) for name, (unit, values) in measured.items()]
+    columns += [column(name, column_unit(name), values) for name, values in found.joints.items()]
+    runs = circle_fit_by_run(found)
+    notes = [*found.notes]
+    for run in runs:
+        x, y = run["centre_mm"]
+        size = f"circularity {1000 * run['circularity_mm']:.1f} um about its centre ({x:+.4f}, {y:+.4f}) mm"
+        notes.append(f"run {run['run']}, {run['direction']}: {size}, mean radius {run['mean_radius_mm']:.4f} mm")
+    notes.append(
+        "ready for kilter upload --device ballbar"
+        if found.joints
+        else "joins a joint log with kilter measure sheet-join"
+    )
+    told = {"notes": notes, "warnings": list(found.warnings), "ready": bool(found.joints), "device": "ballbar"}
+    shape = {"layout": head.layout.to_document()}
+    return {"rows": len(found.radius_mm), "columns": columns, "runs": runs} | told | shape

@@ -11,7 +11,7 @@ from kilter_files.formats.reader import DEVICE, NO_HINTS, Document, Head, Hints,
 from kilter_files.formats.tables.text import read_text
 from kilter_files.formats.unknown.understood import describe_table
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.orientation import from_euler
+from kilter_files.ground.units import from_euler
 from kilter_files.tables.source import Layout, TextSource
 from kilter_files.tables.table import Table
 

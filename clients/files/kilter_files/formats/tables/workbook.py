@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from kilter_files.ground.cell_numbers import parse_number
-from kilter_files.ground.errors import FileError, fault
+from kilter_files.ground.errors import FileError, did_you_mean, fault
 from kilter_files.ground.later import need
-from kilter_files.ground.names import did_you_mean
 from kilter_files.ground.workbook_formulas import (
     REMEDY,
     Cell,

@@ -18,8 +18,7 @@ from kilter_files.rig.board.layout import DICTIONARIES, marker_family
 from kilter_files.rig.see.intrinsics import Kept, check_known, fit_camera_with_report
 from kilter_files.rig.see.optics.camera import Camera
 from kilter_files.rig.see.pictures import REMEDIES, Grey, Refusal
-from kilter_files.rig.see.poses import Poses
-from kilter_files.rig.see.sources import Frame, Pictures
+from kilter_files.rig.see.sources import Frame, Pictures, Poses
 from kilter_files.rig.see.target import Target
 from kilter_files.rig.see.views import FEW_CORNERS, LARGE, Finder, Markers, View, detect_view, differing
 from kilter_files.tables.table import JointLog, cells

@@ -29,9 +29,8 @@ from kilter_client.cli.terminal.arguments import (
     ValidationText,
     with_flags,
 )
-from kilter_client.cli.terminal.interrupt import job_goes_on, job_name, on_interrupt
 from kilter_client.cli.terminal.output import emit, job_bar, note, number, print_line, show_rows
-from kilter_client.cli.terminal.references import resolved_all, resolved_options
+from kilter_client.cli.terminal.references import job_goes_on, job_name, on_interrupt, resolved_all, resolved_options
 from kilter_client.errors import UsageError
 from kilter_client.results.plots import can_draw, save_figures
 from kilter_client.typed.option_texts import GAP, IDENTIFY

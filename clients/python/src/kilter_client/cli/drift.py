@@ -25,9 +25,14 @@ from kilter_client.cli.terminal.arguments import (
     Robot,
     with_flags,
 )
-from kilter_client.cli.terminal.interrupt import job_goes_on, job_name, on_interrupt
 from kilter_client.cli.terminal.output import emit, job_bar, note, print_line
-from kilter_client.cli.terminal.references import resolve_reference, resolved_options
+from kilter_client.cli.terminal.references import (
+    job_goes_on,
+    job_name,
+    on_interrupt,
+    resolve_reference,
+    resolved_options,
+)
 from kilter_client.errors import UsageError
 from kilter_client.requests.calls import robots as calls
 from kilter_client.typed.option_texts import REZERO

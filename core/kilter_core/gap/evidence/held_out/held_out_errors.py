@@ -15,8 +15,13 @@ from kilter_core.gap.evidence.fits.intervals import interval_width
 from kilter_core.gap.evidence.held_out.adequacy import gain, left_out_errors, left_out_floor
 from kilter_core.gap.noise.visits import blocks, motion_blocks
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.in_space import cholesky_root, fit_rms, noise_rms, rms_error_at_values
-from kilter_core.gap.search.linear.linearized import fit_nonlinear_values
+from kilter_core.gap.search.linear.linearized import (
+    cholesky_root,
+    fit_nonlinear_values,
+    fit_rms,
+    noise_rms,
+    rms_error_at_values,
+)
 from kilter_core.gap.search.linear.settings import ProblemSettings
 from kilter_core.gap.search.outliers import along_one_motion
 from kilter_core.gap.search.prepare import Prepared, average_motion_rows

@@ -24,15 +24,17 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.processes import sandbox
 from kilter_service.ground.processes.sandbox import Limits
 from kilter_service.robots.exporters.exportable import Exportable, Written
-from kilter_service.robots.exporters.mjcf.effects import (
+from kilter_service.robots.exporters.mjcf.file import LEAST_INERTIA, identified_axes, nominal_poses, possible, thickness
+from kilter_service.robots.exporters.mjcf.notes import (
     Drive,
     ExportedEffects,
     drives,
     exported_effects,
+    notes,
+    of_sharpened,
     passive_joint_part,
+    table,
 )
-from kilter_service.robots.exporters.mjcf.notes import notes, of_sharpened, table
-from kilter_service.robots.exporters.mjcf.tree import LEAST_INERTIA, identified_axes, nominal_poses, possible, thickness
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration

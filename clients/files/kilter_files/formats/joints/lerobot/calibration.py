@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.errors import fault
+from kilter_files.ground.errors import did_you_mean, fault
 from kilter_files.ground.later import need, np
-from kilter_files.ground.names import did_you_mean
 
 FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 OLD_FIELDS = {"homing_offset", "drive_mode", "calib_mode"}  # lists, one entry for each motor

@@ -9,9 +9,16 @@ from functools import lru_cache
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_number
 from kilter_files.formats.programs.krl_lines import Keyed, arguments, nested
-from kilter_files.formats.programs.notations import URSCRIPT, Frame
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
-from kilter_files.formats.programs.poses.in_force import Flow, InForce, Variable, calls_of_own, calls_that_set
+from kilter_files.formats.programs.poses.in_force import (
+    URSCRIPT,
+    Flow,
+    Frame,
+    InForce,
+    Variable,
+    calls_of_own,
+    calls_that_set,
+)
 
 NULL = Frame(URSCRIPT, (0.0,) * 6)
 SIX = re.compile(r"p\s?\[\s*+" + r"\s*+,\s*+".join([f"({NUMBER})"] * 6) + r"\s*+\]")

@@ -24,10 +24,9 @@ from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import CUT, FileError, fault
 from kilter_files.ground.later import np
-from kilter_files.ground.orientation import quaternions_from_matrices
 from kilter_files.ground.text_blocks import MISSING, blocks, count_rows, line_number_of_row, numbered_lines
 from kilter_files.ground.text_layout import TextLayout, sniff
-from kilter_files.ground.units import SIZES
+from kilter_files.ground.units import SIZES, quaternions_from_matrices
 from kilter_files.tables.recording import Block, Recording, in_stated_unit, unit_quaternions, without_gaps
 
 if TYPE_CHECKING:

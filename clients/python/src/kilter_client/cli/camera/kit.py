@@ -20,8 +20,8 @@ from kilter_client.cli.files.sending import (
     servo_conditions,
 )
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.terminal.output import emit, job_bar, note, print_line
+from kilter_client.cli.terminal.references import job_goes_on, on_interrupt
 from kilter_client.errors import NotFoundError, UsageError
 from kilter_client.files import files_rig
 from kilter_files import prepare

@@ -24,8 +24,8 @@ from kilter_client.cli.files.inspect import (
 from kilter_client.cli.files.sending import calibration_conditions
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.interrupt import on_interrupt
 from kilter_client.cli.terminal.output import emit, note, print_line, upload_bar
+from kilter_client.cli.terminal.references import on_interrupt
 from kilter_client.errors import UsageError
 from kilter_client.files import files_match, files_tables
 from kilter_files import read_joints

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from kilter_client import Kilter
 from kilter_client.cli.files.inspect import check_numpy
-from kilter_client.cli.terminal.interrupt import on_interrupt
 from kilter_client.cli.terminal.output import REMEDY_FOR_COLUMNS, upload_bar
-from kilter_client.cli.terminal.references import resolve_reference
+from kilter_client.cli.terminal.references import on_interrupt, resolve_reference
 from kilter_client.errors import ConflictError, FileError, KilterError, ObservationError, UsageError
 from kilter_client.files import files_formats
 from kilter_client.verbs.campaigns import send_rows

@@ -24,12 +24,11 @@ from kilter_client.cli.reports.answer import fit_messages, suggest_after_upload
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import ColumnMap, File, Json, PayloadCentre, Robot
 from kilter_client.cli.terminal.output import emit, note, number, print_line, print_lines, screen_columns, show_rows
-from kilter_client.cli.terminal.references import resolve_reference
-from kilter_client.cli.terminal.wording import in_words, parameters_by_request_name
+from kilter_client.cli.terminal.references import in_words, parameters_by_request_name, resolve_reference
 from kilter_client.errors import FileError, KilterError, UsageError
 from kilter_client.files import files_match
 from kilter_client.verbs import campaigns
-from kilter_client.verbs.dry_run import checked_here, checked_rows
+from kilter_client.verbs.campaigns import checked_here, checked_rows
 from kilter_client.verbs.inputs import parse_time
 from kilter_files import Prepared, draft, has_contract_header, prepare, read_joints
 from kilter_files.formats import (
