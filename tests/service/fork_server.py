@@ -39,7 +39,7 @@ RESERVED = 64  # file descriptors below the limit, where received ones are put o
 ORDERS = 3  # where the fork server of a corrector finds the pipe of its orders
 
 IMPORTED = (
-    *(f"kilter_client.bridges.{name}" for name in ("running", "egm", "fci", "rsi")),
+    *(f"kilter_client.bridges.{name}" for name in ("running", "egm", "fci")),
     "kilter_service.jobs.work.worker",
     "kilter_service.run.app",
     "kilter_service.run.backup.upgrade",

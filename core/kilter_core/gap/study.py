@@ -200,12 +200,7 @@ def split_held_out_rows(
 
 
 def _refuse_other_contacts(rows: Observations, validation: Observations) -> None:
-    """Refuse validation rows whose tool was measured otherwise where contacts held either, and contacts too small to judge.
-
-    Raises:
-        ObservationError: what cannot judge what, and the remedy.
-
-    """
+    """Refuse validation rows whose tool was measured otherwise where contacts held either, and contacts too small to judge."""
     widths = [{3 if c.kind == "socket" else 1 for c in group_contacts(part)} for part in (rows, validation)]
     if widths[0] != widths[1]:
         raise ObservationError(

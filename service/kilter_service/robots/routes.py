@@ -149,12 +149,7 @@ def found_robot(
 
 
 def _follows(pairs: Sequence[str]) -> dict[int, int]:
-    """Follower -> leader, from 0.
-
-    Raises:
-        OptionError: a pair that is not written j3=j2.
-
-    """
+    """Follower -> leader, from 0."""
     found = [FOLLOWS.fullmatch(pair.replace(" ", "")) for pair in pairs]
     wrong = [pair for pair, match in zip(pairs, found, strict=True) if match is None]
     if wrong:
@@ -165,12 +160,7 @@ def _follows(pairs: Sequence[str]) -> dict[int, int]:
 
 
 def _kinds(names: list[str]) -> list[str]:
-    """Kind of every joint, by the unit of its reading.
-
-    Raises:
-        ObservationError: no joint readings, or a gap in their numbers.
-
-    """
+    """Kind of every joint, by the unit of its reading."""
     units = {int(match[1]): match[2] for match in map(JOINT.fullmatch, names) if match}
     if sorted(units) != list(range(1, len(units) + 1)) or not units:
         raise ObservationError(

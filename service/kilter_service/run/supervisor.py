@@ -220,10 +220,6 @@ def _wait_until_standing(
     at every start must not end a corrector that corrects: others ask for readiness, this one whether the processes stand.
     Where a stream process `went_on` alone from the server before, an arm follows it: then not even an API that ends at
     every start ends it.
-
-    Raises:
-        ServiceError: no setpoint can be corrected: the API or the corrector ends at every start, or did not start in time.
-
     """
     deadline = time.monotonic() + READY_S
     since, before = time.monotonic(), None

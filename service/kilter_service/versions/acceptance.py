@@ -285,13 +285,7 @@ def _with_todays(database: Database, robot: str, version_id: str, wish: Wish) ->
 def _judge_campaigns(
     session: Session, robot_id: int, version_id: str, wish: Wish
 ) -> tuple[list[Part], list[Remark], list[Remark]]:
-    """The campaigns that are judged; what is said of those that nobody named and that cannot be; and of another arm's.
-
-    Raises:
-        ServiceError: no such campaign, or a version that does not say how well it is known.
-        CoreError: a campaign that was named cannot be judged.
-
-    """
+    """The campaigns that are judged; what is said of those that nobody named and that cannot be; and of another arm's."""
     calibration, own = versions.calibration(session, version_id), versions.training_campaign_ids(session, version_id)
     report = versions.get(session, version_id).report
     known = core_identify.Predictive.from_document(versions.covariance(session, version_id), report)

@@ -240,12 +240,7 @@ def _refuse(
 
 
 def _description_warnings(sample: Sample) -> Iterator[dict[str, Any]]:
-    """Warn of a description that does not fit the rows.
-
-    Raises:
-        ObservationError: base and tool make no more of the rows than of shuffled ones.
-
-    """
+    """Warn of a description that does not fit the rows."""
     found = find_misfit(sample) if _has_gross_misfit(sample) else None
     if found is None:
         return

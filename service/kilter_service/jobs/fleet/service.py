@@ -242,12 +242,7 @@ def _job(
 
 
 def _latest(session: Session, robot: str, robot_id: int, before: str | None) -> tuple[list[str], list[str]]:
-    """The campaigns that the active version and those it continues were made from, and those since, by their roles.
-
-    Raises:
-        ServiceError: there is none to fit.
-
-    """
+    """The campaigns that the active version and those it continues were made from, and those since, by their roles."""
     fitted, held, since = _of_version(session, before) if before else (set[str](), set[str](), None)
     there = _with_rows(session, robot_id)
     for one in there:
@@ -279,12 +274,7 @@ def _with_rows(session: Session, robot_id: int) -> Sequence[CampaignRecord]:
 
 
 def _options(session: Session, before: str | None) -> IdentifyOptions:
-    """The options of the identification that made a version; of another job those that identify the same effects.
-
-    Raises:
-        ServiceError: there is no version, or its effects cannot be asked for.
-
-    """
+    """The options of the identification that made a version; of another job those that identify the same effects."""
     if before is None:
         return IdentifyOptions()
     record = versions.get(session, before)

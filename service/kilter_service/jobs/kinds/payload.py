@@ -36,12 +36,7 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
 
 
 def _empty_campaigns(job: JobInput) -> list[str]:
-    """Campaigns, by id, that the options name as empty.
-
-    Raises:
-        OptionError: a name that the job does not have, or no campaign that is left.
-
-    """
+    """Campaigns, by id, that the options name as empty."""
     options: PayloadOptions = job.options
     if len(job.campaigns) < 2:
         raise OptionError(

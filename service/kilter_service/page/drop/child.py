@@ -75,12 +75,7 @@ def find_corners(path: Path, way: str) -> tuple[Path, dict[str, Any]]:
 
 
 def _unpack(path: Path) -> Path:
-    """Unpack what counts, each file by its last name.
-
-    Raises:
-        FileError: there is more than anybody takes pictures of, or two files have one name.
-
-    """
+    """Unpack what counts, each file by its last name."""
     folder = Path("pictures")
     folder.mkdir(exist_ok=True)
     with zipfile.ZipFile(path) as archive:

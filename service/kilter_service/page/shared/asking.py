@@ -115,12 +115,7 @@ def take_step(database: Database, name: str, do: str, campaign: str) -> str:
 
 
 def _check_search(database: Database, job: NewJob) -> None:
-    """Refuse a search that would fail.
-
-    Raises:
-        ServiceError: why it would.
-
-    """
+    """Refuse a search that would fail."""
     found = checking.check(database, job)
     if not found.would_run:
         said = " ".join(one.message for one in found.problems)

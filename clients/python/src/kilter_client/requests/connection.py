@@ -160,12 +160,7 @@ def _settings(place: Place) -> dict[str, Any]:
 
 
 def _trusted_authorities() -> Any:
-    """Return whom to trust: the authority of KILTER_CA, else those that this machine trusts.
-
-    Raises:
-        UsageError: the file of KILTER_CA cannot be read as certificates.
-
-    """
+    """Return whom to trust: the authority of KILTER_CA, else those that this machine trusts."""
     file = os.environ.get("KILTER_CA")
     if not file:
         return True

@@ -119,12 +119,7 @@ def _stated_frames(bases: Frames | None, tools: Frames | None, tracks: Mapping[s
 
 
 def _tracks(given: Mapping[str, str]) -> dict[str, Track]:
-    """Read external axes that carry the arm.
-
-    Raises:
-        UsageError: one is not stated as an axis.
-
-    """
+    """Read external axes that carry the arm."""
     out = {}
     for name, said in given.items():
         track = files_formats.parse_track(said)
@@ -168,12 +163,7 @@ def _is_j3_coupled(found: Program, fanuc_j3: str | None) -> bool:
 
 
 def _frames(given: Frames | None, option: str) -> dict[str, tuple[float, ...]]:
-    """Read frames as they are stated: by name, or one alone, each as numbers or as a text of numbers.
-
-    Raises:
-        UsageError: one has not six or seven numbers.
-
-    """
+    """Read frames as they are stated: by name, or one alone, each as numbers or as a text of numbers."""
     if given is None:
         return {}
     named = given if isinstance(given, Mapping) else {"": given}
@@ -340,12 +330,7 @@ def _refuse(
     strict: bool,
     suspicion: str = "",
 ) -> None:
-    """Refuse a program for these places: to leave ``strict`` out helps only where it was given.
-
-    Raises:
-        FileError: there is one.
-
-    """
+    """Refuse a program for these places: to leave ``strict`` out helps only where it was given."""
     if places:
         several = len(programs) > 1
         named = "; ".join(

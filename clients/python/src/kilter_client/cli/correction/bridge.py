@@ -180,12 +180,7 @@ def fci(
 
 
 def _import_bridge_runtime() -> Any:
-    """Import what a bridge needs.
-
-    Raises:
-        MissingPackageError: the core is not installed.
-
-    """
+    """Import what a bridge needs."""
     try:
         from kilter_client.bridges import running
     except ImportError as error:

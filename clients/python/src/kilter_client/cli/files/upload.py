@@ -466,12 +466,7 @@ def _decide(robot: str, file: Path, found: Draft, euler: str | None, joint_unit:
 
 
 def _choose(file: Path, what: str, readings: Mapping[str, str], said: str | None, option: str, remedy: str) -> str:
-    """Return which of two readings holds: the one that was said, or that a person at the terminal chooses.
-
-    Raises:
-        UsageError: nobody is there to be asked, or neither was said.
-
-    """
+    """Return which of two readings holds: the one that was said, or that a person at the terminal chooses."""
     options = " or ".join(f"{words} ({option} {word})" for word, words in readings.items())
     if said is None and sys.stdin.isatty():
         said = typer.prompt(f"{file}: {what} {options}. Which", err=True)

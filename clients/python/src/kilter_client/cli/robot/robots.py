@@ -141,12 +141,7 @@ def _words(given: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _load(payload_kg: float | None, payload_com_mm: str | None) -> dict[str, Any] | None:
-    """Return the default load that the options state.
-
-    Raises:
-        UsageError: a place without a mass, or no three numbers.
-
-    """
+    """Return the default load that the options state."""
     centre = three("--payload-com-mm", payload_com_mm)
     if payload_kg is None:
         if centre is not None:
