@@ -11,8 +11,7 @@ from pathlib import Path
 
 from benchmarks.challenge.answers import answers
 from benchmarks.challenge.case import CaseError, cases
-from benchmarks.challenge.page import page
-from benchmarks.challenge.score import Scored, figures
+from benchmarks.challenge.page import Scored, figures, page
 from kilter_client.requests.local_server import local_server
 
 ANSWERS = "answers.jsonl"

@@ -20,7 +20,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from kilter_client.cli.demo import NOISE_MM, PRESET, STAGES
-from kilter_core.plan.iso9283_poses import iso_poses
+from kilter_core.plan.d_optimal import iso_poses
 from kilter_core.twin import thesis_katana
 from tests.page.conftest import log_in, opened
 from tests.page.controlling import Controller

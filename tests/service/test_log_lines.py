@@ -86,7 +86,7 @@ def test_a_command_that_cannot_go_on_says_so_in_json(settings: Settings, tmp_pat
 def test_warnings_and_what_nobody_caught_are_lines_too(tmp_path: Path) -> None:
     code = """
 import threading, warnings
-from kilter_service.web.observability import logs
+from kilter_service.web import logs
 from kilter_service.ground.settings import Settings
 from tests.service.forked import ForkedPopen, children_of, forked_command
 logs.configure(Settings(log_format="json"), "api")

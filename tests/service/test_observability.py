@@ -30,10 +30,10 @@ from kilter_service.ground.settings import Settings
 from kilter_service.stream.corrector.fast_path import bin_edges_us
 from kilter_service.versions import metrics
 from kilter_service.versions.metrics import HELD_BACK
+from kilter_service.web import logs
 from kilter_service.web import store as health
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.observability import logs
-from kilter_service.web.observability.requests import UNKNOWN
+from kilter_service.web.request_log import UNKNOWN
 from tests.service.forked import ForkedPopen
 
 TRACE = "0af7651916cd43dd8448eb211c80319c"

@@ -22,7 +22,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.robots import frames
 from kilter_service.run.app import create_app
-from kilter_service.web import gate, tokens
+from kilter_service.web import gate, logins
 from kilter_service.web.auth.token import admin_token
 from kilter_service.web.gate import MOST_SENDERS, Rates, TimedConnection
 
@@ -78,7 +78,7 @@ def test_what_computes_is_counted_by_token_and_reads_are_not(
     tight = settings.model_copy(update={"rate": 0.01})  # one at once, the next in 100 s
     client = serve(create_app(tight))
     before = CALLER.set(Caller("admin", "admin"))  # whose change is audited: a token that is not does not work
-    made = [tokens.add(database, NewToken(name=name, role="operator"), "admin") for name in ("a", "b")]
+    made = [logins.add(database, NewToken(name=name, role="operator"), "admin") for name in ("a", "b")]
     CALLER.reset(before)
     first, second = ({"Authorization": f"Bearer {token.token}"} for token in made)
     assert client.post("/v1/frames", json={}, headers=first).json()["code"] == "observations_invalid"

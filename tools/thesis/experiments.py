@@ -20,7 +20,7 @@ from kilter_core.identify.methods.per_pose import pose_solutions
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.plan.iso9283_poses import iso_poses
+from kilter_core.plan.d_optimal import iso_poses
 from kilter_core.types import Floats
 from tests.core.correct.reference import CorrectOptions, correct
 from tools.thesis.arms import CHAPTER_4, Arm, built

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     DEVICES: Mapping[str, Callable[[Path], Table]]
 
 with later(__name__):
-    from kilter_files.formats import reader, registry, tracker_header
+    from kilter_files.formats import reader, registry
     from kilter_files.formats.joints import joint_log
+    from kilter_files.formats.recordings import marker_header
     from kilter_files.ground import units
     from kilter_files.look import drafts
     from kilter_files.maps import column_map as column_maps
@@ -91,7 +92,7 @@ def prepare(
 
 def _preset_for_device(device: str, path: Path, joined: bool) -> str | None:
     """Return the preset that a device names, where its file is an export of points and not contract columns already."""
-    if device not in tracker_header.PRESETS or path.suffix.lower() in (".json", ".parquet"):
+    if device not in marker_header.PRESETS or path.suffix.lower() in (".json", ".parquet"):
         return None
     return device if joined or not registry.has_format(path, "contract-columns") else None
 

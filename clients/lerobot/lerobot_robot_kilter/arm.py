@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from kilter_client import Kilter
-from kilter_client.bridges import versions
+from kilter_client.bridges import correction
 from kilter_client.bridges.correction import Correction, Guard
 from kilter_client.errors import ConflictError, FileError, UsageError
 from kilter_core.correct import LARGEST, OK, Stored, from_bytes
@@ -179,7 +179,7 @@ def fetch_used_version(robot: str, version: str | None = None, force: bool = Fal
     """
     if not robot:
         raise UsageError("Say which robot of the Kilter server this arm is: --robot.kilter_robot=NAME.")
-    found = versions.fetch_startup_version(robot, version, force)
+    found = correction.fetch_startup_version(robot, version, force)
     with Kilter() as kilter:
         joints = tuple(str(joint["name"]) for joint in kilter.robots.get(robot)["joints"])
         campaigns = [str(one["id"]) for one in kilter.versions.get(found.version_id, robot=robot)["campaigns"]]

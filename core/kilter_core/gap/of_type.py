@@ -10,8 +10,8 @@ from kilter_core.arm.robot import Robot
 from kilter_core.errors import OptionError
 from kilter_core.gap.options import GapOptions
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.fleet.prior import FleetPrior, FleetVersion, of_its_type
-from kilter_core.identify.fleet.said import prior_document, prior_warnings
+from kilter_core.identify.fleet_prior import FleetPrior, FleetVersion, of_its_type
+from kilter_core.identify.fleet_report import prior_document, prior_warnings
 from kilter_core.identify.measured_rows import measurement_for
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.options import IdentifyOptions

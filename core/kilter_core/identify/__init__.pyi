@@ -14,8 +14,8 @@ from .estimate import registration_only as registration_only
 from .fit.robust import RowErrors as RowErrors
 from .fit.robust import mean_marker_error as mean_marker_error
 from .fit.robust import whitened_row_sizes as whitened_row_sizes
-from .fleet.prior import FleetVersion as FleetVersion
-from .fleet.prior import same_type as same_type
+from .fleet_prior import FleetVersion as FleetVersion
+from .fleet_prior import same_type as same_type
 from .holdout import Folds as Folds
 from .holdout import fold_splits as fold_splits
 from .holdout import split as split

@@ -16,7 +16,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.identify.carried_masses import beside_masses, of_masses
 from kilter_core.identify.estimate import START_SIGMA_RAD, prepare_problem
 from kilter_core.identify.fit.least_squares import Fit, Problem, Weights, build_fit
-from kilter_core.identify.fleet.prior import FleetVersion, of_its_type
+from kilter_core.identify.fleet_prior import FleetVersion, of_its_type
 from kilter_core.identify.holdout import select_learned_effects
 from kilter_core.identify.identifiability import NullDirection, identifiable, null_directions
 from kilter_core.identify.measured_rows import measurement_for

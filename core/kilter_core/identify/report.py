@@ -17,7 +17,7 @@ from scipy.linalg import null_space
 
 from kilter_core.arm.robot import Robot
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.fleet.said import resting
+from kilter_core.identify.fleet_report import resting
 from kilter_core.identify.identifiability import NullDirection, identifiable, own_members
 from kilter_core.identify.measurement_noise import Repeats
 from kilter_core.identify.uncertainty.stated_noise import Intervals

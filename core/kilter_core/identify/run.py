@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from kilter_core.arm.robot import Robot
-from kilter_core.identify.fleet.prior import FleetVersion
+from kilter_core.identify.fleet_prior import FleetVersion
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.steps.findings import Outcome, estimate_uncertainty

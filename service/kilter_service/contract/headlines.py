@@ -14,7 +14,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from kilter_service.contract.effect_curves import NextPose, ToldApart
+from kilter_service.contract.figures import NextPose, ToldApart
 from kilter_service.contract.fits import Metrics, Noise, Parameter
 from kilter_service.contract.gap_details import Adequacy, Amplitude, GapNoise, GapSize, MotionFound, NamedEffect
 from kilter_service.contract.instruments import PixelsFound

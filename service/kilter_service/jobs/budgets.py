@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_core.observations import evenly
-from kilter_service.contract.effect_curves import EffectCurve
+from kilter_service.contract.figures import EffectCurve
 from kilter_service.contract.gap_details import AtJoints
 from kilter_service.ground.core import core_evaluate, core_measurement
 from kilter_service.robots.store import permissible

@@ -22,7 +22,7 @@ from kilter_service.jobs.records import Asked, JobRecord, ListedJob, Place, Prog
 from kilter_service.jobs.registry import get_job_kind
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
-from kilter_service.web.observability import logs
+from kilter_service.web import logs
 from kilter_service.web.routing import NOT_REPEATED, Once, hash_document
 
 JOB: TypeAdapter[Job] = TypeAdapter(Job)

@@ -43,7 +43,7 @@ from kilter_service.web.concurrency import rooms_with
 from kilter_service.web.docs_page import openapi_with_security, serve_openapi
 from kilter_service.web.docs_page import router as docs_page
 from kilter_service.web.gate import Gate, Rates, Unhurried
-from kilter_service.web.observability.requests import Observed
+from kilter_service.web.request_log import Observed
 from kilter_service.web.routes import health_router as health
 from kilter_service.web.routes import router as audit
 from kilter_service.web.routes import token_router as tokens

@@ -18,9 +18,9 @@ from pydantic import ValidationError
 from kilter_files.ground.later import later
 from kilter_service.ground.files.private_files import UMASK, protect
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, Settings, code_version
-from kilter_service.run.zenoh_config import command as zenoh_command
+from kilter_service.run import zenoh_command
 from kilter_service.stream.signing import command
-from kilter_service.web.observability import logs
+from kilter_service.web import logs
 
 # A command loads what it runs, and nothing else.
 with later(__name__):
@@ -32,8 +32,8 @@ with later(__name__):
     from kilter_service.run.backup import commands
     from kilter_service.run.backup import upgrade as upgrading
     from kilter_service.run.doctor import commands as doctor_commands
+    from kilter_service.stream import ros2_process
     from kilter_service.stream.corrector import process as corrector_process
-    from kilter_service.stream.ros2 import process as ros2_process
     from kilter_service.web import audit as audits
     from kilter_service.web.auth import token
 

@@ -26,7 +26,7 @@ from kilter_service.ground.store import AT_MOST_MS
 from kilter_service.ground.wire import to_metres
 from kilter_service.versions.drift.service import Creeping, last_checks
 from kilter_service.web import store
-from kilter_service.web.observability.requests import REGISTRY
+from kilter_service.web.request_log import REGISTRY
 from kilter_service.web.store import Ended
 
 

@@ -24,8 +24,8 @@ from kilter_service.ground.errors import PROBLEMS, ServiceError
 from kilter_service.ground.settings import Settings, parse_name_list
 from kilter_service.web.auth.access import OTHER_SITES, PLAIN_READS, address, is_loopback_name, parse_host_header
 from kilter_service.web.auth.token import get_following
-from kilter_service.web.observability.requests import new_request_id
 from kilter_service.web.problems import MEDIA_TYPE, problem
+from kilter_service.web.request_log import new_request_id
 
 
 class Gate:

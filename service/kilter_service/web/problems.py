@@ -19,7 +19,7 @@ from kilter_service.contract.health import Problem
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import PROBLEMS
 from kilter_service.web import audit
-from kilter_service.web.observability.requests import REFUSALS, new_request_id
+from kilter_service.web.request_log import REFUSALS, new_request_id
 
 log = logging.getLogger("kilter.api")
 

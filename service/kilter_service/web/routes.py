@@ -23,7 +23,7 @@ from kilter_service.contract.health import (
 )
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import code_version
-from kilter_service.web import audit, logins, tokens
+from kilter_service.web import audit, logins
 from kilter_service.web import health as health_service
 from kilter_service.web.auth.access import Admin, get_caller
 from kilter_service.web.routing import GuardedRoute
@@ -53,7 +53,7 @@ def whoami(request: Request) -> Identity:
 def add(wanted: NewToken, response: Response, database: DatabaseOfApp, actor: Admin) -> MadeToken:
     """Make a token; what to send with requests is shown this once only."""
     response.headers["Cache-Control"] = "no-store"
-    return tokens.add(database, wanted, actor)
+    return logins.add(database, wanted, actor)
 
 
 @token_router.post("/login-links", status_code=201)
@@ -67,13 +67,13 @@ def link(wanted: NewLoginLink, request: Request, response: Response, database: D
 @token_router.get("/tokens")
 def list_tokens(database: DatabaseOfApp, page: PageOfList) -> TokenList:
     """List the tokens, newest first; also those that expired or were revoked."""
-    return tokens.list_tokens(database, page)
+    return logins.list_tokens(database, page)
 
 
 @token_router.delete("/tokens/{token}")
 def revoke(token: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp, actor: Admin) -> Token:
     """End a token at once, and the sessions of streams that it asked for; a repeat changes nothing."""
-    ended = tokens.revoke(database, token, actor)
+    ended = logins.revoke(database, token, actor)
     request.app.state.end_sessions(database, settings, ended.id)  # handed in: the stream is above
     return ended
 

@@ -15,7 +15,7 @@ import pytest
 import zenoh
 
 from kilter_client import Kilter
-from kilter_client.bridges.versions import Followed, Kind, fetch_startup_version, poll_server
+from kilter_client.bridges.correction import Followed, Kind, fetch_startup_version, poll_server
 from kilter_client.cli import run
 from kilter_client.errors import ConflictError, NotFoundError
 from kilter_client.streaming.certificates import session_config

@@ -21,7 +21,7 @@ from kilter_core.identify.registry import METHODS
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.plan.iso9283_poses import iso_poses
+from kilter_core.plan.d_optimal import iso_poses
 from kilter_core.twin import thesis_katana
 from tests.core.campaigns import joints, measured, table_errors
 from tests.core.truth import Arm, small_pose, ur10

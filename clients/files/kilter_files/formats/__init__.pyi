@@ -53,6 +53,7 @@ from .reader import Head as Head
 from .reader import Hints as Hints
 from .reader import LogHints as LogHints
 from .reader import RecordingReader as RecordingReader
+from .recordings.marker_header import PRESETS as PRESETS
 from .registry import all_readers as all_readers
 from .registry import find_reader as find_reader
 from .registry import has_format as has_format
@@ -60,6 +61,5 @@ from .registry import list_formats as list_formats
 from .registry import open_recording as open_recording
 from .registry import readers_for as readers_for
 from .registry import refuse_stranger as refuse_stranger
-from .tracker_header import PRESETS as PRESETS
 from .unknown.guess import Columns as Columns
 from .unknown.table_shape import detect_table_shape as detect_table_shape

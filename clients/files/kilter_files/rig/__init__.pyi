@@ -1,10 +1,10 @@
 from .ballbar_join import join_ballbar as join_ballbar
-from .board.cube import check_cube as check_cube
-from .board.cube import save_board as save_board
-from .board.cube import save_cube as save_cube
-from .board.layout import USUAL as USUAL
-from .board.layout import Board as Board
-from .board.layout import check_board as check_board
+from .board_cube import check_cube as check_cube
+from .board_cube import save_board as save_board
+from .board_cube import save_cube as save_cube
+from .board_layout import USUAL as USUAL
+from .board_layout import Board as Board
+from .board_layout import check_board as check_board
 from .drawn_circle import Circle as Circle
 from .drawn_circle import Frame as Frame
 from .drawn_circle import JoinOptions as JoinOptions

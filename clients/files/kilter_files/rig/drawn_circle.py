@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from kilter_files.formats.logs.inclinometer import TIME
+from kilter_files.formats.logs.ballbar import TIME
 from kilter_files.formats.reader import Head
+from kilter_files.formats.recordings.marker_header import canonical_column_name
 from kilter_files.formats.registry import binary_reader, open_source
 from kilter_files.formats.tables.mat import read_mat
 from kilter_files.formats.tables.tdms import Calibration, channels, read_channel
-from kilter_files.formats.tracker_header import canonical_column_name
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError, did_you_mean, fault
 from kilter_files.ground.text_blocks import blocks, count_rows, line_number_of_row

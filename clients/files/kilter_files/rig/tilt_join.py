@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from kilter_files.formats.joints.joint_log import read_joint_log
-from kilter_files.formats.logs.inclinometer import read_inclinometer, tilt_column_indices
+from kilter_files.formats.logs.ballbar import read_inclinometer, tilt_column_indices
 from kilter_files.formats.reader import Hints, LogHints
+from kilter_files.formats.recordings.marker_header import PRESETS
 from kilter_files.formats.registry import all_readers
-from kilter_files.formats.tracker_header import PRESETS
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError, UsageError, fault
 from kilter_files.ground.text_layout import sniff

@@ -2,7 +2,15 @@ from .exported import checked_name as checked_name
 from .exported import lists_of_export as lists_of_export
 from .exported import plain_name as plain_name
 from .exported import read_text as read_text
+from .mesh_files import NOMINAL as NOMINAL
+from .mesh_files import STEP_TABLE as STEP_TABLE
+from .mesh_files import TOOL as TOOL
 from .mesh_files import link_meshes as link_meshes
+from .mesh_files import local_pose as local_pose
+from .mesh_files import pose_matrix as pose_matrix
+from .mesh_files import single as single
+from .mesh_files import split as split
+from .mesh_files import usd_package as usd_package
 from .read import KATANA as KATANA
 from .read import TABLES as TABLES
 from .read import UR as UR
@@ -10,11 +18,3 @@ from .read import URDF as URDF
 from .read import Described as Described
 from .read import described_document as described_document
 from .read import read_robot as read_robot
-from .usd_poses import NOMINAL as NOMINAL
-from .usd_poses import STEP_TABLE as STEP_TABLE
-from .usd_poses import TOOL as TOOL
-from .usd_poses import local_pose as local_pose
-from .usd_poses import pose_matrix as pose_matrix
-from .usd_poses import single as single
-from .usd_poses import split as split
-from .usd_poses import usd_package as usd_package

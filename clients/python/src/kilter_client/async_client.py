@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from kilter_client.requests.calls import jobs as fleet
 from kilter_client.requests.calls import references
-from kilter_client.requests.connection import AsyncConnection, locate
-from kilter_client.requests.methods import make_async_method
+from kilter_client.requests.connection import AsyncConnection, locate, make_async_method
 from kilter_client.requests.steps import Steps
 from kilter_client.verbs import campaigns as measured
 from kilter_client.verbs import drifts, programs

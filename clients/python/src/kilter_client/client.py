@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from kilter_client.requests.calls import jobs as fleet
 from kilter_client.requests.calls import references
-from kilter_client.requests.connection import Connection, Reword, locate
-from kilter_client.requests.methods import waiting
+from kilter_client.requests.connection import Connection, Reword, locate, waiting
 from kilter_client.requests.steps import Steps
 from kilter_client.resources import Campaigns, Jobs, Robots, Versions
 from kilter_client.verbs import campaigns, drifts, jobs, programs, robots, versions

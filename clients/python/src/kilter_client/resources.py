@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from kilter_client.requests.calls import campaigns, jobs, references, robots, versions
 from kilter_client.requests.calls.jobs import Progress, require_success
 from kilter_client.requests.calls.references import Found, Kind, is_full
-from kilter_client.requests.connection import Connection
-from kilter_client.requests.methods import make_document_method
+from kilter_client.requests.connection import Connection, make_document_method
 from kilter_client.requests.steps import Document, Sent, event_data
 from kilter_files import prepare
 

@@ -23,7 +23,7 @@ from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.prepare import with_masses
 from kilter_core.gap.study import SHIFT
 from kilter_core.identify.comparison import geometry_alone
-from kilter_core.identify.fleet.said import prior_dominated_mask
+from kilter_core.identify.fleet_report import prior_dominated_mask
 from kilter_core.identify.identifiability import identifiable, load_rows, null_directions
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import frame_sources, register_nominal, wanted_frames

@@ -19,7 +19,7 @@ from kilter_core.identify.estimate import (
     scatter,
 )
 from kilter_core.identify.fit.least_squares import Fit, PriorUse, Weights, build_fit, solve
-from kilter_core.identify.fleet.said import LOOSE, assess_prior_conflict, required_prior_widening
+from kilter_core.identify.fleet_report import LOOSE, assess_prior_conflict, required_prior_widening
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.registry import METHODS

@@ -12,7 +12,7 @@ from kilter_core.arm.chain import Element
 from kilter_core.effects.masses import LoadError
 from kilter_core.identify.carried_masses import beside_drawn_masses, considered_masses
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.fleet.said import prior_warnings
+from kilter_core.identify.fleet_report import prior_warnings
 from kilter_core.identify.identifiability import far_from_stated, identifiable, load_rows
 from kilter_core.identify.measurement_noise import Repeats
 from kilter_core.identify.options import IdentifyOptions

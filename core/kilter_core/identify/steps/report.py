@@ -12,8 +12,8 @@ from scipy.sparse.csgraph import connected_components
 from kilter_core.identify.carried_masses import beside_masses, describe_masses
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fit.robust import RowErrors, set_aside
-from kilter_core.identify.fleet.prior import FleetPrior
-from kilter_core.identify.fleet.said import prior_document
+from kilter_core.identify.fleet_prior import FleetPrior
+from kilter_core.identify.fleet_report import prior_document
 from kilter_core.identify.holdout import Learned
 from kilter_core.identify.identifiability import STRUCTURAL, NullDirection, load_rows, null_directions
 from kilter_core.identify.measured_rows import Shares, parameter_influence, squared_errors_by_kind

@@ -11,7 +11,7 @@ from kilter_core.effects.laws import placed_later
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify.carried_masses import with_masses
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.fleet.prior import FleetPrior, FleetVersion, of_its_type
+from kilter_core.identify.fleet_prior import FleetPrior, FleetVersion, of_its_type
 from kilter_core.identify.holdout import Folds, Learned, select_learned_effects, split
 from kilter_core.identify.measured_rows import as_inputs, between_rows, measurement_for
 from kilter_core.identify.methods.fit import fit_by_method

@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import Field
 
 from kilter_service.contract.columns import WithCoreOptions, with_core_options
-from kilter_service.contract.effect_curves import EffectCurve, NextPose, ToldApart
-from kilter_service.contract.figures import GapFigures
+from kilter_service.contract.figures import EffectCurve, GapFigures, NextPose, ToldApart
 from kilter_service.contract.fits import LoadNumber, NullDirection, PriorUsed, Reference, SetAside
 from kilter_service.contract.gap_details import (
     Adequacy,

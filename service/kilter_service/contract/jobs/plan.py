@@ -6,7 +6,7 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import ConfigDict, Field
 
-from kilter_service.contract.effect_curves import ToldApart
+from kilter_service.contract.figures import ToldApart
 from kilter_service.contract.jobs.check import PRIOR, Effects, NoiseMm, PriorName, Seed, Version
 from kilter_service.contract.jobs.drift import SmallestChange
 from kilter_service.contract.jobs.kind import JobContract, JobOf

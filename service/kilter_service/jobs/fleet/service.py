@@ -40,7 +40,7 @@ from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
 from kilter_service.versions.guard import judge_unstored
 from kilter_service.versions.store import Training
-from kilter_service.web.observability import logs
+from kilter_service.web import logs
 from kilter_service.web.routing import NOT_REPEATED, Once, hash_document
 
 ANSWER = TypeAdapter(FleetJobSummary)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from kilter_service.contract.effect_curves import CurveSide, EffectCurve
+from kilter_service.contract.figures import CurveSide, EffectCurve
 from kilter_service.jobs import budgets
 from kilter_service.jobs.plotly_figures.layout import (
     BLUE,

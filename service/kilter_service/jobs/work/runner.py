@@ -43,7 +43,7 @@ from kilter_service.versions.drift import store as drifts
 from kilter_service.versions.drift.wire import height
 from kilter_service.versions.objections import objections_from_report
 from kilter_service.versions.predictions import at_pose
-from kilter_service.web.observability import logs
+from kilter_service.web import logs
 
 if TYPE_CHECKING:
     from kilter_core.errors import Finding

@@ -39,8 +39,8 @@ from kilter_service.web import logins
 from kilter_service.web.auth.access import get_caller
 from kilter_service.web.bodies import parse_json, read_document, spool_upload
 from kilter_service.web.concurrency import compute
+from kilter_service.web.logins import hash_secret
 from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
-from kilter_service.web.tokens import hash_secret
 
 PARTS: Mapping[str, type[Camera] | type[Board]] = {"cameras": Camera, "boards": Board}
 MISSING = (

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from kilter_service.contract.effect_curves import NextPose
+from kilter_service.contract.figures import NextPose
 from kilter_service.contract.gap_details import AliasMatrix, AtJoints, Evidence, Halves, NamedEffect, Replication
 from kilter_service.contract.headlines import format_joints, list_found
 from kilter_service.contract.jobs.gap import GapResult

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from kilter_service.contract.effect_curves import CurveSide, CurveVisits, EffectCurve
-from kilter_service.contract.figures import Figure, GapFigures, Scatter
+from kilter_service.contract.figures import CurveSide, CurveVisits, EffectCurve, Figure, GapFigures, Scatter
 from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.jobs.budgets import SIDES, across, model, quantity, title, unit_of_x, upwards, visit
 from kilter_service.page.figures.plot import BLUE, COLOURS, GREY, RED, SKY, THIN, Plot, around

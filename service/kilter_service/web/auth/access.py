@@ -18,7 +18,7 @@ from kilter_service.ground.caller import ADMIN, ANYBODY, CALLER, RANK, Caller
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
-from kilter_service.web import logins, tokens
+from kilter_service.web import logins
 from kilter_service.web.auth.policy import Rule, rule_for_route
 
 # A token that is limited to robots: what a path names must be of one of them, before the body is read.
@@ -91,7 +91,7 @@ async def _caller(request: Request, rule: Rule, route: str) -> Caller:
     scheme, _, given = request.headers.get("authorization", "").partition(" ")
     secret = given.strip()
     bearer = scheme.lower() == "bearer" and bool(secret)
-    sha256 = tokens.hash_secret(secret) if bearer else await _login_token_hash(request)
+    sha256 = logins.hash_secret(secret) if bearer else await _login_token_hash(request)
     request.state.credentials = Credentials(sha256, "" if bearer else request.cookies.get(logins.COOKIE, ""))
     if sha256 is None:
         if rule.role == "viewer" and request.method in PLAIN_READS and is_direct(request, settings):
@@ -103,9 +103,9 @@ async def _caller(request: Request, rule: Rule, route: str) -> Caller:
             code="token_missing",
             role=rule.role,
         )
-    if secrets.compare_digest(sha256, tokens.hash_secret(request.app.state.token)):
+    if secrets.compare_digest(sha256, logins.hash_secret(request.app.state.token)):
         return Caller(ADMIN, "admin", None, "", address, route, ids)
-    found = await run_in_threadpool(tokens.get_valid_token, request.app.state.database, sha256)
+    found = await run_in_threadpool(logins.get_valid_token, request.app.state.database, sha256)
     robots = None if found.robots is None else frozenset(found.robots)
     return Caller(found.name, found.role, robots, found.id, address, route, ids)
 

@@ -21,7 +21,7 @@ from fastapi.concurrency import run_in_threadpool
 from kilter_service.ground.caller import ANYBODY
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings, check_strong
-from kilter_service.web import logins, tokens
+from kilter_service.web import logins
 from kilter_service.web.auth.access import Credentials, get_caller
 
 
@@ -163,8 +163,8 @@ def _holds(request: Request, shown: Credentials) -> bool:
     try:
         if shown.login and logins.login_token_hash(database, shown.login) is None:
             return False
-        if sha256 is not None and sha256 != tokens.hash_secret(request.app.state.token):
-            tokens.get_valid_token(database, sha256)
+        if sha256 is not None and sha256 != logins.hash_secret(request.app.state.token):
+            logins.get_valid_token(database, sha256)
     except ServiceError as error:
         return error.code not in ("token_ended", "token_wrong")
     except Exception:  # the database may be away for a while; who was let in before stays

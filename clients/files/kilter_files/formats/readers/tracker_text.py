@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from kilter_files.formats.reader import NO_HINTS, PRESET, Document, Head, Hints, Reader, column
-from kilter_files.formats.recordings.marker_header import unit_above
-from kilter_files.formats.tracker_header import PRESETS, Preset, meaning
+from kilter_files.formats.recordings.marker_header import PRESETS, Preset, meaning, unit_above
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import fault

@@ -1,14 +1,24 @@
-"""Which column of a text recording is which coordinate of which marker or tool, by the names people and devices use."""
+"""Which column of a text recording is which coordinate of which marker or tool, by the names people and devices use.
+
+How a recording is read: frames, gaps and noise of each marker.
+
+What the columns of tracker and CMM exports are called, and the presets of four programs.
+"""
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
 
 from kilter_files.ground.text_layout import TextLayout, name_and_unit
 from kilter_files.ground.units import SIZES
+from kilter_files.tables.recording import Recording
+from kilter_files.tables.survey import SHOWN, survey
 
 COUNTER = re.compile(r"(?:frame|sample)s?[\s_]*(?:#|no\.?|number|index|nr\.?)?\s*:?", re.I)
 CLOCK = {"hour": 3600.0, "hours": 3600.0, "minute": 60.0, "minutes": 60.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3}
@@ -144,3 +154,100 @@ def _parse_column_name(name: str) -> tuple[str, str] | None:
 
 def _label(stem: str, count: int, k: int) -> str:
     return (stem if not count else f"{stem} {count + 1}") if stem else f"Marker_{k + 1}"
+
+
+def describe_recording(recording: Recording) -> dict[str, Any]:
+    """Describe a recording: its frames, each marker, and the places where it cannot be right."""
+    found = survey(recording)
+    markers = []
+    for k, name in enumerate(recording.markers):
+        seen = int(found.seen[k])
+        markers.append(
+            {
+                "name": name,
+                "seen": round(seen / max(1, found.frames), 6),
+                "longest_gap_frames": int(found.longest_gap[k]),
+                "low_mm": [round(float(v), 4) for v in found.low[k]] if seen else None,
+                "high_mm": [round(float(v), 4) for v in found.high[k]] if seen else None,
+                "noise_mm": None if np.isnan(found.noise_mm[k]) else round(float(found.noise_mm[k]), 5),
+            }
+        )
+    place = "line" if recording.kind.endswith("csv") else "frame"
+    return {
+        "kind": recording.kind,
+        "frames": found.frames,
+        "rate_hz": recording.rate_hz,
+        "duration_s": recording.duration_s,
+        "markers": markers,
+        "frames_without_marker": found.empty_frames,
+        "notes": list(recording.notes),
+        "warnings": [*recording.warnings, *found.doubts],
+        "problems": [{place: row, "what": what} for row, what in found.faults[:SHOWN]]
+        + ([{"what": f"{len(found.faults) - SHOWN} more of these"}] if len(found.faults) > SHOWN else []),
+    }
+
+
+WORDS = re.compile(
+    r"^(?:measurement|measured|meas|actual|act|position|pos|coordinate|coord|point|pt|center|centre|trans|t)(?=[xyz]$)"
+)
+TURNED = re.compile(r"^(?:measurement|measured|meas|actual|act|rot|orientation|quaternion|quat)?(r[xyz]|q[0-3wxyz])$")
+SIGMA = re.compile(r"^(?:measurement)?(?:std|stdev|stddev|sigma|rms|s)([xyz])$")
+U95 = re.compile(r"^(?:u|u95|uncertainty|unc|uncert)([xyz]|mag|total|)(?:95)?$")
+JOINT = re.compile(r"^(?:j|joint|axis|q)(\d{1,2})$")
+ANGLES = ({"roll": "rx", "pitch": "ry", "yaw": "rz"}, {"w": "rx", "p": "ry", "r": "rz"})
+QUATERNION = {"q0": "qw", "q1": "qx", "q2": "qy", "q3": "qz"}
+
+
+@dataclass(frozen=True)
+class Preset:
+    """What a program means where its file does not say: unit of length, Euler order (None: it must be given)."""
+
+    title: str
+    length: str = "mm"
+    euler: str | None = None
+    names: Mapping[str, str] = field(default_factory=dict)
+
+
+PRESETS: Mapping[str, Preset] = {
+    "generic": Preset("any text table"),
+    "leica": Preset("Leica (T-Mac: angles about the moving axes)", euler="XYZ"),
+    "faro": Preset("FARO CAM2 and Insight"),
+    "spatialanalyzer": Preset("SpatialAnalyzer (angles about the fixed axes)", euler="xyz"),
+    "polyworks": Preset("PolyWorks", names={"measx": "x", "measy": "y", "measz": "z"}),
+}
+
+
+def canonical_column_name(name: str) -> str:
+    """Return a column's name in small letters and digits only."""
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def meaning(names: Sequence[str], preset: Preset) -> dict[str, int]:
+    """Return which column is x, y, z, qw ..., rx ..., sx ..., u95x ..., u95, t, temperature or q1 ...; the first wins."""
+    found: dict[str, int] = {}
+    known = {canonical_column_name(name) for name in names}
+    for i, name in enumerate(names):
+        key = preset.names.get(canonical_column_name(name)) or _column_key(canonical_column_name(name), known)
+        if key:
+            found.setdefault(key, i)
+    return found
+
+
+def _column_key(name: str, known: set[str]) -> str | None:
+    for angles in ANGLES:
+        if name in angles and set(angles) <= known:
+            return angles[name]
+    bare = WORDS.sub("", name)
+    if bare in ("x", "y", "z"):
+        return bare
+    if match := TURNED.match(name):
+        return QUATERNION.get(match[1], match[1])
+    if match := SIGMA.match(name):
+        return f"s{match[1]}"
+    if match := U95.match(name):
+        return f"u95{match[1] if match[1] in ('x', 'y', 'z') else ''}"
+    if match := JOINT.match(name):
+        return f"j{match[1]}"
+    if name in ("temperature", "temp", "airtemperature", "measurementtemperature"):
+        return "temperature"
+    return "t" if name in ("t", "time", "timestamp", "elapsedtime") else None

@@ -19,7 +19,7 @@ import numpy as np
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.ground.units import column_unit
-from kilter_files.rig.board.layout import opencv
+from kilter_files.rig.board_layout import opencv
 from kilter_files.rig.live.feeds import Shot
 from kilter_files.rig.see.intrinsics import CELLS, evaluate_gates
 from kilter_files.rig.see.optics.intrinsics_fit import fit_intrinsics

@@ -15,7 +15,7 @@ import numpy as np
 from kilter_files.formats.joints.bag import METADATA, bag_messages
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import fault
-from kilter_files.rig.board.layout import opencv
+from kilter_files.rig.board_layout import opencv
 from kilter_files.rig.see.pictures import Grey, Refusal, RefusedError, check_size, read_grey_stream
 from kilter_files.rig.see.sources import Frame, Poses
 from kilter_files.tables.table import JointLog

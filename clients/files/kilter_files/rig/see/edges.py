@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.rig.board.layout import opencv
+from kilter_files.rig.board_layout import opencv
 from kilter_files.rig.see.pictures import Grey
 
 MOST_REACH, LEAST_REACH = 5.0, 1.5  # px to either side of an edge

@@ -14,7 +14,7 @@ import numpy as np
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.ground.later import need
-from kilter_files.rig.board.layout import DICTIONARIES, marker_family
+from kilter_files.rig.board_layout import DICTIONARIES, marker_family
 from kilter_files.rig.see.intrinsics import Kept, check_known, fit_camera_with_report
 from kilter_files.rig.see.optics.camera import Camera
 from kilter_files.rig.see.pictures import REMEDIES, Grey, Refusal

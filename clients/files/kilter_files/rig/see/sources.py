@@ -17,7 +17,7 @@ import numpy as np
 from kilter_files.formats.joints.joint_log import read_joint_log
 from kilter_files.ground.errors import FileError, UsageError, fault
 from kilter_files.ground.units import column_unit
-from kilter_files.rig.board.layout import opencv
+from kilter_files.rig.board_layout import opencv
 from kilter_files.rig.see.pictures import ENDINGS, Grey, Refusal, RefusedError, check_size, read_grey
 from kilter_files.tables.table import JointLog, checked_log
 

@@ -19,7 +19,7 @@ from kilter_files.ground.errors import UsageError, fault
 from kilter_files.ground.later import csv as reading
 from kilter_files.ground.later import need, pa, parquet
 from kilter_files.ground.units import NAMES
-from kilter_files.rig.board.layout import Board, Point, check_board, marker_family
+from kilter_files.rig.board_layout import Board, Point, check_board, marker_family
 
 MOST_BYTES = 1 << 24
 REMEDY = "Take the JSON that kilter measure board wrote, or write one anew with the board's sizes."

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.rig.board.layout import DICTIONARIES, Board, dictionary, opencv
+from kilter_files.rig.board_layout import DICTIONARIES, Board, dictionary, opencv
 from kilter_files.rig.see import edges
 from kilter_files.rig.see.edges import (
     Noise,

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from kilter_client.bridges.versions import Limits
+from kilter_client.bridges.correction import Limits
 from kilter_client.errors import FileError, UsageError
 from kilter_client.streaming.frames import HEADER, MAGIC, POINT
 

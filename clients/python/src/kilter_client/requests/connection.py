@@ -1,16 +1,20 @@
-"""Calls sent to a server over connections that stay open: with threads, or under asyncio."""
+"""Calls sent to a server over connections that stay open: with threads, or under asyncio.
+
+Verbs as methods: of a client that waits for the answer, and of one whose answers are awaited.
+"""
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 from urllib.parse import urlsplit
 
 from kilter_client.errors import KilterError, ServerUnreachableError, UsageError
@@ -19,6 +23,54 @@ from kilter_files.ground.later import later
 
 with later(__name__):
     import httpx  # 0.2 s: not when the package is imported
+
+
+P = ParamSpec("P")
+M = TypeVar("M")
+
+
+def waiting(verb: Callable[P, Steps[T]]) -> Callable[Concatenate[Any, P], T]:
+    """Return the method of a verb that returns when it is done."""
+
+    def method(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        found: T = self.run(verb(*args, **kwargs))
+        return found
+
+    return _copy_verb_signature(method, verb)
+
+
+def make_document_method(call: Callable[P, Steps[T]]) -> Callable[Concatenate[Any, P], T]:
+    """Return the method of a call that returns what the server answered, as it is."""
+
+    def method(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        found: T = self._run(call(*args, **kwargs))
+        return found
+
+    return _copy_verb_signature(method, call)
+
+
+def make_async_method(verb: Callable[P, Steps[T]]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
+    """Return the method of a verb that is awaited."""
+
+    async def method(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        found: T = await self.run(verb(*args, **kwargs))
+        return found
+
+    return _copy_verb_signature(method, verb)
+
+
+def _copy_verb_signature(like: M, verb: Callable[..., Any]) -> M:
+    """Give a method the name, the words and the signature of its verb; it returns what the steps end with."""
+    method: Any = like
+    method.__name__, method.__doc__, method.__module__ = verb.__name__, verb.__doc__, verb.__module__
+    method.__qualname__ = f"Kilter.{verb.__name__}"
+    signature = inspect.signature(verb)
+    returns = str(signature.return_annotation).removeprefix("Steps[").removesuffix("]")
+    own = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    method.__signature__ = inspect.Signature([own, *signature.parameters.values()], return_annotation=returns)
+    method.__annotations__ = {**verb.__annotations__, "return": returns}
+    return like
+
 
 T = TypeVar("T")
 Reword = Callable[[KilterError], None]

@@ -14,12 +14,12 @@ from kilter_files.formats.recordings.marker_header import (
     FRAMES,
     RATE,
     MarkerColumns,
+    canonical_column_name,
     is_recording,
     number_above_table,
     understand,
     unit_above,
 )
-from kilter_files.formats.tracker_header import canonical_column_name
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import CUT, FileError, fault

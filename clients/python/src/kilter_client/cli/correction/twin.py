@@ -22,7 +22,7 @@ from kilter_client.cli.terminal.references import (
     resolved_options,
 )
 from kilter_client.errors import UsageError
-from kilter_client.results.shown import MODELS as STAGES
+from kilter_client.results.shown_jobs import MODELS as STAGES
 from kilter_client.twin.drives import read_drives
 from kilter_client.twin.onto import lay_onto
 from kilter_client.twin.settled import Settings, ViewErrors, load_model, model_errors, read_measured_rows

@@ -14,7 +14,7 @@ from typing import Any
 from kilter_client import Kilter
 from kilter_client.cli.reports.gap_report import TORQUE_HEAD, list_torques
 from kilter_client.cli.terminal.output import name_ids, number, print_line, screen_columns, table, wrap_line
-from kilter_client.results.shown import MODELS, nominal_words
+from kilter_client.results.shown_jobs import MODELS, nominal_words
 
 LINES = 20  # of an answer, but for a table that is longer
 MOST_ROWS = 8  # of its table

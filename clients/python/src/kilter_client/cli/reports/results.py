@@ -31,7 +31,7 @@ from kilter_client.cli.terminal.output import (
     show_list,
     show_rows,
 )
-from kilter_client.results.shown import MODELS, nominal_words
+from kilter_client.results.shown_jobs import MODELS, nominal_words
 
 STAGES = tuple(MODELS)
 MEASURES = (

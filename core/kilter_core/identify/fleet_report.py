@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from kilter_core.identify.fit.least_squares import Fit, PriorUse
-from kilter_core.identify.fleet.prior import FleetPrior, said_left_out
+from kilter_core.identify.fleet_prior import FleetPrior, said_left_out
 from kilter_core.identify.identifiability import WEAK
 from kilter_core.observations import Observations
 from kilter_core.parameters import CorrelatedPrior, Prior

@@ -16,7 +16,7 @@ from kilter_core.arm import Link, moved_link
 from kilter_core.model import flange_frames, flange_screws, wanted_tool
 from kilter_core.transforms import inverse, pose_from_twist, rotation_along
 from kilter_service.robots.exporters.exportable import Exportable, Written, numbers
-from kilter_service.robots.exporters.mjcf.notes import (
+from kilter_service.robots.exporters.mjcf_notes import (
     BACKLASH_RATE,
     FRICTION,
     KNOWN_OF_MUJOCO,

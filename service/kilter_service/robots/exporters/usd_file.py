@@ -24,8 +24,8 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.processes import sandbox
 from kilter_service.ground.processes.sandbox import Limits
 from kilter_service.robots.exporters.exportable import Exportable, Written
-from kilter_service.robots.exporters.mjcf.file import LEAST_INERTIA, identified_axes, nominal_poses, possible, thickness
-from kilter_service.robots.exporters.mjcf.notes import (
+from kilter_service.robots.exporters.mjcf_file import LEAST_INERTIA, identified_axes, nominal_poses, possible, thickness
+from kilter_service.robots.exporters.mjcf_notes import (
     Drive,
     ExportedEffects,
     drives,
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from kilter_core.model import Calibration
     from kilter_core.types import Floats
 
-CHILD = "kilter_service.robots.exporters.usd.child"
+CHILD = "kilter_service.robots.exporters.usd_child"
 ASKED, MADE = "asked", "made.usda"
 LIMITS = Limits(seconds=60, memory_mb=3072, output_mb=64)
 KERNELS = ("NUMBA_CACHE_DIR",)

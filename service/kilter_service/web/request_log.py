@@ -12,7 +12,7 @@ from prometheus_client.gc_collector import GCCollector
 from prometheus_client.process_collector import ProcessCollector
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from kilter_service.web.observability import logs
+from kilter_service.web import logs
 
 # When a counter was made: twice the lines, and nobody asks for it.
 disable_created_metrics()  # type: ignore[no-untyped-call]

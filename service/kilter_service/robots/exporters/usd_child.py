@@ -1,4 +1,4 @@
-"""Makes a stage of USD: ``python -m kilter_service.robots.exporters.usd.child``, in a folder with what is asked."""
+"""Makes a stage of USD: ``python -m kilter_service.robots.exporters.usd_child``, in a folder with what is asked."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pickle
 from pathlib import Path
 
 from kilter_service.ground.processes.sandbox import confine
-from kilter_service.robots.exporters.usd.file import ASKED, MADE, stage_text
+from kilter_service.robots.exporters.usd_file import ASKED, MADE, stage_text
 
 
 def main() -> None:

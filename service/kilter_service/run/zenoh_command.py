@@ -13,7 +13,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 
 if TYPE_CHECKING:
-    from kilter_service.run.zenoh_config.folders import Issued
+    from kilter_service.run.zenoh_folders import Issued
 
 EXAMPLE = "kilterd zenoh-config --out /etc/kilter/zenoh --host cell7.lab --controller left=arm1,arm2"
 RECORD = "roles.json"
@@ -46,7 +46,7 @@ def add_options(command: argparse.ArgumentParser) -> None:
 
 def run(settings: Settings, given: argparse.Namespace) -> None:
     """Write zenoh configurations with TLS and access control, one folder per role, or rotate their certificates."""
-    from kilter_service.run.zenoh_config.folders import load_or_make_authority, write_folders
+    from kilter_service.run.zenoh_folders import load_or_make_authority, write_folders
 
     folder: Path = given.out or settings.data / "zenoh"
     roles = _roles(folder, given)
@@ -98,7 +98,7 @@ def _controller(text: str) -> tuple[str, list[str]]:
 
 
 def _issued_from_arguments(given: argparse.Namespace) -> Issued | None:
-    from kilter_service.run.zenoh_config.folders import Issued
+    from kilter_service.run.zenoh_folders import Issued
 
     files = (given.certificate, given.key, given.authorities)
     if not any(files):

@@ -29,13 +29,13 @@ from kilter_core.types import Floats
 from kilter_service.ground.db.failures import Failing
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
+from kilter_service.stream import ros2_messages
 from kilter_service.stream.corrector import endpoints, wire
 from kilter_service.stream.corrector.active import Active, DatabaseSource, VersionSource
 from kilter_service.stream.corrector.endpoints import check_ros2
 from kilter_service.stream.corrector.session import close, config
 from kilter_service.stream.corrector.stream import Stream
 from kilter_service.stream.corrector.wire import Flag, Status
-from kilter_service.stream.ros2 import cdr
 from kilter_service.web.pulse import Pulse
 
 _ATTACHMENT = struct.Struct("<qqB16s")
@@ -154,7 +154,7 @@ class Relay(ABC):
         """Corrected message; None: it is not corrected."""
         try:
             out = self._correct_message(data, attachment, arrival_ns, active)
-        except cdr.CdrError:
+        except ros2_messages.CdrError:
             self.counts[Status.BAD_FRAME.name] += 1
         except RefusedError as refused:
             self.counts[str(refused)] += 1
@@ -183,12 +183,12 @@ class StateRelay(Relay):
     def _correct_message(
         self, data: bytes, attachment: Attachment | None, arrival_ns: int, active: Active | None
     ) -> bytes:
-        state = cdr.decode_joint_state(data)
+        state = ros2_messages.decode_joint_state(data)
         if active is None:
             raise RefusedError(Status.NO_VERSION.name)
         columns = joint_columns(state.head.names, self._joints or active.joint_names)
         if len(state.position) != len(state.head.names):
-            raise cdr.CdrError("every joint needs a position")
+            raise ros2_messages.CdrError("every joint needs a position")
         flags = self._follow_publisher(attachment, arrival_ns)
         values = state.position[columns]
         if len(state.velocity) == len(state.position):
@@ -207,7 +207,7 @@ class StateRelay(Relay):
             raise RefusedError(answer.status.name if answer else Status.BAD_FRAME.name)
         position = state.position.copy()
         position[columns] = answer.values[0]
-        return cdr.encode_joint_state(replace(state, position=position))
+        return ros2_messages.encode_joint_state(replace(state, position=position))
 
     def _follow_publisher(self, attachment: Attachment | None, arrival_ns: int) -> int:
         """Flags of this frame: a new publisher begins a sequence. Two at once would move the arm between them."""
@@ -227,14 +227,14 @@ class TrajectoryRelay(Relay):
     def _correct_message(
         self, data: bytes, attachment: Attachment | None, arrival_ns: int, active: Active | None
     ) -> bytes:
-        trajectory = cdr.decode_joint_trajectory(data)
+        trajectory = ros2_messages.decode_joint_trajectory(data)
         if active is None:
             raise RefusedError(Status.NO_VERSION.name)
         positions = corrected_positions(trajectory, active, self._joints or active.joint_names)
-        return cdr.encode_joint_trajectory(replace(trajectory, positions=positions))
+        return ros2_messages.encode_joint_trajectory(replace(trajectory, positions=positions))
 
 
-def corrected_positions(trajectory: cdr.JointTrajectory, active: Active, joints: Sequence[str]) -> Floats:
+def corrected_positions(trajectory: ros2_messages.JointTrajectory, active: Active, joints: Sequence[str]) -> Floats:
     """Positions (N, J) as the trajectory query gives them; ``joints`` are the names of the robot's.
 
     Raises:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.errors import UsageError
-from kilter_files.rig.board.layout import (
+from kilter_files.rig.board_layout import (
     AROUND_MM,
     DICTIONARIES,
     Board,
