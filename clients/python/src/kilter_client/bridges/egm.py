@@ -17,7 +17,6 @@ from enum import StrEnum
 from kilter_client.bridges.loop import Request, radians
 from kilter_client.bridges.plan import Setpoints
 
-RSI_PORT = 59152
 # Whoever sends the message chooses its bytes: no search may go on beyond the element in which it began.
 _IPOC = re.compile(rb"<IPOC>\s{0,9}+(\d{1,18}+)\s{0,9}+</IPOC>")
 _DELAY = re.compile(rb"<Delay\s([^<>]{1,99}+)>")
@@ -191,7 +190,6 @@ def doubles(field: int, values: Sequence[float]) -> bytes:
     return b"".join(key + _DOUBLE.pack(value) for value in values)
 
 
-PORT = 6510
 AXES = 6
 HEADER, FEEDBACK, PLANNED, MCI = 1, 2, 2, 5  # fields of EgmRobot, and of EgmSensor: header and planned
 JOINTS, SEQUENCE, TIME, KIND, STATE = 1, 1, 2, 3, 1
