@@ -322,7 +322,7 @@ USE_KIND = """
 import json, os, pathlib, shutil, subprocess, sys, tempfile
 import httpx, kilter
 from playwright.sync_api import sync_playwright
-from kilter_client.requests.local_server import local_server
+from kilter_client.requests.connection import local_server
 
 folder = pathlib.Path(tempfile.mkdtemp())
 (folder / "rows.csv").write_text("\\n".join(

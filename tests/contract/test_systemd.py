@@ -15,7 +15,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from kilter_service.ground.processes.sandbox import STRANGERS
+from kilter_service.ground.processes.child import STRANGERS
 from kilter_service.jobs.work.worker import ENDS_BEFORE
 from kilter_service.stream.corrector.loop import REAL_TIME_PRIORITY
 from tests.contract.systemd_unit import SYSTEMD, Unit, settings_of

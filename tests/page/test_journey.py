@@ -27,7 +27,7 @@ from tests.page.controlling import Controller
 from tests.service.conftest import wait_for
 from tests.service.test_gap import QUICK, Arm
 from tests.service.test_serve import children
-from tools.page_lab import Lab, lab
+from tools.draw_page_picture import Lab, lab
 
 PICTURES = Path(__file__).parents[2] / "build" / "page-screenshots"
 LONG_MS = 120_000  # what computes, on a machine that does other things too

@@ -16,8 +16,7 @@ from scipy.special import chdtri, fdtrc
 from kilter_core.identify.fit.robust import median_scale
 from kilter_core.measurement import Residual
 from kilter_core.observations import Observations
-from kilter_core.observations.directions import with_directions
-from kilter_core.observations.groups import unbiased_deviations
+from kilter_core.observations.groups import unbiased_deviations, with_directions
 from kilter_core.observations.shared_rows import identical_repeats
 from kilter_core.parameters import mm
 from kilter_core.types import Bools, Floats, Ints

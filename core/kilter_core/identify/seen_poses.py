@@ -22,7 +22,7 @@ from kilter_core.measurement.poses import DEVIATIONS, typical_deviations, weight
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
-from kilter_core.observations.several import CONTACTS
+from kilter_core.observations.rig import CONTACTS
 from kilter_core.transforms import inverse, inverses
 from kilter_core.types import Bools, Floats
 

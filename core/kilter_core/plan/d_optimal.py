@@ -23,7 +23,7 @@ from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.general_inverse import reach
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
-from kilter_core.observations.directions import with_neutral_conditions
+from kilter_core.observations.groups import with_neutral_conditions
 from kilter_core.parameters import Prior, mm
 from kilter_core.procedures.inclinometers import AXES, LEAST_MOMENT_NM, UPRIGHT, regressors
 from kilter_core.types import Bools, Floats, Ints

@@ -10,7 +10,6 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from kilter_service.contract.references import RETIRED_AT
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.contract.units import (
     COMPENSATION,
@@ -28,6 +27,7 @@ from kilter_service.contract.units import (
     Pose,
     Strict,
 )
+from kilter_service.contract.words import RETIRED_AT
 
 DRIVES = "Axes that follow a joint (mimic, parallelogram) and who carries the load on them, in words."
 KIND = "Whether the joint is revolute or prismatic."

@@ -9,9 +9,8 @@ from pydantic import Field
 
 from kilter_service.contract.fits import Covariance, FitDetails, JointMotions, Metrics, NullDirection, Parameter
 from kilter_service.contract.headlines import HEADLINE, NEAR, count_noise_left, describe_fit
-from kilter_service.contract.references import RETIRED_AT, TITLE
 from kilter_service.contract.units import Celsius, Deg, Listed, Mm, Stored, Strict
-from kilter_service.contract.words import Remark
+from kilter_service.contract.words import RETIRED_AT, TITLE, Remark
 
 Lengths = list[Mm | None]
 

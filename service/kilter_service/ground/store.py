@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 from sqlalchemy import ColumnElement, Select, and_, literal, or_, select
 
-from kilter_service.contract.references import Kind, Tombstone
+from kilter_service.contract.words import Kind, Tombstone
 from kilter_service.ground.called import copy_fields, name_unnamed_job
 from kilter_service.ground.caller import allowed_robots, may_see
 from kilter_service.ground.db import Session

@@ -28,8 +28,7 @@ from kilter_service.jobs.fleet import service as fleets
 from kilter_service.jobs.refusals import refusal, without_kind
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.auth.token import limit_event_stream
-from kilter_service.web.routing import FOR_GOOD, ConditionalRoute, OnceOnly
-from kilter_service.web.state import DatabaseOfApp, PageOfJobs
+from kilter_service.web.routing import FOR_GOOD, ConditionalRoute, DatabaseOfApp, OnceOnly, PageOfJobs
 
 # The life of jobs as server-sent events.
 #

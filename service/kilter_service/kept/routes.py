@@ -11,15 +11,14 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from kilter_service.contract.references import By, Kind, ResolvedReference, TombstoneList
+from kilter_service.contract.words import By, Kind, ResolvedReference, TombstoneList
 from kilter_service.ground import store
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.ground.store import LATEST, PREFIXES, Found
 from kilter_service.robots import store as robots
-from kilter_service.web.routing import GuardedRoute
-from kilter_service.web.state import DatabaseOfApp, PageOfList
+from kilter_service.web.routing import DatabaseOfApp, GuardedRoute, PageOfList
 
 router = APIRouter(prefix="/v1", tags=["references"], route_class=GuardedRoute)
 

@@ -22,7 +22,7 @@ from kilter_service.page.shared.lists import Asked, select_page
 from kilter_service.robots import service as robots
 from kilter_service.web import audit, logins
 from kilter_service.web.auth.access import Admin, get_caller
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.routing import DatabaseOfApp, SettingsOfApp
 
 LONGEST = 500
 

@@ -21,7 +21,7 @@ from kilter_service.page.answers import render, router
 from kilter_service.page.shared.lists import Asked, select_page
 from kilter_service.versions import service as versions
 from kilter_service.web import audit
-from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web.routing import DatabaseOfApp
 
 # What the method and path of a route did; names in braces are those of what was changed, of campaigns, versions and jobs with
 # what they are: "version spring", and of one without a name "the search of 2026-11-02 14:05:09".

@@ -15,7 +15,7 @@ from kilter_service.campaigns import keeping, looking, suspicious
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.facts import cached_campaign_facts
 from kilter_service.contract.campaigns import Campaign, NewCampaign, Parts
-from kilter_service.contract.references import Change
+from kilter_service.contract.words import Change
 from kilter_service.ground.called import plural
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
@@ -28,12 +28,11 @@ from kilter_service.page.chosen import keep_columns, named_rows, ranges
 from kilter_service.page.shared import asking
 from kilter_service.page.shared.lists import Asked, select_page
 from kilter_service.page.shared.measured import describe_facts
-from kilter_service.robots import repairs
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.concurrency import compute
-from kilter_service.web.state import DatabaseOfApp, get_scratch
+from kilter_service.web.routing import DatabaseOfApp, get_scratch
 
 if TYPE_CHECKING:
     pass
@@ -65,7 +64,7 @@ def load_campaign_view(database: Database, campaign_id: str) -> dict[str, Any]:
             (name, what if unit == "–" else f"{what}, {unit}")
             for name, what, unit, *_ in (seen["columns"] if seen else ())
         ],
-        "noted": repairs.list_notes(database, campaign.robot, campaign.id),
+        "noted": robots.list_notes(database, campaign.robot, campaign.id),
     }
 
 

@@ -43,7 +43,7 @@ from kilter_service.versions import service as versions
 from kilter_service.versions.drift import service as drift
 from kilter_service.versions.predictions.differences import resolve_version_id
 from kilter_service.versions.today import service as today
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.routing import DatabaseOfApp, SettingsOfApp
 
 DAY = 86400.0
 COUNTS = {"bad": "to act on", "warn": "to look at", "faint": "not known", "good": "good"}

@@ -34,7 +34,7 @@ from kilter_service.page.answers import render, router
 from kilter_service.robots import service as robots
 from kilter_service.robots.documents import convert
 from kilter_service.versions import service as versions
-from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web.routing import DatabaseOfApp
 
 NEWEST = Page(limit=20)
 CORNER = "u1_px"  # a column that only views have

@@ -25,7 +25,7 @@ from kilter_service.stream.live.heard import WHY, Second
 from kilter_service.stream.live.session import read_corrector_place
 from kilter_service.versions import service as versions
 from kilter_service.web.auth.token import limit_event_stream
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.routing import DatabaseOfApp, SettingsOfApp
 
 CALM_MM = 0.05  # a correction that is smaller is drawn small
 MOST_NAMES = 200  # of versions: one that corrects is hardly ever older

@@ -22,7 +22,6 @@ from fastapi.concurrency import run_in_threadpool
 
 from kilter_core.errors import ObservationError, OptionError
 from kilter_service.contract.instruments import Instrument, InstrumentList, NewInstrument
-from kilter_service.contract.references import RobotChange, Tombstone
 from kilter_service.contract.robot_reports import (
     CircleAxis,
     Flanges,
@@ -38,6 +37,7 @@ from kilter_service.contract.robot_reports import (
 from kilter_service.contract.robots import Mesh, MeshList, MeshUnit, RobotDocument, Target, UrdfShapes
 from kilter_service.contract.today import NewRepair, Repair
 from kilter_service.contract.units import MAX_JOINTS, Name
+from kilter_service.contract.words import RobotChange, Tombstone
 from kilter_service.ground.core import core_procedures
 from kilter_service.ground.files.backup_folder import check_digest
 from kilter_service.ground.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_MB, MAX_CIRCLE_ROWS, MAX_MESH_MB
@@ -46,14 +46,20 @@ from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.tables.columns import read_columns
 from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.robots import check as checks
-from kilter_service.robots import documents, frames, instruments, repairs, service
+from kilter_service.robots import documents, frames, service
 from kilter_service.robots.meshes import service as meshes
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.web.auth.access import Admin
 from kilter_service.web.bodies import MESH, spool_upload
 from kilter_service.web.concurrency import compute
-from kilter_service.web.routing import ConditionalRoute, GuardedRoute
-from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp, get_scratch
+from kilter_service.web.routing import (
+    ConditionalRoute,
+    DatabaseOfApp,
+    GuardedRoute,
+    PageOfList,
+    SettingsOfApp,
+    get_scratch,
+)
 
 if TYPE_CHECKING:
     from kilter_core.procedures import AxisFit
@@ -319,7 +325,7 @@ instrument_router = APIRouter(prefix="/v1/instruments", tags=["instruments"], ro
 )
 def add_instrument(instrument: NewInstrument, response: Response, database: DatabaseOfApp, _: Admin) -> Instrument:
     """Add an instrument with its permissible error and its certificate."""
-    found, new = instruments.add(database, instrument)
+    found, new = service.add_instrument(database, instrument)
     response.status_code = 201 if new else 200
     return found
 
@@ -327,7 +333,7 @@ def add_instrument(instrument: NewInstrument, response: Response, database: Data
 @instrument_router.get("")
 def list_instruments(database: DatabaseOfApp, page: PageOfList) -> InstrumentList:
     """List the instruments."""
-    return instruments.list_instruments(database, page)
+    return service.list_instruments(database, page)
 
 
 repair_router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)
@@ -336,10 +342,10 @@ repair_router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=Cond
 @repair_router.post("/{robot}/repairs", status_code=201)
 def add_repair(robot: str, repair: NewRepair, database: DatabaseOfApp, actor: Admin) -> Repair:
     """Record what was done to an arm: checks, charts and comparisons begin anew with it."""
-    return repairs.add(database, robot, repair, actor)
+    return service.add_repair(database, robot, repair, actor)
 
 
 @repair_router.delete("/{robot}/repairs/{repair}", status_code=204)
 def remove_repair(robot: str, repair: str, database: DatabaseOfApp, _: Admin) -> None:
     """Delete a repair that was recorded by mistake."""
-    repairs.remove(database, robot, repair)
+    service.remove_repair(database, robot, repair)

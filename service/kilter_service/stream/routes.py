@@ -13,8 +13,7 @@ from kilter_service.contract.streams import Bridge, BridgeList, BridgeNews, NewS
 from kilter_service.stream import bridges as service
 from kilter_service.stream.signing import service as signing
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.routing import GuardedRoute
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.routing import DatabaseOfApp, GuardedRoute, SettingsOfApp
 
 router = APIRouter(prefix="/v1/robots", tags=["stream"], route_class=GuardedRoute)
 Run = Annotated[str, Path(pattern=r"^[0-9a-f]{16}$", description="Id of the run of a bridge, which it makes itself.")]

@@ -15,7 +15,7 @@ from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
-from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web.routing import DatabaseOfApp
 
 ANY = "*"
 

@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
 
-from kilter_service.contract.references import Change, Tombstone
 from kilter_service.contract.today import Acceptance, DriftHistory, DriftList, Today
 from kilter_service.contract.units import MAX_NAMED, Name
 from kilter_service.contract.versions import (
@@ -28,6 +27,7 @@ from kilter_service.contract.versions import (
     VersionList,
     VersionPreview,
 )
+from kilter_service.contract.words import Change, Tombstone
 from kilter_service.ground.tables.reading import CSV, JSON, PARQUET
 from kilter_service.robots.exporters.registry import FORMATS
 from kilter_service.versions import acceptance as acceptance_service
@@ -41,8 +41,7 @@ from kilter_service.versions.predictions import differences
 from kilter_service.versions.predictions import unfitted_rows as left
 from kilter_service.versions.today import service as today_service
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.routing import ConditionalRoute, GuardedRoute
-from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp
+from kilter_service.web.routing import ConditionalRoute, DatabaseOfApp, GuardedRoute, PageOfList, SettingsOfApp
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 EXPORTS = {form.media_type: FILE for form in FORMATS.values()} | {JSON: {"schema": {"type": "object"}}}

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.references import Change, Tombstone
 from kilter_service.contract.versions import ActivationList, Version, VersionList, VersionSummary
+from kilter_service.contract.words import Change, Tombstone
 from kilter_service.ground import store as references
 from kilter_service.ground.called import copy_fields
 from kilter_service.ground.db import Database

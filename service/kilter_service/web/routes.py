@@ -26,8 +26,7 @@ from kilter_service.ground.settings import code_version
 from kilter_service.web import audit, logins
 from kilter_service.web import health as health_service
 from kilter_service.web.auth.access import Admin, get_caller
-from kilter_service.web.routing import GuardedRoute
-from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp
+from kilter_service.web.routing import DatabaseOfApp, GuardedRoute, PageOfList, SettingsOfApp
 
 router = APIRouter(prefix="/v1", tags=["access"], route_class=GuardedRoute)
 

@@ -7,9 +7,8 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from kilter_files.ground.clusters import clusters
 from kilter_files.ground.errors import FileError, fault, number_of_session
-from kilter_files.ground.time_stamps import continuous_seconds, parse_stamp_column, times_of_rows
+from kilter_files.ground.time_stamps import clusters, continuous_seconds, parse_stamp_column, times_of_rows
 from kilter_files.ground.units import (
     JOINT,
     MARKER,

@@ -1,4 +1,3 @@
-from .ballbar_join import join_ballbar as join_ballbar
 from .board_cube import check_cube as check_cube
 from .board_cube import save_board as save_board
 from .board_cube import save_cube as save_cube
@@ -58,5 +57,6 @@ from .sheet.reading import figure as figure
 from .sheet.reading import read_sheet as read_sheet
 from .sheet.reading import to_csv as to_csv
 from .tilt_join import TiltOptions as TiltOptions
+from .tilt_join import join_ballbar as join_ballbar
 from .tilt_join import join_tilts as join_tilts
 from .tilt_join import read_readings as read_readings

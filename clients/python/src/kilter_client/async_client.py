@@ -10,8 +10,8 @@ from kilter_client.requests.calls import references
 from kilter_client.requests.connection import AsyncConnection, locate, make_async_method
 from kilter_client.requests.steps import Steps
 from kilter_client.verbs import campaigns as measured
-from kilter_client.verbs import drifts, programs
 from kilter_client.verbs import jobs as computed
+from kilter_client.verbs import programs
 from kilter_client.verbs import robots as described
 from kilter_client.verbs import versions as made
 from kilter_client.verbs.progress import rephrase_error
@@ -79,8 +79,8 @@ class AsyncKilter:
     evaluate = make_async_method(computed.evaluate)
     plan = make_async_method(computed.plan)
     joint_parameters = make_async_method(computed.joint_parameters)
-    drift = make_async_method(drifts.drift)
-    rezero = make_async_method(drifts.rezero)
+    drift = make_async_method(made.drift)
+    rezero = make_async_method(made.rezero)
     check = make_async_method(computed.check)
     submit = make_async_method(computed.submit)
     job = make_async_method(computed.job)

@@ -10,7 +10,7 @@ from kilter_client.requests.calls import references
 from kilter_client.requests.connection import Connection, Reword, locate, waiting
 from kilter_client.requests.steps import Steps
 from kilter_client.resources import Campaigns, Jobs, Robots, Versions
-from kilter_client.verbs import campaigns, drifts, jobs, programs, robots, versions
+from kilter_client.verbs import campaigns, jobs, programs, robots, versions
 from kilter_client.verbs.progress import rephrase_error
 
 if TYPE_CHECKING:
@@ -93,8 +93,8 @@ class Kilter:
     evaluate = waiting(jobs.evaluate)
     plan = waiting(jobs.plan)
     joint_parameters = waiting(jobs.joint_parameters)
-    drift = waiting(drifts.drift)
-    rezero = waiting(drifts.rezero)
+    drift = waiting(versions.drift)
+    rezero = waiting(versions.rezero)
     check = waiting(jobs.check)
     submit = waiting(jobs.submit)
     job = waiting(jobs.job)

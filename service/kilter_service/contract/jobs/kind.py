@@ -14,8 +14,8 @@ from typing import Annotated, Any, Generic, Literal, TypeGuard, TypeVar, cast
 from pydantic import BaseModel, Field, create_model, model_validator
 
 from kilter_service.contract.jobs.check import JobCheck
-from kilter_service.contract.references import Title
 from kilter_service.contract.units import Asked, Fraction, Id, Ids, Listed, Strict
+from kilter_service.contract.words import Title
 
 OptionsT = TypeVar("OptionsT", bound=Asked)
 ResultT = TypeVar("ResultT", bound=BaseModel)

@@ -36,7 +36,7 @@ from kilter_service.page.shared.naming import (
 )
 from kilter_service.page.words import joined_by_and, number, percent
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web.routing import DatabaseOfApp
 
 Use = Literal["rows", "confirmation"]
 

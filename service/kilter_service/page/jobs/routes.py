@@ -40,7 +40,7 @@ from kilter_service.page.shared.naming import version_name
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web.routing import DatabaseOfApp
 
 PREFIX = "option."
 EFFECT = "effect."  # an effect that was ticked in the list

@@ -28,8 +28,8 @@ from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.ground.processes import sandbox
-from kilter_service.ground.processes.sandbox import Limits
+from kilter_service.ground.processes import child
+from kilter_service.ground.processes.child import Limits
 from kilter_service.jobs import service as jobs
 from kilter_service.page import words
 from kilter_service.page.answers import environment, render, router, source
@@ -55,7 +55,7 @@ from kilter_service.versions.acceptance import Wish
 from kilter_service.versions.if_match import AddressedVersion
 from kilter_service.versions.routes import LARGEST_MM, REFITS, Refit
 from kilter_service.versions.today import service as today
-from kilter_service.web.state import DatabaseOfApp, get_scratch
+from kilter_service.web.routing import DatabaseOfApp, get_scratch
 
 SIGMA95 = 1.96
 NEGATIVE_ZERO = re.compile(r"^-(?=0(\.0+)?( |$))")
@@ -262,7 +262,7 @@ def pdf(folder: Path, html: str, css: str) -> bytes:
     """
     (folder / "report.html").write_text(html, encoding="utf-8")
     (folder / "report.css").write_text(css, encoding="utf-8")
-    ended = sandbox.run(CHILD, folder, [], LIMITS, FONTS)
+    ended = child.run(CHILD, folder, [], LIMITS, FONTS)
     made = folder / "report.pdf"
     if ended.code == 0 and made.exists():
         return made.read_bytes()

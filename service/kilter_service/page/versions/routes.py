@@ -35,7 +35,7 @@ from kilter_service.versions.predictions import places
 from kilter_service.versions.predictions.places import workspace
 from kilter_service.versions.today import service as today
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.routing import DatabaseOfApp, SettingsOfApp
 
 if TYPE_CHECKING:
     from kilter_core.types import Floats
