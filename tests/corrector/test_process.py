@@ -21,7 +21,7 @@ import zenoh
 from kilter_client.stream import CorrectedStream, Statistics, StreamError, corrected
 from kilter_core.correct.program import Track, compile_program
 from kilter_core.model import Calibration
-from kilter_service.ground.processes.child import running
+from kilter_service.ground.child_process import running
 from kilter_service.stream.corrector import fork_server, wire
 from kilter_service.stream.corrector.fork_server import ForkedChild
 from kilter_service.stream.corrector.process import Corrector

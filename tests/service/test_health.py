@@ -16,11 +16,11 @@ from typing import Any
 import httpx
 import pytest
 
+from kilter_service.ground.child_process import running
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import HeartbeatRow
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.processes.child import running
 from kilter_service.ground.settings import Settings
 from kilter_service.run.app import create_app
 from kilter_service.web import health, store

@@ -19,7 +19,7 @@ from typing import Any
 import httpx
 import pytest
 
-from kilter_service.ground.processes import child
+from kilter_service.ground import child_process
 from kilter_service.ground.settings import Settings
 from kilter_service.web.auth.token import admin_token
 from tests.service.forked import ForkedPopen, children_of, forked_command
@@ -116,7 +116,7 @@ raise RuntimeError("nobody foresaw this")
 def test_the_last_line_of_a_process_is_a_sentence(line: str, said: str) -> None:
     code = f"import sys; sys.stderr.write({line!r})"
     with subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE) as process:
-        words = child.ChildOutput("worker")
+        words = child_process.ChildOutput("worker")
         words.follow(process.stderr)
         process.wait(30)
         words.close()

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from kilter_service.ground.backup_folder import is_migrating, migration_lock
 from kilter_service.ground.db import Database, revision
-from kilter_service.ground.files.backup_folder import is_migrating, migration_lock
 from kilter_service.ground.settings import Settings
 from kilter_service.run.serving import MIGRATION_WAIT_S, check_database
 from kilter_service.run.supervisor import SUPERVISED

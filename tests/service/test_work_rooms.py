@@ -14,14 +14,14 @@ import pytest
 
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import Scratch
+from kilter_service.ground.private_files import Scratch
 from kilter_service.ground.settings import Settings
 from kilter_service.page.drop import routes
 from kilter_service.page.drop.drafts import Drafts
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.policy import PAGE_RULES, RULES, Kind
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.concurrency import Room, rooms_with
+from kilter_service.web.bodies import Room, rooms_with
 from tests.service.conftest import Katana, Serve
 from tests.service.made_versions import store_version
 

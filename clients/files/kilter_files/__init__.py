@@ -19,9 +19,8 @@ if TYPE_CHECKING:
     DEVICES: Mapping[str, Callable[[Path], Table]]
 
 with later(__name__):
-    from kilter_files.formats import reader, registry
+    from kilter_files.formats import marker_header, reader, registry
     from kilter_files.formats.joints import joint_log
-    from kilter_files.formats.recordings import marker_header
     from kilter_files.ground import units
     from kilter_files.look import drafts
     from kilter_files.maps import column_map as column_maps

@@ -17,10 +17,10 @@ from .documents.parts import robot_from_resolved as robot_from_resolved
 from .kernels.compiled import EXACT as EXACT
 from .kernels.compiled import KernelCache as KernelCache
 from .kernels.compiled import compile_kernel as compile_kernel
-from .loads.slopes import with_masses as with_masses
-from .loads.slopes import with_payload as with_payload
-from .loads.wrenches import axial_loads as axial_loads
-from .loads.wrenches import joint_loads as joint_loads
+from .load_slopes import with_masses as with_masses
+from .load_slopes import with_payload as with_payload
+from .load_wrenches import axial_loads as axial_loads
+from .load_wrenches import joint_loads as joint_loads
 from .presets import preset_names as preset_names
 from .robot import STANDARD_GRAVITY as STANDARD_GRAVITY
 from .robot import Joint as Joint

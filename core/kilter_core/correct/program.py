@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 
 from kilter_core.arm.chain import Axis, Chain, Element
-from kilter_core.arm.loads.slopes import with_masses, with_payload
-from kilter_core.arm.loads.wrenches import HANGING_ROUNDS, SIDED_ROUNDS, axial_loads, joint_loads
+from kilter_core.arm.load_slopes import with_masses, with_payload
+from kilter_core.arm.load_wrenches import HANGING_ROUNDS, SIDED_ROUNDS, axial_loads, joint_loads
 from kilter_core.arm.robot import Joint, Link, Payload, Robot
 from kilter_core.arm.run_time import Conditions, RunTimeForm
 from kilter_core.correct.kernels import layout, stream

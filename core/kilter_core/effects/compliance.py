@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from kilter_core.arm.loads.wrenches import axial_loads, row_load_wrenches
+from kilter_core.arm.load_wrenches import axial_loads, row_load_wrenches
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm, Shape
 from kilter_core.effects.base import BASE, Derivative, Effect, Local, linear, option

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from kilter_core.arm.loads.wrenches import joint_loads
+from kilter_core.arm.load_wrenches import joint_loads
 from kilter_core.arm.robot import STANDARD_GRAVITY, Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Derivative, Effect, Local, linear, option

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from kilter_core.arm.loads.slopes import NO_COLUMNS, LoadSlopes, links_with_mass
+from kilter_core.arm.load_slopes import NO_COLUMNS, LoadSlopes, links_with_mass
 from kilter_core.arm.robot import CENTRE_M, MASS_SHARE, Link, Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.base import Derivative, Effect, Local, linear, option

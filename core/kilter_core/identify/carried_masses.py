@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.arm.loads.slopes import EACH, links_with_mass
+from kilter_core.arm.load_slopes import EACH, links_with_mass
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect
 from kilter_core.effects.masses import LoadError

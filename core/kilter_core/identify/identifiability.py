@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.arm.loads.slopes import EACH, LIGHTEST_KG, links_with_mass, with_masses
+from kilter_core.arm.load_slopes import EACH, LIGHTEST_KG, links_with_mass, with_masses
 from kilter_core.effects.masses import LoadError
 from kilter_core.model import Calibration
 from kilter_core.parameters import MM

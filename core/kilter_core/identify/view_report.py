@@ -34,7 +34,7 @@ from kilter_core.identify.uncertainty.clustered import with_clustered_covariance
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.views import rig_from_calibration, rig_from_values, with_cameras
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.camera.view_scatter import ToolErrors, ViewScatter
+from kilter_core.measurement.camera.views import ToolErrors, ViewScatter
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import Place
 from kilter_core.observations import Observations

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.marker_shape import fit_poses
+from kilter_core.measurement.markers import fit_poses
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.parameters import degrees, mm
 from kilter_core.transforms import inverse, nearest_rotation, scipy_rotation, skew

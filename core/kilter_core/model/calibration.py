@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.arm.loads.wrenches import LoadChain
+from kilter_core.arm.load_wrenches import LoadChain
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect, effect_from_document
 from kilter_core.effects.laws import carried_effects

@@ -12,8 +12,8 @@ import numpy as np
 
 from kilter_core.arm.chain import FRAME_AXES, Chain, Element, frame_parameters, increment
 from kilter_core.arm.kernels import kinematics
-from kilter_core.arm.loads.slopes import LoadSlopes, payload_sensitivity
-from kilter_core.arm.loads.wrenches import (
+from kilter_core.arm.load_slopes import LoadSlopes, payload_sensitivity
+from kilter_core.arm.load_wrenches import (
     HANGING_ROUNDS,
     SIDED_ROUNDS,
     Deflection,

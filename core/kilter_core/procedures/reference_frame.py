@@ -12,9 +12,8 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.measurement.camera.rig_fit import estimate_start_rig, fit_rig_beside_arm, tool_errors
-from kilter_core.measurement.camera.view_scatter import ViewScatter
-from kilter_core.measurement.camera.views import Views, sight
-from kilter_core.measurement.marker_shape import FLAT, span_ratio
+from kilter_core.measurement.camera.views import Views, ViewScatter, sight
+from kilter_core.measurement.markers import FLAT, span_ratio
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import Rig
 from kilter_core.parameters import mm

@@ -24,11 +24,10 @@ from kilter_service.contract.campaigns import (
     Uploaded,
 )
 from kilter_service.contract.words import Change, Tombstone
-from kilter_service.ground.files.backup_folder import check_digest
+from kilter_service.ground.backup_folder import check_digest
 from kilter_service.ground.tables import reading
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.bodies import FORM, is_form, parse_json, spool_form, spool_upload
-from kilter_service.web.concurrency import compute
+from kilter_service.web.bodies import FORM, compute, is_form, parse_json, spool_form, spool_upload
 from kilter_service.web.routing import ConditionalRoute, DatabaseOfApp, OnceOnly, PageOfList, SettingsOfApp, get_scratch
 
 router = APIRouter(prefix="/v1", tags=["campaigns"], route_class=ConditionalRoute)

@@ -25,8 +25,7 @@ from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.tables.writing import write_table
 from kilter_service.robots import store as robots
-from kilter_service.web.bodies import spool_upload
-from kilter_service.web.concurrency import compute
+from kilter_service.web.bodies import compute, spool_upload
 from kilter_service.web.routing import DatabaseOfApp, GuardedRoute, SettingsOfApp, get_scratch
 
 router = APIRouter(prefix="/v1/robots", tags=["correction"], route_class=GuardedRoute)

@@ -19,7 +19,7 @@ from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import read_secret_file
+from kilter_service.ground.private_files import read_secret_file
 from kilter_service.ground.settings import Settings, code_version
 
 log = logging.getLogger("kilter.worker")

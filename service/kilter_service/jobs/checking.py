@@ -15,10 +15,10 @@ from kilter_service.ground.called import copy_fields
 from kilter_service.ground.db import Database, Session
 from kilter_service.jobs import service, store
 from kilter_service.jobs.durations import PastRun, duration
-from kilter_service.jobs.inputs.setups import find_unstated_load, load_not_stated
 from kilter_service.jobs.kind import JobInput, JobKind, JobPreview, Lack, count_poses
 from kilter_service.jobs.records import JobRequest
 from kilter_service.jobs.registry import get_job_kind
+from kilter_service.jobs.setups import find_unstated_load, load_not_stated
 
 MOST_ROWS = 100_000  # read of all campaigns together; what takes more is thinned
 

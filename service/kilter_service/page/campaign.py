@@ -31,7 +31,7 @@ from kilter_service.page.shared.measured import describe_facts
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.concurrency import compute
+from kilter_service.web.bodies import compute
 from kilter_service.web.routing import DatabaseOfApp, get_scratch
 
 if TYPE_CHECKING:

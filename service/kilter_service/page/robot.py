@@ -46,8 +46,7 @@ from kilter_service.versions import service as versions
 from kilter_service.versions.drift import service as drift
 from kilter_service.versions.today import service as today
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.bodies import MESH, spool_upload
-from kilter_service.web.concurrency import compute
+from kilter_service.web.bodies import MESH, compute, spool_upload
 from kilter_service.web.routing import DatabaseOfApp, SettingsOfApp, get_scratch
 
 NEWEST = Page(limit=50)

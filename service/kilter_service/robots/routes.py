@@ -38,8 +38,8 @@ from kilter_service.contract.robots import Mesh, MeshList, MeshUnit, RobotDocume
 from kilter_service.contract.today import NewRepair, Repair
 from kilter_service.contract.units import MAX_JOINTS, Name
 from kilter_service.contract.words import RobotChange, Tombstone
+from kilter_service.ground.backup_folder import check_digest
 from kilter_service.ground.core import core_procedures
-from kilter_service.ground.files.backup_folder import check_digest
 from kilter_service.ground.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_MB, MAX_CIRCLE_ROWS, MAX_MESH_MB
 from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.assemble import observations
@@ -50,8 +50,7 @@ from kilter_service.robots import documents, frames, service
 from kilter_service.robots.meshes import service as meshes
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.bodies import MESH, spool_upload
-from kilter_service.web.concurrency import compute
+from kilter_service.web.bodies import MESH, compute, spool_upload
 from kilter_service.web.routing import (
     ConditionalRoute,
     DatabaseOfApp,

@@ -18,7 +18,7 @@ from kilter_service.campaigns.routes import suspicious_router as suspicious
 from kilter_service.correction.routes import router as correction
 from kilter_service.correction.routes import torque_router as torques
 from kilter_service.ground.db import Database, Session, revision
-from kilter_service.ground.files.private_files import TEMPORARY, Scratch
+from kilter_service.ground.private_files import TEMPORARY, Scratch
 from kilter_service.ground.settings import Settings, code_version
 from kilter_service.ground.store import NOMINAL
 from kilter_service.jobs import store as job_rows
@@ -47,7 +47,7 @@ from kilter_service.versions.routes import today_router as today
 from kilter_service.web import problems
 from kilter_service.web.audit import Refusals
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.concurrency import rooms_with
+from kilter_service.web.bodies import rooms_with
 from kilter_service.web.docs_page import openapi_with_security, serve_openapi
 from kilter_service.web.docs_page import router as docs_page
 from kilter_service.web.gate import Gate, Rates, Unhurried

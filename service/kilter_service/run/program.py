@@ -16,7 +16,7 @@ from typing import NoReturn
 from pydantic import ValidationError
 
 from kilter_files.ground.later import later
-from kilter_service.ground.files.private_files import UMASK, protect
+from kilter_service.ground.private_files import UMASK, protect
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, Settings, code_version
 from kilter_service.run import zenoh_command
 from kilter_service.stream.signing import command
@@ -24,9 +24,8 @@ from kilter_service.web import logs
 
 # A command loads what it runs, and nothing else.
 with later(__name__):
-    from kilter_service.ground import db
+    from kilter_service.ground import db, private_files
     from kilter_service.ground.db import failures, revision
-    from kilter_service.ground.files import private_files
     from kilter_service.jobs.work import worker as jobs
     from kilter_service.run import compiling, serving, supervisor
     from kilter_service.run.backup import commands

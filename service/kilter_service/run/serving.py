@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from kilter_files.ground.later import later
+from kilter_service.ground.backup_folder import wait_for_migration
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.backup_folder import wait_for_migration
-from kilter_service.ground.processes.memory import ShortPauses, keep_small
+from kilter_service.ground.memory import ShortPauses, keep_small
 from kilter_service.ground.settings import Settings
 
 with later(__name__):

@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import IO, Any
 
 from kilter_files.ground.later import later
+from kilter_service.ground.backup_folder import migration_lock
+from kilter_service.ground.child_process import Child, ChildOutput
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.backup_folder import migration_lock
-from kilter_service.ground.files.private_files import ServerFile, private_folder
-from kilter_service.ground.processes.child import Child, ChildOutput
+from kilter_service.ground.private_files import ServerFile, private_folder
 from kilter_service.ground.settings import LOCK_FILE, Settings
 from kilter_service.run.serving import listener, listening_url
 from kilter_service.stream.corrector.endpoints import check_free, check_listening

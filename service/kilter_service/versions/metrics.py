@@ -18,9 +18,9 @@ from prometheus_client.registry import Collector
 from prometheus_client.utils import floatToGoString
 
 from kilter_service.contract.today import CheckOfRobot
+from kilter_service.ground import backup_folder
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.failures import Failing
-from kilter_service.ground.files import backup_folder
 from kilter_service.ground.settings import Settings, code_version
 from kilter_service.ground.store import AT_MOST_MS
 from kilter_service.ground.wire import to_metres

@@ -11,8 +11,8 @@ from types import TracebackType
 from typing import Any
 
 from kilter_files.ground.later import later
+from kilter_service.ground.backup_folder import is_migrating
 from kilter_service.ground.db.failures import Failing
-from kilter_service.ground.files.backup_folder import is_migrating
 from kilter_service.ground.settings import Settings
 
 with later(__name__):

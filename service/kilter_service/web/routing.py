@@ -30,14 +30,13 @@ from pydantic import BaseModel, TypeAdapter
 from kilter_service.contract.health import REFUSALS
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import Scratch
 from kilter_service.ground.paging import Page, decode_cursor
+from kilter_service.ground.private_files import Scratch
 from kilter_service.ground.settings import Settings
 from kilter_service.web import store
 from kilter_service.web.auth.access import admit, get_caller
 from kilter_service.web.auth.policy import Kind, Rule
-from kilter_service.web.bodies import check_address, check_names, is_json, parse_json, read_document
-from kilter_service.web.concurrency import in_turn, room_of
+from kilter_service.web.bodies import check_address, check_names, in_turn, is_json, parse_json, read_document, room_of
 
 Handler = Callable[[Request], Awaitable[Response]]
 

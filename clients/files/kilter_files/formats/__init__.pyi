@@ -1,3 +1,5 @@
+from .instrument_logs import BAR_SIGMA_MM as BAR_SIGMA_MM
+from .instrument_logs import read_ballbar as read_ballbar
 from .joints.joint_log import log_of_bag as log_of_bag
 from .joints.lerobot.calibration import BY_RANGE as BY_RANGE
 from .joints.lerobot.calibration import DEGREES as DEGREES
@@ -14,8 +16,7 @@ from .joints.lerobot.calibration import servo_name_for_joint as servo_name_for_j
 from .joints.lerobot.calibration import with_zero_offsets as with_zero_offsets
 from .joints.lerobot.moved import detect_joint_moves as detect_joint_moves
 from .joints.lerobot.moved import read_episodes as read_episodes
-from .logs.ballbar import BAR_SIGMA_MM as BAR_SIGMA_MM
-from .logs.ballbar import read_ballbar as read_ballbar
+from .marker_header import PRESETS as PRESETS
 from .programs.found import Program as Program
 from .programs.found import Stated as Stated
 from .programs.found import Track as Track
@@ -53,7 +54,6 @@ from .reader import Head as Head
 from .reader import Hints as Hints
 from .reader import LogHints as LogHints
 from .reader import RecordingReader as RecordingReader
-from .recordings.marker_header import PRESETS as PRESETS
 from .registry import all_readers as all_readers
 from .registry import find_reader as find_reader
 from .registry import has_format as has_format

@@ -160,7 +160,7 @@ class RecordingReader(Reader["Recording"]):
 
     def describe(self, head: Head) -> Document:
         """Frames, and gaps and noise of each marker."""
-        from kilter_files.formats.recordings.marker_header import describe_recording
+        from kilter_files.formats.marker_header import describe_recording
 
         return describe_recording(self.read(head.path, head.hints))
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from kilter_files.formats.logs.ballbar import TIME
+from kilter_files.formats.instrument_logs import TIME
+from kilter_files.formats.marker_header import canonical_column_name
 from kilter_files.formats.reader import Head
-from kilter_files.formats.recordings.marker_header import canonical_column_name
 from kilter_files.formats.registry import binary_reader, open_source
 from kilter_files.formats.tables.mat import read_mat
 from kilter_files.formats.tables.tdms import Calibration, channels, read_channel

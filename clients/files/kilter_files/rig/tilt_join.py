@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kilter_files.formats.instrument_logs import BallBar, read_inclinometer, tilt_column_indices
 from kilter_files.formats.joints.joint_log import read_joint_log
-from kilter_files.formats.logs.ballbar import BallBar, read_inclinometer, tilt_column_indices
+from kilter_files.formats.marker_header import PRESETS
 from kilter_files.formats.reader import Hints, LogHints
-from kilter_files.formats.recordings.marker_header import PRESETS
 from kilter_files.formats.registry import all_readers
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError, UsageError, fault

@@ -19,8 +19,7 @@ from kilter_core.identify.plausibility.set_up_changes import Sample, place_neare
 from kilter_core.identify.plausibility.unrelated_views import refuse_unrelated_views
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.frames import register
-from kilter_core.measurement.marker_shape import fit_poses
-from kilter_core.measurement.markers import alike_orders, format_exchanged_markers
+from kilter_core.measurement.markers import alike_orders, fit_poses, format_exchanged_markers
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import read_clock

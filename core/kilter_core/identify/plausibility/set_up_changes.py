@@ -20,7 +20,7 @@ from kilter_core.identify.plausibility.mix_ups import ELSEWHERE, MixUp, wire_uni
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.frames import best_frames
 from kilter_core.measurement.kind import POINTS
-from kilter_core.measurement.marker_shape import fit_poses
+from kilter_core.measurement.markers import fit_poses
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.groups import evenly

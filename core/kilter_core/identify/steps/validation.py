@@ -27,7 +27,7 @@ from kilter_core.identify.uncertainty.by_view import beside_tool_error
 from kilter_core.identify.view_report import held_views
 from kilter_core.identify.views import with_cameras
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.camera.view_scatter import ToolErrors
+from kilter_core.measurement.camera.views import ToolErrors
 from kilter_core.measurement.frames import Errors, metrics_document
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

@@ -4,7 +4,7 @@ All corners of a view share what the arm is off by there. Taken for independent 
 rotation that undoes it in the picture by hundredths of a pixel, and the arm's millimetre moves the two at will: zeros fitted
 beside constants that were off left 8.4 mm of new views where frames alone left 3.7. So each view has a motion of the tool of
 its own beside its corners, as wide as the views scatter: generalised least squares, with widths as
-:mod:`~kilter_core.measurement.camera.view_scatter` finds them.
+:mod:`~kilter_core.measurement.camera.views` finds them.
 
 Corners of one view share what the model gets wrong there, blur and a bent board
 (:mod:`~kilter_core.identify.uncertainty.by_view`). And views of one pose share what the model gets wrong of the arm there:
@@ -31,8 +31,7 @@ from kilter_core.identify.uncertainty.clustered import (
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.views import rig_from_values, unknown_rig
 from kilter_core.measurement import Block
-from kilter_core.measurement.camera.view_scatter import SMALLEST_M, SMALLEST_RAD, ViewScatter
-from kilter_core.measurement.camera.views import sight_by_tool
+from kilter_core.measurement.camera.views import SMALLEST_M, SMALLEST_RAD, ViewScatter, sight_by_tool
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig, Unknown
 from kilter_core.model.table_fit import ClosestTable, zero_names

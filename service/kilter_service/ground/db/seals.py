@@ -24,7 +24,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 from kilter_service.ground.db.row import Row
 from kilter_service.ground.db.tables import AuditRow, EndedJobsRow, HeartbeatRow
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import read_secret_file
+from kilter_service.ground.private_files import read_secret_file
 
 
 class SealRow(Row):

@@ -21,16 +21,16 @@ from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.called import copy_fields
 from kilter_service.ground.core import core_gap, core_motion, core_observations
 from kilter_service.ground.wire import to_metres
-from kilter_service.jobs.inputs.setups import by_campaign, to_json_types
-from kilter_service.jobs.inputs.torques import (
+from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Lack, Progress, VersionContent
+from kilter_service.jobs.plotly_figures.gap import gap_figures
+from kilter_service.jobs.setups import by_campaign, to_json_types
+from kilter_service.jobs.torque_inputs import (
     Pose,
     as_session,
     poses_document,
     refuse_effects_of_torques,
     search_torques,
 )
-from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Lack, Progress, VersionContent
-from kilter_service.jobs.plotly_figures.gap import gap_figures
 from kilter_service.versions.store import HELD_OUT
 
 if TYPE_CHECKING:

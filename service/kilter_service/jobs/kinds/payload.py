@@ -10,8 +10,8 @@ from kilter_core.errors import OptionError
 from kilter_core.parameters import mm
 from kilter_service.contract.jobs.payload import PAYLOAD, PayloadOptions
 from kilter_service.ground.core import core_motion
-from kilter_service.jobs.inputs.setups import to_json_types
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Progress
+from kilter_service.jobs.setups import to_json_types
 
 if TYPE_CHECKING:
     from kilter_core.motion import CarriedBody

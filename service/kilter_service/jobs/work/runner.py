@@ -22,17 +22,17 @@ from kilter_service.ground.core import core_effects, core_identify, core_model
 from kilter_service.ground.db import Database, DatabaseAwayError, Session
 from kilter_service.ground.db.failures import Failing, in_words, log_failure
 from kilter_service.ground.db.row import utc_now
-from kilter_service.ground.processes.memory import return_freed_memory
+from kilter_service.ground.memory import return_freed_memory
 from kilter_service.ground.webhook import Webhook
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs import store
 from kilter_service.jobs.fan_out import FanOut, fan_out
 from kilter_service.jobs.fleet import store as fleet
 from kilter_service.jobs.fleet.service import compare_with_previous
-from kilter_service.jobs.inputs.setups import LAID_AGAIN, to_json_types, with_load_warning
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import get_job_kind
+from kilter_service.jobs.setups import LAID_AGAIN, to_json_types, with_load_warning
 from kilter_service.jobs.work import store as work_store
 from kilter_service.jobs.work.store import Claim
 from kilter_service.versions import ability

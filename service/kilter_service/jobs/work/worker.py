@@ -21,14 +21,14 @@ from pathlib import Path
 from typing import Any
 
 from kilter_core.errors import CoreError
+from kilter_service.ground.backup_folder import wait_for_migration
 from kilter_service.ground.caller import on_behalf
 from kilter_service.ground.db import Database, DatabaseAwayError, revision
 from kilter_service.ground.db.database import Lookout
 from kilter_service.ground.db.failures import in_words, log_failure
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.backup_folder import wait_for_migration
-from kilter_service.ground.processes.memory import end_before_others
+from kilter_service.ground.memory import end_before_others
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.webhook import Webhook
 from kilter_service.jobs.fan_out import fan_out

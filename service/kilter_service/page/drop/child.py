@@ -19,7 +19,7 @@ from kilter_files.formats import Columns, Head, all_readers, detect_table_shape,
 from kilter_files.ground import FileError, KilterError, MissingPackageError, member_names
 from kilter_files.ground.later import need, parquet
 from kilter_files.look import draft, inspect
-from kilter_service.ground.processes.child import confine
+from kilter_service.ground.child_process import confine
 from kilter_service.page.drop.drafts import RIG
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")

@@ -24,12 +24,12 @@ from kilter_service.contract.jobs.registry import Job
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.units import MAX_NAMED
 from kilter_service.contract.versions import Version
+from kilter_service.ground import child_process
 from kilter_service.ground.called import display_name
+from kilter_service.ground.child_process import Limits
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.ground.processes import child
-from kilter_service.ground.processes.child import Limits
 from kilter_service.jobs import service as jobs
 from kilter_service.page import words
 from kilter_service.page.answers import environment, render, router, source
@@ -262,7 +262,7 @@ def pdf(folder: Path, html: str, css: str) -> bytes:
     """
     (folder / "report.html").write_text(html, encoding="utf-8")
     (folder / "report.css").write_text(css, encoding="utf-8")
-    ended = child.run(CHILD, folder, [], LIMITS, FONTS)
+    ended = child_process.run(CHILD, folder, [], LIMITS, FONTS)
     made = folder / "report.pdf"
     if ended.code == 0 and made.exists():
         return made.read_bytes()

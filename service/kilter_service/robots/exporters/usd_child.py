@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 from pathlib import Path
 
-from kilter_service.ground.processes.child import confine
+from kilter_service.ground.child_process import confine
 from kilter_service.robots.exporters.usd_file import ASKED, MADE, stage_text
 
 

@@ -20,9 +20,9 @@ from kilter_core.arm import Link, moved_link
 from kilter_core.model import wanted_tool
 from kilter_core.transforms import inverse, pose_from_twist
 from kilter_files.robots import NOMINAL, STEP_TABLE, TOOL, local_pose, single, split, usd_package
+from kilter_service.ground import child_process
+from kilter_service.ground.child_process import Limits
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.processes import child
-from kilter_service.ground.processes.child import Limits
 from kilter_service.robots.exporters.exportable import Exportable, Written
 from kilter_service.robots.exporters.mjcf_file import LEAST_INERTIA, identified_axes, nominal_poses, possible, thickness
 from kilter_service.robots.exporters.mjcf_notes import (
@@ -104,7 +104,7 @@ def _text_by_child(version: Exportable, documentation: str) -> str:
     with tempfile.TemporaryDirectory(prefix="kilter-usd-") as name:
         folder = Path(name)
         (folder / ASKED).write_bytes(pickle.dumps((replace(version), documentation)))
-        ended = child.run(CHILD, folder, [], LIMITS, KERNELS)
+        ended = child_process.run(CHILD, folder, [], LIMITS, KERNELS)
         if ended.code == 0:
             return (folder / MADE).read_text(encoding="utf-8")
     why = f"took longer than {LIMITS.seconds} s" if ended.late else f"could not be made ({ended.words.strip()[-200:]})"

@@ -17,11 +17,11 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
 
+from kilter_service.ground import backup_folder
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files import backup_folder
-from kilter_service.ground.files.private_files import UMASK
+from kilter_service.ground.private_files import UMASK
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, TOKEN_FILE, Settings
 from kilter_service.run.backup.service import verify_stored
 from kilter_service.run.doctor import store

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from kilter_core.errors import CoreError
 from kilter_files.ground.later import later
+from kilter_service.ground.backup_folder import is_migrating
 from kilter_service.ground.core import core_correct
-from kilter_service.ground.files.backup_folder import is_migrating
 from kilter_service.ground.wire import to_deg, to_mm
 
 with later(__name__):

@@ -21,10 +21,10 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from kilter_service.ground.child_process import running
 from kilter_service.ground.correction_limits import sentence
 from kilter_service.ground.db.failures import Failing
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.processes.child import running
 from kilter_service.ground.settings import Settings
 from kilter_service.stream.corrector.active import Active, DatabaseSource, VersionSource
 from kilter_service.stream.corrector.endpoints import PrivateSocket, check_listening, is_local

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import zenoh
 
 from kilter_service.contract.streams import MAX_AGE_NS
-from kilter_service.ground.files.private_files import hold_scratch_folder
+from kilter_service.ground.private_files import hold_scratch_folder
 from kilter_service.ground.settings import code_version
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.endpoints import cannot_listen, orphan_door_path

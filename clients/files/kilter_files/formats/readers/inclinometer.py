@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kilter_files.formats.logs.ballbar import describe_inclinometer, tilt_column_indices
+from kilter_files.formats.instrument_logs import describe_inclinometer, tilt_column_indices
+from kilter_files.formats.marker_header import understand
 from kilter_files.formats.reader import DEVICE, NO_HINTS, Document, Head, Hints, Reader
-from kilter_files.formats.recordings.marker_header import understand
 from kilter_files.ground.errors import FileError
 from kilter_files.tables.table import Table
 

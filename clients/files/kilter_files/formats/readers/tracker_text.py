@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from kilter_files.formats.marker_header import PRESETS, Preset, meaning, unit_above
 from kilter_files.formats.reader import NO_HINTS, PRESET, Document, Head, Hints, Reader, column
-from kilter_files.formats.recordings.marker_header import PRESETS, Preset, meaning, unit_above
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import fault

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kilter_files.formats.reader import NO_HINTS, Document, Head, Hints, RecordingReader
-from kilter_files.formats.recordings.marker_header import (
+from kilter_files.formats.marker_header import (
     FRAMES,
     RATE,
     MarkerColumns,
@@ -20,6 +19,7 @@ from kilter_files.formats.recordings.marker_header import (
     understand,
     unit_above,
 )
+from kilter_files.formats.reader import NO_HINTS, Document, Head, Hints, RecordingReader
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import CUT, FileError, fault

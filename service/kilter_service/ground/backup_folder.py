@@ -20,7 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import private_folder
+from kilter_service.ground.private_files import private_folder
 
 SUFFIX = ".kilter-backup"
 WHEN = "%Y%m%dT%H%M%SZ"

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import IO
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.processes.memory import end_before_others
+from kilter_service.ground.memory import end_before_others
 
 log = logging.getLogger("kilter.processes")
 

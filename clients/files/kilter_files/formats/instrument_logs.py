@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from kilter_files.formats.marker_header import canonical_column_name
 from kilter_files.formats.reader import Document, Head, column
-from kilter_files.formats.recordings.marker_header import canonical_column_name
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError, fault

@@ -17,8 +17,8 @@ from kilter_core.types import Floats
 from kilter_service.campaigns.store import renumber_poses_and_sessions
 from kilter_service.ground.core import core_motion, core_observations
 from kilter_service.ground.wire import joint_scale, joint_units, to_mm
-from kilter_service.jobs.inputs.setups import to_json_types
 from kilter_service.jobs.kind import JobInput, JobOutput, Progress
+from kilter_service.jobs.setups import to_json_types
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot

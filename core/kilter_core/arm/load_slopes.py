@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_core.arm.chain import axis_frame
 from kilter_core.arm.kernels.load_slopes import load_slopes
-from kilter_core.arm.loads.wrenches import ABOUT, ALONG, Deflection, Loads, joint_loads, twisted_elements
+from kilter_core.arm.load_wrenches import ABOUT, ALONG, Deflection, Loads, joint_loads, twisted_elements
 from kilter_core.arm.robot import Link, Robot
 from kilter_core.observations import Observations
 from kilter_core.types import Floats, Ints
