@@ -13,7 +13,7 @@ from kilter_service.contract.fits import (
     with_earlier_names,
 )
 from kilter_service.contract.versions import Details
-from kilter_service.contract.words import Remark, as_written
+from kilter_service.contract.wording import Remark, as_written
 
 
 def test_only_what_was_written_is_shown() -> None:

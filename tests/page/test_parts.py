@@ -17,8 +17,8 @@ from kilter_service.contract.jobs.kind import JobSummary, Progress
 from kilter_service.contract.streams import Bridge
 from kilter_service.contract.today import DriftSummary, ErrorsToday, Today
 from kilter_service.contract.versions import VersionSummary
-from kilter_service.ground.called import display_name
 from kilter_service.ground.db.row import utc_now
+from kilter_service.ground.naming import display_name
 from kilter_service.page.figures.plot import MEANINGS
 from kilter_service.page.shared.standing import Correcting, Corrector, assess_robot_state
 from kilter_service.page.words import format_in_largest_unit, parameter_sigma

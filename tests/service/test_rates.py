@@ -14,8 +14,8 @@ from fastapi import FastAPI
 
 from kilter_client import Kilter
 from kilter_client.requests.steps import post
-from kilter_service.contract.health import NewToken
 from kilter_service.contract.robot_reports import Frame, NewFrame
+from kilter_service.contract.server import NewToken
 from kilter_service.ground.caller import CALLER, Caller
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError

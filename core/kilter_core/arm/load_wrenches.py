@@ -4,8 +4,6 @@ The sign is that of the *load*: what gravity and inertia of the outboard links d
 compliance makes a horizontal arm droop. Moments are taken on the chain of the robot that is given: the nominal one, or one
 with constants that an earlier fit found (:class:`LoadChain`); at the joint readings, or where a
 :class:`~kilter_core.arm.loads.wrenches.Deflection` says that the arm hangs.
-
-Where loads are taken: the chain and the tool frame at which the weight of links and payload is computed.
 """
 
 from __future__ import annotations

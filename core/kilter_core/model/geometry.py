@@ -1,7 +1,4 @@
-"""The geometric part of a calibration as an arm of its own, in the robot's base frame.
-
-Errors of the axes that no parameter of a robot can express.
-"""
+"""The geometric part of a calibration as an arm of its own, and errors of axes that no parameter can express."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Groups of rows, by motion or condition: what is left of values when the mean of each is taken out.
-
-From which side each joint came to a row, by the order of the rows: what nobody logs and every order tells.
-"""
+"""Groups of rows, and from which side each joint came to a row."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Cameras and boards that a campaign was measured with, as they are described; where they stand is for a fit to find.
-
-Campaigns that measured different things, or know less of how, made ready to stand in one table.
-"""
+"""Cameras and boards of a campaign, and campaigns that stand in one table."""
 
 from __future__ import annotations
 

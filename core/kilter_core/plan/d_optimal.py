@@ -1,4 +1,4 @@
-"""Poses that determine a model's parameters best: greedy D-optimal choice among random poses within the limits.
+"""Poses to measure: greedy D-optimal choice, by inclinometer, and on the planes of ISO 9283.
 
 Configurations that separate a joint's clearance, backlash and compliance by inclinometer (thesis 4.4.1, 5.3).
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from kilter_service.campaigns import store
 from kilter_service.campaigns.service import load_campaign, refuse_other_servos
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.contract.words import Change, Tombstone
+from kilter_service.contract.wording import Change, Tombstone
 from kilter_service.ground import store as references
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now

@@ -1,7 +1,4 @@
-"""Campaigns and observations over HTTP.
-
-Rows that look wrong, over HTTP.
-"""
+"""Campaigns, observations, and rows that look wrong, over HTTP."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ from kilter_service.contract.campaigns import (
     SuspiciousRows,
     Uploaded,
 )
-from kilter_service.contract.words import Change, Tombstone
+from kilter_service.contract.wording import Change, Tombstone
 from kilter_service.ground.backup_folder import check_digest
 from kilter_service.ground.tables import reading
 from kilter_service.web.auth.access import Admin

@@ -28,12 +28,12 @@ from kilter_service.contract.campaigns import (
     Uploaded,
 )
 from kilter_service.contract.columns import CONTACTS, TILTS
-from kilter_service.contract.instruments import Instrument
-from kilter_service.contract.words import Remark
+from kilter_service.contract.devices import Instrument
+from kilter_service.contract.wording import Remark
 from kilter_service.ground import store as retired
-from kilter_service.ground.called import copy_fields
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.assemble import rig_from_conditions

@@ -24,14 +24,14 @@ from kilter_files.ground import NAMED_SESSIONS
 from kilter_files.ground.later import pa, parquet
 from kilter_service.contract.campaigns import NewCampaign
 from kilter_service.contract.columns import CONTACTS
-from kilter_service.contract.instruments import Instrument
+from kilter_service.contract.devices import Instrument
 from kilter_service.contract.jobs.kind import FINAL
-from kilter_service.contract.words import Remark
+from kilter_service.contract.wording import Remark
 from kilter_service.ground import store as references
-from kilter_service.ground.called import copy_fields
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import CampaignRow, ChunkRow, JobRow, UploadRow, VersionRow
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.paging import Page
 from kilter_service.ground.tables.assemble import observations as assemble
 from kilter_service.ground.tables.assemble import with_default_load

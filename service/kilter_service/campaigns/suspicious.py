@@ -14,7 +14,7 @@ from kilter_service.campaigns.facts import cached_campaign_facts
 from kilter_service.campaigns.store import Said
 from kilter_service.contract.campaigns import Campaign, SaidBy, SuspiciousRow, SuspiciousRows
 from kilter_service.contract.fits import SetAside
-from kilter_service.contract.words import as_written
+from kilter_service.contract.wording import as_written
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, AwareDatetime, BeforeValidator, Field, With
 from pydantic_core import PydanticCustomError
 
 from kilter_service.contract.units import Celsius, Listed, Load, Mm, Name, Newton, NewtonMetre, PointMm, Strict
-from kilter_service.contract.words import RETIRED_AT, Remark
+from kilter_service.contract.wording import RETIRED_AT, Remark
 
 SaidBy = Literal["rows", "identification", "search"]
 

@@ -1,8 +1,6 @@
-"""The columns of observations: their quantities, the units a name may end in, and which belong together.
+"""The columns of observations, their quantities and units; and the options that the core declares, from `options.json`.
 
 Options that the core declares, made from `options.json`: `make contract` writes it from the core's dataclasses.
-
-So the API process knows what they are without numpy, and an option has here what it says of itself there.
 """
 
 from __future__ import annotations

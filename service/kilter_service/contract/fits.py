@@ -8,7 +8,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from kilter_service.contract.budgets import Budget
-from kilter_service.contract.instruments import BoardFound, CameraFound, PixelsFound
+from kilter_service.contract.devices import BoardFound, CameraFound, PixelsFound
 from kilter_service.contract.units import Deg, Metres, Mm, Rad, Stored
 
 

@@ -1,7 +1,4 @@
-"""What Kilter says of robots: lists, reports, the check of a document, and a robot found from circles.
-
-Nominal kinematics of a stored robot: the flange at joints, and all joints for a flange.
-"""
+"""What Kilter says of robots: lists, reports, checks, circles, and nominal kinematics."""
 
 from __future__ import annotations
 
@@ -27,7 +24,7 @@ from kilter_service.contract.units import (
     Pose,
     Strict,
 )
-from kilter_service.contract.words import RETIRED_AT
+from kilter_service.contract.wording import RETIRED_AT
 
 DRIVES = "Axes that follow a joint (mimic, parallelogram) and who carries the load on them, in words."
 KIND = "Whether the joint is revolute or prismatic."

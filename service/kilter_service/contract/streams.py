@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from kilter_service.contract.units import Strict
-from kilter_service.contract.words import Remark
+from kilter_service.contract.wording import Remark
 
 BridgeKind = Literal["rsi", "egm", "fci"]
 BridgeState = Literal[

@@ -1,9 +1,4 @@
-"""How good a robot is today: the newest error that no fit had a part in, and what its active version leaves uncorrected.
-
-The checks of robots one after another: whether each has moved, and what creeps.
-
-Whether an arm keeps a tolerance, by ISO 14253-1, on rows that no fit used.
-"""
+"""How good a robot is today, how its checks stand one after another, and whether it keeps a tolerance (ISO 14253-1)."""
 
 from __future__ import annotations
 
@@ -16,7 +11,7 @@ from kilter_service.contract.budgets import Budget
 from kilter_service.contract.fits import Errors, StageErrors
 from kilter_service.contract.jobs.drift import DriftVerdict
 from kilter_service.contract.units import COMPENSATION, INTERVAL, TOLERANCE, Celsius, ControllerCompensation, Mm, Strict
-from kilter_service.contract.words import Remark
+from kilter_service.contract.wording import Remark
 
 RobotState = Literal[
     "worse", "moved", "cannot_tell", "changed", "outside", "unchecked", "drifting", "near", "uncalibrated", "not_known",

@@ -10,7 +10,7 @@ from pydantic import Field
 from kilter_service.contract.fits import Covariance, FitDetails, JointMotions, Metrics, NullDirection, Parameter
 from kilter_service.contract.headlines import HEADLINE, NEAR, count_noise_left, describe_fit
 from kilter_service.contract.units import Celsius, Deg, Listed, Mm, Stored, Strict
-from kilter_service.contract.words import RETIRED_AT, TITLE, Remark
+from kilter_service.contract.wording import RETIRED_AT, TITLE, Remark
 
 Lengths = list[Mm | None]
 

@@ -1,6 +1,4 @@
-"""A process of Kilter that another one starts, watches, starts again when it has ended, and stops.
-
-Work on what strangers sent, in a process of its own with limits of time, memory and output.
+"""A process that another one starts, watches and stops; and work on what strangers sent, within limits.
 
 The process starts with a clean environment in a folder for a while. Whatever it runs into, the server goes on.
 """

@@ -1,7 +1,4 @@
-"""Limits of a correction as the contract has them, into the core's options: for paths, the stream and exported programs.
-
-Which effects of a version a correction leaves out, and where it makes up for them all the same, in words.
-"""
+"""Limits of a correction into the core's options, and which effects of a version a correction leaves out."""
 
 from __future__ import annotations
 

@@ -13,13 +13,13 @@ from typing import Any, Literal, NamedTuple
 
 from sqlalchemy import ColumnElement, Select, and_, literal, or_, select
 
-from kilter_service.contract.words import Kind, Tombstone
-from kilter_service.ground.called import copy_fields, name_unnamed_job
+from kilter_service.contract.wording import Kind, Tombstone
 from kilter_service.ground.caller import allowed_robots, may_see
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import CampaignRow, EndedJobsRow, JobRow, RobotRow, TombstoneRow, VersionRow
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import copy_fields, name_unnamed_job
 from kilter_service.ground.paging import Page
 
 Whose = Literal["campaign", "version", "robot"]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from kilter_core.identify import Identification, Predictive
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
-    from kilter_service.contract.instruments import Instrument
+    from kilter_service.contract.devices import Instrument
 
 
 MOST_ROWS = 2000  # of which a budget is taken, evenly chosen

@@ -11,8 +11,8 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.campaigns.keeping import REMEDY
 from kilter_service.contract.jobs.check import CheckedCampaign
 from kilter_service.contract.jobs.registry import JobCheck, NewJob
-from kilter_service.ground.called import copy_fields
 from kilter_service.ground.db import Database, Session
+from kilter_service.ground.naming import copy_fields
 from kilter_service.jobs import service, store
 from kilter_service.jobs.durations import PastRun, duration
 from kilter_service.jobs.kind import JobInput, JobKind, JobPreview, Lack, count_poses

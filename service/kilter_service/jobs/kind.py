@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_core.types import Each
-    from kilter_service.contract.instruments import Instrument
-    from kilter_service.contract.words import Remark
+    from kilter_service.contract.devices import Instrument
+    from kilter_service.contract.wording import Remark
     from kilter_service.versions.drift.wire import StoredCheck
 
 

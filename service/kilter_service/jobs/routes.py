@@ -1,7 +1,4 @@
-"""Jobs over HTTP.
-
-Fleet jobs over HTTP.
-"""
+"""Jobs and fleet jobs over HTTP."""
 
 from __future__ import annotations
 

@@ -10,11 +10,11 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.jobs.check import NEWEST, CheckedCampaign, Duration, HeldOut, JobProblem, Missing
 from kilter_service.contract.jobs.kind import FINAL, Folds, JobError, JobList, JobSummary, Progress
 from kilter_service.contract.jobs.registry import Job, JobCheck, NewJob
-from kilter_service.contract.words import as_written
+from kilter_service.contract.wording import as_written
 from kilter_service.ground import store as references
-from kilter_service.ground.called import copy_fields, display_name
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import copy_fields, display_name
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.jobs import store
 from kilter_service.jobs.kind import JobKind, JobPreview

@@ -1,9 +1,4 @@
-"""Set-ups of rows and their conditions: a sheet of a pencil has a frame of its own, for it lies elsewhere every time.
-
-What a job says of a payload that its campaigns do not state: the robot's default load counted, or nothing.
-
-Documents that JSON can hold, and rows as a job counts them over all its campaigns.
-"""
+"""Set-ups of rows, the load that a robot carries by default, and rows as a job counts them."""
 
 from __future__ import annotations
 

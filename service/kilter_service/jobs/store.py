@@ -16,12 +16,12 @@ from kilter_service.contract.jobs.kind import FINAL
 from kilter_service.contract.jobs.registry import NewJob
 from kilter_service.contract.versions import Objection
 from kilter_service.ground import store as ended
-from kilter_service.ground.called import copy_fields, job_noun
 from kilter_service.ground.caller import allowed_robots, as_document
 from kilter_service.ground.core import core_identify, core_motion
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import NOT_OVER, JobRow, RobotRow, VersionRow
+from kilter_service.ground.naming import copy_fields, job_noun
 from kilter_service.ground.paging import Page
 from kilter_service.ground.settings import code_version
 from kilter_service.jobs.durations import PastRun

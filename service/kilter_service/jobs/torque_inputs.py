@@ -1,7 +1,4 @@
-"""Logs of joint torques: searched for what bodies and friction lack, or fitted with the effects that were asked for.
-
-Planned poses as a document and as a file: contract columns, to be driven and then to be filled with measurements.
-"""
+"""Logs of joint torques for a job, and planned poses as a document and a file."""
 
 from __future__ import annotations
 

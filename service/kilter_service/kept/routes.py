@@ -11,7 +11,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from kilter_service.contract.words import By, Kind, ResolvedReference, TombstoneList
+from kilter_service.contract.wording import By, Kind, ResolvedReference, TombstoneList
 from kilter_service.ground import store
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError

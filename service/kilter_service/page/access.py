@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 from fastapi import Form, Request, Response
 from fastapi.responses import HTMLResponse
 
-from kilter_service.contract.health import ROLE, NewToken, Role, TokenName
+from kilter_service.contract.server import ROLE, NewToken, Role, TokenName
 from kilter_service.ground.caller import ADMIN, CALLER, Caller
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError

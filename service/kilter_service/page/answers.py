@@ -22,7 +22,7 @@ from fastapi.responses import HTMLResponse, RedirectResponse, StreamingResponse
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from kilter_core.errors import CoreError
-from kilter_service.contract.health import Role
+from kilter_service.contract.server import Role
 from kilter_service.ground.caller import ANYBODY, CALLER, RANK
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import PROBLEMS, ServiceError

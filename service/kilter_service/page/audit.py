@@ -11,10 +11,10 @@ from fastapi.responses import HTMLResponse
 
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import service as campaigns
-from kilter_service.contract.health import AuditEntry
-from kilter_service.ground.called import display_name
+from kilter_service.contract.server import AuditEntry
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import display_name
 from kilter_service.ground.paging import Page
 from kilter_service.jobs import service as jobs
 from kilter_service.page.answers import render, router

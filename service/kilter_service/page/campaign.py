@@ -15,10 +15,10 @@ from kilter_service.campaigns import keeping, looking, suspicious
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.facts import cached_campaign_facts
 from kilter_service.contract.campaigns import Campaign, NewCampaign, Parts
-from kilter_service.contract.words import Change
-from kilter_service.ground.called import plural
+from kilter_service.contract.wording import Change
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import plural
 from kilter_service.ground.paging import Page
 from kilter_service.ground.tables.reading import PARQUET
 from kilter_service.ground.tables.writing import write_table

@@ -20,7 +20,7 @@ from kilter_service.contract.robots import MeshUnit
 from kilter_service.contract.today import NewRepair, Today
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.contract.versions import Version, VersionSummary
-from kilter_service.contract.words import RobotChange
+from kilter_service.contract.wording import RobotChange
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.limits import MAX_MESH_MB, MAX_TRIANGLES

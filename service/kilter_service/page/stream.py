@@ -10,8 +10,8 @@ from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, StreamingResponse
 
-from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
+from kilter_service.ground.naming import display_name
 from kilter_service.ground.paging import Page
 from kilter_service.ground.settings import Settings
 from kilter_service.page.answers import render, router

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from kilter_core.errors import ObservationError, OptionError
 from kilter_service.contract.robot_reports import Flanges, Frame, JointRows, NewFrame, OffPoint, Posture, Postures
 from kilter_service.contract.units import PointMm, Pose
-from kilter_service.ground.called import copy_fields
 from kilter_service.ground.core import core_arm, core_model, core_procedures
 from kilter_service.ground.db import Database
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.wire import to_deg, to_metres, to_mm, to_rad
 from kilter_service.robots import service
 

@@ -1,13 +1,4 @@
-"""Robots over HTTP.
-
-Frames over HTTP; nothing is stored.
-
-Instruments over HTTP.
-
-Repairs over HTTP.
-
-Meshes over HTTP.
-"""
+"""Robots, their frames, meshes and repairs, and instruments over HTTP."""
 
 from __future__ import annotations
 
@@ -21,7 +12,7 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.concurrency import run_in_threadpool
 
 from kilter_core.errors import ObservationError, OptionError
-from kilter_service.contract.instruments import Instrument, InstrumentList, NewInstrument
+from kilter_service.contract.devices import Instrument, InstrumentList, NewInstrument
 from kilter_service.contract.robot_reports import (
     CircleAxis,
     Flanges,
@@ -37,7 +28,7 @@ from kilter_service.contract.robot_reports import (
 from kilter_service.contract.robots import Mesh, MeshList, MeshUnit, RobotDocument, Target, UrdfShapes
 from kilter_service.contract.today import NewRepair, Repair
 from kilter_service.contract.units import MAX_JOINTS, Name
-from kilter_service.contract.words import RobotChange, Tombstone
+from kilter_service.contract.wording import RobotChange, Tombstone
 from kilter_service.ground.backup_folder import check_digest
 from kilter_service.ground.core import core_procedures
 from kilter_service.ground.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_MB, MAX_CIRCLE_ROWS, MAX_MESH_MB

@@ -1,9 +1,4 @@
-"""What can be done with robots.
-
-What can be done with instruments.
-
-What can be done with repairs.
-"""
+"""What can be done with robots, their repairs, and instruments."""
 
 from __future__ import annotations
 
@@ -11,11 +6,11 @@ import secrets
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from kilter_service.contract.instruments import Instrument, InstrumentList, NewInstrument
+from kilter_service.contract.devices import Instrument, InstrumentList, NewInstrument
 from kilter_service.contract.robot_reports import RobotList, RobotReport
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.contract.today import NewRepair, Repair
-from kilter_service.contract.words import RobotChange, Tombstone
+from kilter_service.contract.wording import RobotChange, Tombstone
 from kilter_service.ground import store as references
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now

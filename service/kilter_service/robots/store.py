@@ -1,9 +1,4 @@
-"""Rows of robots, and what they become in core.
-
-Rows of instruments.
-
-Rows of repairs.
-"""
+"""Rows of robots, of instruments and of repairs, and what they become in core."""
 
 from __future__ import annotations
 
@@ -14,12 +9,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from sqlalchemy import Select, delete, func, select
 
-from kilter_service.contract.instruments import Instrument, NewInstrument
+from kilter_service.contract.devices import Instrument, NewInstrument
 from kilter_service.contract.today import NewRepair, Repair, RepairKind
 from kilter_service.contract.units import ControllerCompensation
-from kilter_service.contract.words import Remark
+from kilter_service.contract.wording import Remark
 from kilter_service.ground import store as references
-from kilter_service.ground.called import copy_fields
 from kilter_service.ground.caller import allowed_robots, may_see
 from kilter_service.ground.core import core_arm, core_evaluate
 from kilter_service.ground.db import Session
@@ -34,6 +28,7 @@ from kilter_service.ground.db.tables import (
     VersionRow,
 )
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.paging import Page
 from kilter_service.ground.wire import from_um
 from kilter_service.robots.compensation import parse_compensation

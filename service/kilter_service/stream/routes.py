@@ -1,7 +1,4 @@
-"""Bridges over HTTP: they announce themselves, and people see them.
-
-Sessions of signed streams over HTTP; nothing is stored.
-"""
+"""Bridges and sessions of signed streams over HTTP."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""Rows of the bridges that have announced themselves: they live beside those of the server's own processes.
+"""Rows of bridges that announced themselves, sessions of streams that were asked for, and the streams of a robot.
 
 Which sessions of streams a token asked for. The audit has them, and nothing else.
-
-What the database knows of the streams of a robot.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Whether a version can correct the arm where it is driven, and what to do where it cannot.
-
-The limits that a version is stored with: what it needs all over the joint limits of its robot, not a constant.
-"""
+"""Whether a version can correct the arm where it is driven, and the limits that it is stored with."""
 
 from __future__ import annotations
 

@@ -12,10 +12,10 @@ from kilter_core.errors import CoreError, TooFewPosesError
 from kilter_core.observations import Observations, evenly
 from kilter_core.types import Floats, Ints
 from kilter_service.campaigns import store as campaigns
+from kilter_service.contract.devices import Instrument
 from kilter_service.contract.fits import Errors
-from kilter_service.contract.instruments import Instrument
 from kilter_service.contract.today import Acceptance, Decision, JudgedCampaign
-from kilter_service.contract.words import Remark
+from kilter_service.contract.wording import Remark
 from kilter_service.ground.core import core_evaluate, core_identify, core_measurement, core_model, core_watch
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since

@@ -18,9 +18,9 @@ from kilter_core.errors import CoreError
 from kilter_core.types import Floats
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.versions import Comparison, CorrectionLimits, Objection, Rival
-from kilter_service.ground.called import plural
 from kilter_service.ground.core import core_identify, core_model
 from kilter_service.ground.db import Database, Session
+from kilter_service.ground.naming import plural
 from kilter_service.ground.wire import to_mm
 from kilter_service.robots import store as robots
 from kilter_service.versions import store, wire

@@ -1,13 +1,4 @@
-"""Versions over HTTP.
-
-The checks of robots, over HTTP.
-
-How good a robot is today, over HTTP.
-
-Metrics over HTTP.
-
-Decisions about a tolerance over HTTP.
-"""
+"""Versions, checks, today, metrics and decisions about a tolerance over HTTP."""
 
 from __future__ import annotations
 
@@ -27,7 +18,7 @@ from kilter_service.contract.versions import (
     VersionList,
     VersionPreview,
 )
-from kilter_service.contract.words import Change, Tombstone
+from kilter_service.contract.wording import Change, Tombstone
 from kilter_service.ground.tables.reading import CSV, JSON, PARQUET
 from kilter_service.robots.exporters.registry import FORMATS
 from kilter_service.versions import acceptance as acceptance_service

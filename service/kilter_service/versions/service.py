@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.versions import ActivationList, Version, VersionList, VersionSummary
-from kilter_service.contract.words import Change, Tombstone
+from kilter_service.contract.wording import Change, Tombstone
 from kilter_service.ground import store as references
-from kilter_service.ground.called import copy_fields
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.paging import Page, in_time
 from kilter_service.robots import store as robots
 from kilter_service.robots.compensation import said_of_controller

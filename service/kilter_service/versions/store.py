@@ -16,13 +16,13 @@ from sqlalchemy.orm import InstrumentedAttribute
 from kilter_service.contract.fits import Metrics
 from kilter_service.contract.jobs.kind import FINAL
 from kilter_service.contract.versions import CorrectionLimits, VersionSummary
-from kilter_service.contract.words import as_written
+from kilter_service.contract.wording import as_written
 from kilter_service.ground import store as references
-from kilter_service.ground.called import copy_fields
 from kilter_service.ground.core import core_identify, core_model
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.audited import note
 from kilter_service.ground.db.tables import ActivationRow, JobRow, ReplayRow, RobotRow, VersionRow
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.paging import ALL, Page
 from kilter_service.ground.settings import code_version
 from kilter_service.robots import store as robots

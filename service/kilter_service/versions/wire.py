@@ -23,9 +23,9 @@ from kilter_service.contract.versions import (
     VersionPreview,
     VersionSummary,
 )
-from kilter_service.contract.words import Remark, as_written
+from kilter_service.contract.wording import Remark, as_written
 from kilter_service.ground import correction_limits
-from kilter_service.ground.called import copy_fields
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
 from kilter_service.versions.objections import objections_from_report
 from kilter_service.versions.records import ActivationRecord, PreviewedPoses, VersionRecord

@@ -1,6 +1,4 @@
-"""Reading the audit, and whether it is whole.
-
-Refused requests in the audit: who was refused, from where, at which route, why and how often.
+"""Reading the audit, whether it is whole, and the refused requests in it: who, from where, at which route, why, how often.
 
 Anybody can be refused as often as they like. So refusals are counted in memory and written in groups, the first ones
 after a moment and, while more keep coming, every ten minutes; what makes up ever new groups is one group in the end.
@@ -18,7 +16,7 @@ from typing import NamedTuple
 
 from fastapi import Request
 
-from kilter_service.contract.health import AuditEntry, AuditPage
+from kilter_service.contract.server import AuditEntry, AuditPage
 from kilter_service.ground.caller import ANYBODY, CALLER, Caller
 from kilter_service.ground.db import Database, audited
 from kilter_service.ground.db.audited import hash_entry

@@ -1,7 +1,4 @@
-"""A body of two parts, ``multipart/form-data``: a document, and the file that it describes.
-
-How many requests may hold memory and compute at once: each kind of work has a room, so none holds up another.
-"""
+"""Bodies of two parts, ``multipart/form-data``, and how many requests may hold memory and compute at once."""
 
 from __future__ import annotations
 
@@ -24,9 +21,9 @@ from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect
 
-from kilter_service.ground.called import ANY, LINE, LINES
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.limits import MAX_DOCUMENT_DEPTH, MAX_DOCUMENT_KEYS, MAX_DOCUMENT_PARTS, MAX_NUMBER
+from kilter_service.ground.naming import ANY, LINE, LINES
 from kilter_service.ground.settings import Settings
 from kilter_service.web.auth.policy import Kind, Rule
 

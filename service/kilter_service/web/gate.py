@@ -1,4 +1,4 @@
-"""What a request must be before it is looked at: for a name of this server, from its proxy, and from no page of another site.
+"""What a request must be before it is looked at: its name, its proxy, its size, and how slowly its head may come.
 
 A page in a browser can send requests to any name, also to one that its own DNS points to this machine. It cannot choose the
 Host header, the Origin header or what the browser says of the site it is from.

@@ -13,7 +13,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from kilter_service.contract.health import Check, Health
+from kilter_service.contract.server import Check, Health
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.db.database import is_read_only
 from kilter_service.ground.db.failures import Failing

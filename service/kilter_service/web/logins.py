@@ -1,9 +1,7 @@
-"""Who is logged in at the page.
+"""Who is logged in at the page, and what can be done with tokens.
 
 A browser keeps a secret in a cookie that no script reads and no other site sends; the database keeps its hash, and that of
 the token that was given. The login ends with the token, or after some hours.
-
-What can be done with tokens.
 """
 
 from __future__ import annotations
@@ -13,7 +11,7 @@ import logging
 import secrets
 from datetime import datetime, timedelta
 
-from kilter_service.contract.health import MadeToken, NewToken, Token, TokenList
+from kilter_service.contract.server import MadeToken, NewToken, Token, TokenList
 from kilter_service.ground.caller import ADMIN, ANYBODY
 from kilter_service.ground.db import Database, audited
 from kilter_service.ground.db.row import utc_now

@@ -1,6 +1,4 @@
-"""Log lines, each with the request, job and robot that it is about, as text or as JSON.
-
-Spans of OpenTelemetry, when the environment names where they go and the packages are there.
+"""Log lines, each with its request, job and robot; and spans of OpenTelemetry where the environment names where they go.
 
 ``OTEL_EXPORTER_OTLP_ENDPOINT`` and its siblings are read by OpenTelemetry itself. Without them this costs nothing.
 """

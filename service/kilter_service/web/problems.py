@@ -15,7 +15,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from kilter_core.errors import CoreError
-from kilter_service.contract.health import Problem
+from kilter_service.contract.server import Problem
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import PROBLEMS
 from kilter_service.web import audit

@@ -1,16 +1,11 @@
-"""The audit over HTTP.
-
-Tokens over HTTP, and who one is.
-
-Health over HTTP; open to everybody, for what watches a server has no token.
-"""
+"""The audit, tokens and health over HTTP; health is open to everybody, for what watches a server has no token."""
 
 from __future__ import annotations
 
 from anyio import to_thread
 from fastapi import APIRouter, Request, Response
 
-from kilter_service.contract.health import (
+from kilter_service.contract.server import (
     AuditPage,
     Health,
     Identity,

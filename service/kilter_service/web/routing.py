@@ -1,14 +1,8 @@
-"""Routes that ask for a token, and answers that a client may keep: each has an ETag, and is not sent twice.
-
-`Idempotency-Key`: the same request sent again, also at the same time, does nothing more and has the first answer.
+"""Routes that ask for a token, answers that a client may keep, requests that are carried out once, and what routes share.
 
 The answer is stored in the transaction of what it answers, and transactions that write follow one another: whichever
 repeat comes second finds it. Keys are the person's: those of another token, by a header or by a login, are other keys, and so
 are those for another address.
-
-What the routes share: the application's settings and database.
-
-Dependencies are async: FastAPI gives every other one a thread, and a request would wait for it.
 """
 
 from __future__ import annotations
@@ -27,7 +21,7 @@ from fastapi.params import Query
 from fastapi.routing import APIRoute
 from pydantic import BaseModel, TypeAdapter
 
-from kilter_service.contract.health import REFUSALS
+from kilter_service.contract.server import REFUSALS
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page, decode_cursor

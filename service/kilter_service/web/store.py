@@ -1,15 +1,4 @@
-"""Tokens as they are stored, of the secret only its hash, and their rows.
-
-Rows of the audit.
-
-The first answers of requests, stored with what they did.
-
-Rows of the processes that say they are alive.
-
-What the database can say in numbers.
-
-Rows of logins.
-"""
+"""Rows of tokens, of the secret only its hash; of logins, the audit, first answers, processes that are alive, and numbers."""
 
 from __future__ import annotations
 
@@ -22,8 +11,7 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import and_, delete, func, or_, select
 
-from kilter_service.contract.health import Role, Token
-from kilter_service.ground.called import copy_fields
+from kilter_service.contract.server import Role, Token
 from kilter_service.ground.caller import CALLER
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
@@ -37,6 +25,7 @@ from kilter_service.ground.db.tables import (
     TokenRow,
 )
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.paging import ALL, Page
 from kilter_service.ground.store import NEVER_RAN
 

@@ -1,9 +1,4 @@
-"""Double ball bar logs: angle and radius, or its deviation from a nominal radius; one run or several in one text file.
-
-How the log of an instrument is read.
-
-Inclinometer logs: time and one or two inclinations, as any text table, in degrees and seconds.
-"""
+"""Logs of double ball bars and of inclinometers."""
 
 from __future__ import annotations
 

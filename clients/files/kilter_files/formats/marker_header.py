@@ -1,9 +1,4 @@
-"""Which column of a text recording is which coordinate of which marker or tool, by the names people and devices use.
-
-How a recording is read: frames, gaps and noise of each marker.
-
-What the columns of tracker and CMM exports are called, and the presets of four programs.
-"""
+"""What the columns of recordings, trackers and measuring machines are called."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""Inclinometer logs joined with the joint log: dwells are found and averaged as those of a tracker, and become readings.
-
-Points of a tracker or CMM with the joints of another file, row by row, as rows.
-
-Readings of inclinometers at joints, a row each, as ``kilter measure joint-parameters --propose`` writes them.
-
-A ball bar's log joined with the joint log: the joints at every reading, so that lengths calibrate without the command.
+"""Ball bars, inclinometers and points joined with the joint log.
 
 Both go along the same circle. Each run of the bar belongs to one pass of the log, in order; within it the angle says
 which joints a reading was taken at.

@@ -1,6 +1,4 @@
-"""What an exported table says of itself in its comments: nominal and exported numbers, and zero offsets.
-
-The text of a robot file.
+"""Text, names and comments of robot files.
 
 Names of robots: they stand in addresses and topics, so they are plain letters, digits and ``_ . -``.
 """

@@ -1,8 +1,4 @@
-"""The shapes that a robot's URDF names, as one STL file (mm) for each link of the arm.
-
-A joint of a URDF that its controller reads against the horizontal: an axis that mimics the joint before rotates it back.
-
-Poses as USD has them: Pixar's package, frames at zero joints, and local poses of joints that rounding does not move.
+"""Shapes, coupled joints and poses from URDF and USD.
 
 UsdPhysics keeps the local poses of a joint in single precision, which is 0.03 um at 0.5 m. Of the two poses of each body,
 where its own joint and where the next one is, only the difference counts: one takes what rounding leaves of the other.

@@ -1,11 +1,4 @@
-"""Robots, campaigns and versions of a server, as the documents it sends.
-
-Jobs: submit one, follow it, read its result.
-
-What stands for an id: the beginning of it, a name, or ``latest``; and what people call, note, retire and purge.
-
-Whether a campaign at the server is the one that a file wants to be.
-"""
+"""Robots, campaigns, versions and jobs of a server, as the documents it sends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drift that all visits share: a base or an instrument that moves while time passes or the temperature changes.
+"""Drift: what all visits share while time passes or the temperature changes, and what only grows from visit to visit.
 
 It moves every repeat by the same amount, so it can be taken out of repeats even where all of them are far apart in time.
 What is left between them is noise.
@@ -6,8 +6,6 @@ What is left between them is noise.
 Steady courses and waves that pass a test leave the finer half of a random walk, and it was called noise: 20 to 28 µm where
 17 was right. Once a drift is certain, what is left of it is smoothed by as much as the repeats themselves ask for
 (restricted maximum likelihood).
-
-What repeats say of drift: parts that all visits share, and those that only grow from visit to visit.
 
 A base or an instrument that moves steadily moves every repeat by the same amount, so its motion can be taken out of the
 repeats even where they are all far apart in time. What grows without such a pattern is distinguished from noise by a variogram.

@@ -14,7 +14,7 @@ from kilter_service.contract.fits import NullDirection
 from kilter_service.contract.gap_details import Detectable, Untestable
 from kilter_service.contract.units import Id, Mm, Seconds, Stored, Strict
 from kilter_service.contract.versions import CorrectionLimits, Objection
-from kilter_service.contract.words import Remark
+from kilter_service.contract.wording import Remark
 
 KIND = "Kind of the job."
 

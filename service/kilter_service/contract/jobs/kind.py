@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field, create_model, model_validator
 
 from kilter_service.contract.jobs.check import JobCheck
 from kilter_service.contract.units import Asked, Fraction, Id, Ids, Listed, Strict
-from kilter_service.contract.words import Title
+from kilter_service.contract.wording import Title
 
 OptionsT = TypeVar("OptionsT", bound=Asked)
 ResultT = TypeVar("ResultT", bound=BaseModel)

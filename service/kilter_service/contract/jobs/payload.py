@@ -9,7 +9,7 @@ from pydantic import Field
 from kilter_service.contract.headlines import HEADLINE, number
 from kilter_service.contract.jobs.kind import JobContract
 from kilter_service.contract.units import Asked, Kg, PointMm, Stored
-from kilter_service.contract.words import Remark
+from kilter_service.contract.wording import Remark
 
 CampaignName = Annotated[str, Field(min_length=1, max_length=128)]
 

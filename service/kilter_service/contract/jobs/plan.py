@@ -11,7 +11,7 @@ from kilter_service.contract.jobs.check import PRIOR, Effects, NoiseMm, PriorNam
 from kilter_service.contract.jobs.drift import SmallestChange
 from kilter_service.contract.jobs.kind import JobContract, JobOf
 from kilter_service.contract.units import MAX_JOINTS, Asked, JointNumber, Kg, Mm, PointMm, Stored
-from kilter_service.contract.words import Remark
+from kilter_service.contract.wording import Remark
 
 MAX_POSES = 2000
 HEAVIEST_KG = 1000.0

@@ -25,7 +25,7 @@ from kilter_service.contract.jobs.fleet import (
 from kilter_service.contract.jobs.identify import IDENTIFY, IdentifyOptions
 from kilter_service.contract.jobs.kind import FINAL, JobError, NewJobOf, Progress, State
 from kilter_service.contract.versions import Comparison, Objection
-from kilter_service.contract.words import Remark, as_written
+from kilter_service.contract.wording import Remark, as_written
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import ALL, Page, in_time

@@ -18,8 +18,8 @@ from kilter_service.contract.gap_details import Detectable, Untestable
 from kilter_service.contract.jobs.check import Testability
 from kilter_service.contract.jobs.gap import GAP, GapOptions
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.called import copy_fields
 from kilter_service.ground.core import core_gap, core_motion, core_observations
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.wire import to_metres
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Lack, Progress, VersionContent
 from kilter_service.jobs.plotly_figures.gap import gap_figures

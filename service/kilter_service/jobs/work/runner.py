@@ -16,7 +16,7 @@ from kilter_core.errors import CancelledError, CoreError
 from kilter_core.observations import evenly
 from kilter_service.contract.jobs.drift import DriftResult
 from kilter_service.contract.today import ControlChart, DriftHistory
-from kilter_service.contract.words import as_written
+from kilter_service.contract.wording import as_written
 from kilter_service.ground.caller import on_behalf
 from kilter_service.ground.core import core_effects, core_identify, core_model
 from kilter_service.ground.db import Database, DatabaseAwayError, Session

@@ -18,9 +18,9 @@ from kilter_service.contract.gap_details import AtJoints, Detectable, GapSize, N
 from kilter_service.contract.jobs.gap import GAP, GapJob, GapOptions, GapResult
 from kilter_service.contract.jobs.plan import PLAN, PlanOptions
 from kilter_service.contract.jobs.registry import Job
-from kilter_service.ground.called import plural
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import plural
 from kilter_service.ground.paging import Page
 from kilter_service.jobs import service as jobs
 from kilter_service.page.answers import redirect, router

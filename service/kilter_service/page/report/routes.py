@@ -25,10 +25,10 @@ from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.units import MAX_NAMED
 from kilter_service.contract.versions import Version
 from kilter_service.ground import child_process
-from kilter_service.ground.called import display_name
 from kilter_service.ground.child_process import Limits
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import display_name
 from kilter_service.ground.paging import Page
 from kilter_service.jobs import service as jobs
 from kilter_service.page import words

@@ -10,7 +10,7 @@ from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.jobs.gap import GAP, GapJob
 from kilter_service.contract.jobs.plan import PLAN
 from kilter_service.contract.jobs.registry import Job, NewJob
-from kilter_service.contract.words import RobotChange
+from kilter_service.contract.wording import RobotChange
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs import checking

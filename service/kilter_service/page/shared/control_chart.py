@@ -9,7 +9,7 @@ from datetime import datetime
 from itertools import pairwise
 
 from kilter_service.contract.today import CheckOfRobot, ControlChart, DriftHistory, DriftMark, DriftSummary, Today
-from kilter_service.ground.called import plural
+from kilter_service.ground.naming import plural
 from kilter_service.page.figures.plot import GREY, Axis, Days, Plot, days_around, lengths
 from kilter_service.page.words import bare, format_in_largest_unit, moment, number, unit
 from kilter_service.versions.drift.wire import chance_words, height, last_value

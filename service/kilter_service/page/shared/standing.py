@@ -16,7 +16,7 @@ from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.streams import Bridge
 from kilter_service.contract.today import UNUSED, Standing, Today
 from kilter_service.contract.versions import Version
-from kilter_service.contract.words import interval, widest
+from kilter_service.contract.wording import interval, widest
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
 from kilter_service.page.figures.plot import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY

@@ -12,9 +12,9 @@ import numpy as np
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.versions import Version, VersionPreview
-from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import display_name
 from kilter_service.ground.paging import Page
 from kilter_service.ground.wire import to_mm
 from kilter_service.page.figures.plot import BLUE, SKY, Group, Plot, around, lengths, places_from_two_sides

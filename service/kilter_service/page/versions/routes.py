@@ -12,10 +12,10 @@ from fastapi.responses import HTMLResponse
 
 from kilter_service.campaigns import suspicious
 from kilter_service.contract.versions import ActivationWish, VersionSummary
-from kilter_service.ground.called import display_name
 from kilter_service.ground.correction_outcome import REACHED_M
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import display_name
 from kilter_service.ground.paging import Page
 from kilter_service.ground.wire import joint_scale, to_mm
 from kilter_service.page.answers import redirect, render, router

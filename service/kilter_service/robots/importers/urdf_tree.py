@@ -17,7 +17,6 @@ from defusedxml.ElementTree import DefusedXMLParser, ParseError
 from kilter_core.errors import RobotError
 from kilter_core.types import Floats
 from kilter_files.ground.later import transform
-from kilter_service.ground.called import LINE
 from kilter_service.ground.core import transforms
 from kilter_service.ground.limits import (
     MAX_LINK_NAME,
@@ -28,6 +27,7 @@ from kilter_service.ground.limits import (
     MAX_XML_TAGS,
     MAX_XML_VALUE,
 )
+from kilter_service.ground.naming import LINE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

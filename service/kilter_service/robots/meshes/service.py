@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from kilter_service.contract.robots import Mesh, MeshList, MeshUnit, UrdfShape, UrdfShapes
-from kilter_service.ground.called import copy_fields
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.limits import MAX_TRIANGLES
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.wire import to_mm
 from kilter_service.robots import store as robots
 from kilter_service.robots.importers.urdf import link_shapes

@@ -12,7 +12,6 @@ from typing import Any
 from sqlalchemy import Connection, Select, Table, delete, func, insert, literal, select, text
 from sqlalchemy.exc import DBAPIError
 
-from kilter_service.ground.called import plural
 from kilter_service.ground.caller import on_behalf
 from kilter_service.ground.db import Database, Session, initial_seals
 from kilter_service.ground.db.audited import MOST_CHANGES, audit_differences, note
@@ -24,6 +23,7 @@ from kilter_service.ground.db.sealed import in_parts
 from kilter_service.ground.db.seals import DatabaseSealRow, Sealer, SealRow
 from kilter_service.ground.db.tables import CampaignRow, ChunkRow, MeshRow, RobotRow, UploadRow, VersionRow
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import plural
 from kilter_service.robots.documents import hash_canonical_json, source_sha256
 from kilter_service.web.audit import verify_entries
 from kilter_service.web.store import everything

@@ -11,7 +11,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 from kilter_service.contract.streams import MAX_AGE_NS, NewStreamSession, StreamSession
-from kilter_service.contract.words import Remark
+from kilter_service.contract.wording import Remark
 from kilter_service.ground.caller import CALLER
 from kilter_service.ground.db import Database, audited
 from kilter_service.ground.db import Session as Opened

@@ -20,9 +20,9 @@ from kilter_service.contract.today import (
     Repair,
     State,
 )
-from kilter_service.ground.called import copy_fields
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
+from kilter_service.ground.naming import copy_fields
 from kilter_service.robots import store as robots
 from kilter_service.versions.drift import store
 from kilter_service.versions.drift.wire import FALSE_ALARM, RUN_LENGTH, Activated, KeptCharts, StoredCheck, height

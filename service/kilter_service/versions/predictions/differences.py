@@ -20,11 +20,11 @@ from kilter_service.campaigns import looking
 from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.fits import Metrics
 from kilter_service.contract.versions import PairedErrors, ParameterChange, VersionDiff
-from kilter_service.contract.words import said_of_chance, said_of_lengths
-from kilter_service.ground.called import display_name
+from kilter_service.contract.wording import said_of_chance, said_of_lengths
 from kilter_service.ground.core import transforms
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import display_name
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.versions import store
 from kilter_service.versions.predictions import unfitted_rows as left

@@ -19,10 +19,10 @@ from kilter_service.contract.today import (
     Today,
 )
 from kilter_service.contract.units import ControllerCompensation
-from kilter_service.contract.words import as_written, interval
-from kilter_service.ground.called import copy_fields
+from kilter_service.contract.wording import as_written, interval
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
+from kilter_service.ground.naming import copy_fields
 from kilter_service.robots import store as arms
 from kilter_service.robots.compensation import parse_compensation, sentence
 from kilter_service.versions.drift import service as drift

@@ -23,9 +23,9 @@ from kilter_service.contract.today import (
     StepKind,
     Today,
 )
-from kilter_service.contract.words import interval, said_of_error, widest
-from kilter_service.ground.called import plural
+from kilter_service.contract.wording import interval, said_of_error, widest
 from kilter_service.ground.db.row import days_since
+from kilter_service.ground.naming import plural
 
 WORDS: dict[FirstStage, str] = {
     "describe": "Describe",

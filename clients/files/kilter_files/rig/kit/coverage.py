@@ -1,7 +1,4 @@
-"""Whether views are enough to tell what a low-cost arm has: both sides, two payloads, joints moved and pulled both ways.
-
-What an identification says of a low-cost arm, in plain words: backlash, sag, zeros in ticks, and what is left.
-"""
+"""Whether views are enough to tell what a low-cost arm has, and what an identification says of it, in plain words."""
 
 from __future__ import annotations
 

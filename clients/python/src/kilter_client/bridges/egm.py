@@ -1,6 +1,6 @@
-"""ABB Externally Guided Motion: protobuf over UDP. The controller asks; the answer echoes its number and has whole joints, deg.
+"""Protocols of controllers over UDP: ABB Externally Guided Motion, and KUKA RobotSensorInterface.
 
-Joint guidance (``EGMRunJoint``): the controller has no plan of its own and goes where it is told.
+ABB Externally Guided Motion: protobuf over UDP. The controller asks; the answer echoes its number and has whole joints, deg.
 
 KUKA RobotSensorInterface: XML over UDP. The controller asks every cycle; the answer has its IPOC and the offsets AK, deg.
 """

@@ -1,9 +1,4 @@
-"""A corrected trajectory.
-
-What an upload would store, and what would be refused of it.
-
-A robot program with its targets corrected.
-"""
+"""Corrected trajectories and programs, and what an upload would store."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""How the results of jobs, versions and campaigns look.
-
-How results look as text and in a notebook; values have their unit beside them, whatever people named is escaped.
-"""
+"""How results look as text and in a notebook, with the unit beside each value."""
 
 from __future__ import annotations
 

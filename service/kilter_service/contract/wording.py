@@ -1,11 +1,4 @@
-"""Words of comparisons, of errors, and of what a JSON schema allows, which a sentence or a table can hold.
-
-Warnings beside a result.
-
-Reading what was written long ago: a part that no longer has the form of today is left out, nothing is refused.
-
-References to things by id or name, the names and notes that people give them, and what remains of purged things.
-"""
+"""References and names, warnings, words of comparisons and errors, and documents that were written long ago."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Instruments: what they are, how wrong they may be, and the certificate that says so.
-
-Cameras and boards as a fit found them, and what their pixels say.
-"""
+"""Instruments with their certificates, and cameras and boards as a fit found them."""
 
 from __future__ import annotations
 

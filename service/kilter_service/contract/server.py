@@ -1,9 +1,4 @@
-"""The state of the server.
-
-What every error looks like.
-
-Tokens: who may do what; and the audit of who did what.
-"""
+"""The state of the server, what every error looks like, tokens, and the audit of who did what."""
 
 from __future__ import annotations
 

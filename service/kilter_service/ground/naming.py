@@ -1,9 +1,4 @@
-"""What people call a version, a job or a campaign: its name or number, else what it is and when it was made.
-
-What is stored, answered and computed under the same names: copied by them, so that a field is not listed again.
-
-Texts: a count with its thing, characters that nobody sees, what spreadsheets take for formulas.
-"""
+"""What people call a version, a job or a campaign; what is copied by its name; and texts: counts, unseen characters."""
 
 from __future__ import annotations
 
