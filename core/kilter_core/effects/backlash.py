@@ -1,4 +1,4 @@
-"""Play, clearance, friction and tooth errors of a joint and its gear."""
+"""Backlash, clearance, friction and tooth errors of a joint and its gear."""
 
 from __future__ import annotations
 

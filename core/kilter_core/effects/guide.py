@@ -1,4 +1,4 @@
-"""Guides of prismatic joints: how the carriage leaves its line and turns along its travel."""
+"""Guides of prismatic joints: how the carriage leaves its line and rotates along its travel."""
 
 from __future__ import annotations
 
