@@ -134,7 +134,7 @@ def test_systemd_knows_every_line_of_a_unit(name: str, tmp_path: Path) -> None:
 
 def test_what_reads_files_of_strangers_ends_first_where_memory_is_used_up() -> None:
     program = (
-        "from kilter_service.ground.memory import end_before_others; end_before_others({}); "
+        "from kilter_service.ground.memory import set_out_of_memory_score; set_out_of_memory_score({}); "
         "print(open('/proc/self/oom_score_adj').read())"
     )
     scores = [

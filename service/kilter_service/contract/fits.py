@@ -170,7 +170,7 @@ class StageErrors(Stored):
         return self.geometry_fitted or self.geometry_only
 
     @property
-    def without(self) -> Errors | None:
+    def without_version(self) -> Errors | None:
         """The arm without the version: nominal, with base and tool anew where most of its error is where these are."""
         return self.uncorrected or (self.nominal if self.place_mm is None else self.registration_only)
 

@@ -337,7 +337,7 @@ def _version(
     row = versions.get(session, version)
     if row.robot_id != stored.id:
         raise ServiceError(f"Version {version} is not of robot {robot!r}.", code="option_invalid", version=version)
-    limits, rules = CorrectionLimits(**row.limits), versions.rules_of(session, version)
+    limits, rules = CorrectionLimits(**row.limits), versions.activation_rules(session, version)
     return row, correction_options(limits, temperature_c, wanted.task, wanted.at_limit, wanted.hold, rules)
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import IO
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.memory import end_before_others
+from kilter_service.ground.memory import set_out_of_memory_score
 
 log = logging.getLogger("kilter.processes")
 
@@ -299,5 +299,5 @@ def confine() -> Limits:
     ):
         resource.setrlimit(what, (most, most))
     os.nice(5)
-    end_before_others(STRANGERS)
+    set_out_of_memory_score(STRANGERS)
     return limits

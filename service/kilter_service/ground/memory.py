@@ -87,7 +87,7 @@ def return_pages_of_libraries() -> None:
     library.dl_iterate_phdr(visitor(return_segments), None)
 
 
-def end_before_others(score: int) -> None:
+def set_out_of_memory_score(score: int) -> None:
     """Have the kernel end this process before those with a lower score (0 to 1000) where memory is used up."""
     with suppress(OSError):  # another system than Linux
         Path("/proc/self/oom_score_adj").write_text(str(score), encoding="ascii")

@@ -30,7 +30,7 @@ from kilter_service.ground.settings import code_version
 from kilter_service.page import words
 from kilter_service.page.figures import plot as room
 from kilter_service.web import audit, logins
-from kilter_service.web.problems import headers_of
+from kilter_service.web.problems import refusal_headers
 from kilter_service.web.routing import FOR_GOOD, GuardedRoute
 
 assets = APIRouter(include_in_schema=False, route_class=GuardedRoute)
@@ -274,7 +274,7 @@ def render_refusal(request: Request, error: CoreError | RequestValidationError) 
     status, title = PROBLEMS.get(code, UNKNOWN)
     template = "refusal_part.html" if is_part(request) else "refusal.html"
     response = render(request, template, status=status, title=title, message=message, code=code)
-    response.headers.update(headers_of(code, status, context) or {})
+    response.headers.update(refusal_headers(code, status, context) or {})
     return response
 
 

@@ -47,7 +47,7 @@ from kilter_service.versions.routes import today_router as today
 from kilter_service.web import problems
 from kilter_service.web.audit import Refusals
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.bodies import rooms_with
+from kilter_service.web.bodies import rooms_by_kind
 from kilter_service.web.docs_page import openapi_with_security, serve_openapi
 from kilter_service.web.docs_page import router as docs_page
 from kilter_service.web.gate import Gate, Rates, Unhurried
@@ -95,7 +95,7 @@ def create_app(settings: Settings) -> FastAPI:
         docs_url=None,
         redoc_url=None,
     )
-    app.state.rooms = rooms_with(settings)
+    app.state.rooms = rooms_by_kind(settings)
     app.state.rates = Rates(settings.rate)
     app.state.look_up = look_up
     app.state.end_sessions = end_sessions

@@ -150,7 +150,7 @@ def _write_activation(
         last = store.active_entry(session, robot_id)
         active = None if last is None else last.version_id
         # The active version keeps its rules until somebody activates it anew.
-        if active != version_id or store.rules_of(session, version_id) not in (None, replay.rules):
+        if active != version_id or store.activation_rules(session, version_id) not in (None, replay.rules):
             if active != verdict.active:
                 return None
             entry = store.activate(

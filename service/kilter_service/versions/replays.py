@@ -77,7 +77,9 @@ def keep_answers(database: Database, *, before_rules: bool = False) -> None:
     """
     with database.reading() as session:
         missing = [
-            entry for entry in store.active_entries(session) if store.rules_of(session, entry.version_id) is None
+            entry
+            for entry in store.active_entries(session)
+            if store.activation_rules(session, entry.version_id) is None
         ]
     for entry in missing:
         try:

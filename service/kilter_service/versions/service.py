@@ -71,7 +71,7 @@ def exported_notes(database: Database, version_id: str, format_name: str) -> tup
 def _exportable(database: Database, version_id: str, format_name: str) -> tuple[Exportable, tuple[str, ...]]:
     with database.reading() as session:
         record = store.get(session, version_id)
-        robot, rules = robots.get(session, record.robot), store.rules_of(session, version_id)
+        robot, rules = robots.get(session, record.robot), store.activation_rules(session, version_id)
     return Exportable(robot, wire.version(record), record.calibration, rules), said_of_controller(format_name, robot)
 
 

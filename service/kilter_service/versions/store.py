@@ -265,11 +265,11 @@ def active_version(session: Session, robot: str) -> ActiveVersion | None:
     row = _row(session, last.version_id)
     limits = CorrectionLimits(**row.limits)
     known = calibration(session, row.id)
-    workspace, rules = row.report.get("workspace"), rules_of(session, row.id)
+    workspace, rules = row.report.get("workspace"), activation_rules(session, row.id)
     return ActiveVersion(robot, row.id, row.sha256, last.id, known, limits, workspace, rules)
 
 
-def rules_of(session: Session, version_id: str) -> dict[str, Any] | None:
+def activation_rules(session: Session, version_id: str) -> dict[str, Any] | None:
     """Return the task and rules that a version was activated under the last time; None where that is not known."""
     found: dict[str, Any] | None = fetch_last_kept(session, ReplayRow.rules, version_id)
     return found

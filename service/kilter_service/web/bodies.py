@@ -374,7 +374,7 @@ class Room:
             self._freed.notify_all()
 
 
-def rooms_with(settings: Settings) -> Mapping[Kind, Room]:
+def rooms_by_kind(settings: Settings) -> Mapping[Kind, Room]:
     """Return the room of each kind of work."""
     slots, places = settings.max_computing, settings.max_requests
     shared = max(1, slots // 2), max(1, places // 2)  # half of it stays free for the others' arms

@@ -62,9 +62,9 @@ def problem(
     REFUSALS.labels(code).inc()
     audit.note(request, code)
     if request.headers.get("hx-request") == "true":
-        return _render_problem_part(code, title, detail, status, headers_of(code, status, context))
+        return _render_problem_part(code, title, detail, status, refusal_headers(code, status, context))
     if _reads(request):
-        return _page(request, code, title, detail, status, headers_of(code, status, context))
+        return _page(request, code, title, detail, status, refusal_headers(code, status, context))
     document = {
         "type": f"urn:kilter:problem:{code}",
         "title": title,
@@ -74,7 +74,9 @@ def problem(
         "context": _drop_long_values(context),
         "request_id": getattr(request.state, "request_id", new_request_id()),
     }
-    return Response(json.dumps(document, default=json_default), status, headers_of(code, status, context), MEDIA_TYPE)
+    return Response(
+        json.dumps(document, default=json_default), status, refusal_headers(code, status, context), MEDIA_TYPE
+    )
 
 
 def _render_problem_part(code: str, title: str, detail: str, status: int, headers: dict[str, str] | None) -> Response:
@@ -112,7 +114,7 @@ def _drop_long_values(context: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def headers_of(code: str, status: int, context: Mapping[str, Any]) -> dict[str, str] | None:
+def refusal_headers(code: str, status: int, context: Mapping[str, Any]) -> dict[str, str] | None:
     """Return the headers that a refusal has: how to log in, or when to come again."""
     if status == 401:
         return {"WWW-Authenticate": "Bearer"}

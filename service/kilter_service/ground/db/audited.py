@@ -211,10 +211,10 @@ class AuditedTokens:
         table = Row.metadata.tables[TokenRow.__tablename__]
         row = session.execute(select(table).where(table.c.id == token_id)).mappings().one()
         with self._reading:
-            self._read_on(session)
+            self._read_new_entries(session)
             return _describe_difference(table, dict(row), self._rows.get(f"{table.name}/{token_id}"))
 
-    def _read_on(self, session: Session) -> None:
+    def _read_new_entries(self, session: Session) -> None:
         """Read the entries that are new; all, where the last one is not there any more: another database is in place."""
         end = audit_end(session.connection())
         if end == self._end:

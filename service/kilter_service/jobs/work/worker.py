@@ -28,7 +28,7 @@ from kilter_service.ground.db.database import Lookout
 from kilter_service.ground.db.failures import in_words, log_failure
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.memory import end_before_others
+from kilter_service.ground.memory import set_out_of_memory_score
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.webhook import Webhook
 from kilter_service.jobs.fan_out import fan_out
@@ -179,7 +179,7 @@ def run(settings: Settings) -> None:
         ServiceError: another process runs the jobs of this SQLite database, or the database is of another revision.
 
     """
-    end_before_others(ENDS_BEFORE)
+    set_out_of_memory_score(ENDS_BEFORE)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())

@@ -74,7 +74,7 @@ def at_pose(
     """
     with database.reading() as session:
         limits = CorrectionLimits(**store.get(session, version).limits)
-        options = correction_options(limits, temperature_c, rules=store.rules_of(session, version))
+        options = correction_options(limits, temperature_c, rules=store.activation_rules(session, version))
         calibration, known = store.calibration(session, version), store.load_predictive(session, version)
         rows = _rows(session, calibration, q, campaign, row)
     return _predict_at_pose(calibration, known, rows, options)

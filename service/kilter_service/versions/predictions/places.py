@@ -219,7 +219,7 @@ def spread(at: Floats, size: Floats, most: int = MOST_ROWS) -> Ints:
 def reach(database: Database, version: str) -> Reach:
     """Return how far a version corrects the tool, and how well it knows it, wherever it corrects within the joint limits."""
     with database.reading() as session:
-        limits, rules = CorrectionLimits(**store.get(session, version).limits), store.rules_of(session, version)
+        limits, rules = CorrectionLimits(**store.get(session, version).limits), store.activation_rules(session, version)
         calibration, known = store.calibration(session, version), store.load_predictive(session, version)
     rows = Observations(q=drawn(calibration.robot, DRAWN))
     done = core_correct.correct_trajectory(calibration, rows, correction_options(limits, None, rules=rules))

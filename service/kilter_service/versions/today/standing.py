@@ -210,7 +210,7 @@ def _mean(today: Today) -> float | None:
 
 
 def _without(today: Today) -> float | None:
-    without = None if today.newest is None else today.newest.errors.without
+    without = None if today.newest is None else today.newest.errors.without_version
     return None if without is None else without.mean_mm
 
 

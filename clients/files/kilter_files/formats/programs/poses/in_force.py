@@ -139,7 +139,7 @@ class Variable(Generic[T]):
         """
         return self.values[bisect_left(self._places, place) - 1]
 
-    def last_before(self, place: int) -> T:
+    def setting_in_force(self, place: int) -> T:
         """Return the value of ``setting_before``."""
         return self.setting_before(place)[1]
 

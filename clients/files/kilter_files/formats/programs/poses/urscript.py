@@ -124,7 +124,7 @@ class Poses:
     def is_sure(self, name: str, at: int) -> bool:
         """Say whether a variable surely has the last of its values before a place there."""
         known = self._variable(name)
-        return name not in self._changed and known.chosen(at) == known.last_before(at)
+        return name not in self._changed and known.chosen(at) == known.setting_in_force(at)
 
     def assignment_before(self, name: str, at: int) -> tuple[int, str]:
         """Return the last assignment to a variable before a place, and what it says; the last of all where none is before."""
