@@ -40,7 +40,7 @@ from kilter_core.gap.search.prepare import Prepared
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.identify.fit.robust import points_mm, whitened_row_sizes
-from kilter_core.identify.measurement_noise import pooled_columns
+from kilter_core.identify.measured_rows import pooled_columns
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts
 from kilter_core.model import Calibration

@@ -19,8 +19,7 @@ from kilter_core.identify.fit.least_squares import Fit, Problem, Weights, build_
 from kilter_core.identify.fleet_prior import FleetVersion, of_its_type
 from kilter_core.identify.holdout import select_learned_effects
 from kilter_core.identify.identifiability import NullDirection, identifiable, null_directions
-from kilter_core.identify.measured_rows import measurement_for
-from kilter_core.identify.measurement_noise import Repeats
+from kilter_core.identify.measured_rows import Repeats, measurement_for
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.report import known_of_fit, null_rows, still_joints, within_a_turn
 from kilter_core.identify.setup_frames import Frames, marginal, of_the_arm

@@ -19,7 +19,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet_report import resting
 from kilter_core.identify.identifiability import NullDirection, identifiable, own_members
-from kilter_core.identify.measurement_noise import Repeats
+from kilter_core.identify.measured_rows import Repeats
 from kilter_core.identify.uncertainty.stated_noise import Intervals
 from kilter_core.measurement.markers import bending
 from kilter_core.model import Calibration, RobotModel

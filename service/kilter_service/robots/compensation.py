@@ -5,15 +5,11 @@ What to say of a robot's controller when it is given a calibration that Kilter e
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.contract.versions import Objection
 from kilter_service.ground.errors import ServiceError
-
-if TYPE_CHECKING:
-    from kilter_service.robots.store import StoredRobot
-
 
 TWICE, UNKNOWN = "corrected_twice", "compensation_unknown"
 VALUES: tuple[ControllerCompensation, ...] = get_args(ControllerCompensation)
@@ -106,16 +102,16 @@ INTO_CONTROLLERS = {
 }
 
 
-def said_of_controller(form: str, robot: StoredRobot) -> tuple[str, ...]:
+def said_of_controller(form: str, robot: str, compensation: str) -> tuple[str, ...]:
     """Return what must be said of the controller once it has a file, or that it corrects by itself already."""
     if form not in INTO_CONTROLLERS:
         return ()
-    if robot.controller_compensation == "kilter":
+    if compensation == "kilter":
         return ()
-    found = objection(robot.name, robot.controller_compensation)
+    found = objection(robot, compensation)
     if found is not None:
         return (found.message,)
     return (
         f"A controller that {INTO_CONTROLLERS[form]} corrects by itself: say so then with `kilter robot compensation "
-        f"{robot.name} kilter`, so that nothing corrects the arm twice.",
+        f"{robot} kilter`, so that nothing corrects the arm twice.",
     )

@@ -17,7 +17,6 @@ from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
 from kilter_service.robots import store, wire
-from kilter_service.robots import store as robots
 from kilter_service.robots.documents import resolve, without_settings
 
 if TYPE_CHECKING:
@@ -148,24 +147,24 @@ def add_repair(database: Database, robot: str, new: NewRepair, actor: str) -> Re
             at=at.isoformat(),
         )
     with database.transaction() as session:
-        key = robots.usable(session, robot).id
-        if new.campaign_id is not None and not robots.is_campaign_of(session, key, new.campaign_id):
+        key = store.usable(session, robot).id
+        if new.campaign_id is not None and not store.is_campaign_of(session, key, new.campaign_id):
             raise ServiceError(
                 f"{robot} has no campaign {new.campaign_id}: name one of its own.",
                 code="option_invalid",
                 field="campaign_id",
             )
-        for known in robots.of_robots(session, [key], new.kind).get(key, []):
+        for known in store.of_robots(session, [key], new.kind).get(key, []):
             if (known.at, known.what, known.campaign_id, known.rows) == (at, new.what, new.campaign_id, new.rows):
                 return known
-        return robots.add_repair(session, key, f"rep_{secrets.token_hex(8)}", at, new, actor)
+        return store.add_repair(session, key, f"rep_{secrets.token_hex(8)}", at, new, actor)
 
 
 def list_notes(database: Database, robot: str, campaign_id: str) -> list[Repair]:
     """Return the notes on a campaign of a robot and on its rows, oldest first."""
     with database.reading() as session:
-        key = robots.get(session, robot).id
-        return [one for one in robots.of_robots(session, [key], "note").get(key, []) if one.campaign_id == campaign_id]
+        key = store.get(session, robot).id
+        return [one for one in store.of_robots(session, [key], "note").get(key, []) if one.campaign_id == campaign_id]
 
 
 def remove_repair(database: Database, robot: str, repair: str) -> None:
@@ -176,4 +175,4 @@ def remove_repair(database: Database, robot: str, repair: str) -> None:
 
     """
     with database.transaction() as session:
-        robots.remove_repair(session, robots.get(session, robot).id, repair)
+        store.remove_repair(session, store.get(session, robot).id, repair)

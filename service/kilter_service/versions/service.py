@@ -72,7 +72,8 @@ def _exportable(database: Database, version_id: str, format_name: str) -> tuple[
     with database.reading() as session:
         record = store.get(session, version_id)
         robot, rules = robots.get(session, record.robot), store.activation_rules(session, version_id)
-    return Exportable(robot, wire.version(record), record.calibration, rules), said_of_controller(format_name, robot)
+    said = said_of_controller(format_name, robot.name, robot.controller_compensation)
+    return Exportable(robot, wire.version(record), record.calibration, rules), said
 
 
 def change(database: Database, version_id: str, wanted: Change) -> Version:

@@ -24,14 +24,14 @@ from .programs.found import written as written
 from .programs.marks import add_correction_mark as add_correction_mark
 from .programs.marks import is_correction_mark as is_correction_mark
 from .programs.marks import refuse_corrected as refuse_corrected
+from .programs.notations import Rigid as Rigid
+from .programs.notations import of_document as of_document
+from .programs.notations import to_document as to_document
 from .programs.one_target import Branch as Branch
 from .programs.one_target import JointTarget as JointTarget
 from .programs.one_target import PoseTarget as PoseTarget
 from .programs.one_target import Span as Span
 from .programs.one_target import Use as Use
-from .programs.poses.in_force import Rigid as Rigid
-from .programs.poses.in_force import of_document as of_document
-from .programs.poses.in_force import to_document as to_document
 from .programs.poses.postures import DIFFERENT as DIFFERENT
 from .programs.poses.postures import NO_SUCH as NO_SUCH
 from .programs.poses.postures import NOT_CERTAIN as NOT_CERTAIN

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.identify.measurement_noise import with_sides_of_repeats
+from kilter_core.identify.measured_rows import with_sides_of_repeats
 from kilter_core.observations import Observations
 from kilter_core.observations.groups import segments
 from kilter_core.observations.repeats import group_means

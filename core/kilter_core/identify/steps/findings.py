@@ -14,7 +14,7 @@ from kilter_core.identify.carried_masses import beside_drawn_masses, considered_
 from kilter_core.identify.fit.least_squares import Fit
 from kilter_core.identify.fleet_report import prior_warnings
 from kilter_core.identify.identifiability import far_from_stated, identifiable, load_rows
-from kilter_core.identify.measurement_noise import Repeats
+from kilter_core.identify.measured_rows import Repeats
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.believable import another_arm
 from kilter_core.identify.plausibility.belonging import unless_astray

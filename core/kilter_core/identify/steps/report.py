@@ -16,8 +16,7 @@ from kilter_core.identify.fleet_prior import FleetPrior
 from kilter_core.identify.fleet_report import prior_document
 from kilter_core.identify.holdout import Learned
 from kilter_core.identify.identifiability import STRUCTURAL, NullDirection, load_rows, null_directions
-from kilter_core.identify.measured_rows import Shares, parameter_influence, squared_errors_by_kind
-from kilter_core.identify.measurement_noise import Repeats
+from kilter_core.identify.measured_rows import Repeats, Shares, parameter_influence, squared_errors_by_kind
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import frame_sources
 from kilter_core.identify.registry import METHODS

@@ -15,7 +15,7 @@ from scipy.special import fdtri
 
 from kilter_core.arm.chain import increment
 from kilter_core.identify.fit.least_squares import Fit, freedom_by_group
-from kilter_core.identify.measurement_noise import Repeats
+from kilter_core.identify.measured_rows import Repeats
 from kilter_core.identify.options import FRAME_NAMES
 from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.measurement import Measurement

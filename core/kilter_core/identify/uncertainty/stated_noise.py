@@ -21,7 +21,7 @@ from scipy.special import fdtri
 from kilter_core.errors import NotConvergedError
 from kilter_core.identify.carried_masses import of_masses
 from kilter_core.identify.fit.least_squares import Fit, solve
-from kilter_core.identify.measurement_noise import Repeats
+from kilter_core.identify.measured_rows import Repeats
 from kilter_core.identify.uncertainty.predictive import EXACT, residual_sigma
 from kilter_core.parameters import mm
 from kilter_core.types import QUANTILE, Bools, Each, Floats, Ints, Progress, run_sequentially

@@ -10,8 +10,8 @@ from functools import lru_cache
 from kilter_files.formats.programs import found as table
 from kilter_files.formats.programs import krl, rapid, urscript
 from kilter_files.formats.programs.found import DATA, EXTERNAL_AXES, NUMBER, Dialect, Mark, Program, line_number, sign
+from kilter_files.formats.programs.notations import FANUC, Frame
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
-from kilter_files.formats.programs.poses.in_force import FANUC, Frame
 from kilter_files.formats.programs.poses.postures import Config, frame_on_track
 
 LINE = re.compile(r"^[ \t]*+\d{0,9}+[ \t]*+:\s*+(?!!|//|--)([^;\n]*)", re.M)

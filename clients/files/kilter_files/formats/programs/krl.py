@@ -24,8 +24,8 @@ from kilter_files.formats.programs.krl_lines import (
     reassigned_or_passed_variables,
     used_as_data,
 )
+from kilter_files.formats.programs.notations import Variable
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use, Ways, note_use
-from kilter_files.formats.programs.poses.in_force import Variable
 from kilter_files.formats.programs.poses.krl import (
     COMPUTED_INDEX,
     NAME,

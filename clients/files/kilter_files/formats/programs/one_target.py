@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
-from kilter_files.formats.programs.poses.in_force import Frame, Notation
+from kilter_files.formats.programs.notations import Frame, Notation
 
 Span = tuple[int, int]
 UNUSED = "no move of the program goes to it, so its frames are not known"

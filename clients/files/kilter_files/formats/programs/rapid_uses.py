@@ -15,8 +15,8 @@ from functools import lru_cache
 
 from kilter_files.formats.programs.found import NUMBER, Program, Stated, line_number
 from kilter_files.formats.programs.krl_lines import Keyed
+from kilter_files.formats.programs.notations import NOT_UNIT, RAPID, Frame
 from kilter_files.formats.programs.one_target import PoseTarget
-from kilter_files.formats.programs.poses.in_force import NOT_UNIT, RAPID, Frame
 from kilter_files.formats.programs.poses.postures import ConfData, frame_on_track
 
 TYPES = r"(?:robtarget|jointtarget|tooldata|wobjdata)"

@@ -18,8 +18,8 @@ from kilter_files.formats.programs.krl_lines import (
     subprograms,
     variables_passed_to_calls,
 )
+from kilter_files.formats.programs.notations import KRL, Flow, Frame, InForce, calls_of_own, calls_that_set
 from kilter_files.formats.programs.one_target import PoseTarget, Span
-from kilter_files.formats.programs.poses.in_force import KRL, Flow, Frame, InForce, calls_of_own, calls_that_set
 from kilter_files.formats.programs.poses.postures import AT_ZERO, StatusTurn, frame_on_track
 
 INDEX = r"\[\s{0,9}\d{1,4}\s{0,9}(?:,\s{0,9}\d{1,4}\s{0,9}){0,2}\]"  # constants, of an array of up to three dimensions

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from kilter_files.formats.programs.found import NUMBER, Stated, Track
+from kilter_files.formats.programs.notations import Frame, Notation
 from kilter_files.formats.programs.one_target import Branch, Configuration, Span
-from kilter_files.formats.programs.poses.in_force import Frame, Notation
 
 Limits = Sequence[tuple[float, float]]
 Joints = tuple[float, ...]

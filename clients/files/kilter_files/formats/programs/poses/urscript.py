@@ -9,8 +9,7 @@ from functools import lru_cache
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_number
 from kilter_files.formats.programs.krl_lines import Keyed, arguments, nested
-from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
-from kilter_files.formats.programs.poses.in_force import (
+from kilter_files.formats.programs.notations import (
     URSCRIPT,
     Flow,
     Frame,
@@ -19,6 +18,7 @@ from kilter_files.formats.programs.poses.in_force import (
     calls_of_own,
     calls_that_set,
 )
+from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
 
 NULL = Frame(URSCRIPT, (0.0,) * 6)
 SIX = re.compile(r"p\s?\[\s*+" + r"\s*+,\s*+".join([f"({NUMBER})"] * 6) + r"\s*+\]")
