@@ -131,7 +131,7 @@ def test_a_figure_of_another_kind_is_refused() -> None:
 def test_every_figure_that_an_identification_draws_has_its_field() -> None:
     text = "".join(
         (REPOSITORY / f"service/kilter_service/jobs/plotly_figures/{name}.py").read_text(encoding="utf-8")
-        for name in ("identify", "arrows")
+        for name in ("identify", "layout")
     )
     for name in IdentifyFigures.model_fields:
         assert f'"{name}"' in text, name

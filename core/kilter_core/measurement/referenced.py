@@ -1,12 +1,6 @@
-"""Channels that are known up to a constant: encoders on the links, and inclinometers.
+"""Channels that are known up to a constant: encoders and inclinometers, whose zeros are taken out session by session.
 
-A reading is that of the sensor behind the joint minus that of one before it. It separates clearance and tilting from a rotation
-about the axis, which positions of the tool mix up. A sensor on the base reads how that rotates about the axes of the base
-frame, which tells a mount that deflects from the first joints. A sensor mounted again, in another session, has another zero.
-
-They see what happens between motor and link and nothing else: not the lengths of the links, and no tilt of a joint. Beside
-tool data they tell what the tool alone mixes up. An encoder is referenced again in every session, so its zero is taken out
-of each: only differences count.
+A zero is linear, so taking the mean out of residuals and Jacobian is what fitting it beside the parameters would do.
 """
 
 from __future__ import annotations
@@ -19,7 +13,6 @@ import numpy as np
 
 from kilter_core.measurement.kind import Block, Kind, Rows, find_anchor
 from kilter_core.model import Calibration, Prediction
-from kilter_core.model.prediction import ABOUT, JOINT_ROWS, TOOL_ROWS, TURNED
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Ints
 
@@ -137,84 +130,3 @@ def offset_free_blocks(
 def _wide(flags: Floats | Bools, like: Floats) -> Floats:
     """Flags (N, C) with as many axes as the values they are of."""
     return np.asarray(flags.reshape(flags.shape + (1,) * (like.ndim - 2)))
-
-
-@dataclass(frozen=True)
-class Inclination(Referenced):
-    """Rows with readings of inclinometers. ``anchor`` are the rows that say what they read at zero."""
-
-    name = "inclination"
-    summary = "inclinometers on links and base"
-    column = "tilt"
-
-    def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
-        """Measured minus predicted rotation (N, C, 1) rad, the mean of its session taken out: C is 3 n, or 3 n + 3 with
-        the base.
-        """
-        columns = None
-        if J is not None:
-            joints = J[:, TOOL_ROWS:].reshape(len(J), -1, JOINT_ROWS, J.shape[2])
-            columns = joints[:, : self._places, TURNED].reshape(len(J), -1, J.shape[2])
-        return offset_free_blocks(self.name, self._channels, self._raw(prediction), columns)
-
-    @property
-    def _places(self) -> int:
-        """Joints, and the base where it has a column."""
-        assert self.observations.tilt is not None
-        return int(self.observations.tilt.shape[1])
-
-    @property
-    def _channels(self) -> Channels:
-        assert self.observations.tilt is not None
-        flat = self.observations.tilt.reshape(len(self.observations), -1)
-        return Channels.from_sessions(~np.isnan(flat), self.observations.session)
-
-    def _raw(self, prediction: Prediction) -> Floats:
-        tilt = self.observations.tilt
-        assert tilt is not None
-        turned = prediction.joints[:, : self._places, TURNED]
-        return np.asarray((tilt - turned).reshape(len(tilt), -1))
-
-
-STILL = 1e-6  # rad or m: a channel whose readings stay within this is dead
-
-
-@dataclass(frozen=True)
-class LinkEncoders(Referenced):
-    """Rows with link-side angles beside the motors'. ``anchor`` are the rows that say what the encoders read at zero."""
-
-    name = "link_encoders"
-    summary = "encoders on the links, behind gear and backlash"
-    column = "link_q"
-
-    @property
-    def live(self) -> Bools:
-        """Joints (n,) whose encoder moves; a constant one is a dead channel."""
-        link = self.observations.link_q
-        assert link is not None
-        high, low = np.nan_to_num(link, nan=-np.inf).max(axis=0), np.nan_to_num(link, nan=np.inf).min(axis=0)
-        return np.asarray(high - low > STILL)
-
-    def blocks(self, prediction: Prediction, J: Floats | None = None) -> tuple[Block, ...]:
-        """Measured minus predicted angle (N, n, 1) rad of each joint, the mean of its session taken out; of prismatic
-        joints apart, m.
-        """
-        return offset_free_blocks(self.name, self._channels, self._raw(prediction), _columns(J), prediction.slides)
-
-    @property
-    def _channels(self) -> Channels:
-        link, session = self.observations.link_q, self.observations.session
-        assert link is not None
-        return Channels.from_sessions(~np.isnan(link) & self.live, session)
-
-    def _raw(self, prediction: Prediction) -> Floats:
-        link = self.observations.link_q
-        assert link is not None
-        return np.asarray(link - self.observations.q - prediction.joints[:, : link.shape[1], ABOUT])
-
-
-def _columns(J: Floats | None) -> Floats | None:
-    if J is None:
-        return None
-    joints = J[:, TOOL_ROWS:].reshape(len(J), -1, JOINT_ROWS, J.shape[2])
-    return np.asarray(joints[:, :-1, ABOUT])

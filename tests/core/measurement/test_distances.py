@@ -10,7 +10,7 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify import Folds, IdentifyOptions, identify
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.poses import Distances
+from kilter_core.measurement.distances import Distances
 from kilter_core.model import RobotModel
 from kilter_core.observations import Observations
 from kilter_core.twin import thesis_katana
