@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks import fits, identify
 from benchmarks.table import Line, best_of, show
-from kilter_client.requests.local_server import local_server
+from kilter_client.requests.connection import local_server
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.effects import make_effect

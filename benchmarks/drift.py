@@ -25,10 +25,9 @@ from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.model import Calibration
 from kilter_core.model.region import Region
 from kilter_core.watch import Check, check, check_poses
-from kilter_service.contract.drift import ControlChart
+from kilter_service.contract.today import ControlChart
 from kilter_service.versions.drift import wire
-from kilter_service.versions.drift.charts import control_charts
-from kilter_service.versions.drift.records import StoredCheck
+from kilter_service.versions.drift.wire import StoredCheck, control_charts
 from tests.blind.bounds import clopper_pearson
 from tests.core.watch.drifting import DriftingArm, some_arm, some_poses
 

@@ -14,11 +14,11 @@ from kilter_core.effects import make_effect
 from kilter_core.identify import IdentifyOptions
 from kilter_core.identify.estimate import estimate, prepare_problem
 from kilter_core.identify.fit.least_squares import solve
-from kilter_core.identify.uncertainty.intervals import RESAMPLES, bootstrap
+from kilter_core.identify.uncertainty.stated_noise import RESAMPLES, bootstrap
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.plan.iso9283_poses import iso_poses
+from kilter_core.plan.d_optimal import iso_poses
 from kilter_core.twin import thesis_katana
 
 Floats = NDArray[np.float64]

@@ -23,7 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from kilter_client.requests.local_server import LocalServer, local_server
+from kilter_client.requests.connection import LocalServer, local_server
 from kilter_service.web.auth.policy import PAGE_RULES
 
 ROBOT = {"name": "bench", "convention": "preset", "preset": "katana450-chapter5"}

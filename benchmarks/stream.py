@@ -35,7 +35,7 @@ from benchmarks.stream_arm import ROBOT, calibration, kernel_times, path
 from kilter_client.signing import Signer, on_this_machine
 from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_service.ground.settings import Settings
-from kilter_service.run.zenoh_config.folders import load_or_make_authority, write_folders
+from kilter_service.run.zenoh_folders import load_or_make_authority, write_folders
 from kilter_service.stream.corrector import wire
 from kilter_service.stream.corrector.active import Active, version_number
 from kilter_service.stream.corrector.loop import ask_for_real_time

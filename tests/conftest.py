@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from kilter_service.ground.processes.memory import ShortPauses
+from kilter_service.ground.memory import ShortPauses
 from tests.measured_seconds import measured
 from tests.temporary_files import put_in_memory
 

@@ -11,9 +11,8 @@ from pathlib import Path
 
 from benchmarks.challenge.answers import answers
 from benchmarks.challenge.case import CaseError, cases
-from benchmarks.challenge.page import page
-from benchmarks.challenge.score import Scored, figures
-from kilter_client.requests.local_server import local_server
+from benchmarks.challenge.page import Scored, figures, page
+from kilter_client.requests.connection import local_server
 
 ANSWERS = "answers.jsonl"
 

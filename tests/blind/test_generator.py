@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.loads.wrenches import joint_loads
+from kilter_core.arm.load_wrenches import joint_loads
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

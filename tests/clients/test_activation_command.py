@@ -12,7 +12,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.cli.reports.next_step import suggest_for_version
+from kilter_client.cli.reports.answer import suggest_for_version
 from kilter_client.cli.reports.results import show_job, show_version
 
 Write = Callable[..., Path]

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from benchmarks.challenge import multibody
 from benchmarks.challenge.answers import answer
 from benchmarks.challenge.case import CLASSES, Case, CaseError, Hidden, Truth, cases
-from benchmarks.challenge.page import page
-from benchmarks.challenge.score import Scored, figures
+from benchmarks.challenge.page import Scored, figures, page
 from kilter_client import Kilter
 
 Floats = NDArray[np.float64]

@@ -8,7 +8,7 @@ import httpx
 import pytest
 
 from kilter_client import Kilter, PayloadError
-from kilter_client.verbs import dry_run
+from kilter_client.verbs import campaigns
 from kilter_client.verbs.inputs import prepare_rows
 
 JOINTS = [{"name": f"q{k}", "limits_deg": [-180.0, 180.0]} for k in range(1, 7)]
@@ -42,7 +42,7 @@ def older(request: httpx.Request) -> httpx.Response:
 
 def told(rows: dict[str, Any], into: str | None = None) -> dict[str, Any]:
     with Kilter("http://kilter.test", "secret", httpx.MockTransport(older)) as k:
-        return dict(k.run(dry_run.checked_rows("arm", prepare_rows(rows), {"name": "rows", "conditions": {}}, into)))
+        return dict(k.run(campaigns.checked_rows("arm", prepare_rows(rows), {"name": "rows", "conditions": {}}, into)))
 
 
 @pytest.mark.parametrize(
@@ -75,5 +75,5 @@ def test_a_campaign_that_is_described_wrongly_is_no_older_server(monkeypatch: py
         raise wrong
         yield
 
-    monkeypatch.setattr(dry_run.campaigns, "check", refused)
+    monkeypatch.setattr(campaigns.campaign_calls, "check", refused)
     assert told(VIEWS)["refused"] == [wrong.detail]

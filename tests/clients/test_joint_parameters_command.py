@@ -14,7 +14,7 @@ import pytest
 
 from kilter_client.cli import run
 from kilter_client.errors import FileError
-from kilter_files.rig.readings import read_readings
+from kilter_files.rig.tilt_join import read_readings
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "clients/python/examples"
 HEAD = "joint,axis,q1_deg,q2_deg,payload_kg,series,reading_deg\n"

@@ -21,7 +21,7 @@ from kilter_client import (
     PayloadError,
     prepare,
 )
-from kilter_client.resources.jobs import event_data
+from kilter_client.resources import event_data
 
 Write = Callable[..., Path]
 

@@ -14,7 +14,7 @@ from kilter_client import AsyncKilter, Kilter, PayloadError, ServerUnreachableEr
 from kilter_client.requests.calls import jobs as waiting
 from kilter_client.requests.calls.jobs import AWAY
 from kilter_client.requests.steps import Pause, Relocate, Request, send_with_retries
-from kilter_client.verbs.error_wording import in_words
+from kilter_client.verbs.progress import in_words
 
 JOB = "job_" + "0" * 16
 Answer = Callable[[httpx.Request], httpx.Response]

@@ -11,7 +11,7 @@ import pytest
 
 from kilter_client import FileError, Kilter, UsageError, prepare
 from kilter_client.cli import run
-from kilter_files.robots.names import checked_name, plain_name
+from kilter_files.robots.exported import checked_name, plain_name
 from tests.clients.answered import document
 from tests.core.procedures.test_circle_points import circles, horizontal
 

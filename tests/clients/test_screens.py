@@ -15,12 +15,11 @@ import numpy as np
 import pytest
 
 from kilter_client.cli import run
-from kilter_client.cli.reports.activation_report import show_today
 from kilter_client.cli.reports.answer import fit_messages, format_answer
-from kilter_client.cli.reports.results import show_job
+from kilter_client.cli.reports.results import show_job, show_today
 from kilter_client.cli.stored.versions import _show_diff
 from kilter_client.cli.terminal import output
-from kilter_client.cli.terminal.session_notes import is_note_due
+from kilter_client.cli.terminal.output import is_note_due
 from tests.clients.arms_with_play import ArmWithPlay
 
 LINES, COLUMNS = 25, 120

@@ -11,7 +11,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli import run
-from kilter_client.cli.terminal.wording import ROUTES, in_words, parameters_by_request_name
+from kilter_client.cli.terminal.references import ROUTES, in_words, parameters_by_request_name
 
 Write = Callable[..., Path]
 Capture = pytest.CaptureFixture[str]

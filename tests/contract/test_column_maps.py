@@ -11,7 +11,7 @@ from kilter_files.formats.reader import MAP
 from kilter_files.formats.registry import readers_for
 from kilter_files.ground.units import SIZES, TIMESTAMP
 from kilter_files.maps.column_map import read_map
-from kilter_files.maps.section import Section
+from kilter_files.maps.columns import Section
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGE = (REPOSITORY / "docs/reference/column-maps.md").read_text(encoding="utf-8")

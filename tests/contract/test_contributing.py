@@ -322,7 +322,7 @@ USE_KIND = """
 import json, os, pathlib, shutil, subprocess, sys, tempfile
 import httpx, kilter
 from playwright.sync_api import sync_playwright
-from kilter_client.requests.local_server import local_server
+from kilter_client.requests.connection import local_server
 
 folder = pathlib.Path(tempfile.mkdtemp())
 (folder / "rows.csv").write_text("\\n".join(
@@ -514,7 +514,7 @@ PAGE, ROW = "docs/reference/effects.md", "| `toy_wobble` | a test | dq = w sin 3
 ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
     "effect": (3, {
         "core/kilter_core/effects/toy_wobble.py": EFFECT,
-        EFFECTS: lined(EFFECTS, ("from kilter_core.effects.tracking_lag",
+        EFFECTS: lined(EFFECTS, ("from kilter_core.effects.instrument",
                                   "from kilter_core.effects.toy_wobble import ToyWobble\n"),
                        ("    UnknownSmoothCurve,\n", "    ToyWobble,\n")),
         PAGE: lined(PAGE, ("| `encoder_scale` |", ROW)),

@@ -81,8 +81,8 @@ def test_they_are_released_together() -> None:
         ("CITATION.cff", r"^version: (.+)$"),
         ("Dockerfile", r'image\.version="(.+)"'),
         ("clients/ros2_control/package.xml", r"<version>(.+)</version>"),
-        ("clients/python/src/kilter_client/cli/release.py", r'^SOURCE_TREE = "(.+)\+source"'),
-        ("service/kilter_service/ground/version.py", r'^SOURCE_TREE = "(.+)\+source"'),
+        ("clients/python/src/kilter_client/cli/quick_start.py", r'^SOURCE_TREE = "(.+)\+source"'),
+        ("service/kilter_service/ground/settings.py", r'^SOURCE_TREE = "(.+)\+source"'),
         ("docs/how-to/run-on-several-machines.md", r'"registry/kilter:(.+?)"'),
     ],
 )

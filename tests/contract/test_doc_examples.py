@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from kilter_client.requests.local_server import LocalServer, local_server
+from kilter_client.requests.connection import LocalServer, local_server
 from tests.service.forked import KILTER, ForkedPopen
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -11,10 +11,9 @@ from pydantic import BaseModel
 
 from kilter_client.results.plots import save_figures
 from kilter_service.contract.figures import Figure, GapFigures, IdentifyFigures
-from kilter_service.jobs.plotly_figures.arrows import _from_three_sides, _in_space, _sides, _space
 from kilter_service.jobs.plotly_figures.gap import gap_figures
 from kilter_service.jobs.plotly_figures.identify import changes
-from kilter_service.jobs.plotly_figures.layout import add_captions
+from kilter_service.jobs.plotly_figures.layout import _from_three_sides, _in_space, _sides, _space, add_captions
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -132,7 +131,7 @@ def test_a_figure_of_another_kind_is_refused() -> None:
 def test_every_figure_that_an_identification_draws_has_its_field() -> None:
     text = "".join(
         (REPOSITORY / f"service/kilter_service/jobs/plotly_figures/{name}.py").read_text(encoding="utf-8")
-        for name in ("identify", "arrows")
+        for name in ("identify", "layout")
     )
     for name in IdentifyFigures.model_fields:
         assert f'"{name}"' in text, name

@@ -12,8 +12,8 @@ from tests.contract.sources import modules, nodes
 SENTENCES = {"message", "sentence", "detail"}
 # A sentence is put in the words of another surface, whole: nothing is decided by what it says.
 REWORDED = {
-    "error_wording.py: COMMANDS.split(sentence)",
-    "wording.py: ROUTE.sub(lambda found: ROUTES.get(found[0], 'another command'), detail)",
+    "progress.py: COMMANDS.split(sentence)",
+    "references.py: ROUTE.sub(lambda found: ROUTES.get(found[0], 'another command'), detail)",
     "new_robot.py: error.detail.replace(f'{path}', path.name)",
     "results.py: FIRST.split(one['sentence'], maxsplit=1)",  # its first part, for a cell
     "standing.py: drift.sentence.partition(': ')",

@@ -10,7 +10,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.settings import Settings
-from kilter_service.versions.metrics import service
+from kilter_service.versions import metrics
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 RULES = REPOSITORY / "examples" / "monitoring" / "alerts.yml"
@@ -24,7 +24,7 @@ def given(folder: Path) -> set[str]:
     database = Database(f"sqlite:///{folder / 'kilter.sqlite'}")
     revision.migrate(database)
     try:
-        page = service.text(database, Settings(data=folder)).decode()
+        page = metrics.text(database, Settings(data=folder)).decode()
     finally:
         database.close()
     return {family.name for family in text_string_to_metric_families(page)}

@@ -10,7 +10,7 @@ import pytest
 
 from kilter_service.ground.errors import PROBLEMS
 from tools.contract.interface import SNAPSHOT, interface_document, interface_text, with_sorted_required
-from tools.contract.served import served_interface
+from tools.contract.lists import served_interface
 
 Change = Callable[[dict[str, Any]], object]
 PROMISED = {

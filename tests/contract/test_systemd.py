@@ -15,7 +15,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from kilter_service.ground.processes.sandbox import STRANGERS
+from kilter_service.ground.child_process import STRANGERS
 from kilter_service.jobs.work.worker import ENDS_BEFORE
 from kilter_service.stream.corrector.loop import REAL_TIME_PRIORITY
 from tests.contract.systemd_unit import SYSTEMD, Unit, settings_of
@@ -134,7 +134,7 @@ def test_systemd_knows_every_line_of_a_unit(name: str, tmp_path: Path) -> None:
 
 def test_what_reads_files_of_strangers_ends_first_where_memory_is_used_up() -> None:
     program = (
-        "from kilter_service.ground.processes.memory import end_before_others; end_before_others({}); "
+        "from kilter_service.ground.memory import set_out_of_memory_score; set_out_of_memory_score({}); "
         "print(open('/proc/self/oom_score_adj').read())"
     )
     scores = [

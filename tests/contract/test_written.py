@@ -12,9 +12,8 @@ from kilter_service.contract.fits import (
     metrics_with_earlier_names,
     with_earlier_names,
 )
-from kilter_service.contract.remarks import Remark
 from kilter_service.contract.versions import Details
-from kilter_service.contract.written import as_written
+from kilter_service.contract.wording import Remark, as_written
 
 
 def test_only_what_was_written_is_shown() -> None:

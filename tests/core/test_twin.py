@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.plan.iso9283_poses import iso_poses
+from kilter_core.plan.d_optimal import iso_poses
 from kilter_core.twin import Twin, thesis_katana
 
 NOISE = 1e-5

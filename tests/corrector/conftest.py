@@ -16,7 +16,7 @@ from kilter_core.model import Calibration, RobotModel
 from kilter_service.ground.settings import Settings
 from kilter_service.stream.corrector.active import Active, version_number
 from kilter_service.stream.corrector.process import Corrector
-from kilter_service.stream.corrector.specs import Rules
+from kilter_service.stream.corrector.session import Rules
 from tests.corrector.live import open_stream
 from tests.service.forked import fork_those_of_correctors
 

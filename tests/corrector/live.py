@@ -9,7 +9,7 @@ import numpy as np
 import zenoh
 
 from kilter_client.stream import CorrectedStream
-from kilter_client.streaming.setpoint import Setpoint
+from kilter_client.streaming.frames import Setpoint
 from kilter_service.stream.corrector import wire
 from kilter_service.stream.corrector.process import Corrector
 from kilter_service.stream.corrector.session import config

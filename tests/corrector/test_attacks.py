@@ -18,8 +18,8 @@ import pytest
 import zenoh
 
 from kilter_client.stream import CorrectedStream
+from kilter_client.streaming.frames import Setpoint
 from kilter_client.streaming.held_correction import LEAST_PAUSE_S
-from kilter_client.streaming.setpoint import Setpoint
 from kilter_service.stream.corrector import wire
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.process import Corrector

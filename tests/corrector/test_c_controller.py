@@ -24,7 +24,7 @@ from kilter_core.model import Calibration
 from kilter_service.ground.settings import Settings
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.process import Corrector
-from kilter_service.stream.corrector.specs import Rules
+from kilter_service.stream.corrector.session import Rules
 from tests.corrector.conftest import MemorySource
 from tests.corrector.live import ROBOT, open_stream
 

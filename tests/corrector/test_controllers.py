@@ -17,15 +17,14 @@ import zenoh
 
 from kilter_client.signing import Session, on_this_machine
 from kilter_client.stream import CorrectedStream
-from kilter_client.streaming.corrector import StreamError
+from kilter_client.streaming.certificates import StreamError
 from kilter_core.model import Calibration
 from kilter_service.ground.settings import Settings
-from kilter_service.run.zenoh_config import folders as issued
-from kilter_service.run.zenoh_config.folders import load_or_make_authority, write_folders
+from kilter_service.run import zenoh_folders as issued
+from kilter_service.run.zenoh_folders import load_or_make_authority, write_folders
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.process import Corrector
-from kilter_service.stream.corrector.session import with_free_port
-from kilter_service.stream.corrector.specs import Rules
+from kilter_service.stream.corrector.session import Rules, with_free_port
 from tests.corrector.conftest import MemorySource
 from tests.corrector.live import Q, until
 from tests.service.forked import forked_command

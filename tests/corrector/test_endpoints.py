@@ -13,10 +13,10 @@ import zenoh
 
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
+from kilter_service.stream import ros2_process as ros2
 from kilter_service.stream.corrector.endpoints import check_ros2, is_local
 from kilter_service.stream.corrector.process import Corrector
 from kilter_service.stream.corrector.session import config
-from kilter_service.stream.ros2 import process as ros2
 from tests.corrector.live import ROOT, Q, open_stream, until
 from tests.service.forked import forked_command
 

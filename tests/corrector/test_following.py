@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from kilter_client.stream import CorrectedStream
-from kilter_client.streaming.frames import DAMPED, SATURATED, SLOWED, Answer
-from kilter_client.streaming.setpoint import Setpoint
+from kilter_client.streaming.frames import DAMPED, SATURATED, SLOWED, Answer, Setpoint
 from tests.corrector.test_acceptance import Q, announced, answered, asked, stream_of
 
 PERIOD_S = 0.002

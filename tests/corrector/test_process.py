@@ -21,13 +21,12 @@ import zenoh
 from kilter_client.stream import CorrectedStream, Statistics, StreamError, corrected
 from kilter_core.correct.program import Track, compile_program
 from kilter_core.model import Calibration
-from kilter_service.ground.processes.child import running
+from kilter_service.ground.child_process import running
 from kilter_service.stream.corrector import fork_server, wire
 from kilter_service.stream.corrector.fork_server import ForkedChild
 from kilter_service.stream.corrector.process import Corrector
 from kilter_service.stream.corrector.queries import encode_trajectory
-from kilter_service.stream.corrector.session import config
-from kilter_service.stream.corrector.specs import QuerySpec
+from kilter_service.stream.corrector.session import QuerySpec, config
 from kilter_service.stream.signing.masters import Masters
 from tests.corrector.live import ROBOT, ROOT, Q, open_stream, until
 from tests.corrector.stored import descendants
@@ -355,7 +354,7 @@ def test_the_corrector_says_that_a_process_of_its_own_is_frozen(
 
 def test_one_that_may_not_begin_is_told_apart_from_one_that_runs(corrector: Corrector) -> None:
     spec = QuerySpec("test", "", Masters(()), unsigned=True)
-    child = ForkedChild("broken", "kilter_service.stream.corrector.specs:nothing", spec, corrector._fork_server)
+    child = ForkedChild("broken", "kilter_service.stream.corrector.session:nothing", spec, corrector._fork_server)
     assert not child.alive
     child.start()
     with pytest.raises(RuntimeError, match="The broken process of the corrector did not start"):

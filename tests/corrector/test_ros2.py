@@ -27,9 +27,9 @@ from kilter_core.model import Calibration
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
+from kilter_service.stream import ros2_process as names
 from kilter_service.stream.corrector.session import config, with_free_port
-from kilter_service.stream.ros2 import process as names
-from kilter_service.stream.ros2.process import follow, run
+from kilter_service.stream.ros2_process import follow, run
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STATE, TRAJECTORY = "sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory"

@@ -17,7 +17,7 @@ import pinocchio as pin
 import pytest
 
 from kilter_client.stream import CorrectedStream
-from kilter_client.streaming.setpoint import Setpoint, Statistics
+from kilter_client.streaming.frames import Setpoint, Statistics
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.model import Calibration
 from kilter_service.stream.corrector.active import Active

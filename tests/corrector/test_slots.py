@@ -10,7 +10,7 @@ import pytest
 
 from kilter_service.ground.settings import Settings
 from kilter_service.stream.corrector.process import Corrector
-from kilter_service.stream.corrector.specs import Rules
+from kilter_service.stream.corrector.session import Rules
 from kilter_service.stream.corrector.wire import Flag, Status
 from tests.corrector.forger import HEADER
 from tests.corrector.live import ROOT, Line, open_stream, point, until

@@ -16,7 +16,7 @@ from kilter_core.model import Calibration
 from kilter_service.stream.corrector import wire
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.fast_path import PERIOD_BITS
-from kilter_service.stream.corrector.specs import Rules
+from kilter_service.stream.corrector.session import Rules
 from kilter_service.stream.corrector.stream import Stream
 from kilter_service.stream.corrector.wire import Answer, Flag, Kind, Status
 

@@ -15,8 +15,7 @@ from kilter_service.stream.corrector import wire
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.fast_path import bin_edges_us, latency_bin
 from kilter_service.stream.corrector.process import Corrector
-from kilter_service.stream.corrector.session import config
-from kilter_service.stream.corrector.specs import Rules
+from kilter_service.stream.corrector.session import Rules, config
 from kilter_service.stream.corrector.stream import Stream
 from kilter_service.stream.corrector.telemetry import TurnedAway, answer_document
 from kilter_service.stream.corrector.wire import Flag, Status

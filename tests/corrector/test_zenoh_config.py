@@ -15,8 +15,7 @@ import zenoh
 from kilter_client.stream import CorrectedStream
 from kilter_service.ground.settings import Settings
 from kilter_service.stream.corrector.process import Corrector
-from kilter_service.stream.corrector.session import config, with_free_port
-from kilter_service.stream.corrector.specs import Rules
+from kilter_service.stream.corrector.session import Rules, config, with_free_port
 from tests.corrector.live import ROBOT, ROOT, Q, until
 from tests.service.forked import forked_command
 

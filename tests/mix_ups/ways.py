@@ -22,7 +22,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 
-from kilter_service.contract.jobs.job import FINAL
+from kilter_service.contract.jobs.kind import FINAL
 from tests.mix_ups.arms import BUILDS
 from tests.mix_ups.campaigns import MIXED, Genuine, genuine
 from tests.mix_ups.columns import Columns, columns_of

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 from kilter_client.stream import CorrectedStream
-from kilter_client.streaming.setpoint import Setpoint
+from kilter_client.streaming.frames import Setpoint
 from kilter_service.ground.settings import Settings
 from tests.service.conftest import REPOSITORY, wait_for
 from tests.service.forked import ForkedPopen

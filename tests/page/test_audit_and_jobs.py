@@ -8,7 +8,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.web.audit import service as audit
+from kilter_service.web import audit
 from tests.service.conftest import Katana
 
 from .conftest import opened

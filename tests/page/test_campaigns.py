@@ -19,7 +19,7 @@ from sqlalchemy import select
 from kilter_core.twin import thesis_katana
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow, RobotRow
-from kilter_service.ground.recent import Recent
+from kilter_service.ground.limits import Recent
 from kilter_service.ground.settings import Settings
 from kilter_service.page.chosen import thin_series
 from kilter_service.run.app import create_app

@@ -22,7 +22,7 @@ from kilter_core.twin import thesis_katana
 from kilter_service.page.words import chance as written
 from kilter_service.page.words import format_in_shared_unit
 from kilter_service.versions.predictions.differences import _beyond as beyond
-from kilter_service.versions.predictions.paired import chance
+from kilter_service.versions.predictions.differences import chance
 from tests.service.conftest import Katana
 
 from .conftest import opened

@@ -14,8 +14,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
-from kilter_service.contract.drift import CheckOfRobot, DriftHistory, DriftMark
-from kilter_service.contract.today import ErrorAt, Today
+from kilter_service.contract.today import CheckOfRobot, DriftHistory, DriftMark, ErrorAt, Today
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
 from kilter_service.page.shared.control_chart import draw_check_history

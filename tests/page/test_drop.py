@@ -21,7 +21,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import Scratch
+from kilter_service.ground.private_files import Scratch
 from kilter_service.page.drop import drafts
 from tests.clients.files.formats.test_lerobot import SERVOS, calibration, dataset
 from tests.service.conftest import Katana

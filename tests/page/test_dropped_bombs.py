@@ -18,8 +18,8 @@ import pytest
 from pyarrow import parquet
 from scipy.io import savemat
 
-from kilter_service.ground.processes import sandbox
-from kilter_service.ground.processes.sandbox import Limits
+from kilter_service.ground import child_process
+from kilter_service.ground.child_process import Limits
 from kilter_service.page.drop import routes
 from tests.service.conftest import Katana
 
@@ -110,13 +110,13 @@ def test_time_memory_and_output_are_limited(tmp_path: Path) -> None:
     ):
         folder = tmp_path / str(len(list(tmp_path.iterdir())))
         folder.mkdir()
-        end = sandbox.run("timeit", folder, ["-n1", "-r1", "-s", CONFINED, code], limits)
+        end = child_process.run("timeit", folder, ["-n1", "-r1", "-s", CONFINED, code], limits)
         assert ended(end), (code, end)
 
 
 def test_nothing_of_the_servers_environment_is_in_reach(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("KILTER_TOKEN", "a-secret")
-    sandbox.run(
+    child_process.run(
         "timeit", tmp_path, ["-n1", "-r1", "import os; open('seen', 'w').write(str(dict(os.environ)))"], Limits()
     )
     seen = (tmp_path / "seen").read_text()
@@ -124,7 +124,7 @@ def test_nothing_of_the_servers_environment_is_in_reach(tmp_path: Path, monkeypa
     assert "KILTER_CHILD_LIMITS" in seen
 
 
-CONFINED = "from kilter_service.ground.processes.sandbox import confine; confine()"
+CONFINED = "from kilter_service.ground.child_process import confine; confine()"
 
 
 def mutated(random_: random.Random, content: bytes) -> bytes:
@@ -191,7 +191,7 @@ def test_damaged_files_of_every_kind_are_read_or_refused(tmp_path: Path) -> None
         folder.mkdir()
         (folder / name).write_bytes(mutated(random_, whole[name]))
         (folder / "asked.json").write_text(json.dumps({"file": name, "read_as": "auto"}))
-        ended = sandbox.run(routes.CHILD, folder, [], Limits(30, 1024, 64))
+        ended = child_process.run(routes.CHILD, folder, [], Limits(30, 1024, 64))
         assert not ended.late, (number, name)
         assert ended.code == 0 or ended.lacked_memory, (number, name, ended)
         if ended.code == 0:

@@ -13,7 +13,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
-from kilter_core.plan.iso9283_poses import iso_poses
+from kilter_core.plan.d_optimal import iso_poses
 from kilter_core.twin import thesis_katana
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings

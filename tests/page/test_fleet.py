@@ -16,11 +16,11 @@ from sqlalchemy import select
 
 from kilter_core.twin import thesis_katana
 from kilter_service.contract.fits import Errors
-from kilter_service.contract.words import interval
+from kilter_service.contract.wording import interval
 from kilter_service.ground.db.tables import JobRow, RobotRow
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
-from kilter_service.web.health import store as health
+from kilter_service.web import store as health
 
 from .conftest import opened
 from .made import Made, made

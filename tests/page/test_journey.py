@@ -20,14 +20,14 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from kilter_client.cli.demo import NOISE_MM, PRESET, STAGES
-from kilter_core.plan.iso9283_poses import iso_poses
+from kilter_core.plan.d_optimal import iso_poses
 from kilter_core.twin import thesis_katana
 from tests.page.conftest import log_in, opened
 from tests.page.controlling import Controller
 from tests.service.conftest import wait_for
 from tests.service.test_gap import QUICK, Arm
 from tests.service.test_serve import children
-from tools.page_lab import Lab, lab
+from tools.draw_page_picture import Lab, lab
 
 PICTURES = Path(__file__).parents[2] / "build" / "page-screenshots"
 LONG_MS = 120_000  # what computes, on a machine that does other things too

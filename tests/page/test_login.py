@@ -19,7 +19,7 @@ from kilter_service.page.routes import ROUTERS
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.policy import PAGE_RULES
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.logins.service import COOKIE, CSRF_HEADER
+from kilter_service.web.logins import COOKIE, CSRF_HEADER
 from kilter_service.web.routing import GuardedRoute
 from tests.service.conftest import ready, served
 
@@ -123,7 +123,7 @@ def test_a_link_logs_in_once_in_the_role_of_whoever_made_it(server: httpx.Client
 def test_a_link_ends_with_its_minutes_and_with_its_token(server: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
     secret = link_of(server, minutes=5)
     later = utc_now() + timedelta(minutes=5, seconds=1)
-    monkeypatch.setattr("kilter_service.web.logins.store.utc_now", lambda: later)
+    monkeypatch.setattr("kilter_service.web.store.utc_now", lambda: later)
     assert use(server, secret).status_code == 401
     monkeypatch.undo()
     made = token_of(server, "viewer", "gone")

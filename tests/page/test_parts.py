@@ -12,14 +12,13 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
-from kilter_service.contract.drift import DriftSummary
 from kilter_service.contract.fits import Errors, Parameter, StageErrors
-from kilter_service.contract.jobs.job import JobSummary, Progress
+from kilter_service.contract.jobs.kind import JobSummary, Progress
 from kilter_service.contract.streams import Bridge
-from kilter_service.contract.today import ErrorsToday, Today
+from kilter_service.contract.today import DriftSummary, ErrorsToday, Today
 from kilter_service.contract.versions import VersionSummary
-from kilter_service.ground.called import display_name
 from kilter_service.ground.db.row import utc_now
+from kilter_service.ground.naming import display_name
 from kilter_service.page.figures.plot import MEANINGS
 from kilter_service.page.shared.standing import Correcting, Corrector, assess_robot_state
 from kilter_service.page.words import format_in_largest_unit, parameter_sigma

@@ -18,7 +18,7 @@ from kilter_client import Kilter
 from kilter_client.requests.calls import robots as calls
 from kilter_service.web.auth.policy import PAGE_RULES
 from tests.page.conftest import opened
-from tools.page_lab import Lab, lab, moving
+from tools.draw_page_picture import Lab, lab, moving
 
 pytestmark = pytest.mark.slow
 OVERVIEW, JOB, VERSION = "GET /robots/{robot}", "GET /jobs/{job}", "GET /versions/{version}"

@@ -16,10 +16,10 @@ from sqlalchemy import select
 
 from kilter_core.twin import thesis_katana
 from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.ground import child_process
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow, RobotRow, VersionRow
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.processes import sandbox
 from kilter_service.ground.settings import Settings
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.kind import VersionContent
@@ -248,11 +248,11 @@ def test_the_pdf_is_the_same_every_time(server: httpx.Client, version: str) -> N
 
 
 def test_a_server_without_pango_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def without(module: str, folder: Path, *_: object) -> sandbox.Ended:
+    def without(module: str, folder: Path, *_: object) -> child_process.Ended:
         (folder / "lacking").write_text("cannot load library 'libpango-1.0-0'")
-        return sandbox.Ended(1, False, "")
+        return child_process.Ended(1, False, "")
 
-    monkeypatch.setattr(sandbox, "run", without)
+    monkeypatch.setattr(child_process, "run", without)
     with pytest.raises(ServiceError, match="print the report from the browser") as caught:
         routes.pdf(tmp_path, "<p>a</p>", "")
     assert caught.value.code == "pdf_unavailable"

@@ -39,13 +39,13 @@ RESERVED = 64  # file descriptors below the limit, where received ones are put o
 ORDERS = 3  # where the fork server of a corrector finds the pipe of its orders
 
 IMPORTED = (
-    *(f"kilter_client.bridges.{name}" for name in ("running", "egm", "fci", "rsi")),
+    *(f"kilter_client.bridges.{name}" for name in ("running", "egm", "fci")),
     "kilter_service.jobs.work.worker",
     "kilter_service.run.app",
     "kilter_service.run.backup.upgrade",
     "kilter_service.run.program",
     "kilter_service.run.supervisor",
-    "kilter_service.web.connections",
+    "kilter_service.web.gate",
     *(f"kilter_service.stream.corrector.{name}" for name in ("process", "fast_path", "loop", "queries")),
     "pyarrow.dataset",
     "pyarrow.parquet",

@@ -25,8 +25,8 @@ from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
 from kilter_service.web.auth.policy import PAGE_RULES, RULES
 from kilter_service.web.auth.token import admin_token
+from kilter_service.web.logins import get_valid_token, hash_secret
 from kilter_service.web.routing import GuardedRoute
-from kilter_service.web.tokens.service import get_valid_token, hash_secret
 
 from .conftest import new_database, ready, served
 

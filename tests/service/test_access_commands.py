@@ -19,7 +19,7 @@ import pytest
 from kilter_client import Kilter, NotAuthorisedError
 from kilter_client.cli import run
 from kilter_client.errors import ConflictError
-from kilter_client.requests.calls.access import verify_entries
+from kilter_client.requests.calls.references import verify_entries
 from kilter_service.ground.settings import DATABASE_FILE, Settings
 from tests.service.forked import forked_command
 

@@ -30,8 +30,8 @@ from kilter_service.page.audit import REFUSED
 from kilter_service.run.app import create_app
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
-from kilter_service.web.audit import refusals, service
-from kilter_service.web.audit.service import Head
+from kilter_service.web import audit
+from kilter_service.web.audit import Head
 from kilter_service.web.auth.token import admin_token
 
 from .postgresql import programs, running_postgresql
@@ -121,29 +121,29 @@ def test_refused_requests_are_in_the_audit_in_groups(
     assert "was refused 3 times at POST /v1/robots: the role does not suffice" in page
     assert "was refused once at POST /login: a wrong token" in page
     assert not re.search(r"<td[^>]*>\s*(added robot|logged in)", page)  # what was asked for was not done
-    assert set(REFUSED) == refusals.NOTED | {"several"}
+    assert set(REFUSED) == audit.NOTED | {"several"}
 
 
 def test_nobody_fills_the_audit_by_being_refused(client: httpx.Client, database: Database) -> None:
-    counted = refusals.Refusals(database, first_s=3600.0)
+    counted = audit.Refusals(database, first_s=3600.0)
     for number in range(1000):
-        counted.count(refusals.Group("token_wrong", Caller("anybody", "viewer", address=f"10.0.0.{number}")))
+        counted.count(audit.Group("token_wrong", Caller("anybody", "viewer", address=f"10.0.0.{number}")))
     counted.close()
     found = refused(client)
-    assert len(found) == refusals.MOST_GROUPS + 1
+    assert len(found) == audit.MOST_GROUPS + 1
     assert sum(one[3]["times"] for one in found) == 1000
-    assert found[-1][2:] == ("(several)", {"code": "several", "times": 1000 - refusals.MOST_GROUPS})
+    assert found[-1][2:] == ("(several)", {"code": "several", "times": 1000 - audit.MOST_GROUPS})
 
 
 def test_refused_requests_are_written_by_themselves_and_more_slowly_while_they_go_on(
     client: httpx.Client, database: Database, until: Callable[..., None]
 ) -> None:
-    group = refusals.Group("token_wrong", Caller("anybody", "viewer", address="10.0.0.1"))
-    soon = refusals.Refusals(database, first_s=0.02)
+    group = audit.Group("token_wrong", Caller("anybody", "viewer", address="10.0.0.1"))
+    soon = audit.Refusals(database, first_s=0.02)
     soon.count(group)
     until(lambda: len(refused(client)) == 1)
     soon.close()
-    counted = refusals.Refusals(database, first_s=400.0)
+    counted = audit.Refusals(database, first_s=400.0)
     pauses = []
     for times in (2, 1, 0):
         for _ in range(times):
@@ -151,7 +151,7 @@ def test_refused_requests_are_written_by_themselves_and_more_slowly_while_they_g
         counted._due()
         pauses.append(counted._pause_s)
     counted.close()
-    assert pauses == [refusals.LONGEST_S, refusals.LONGEST_S, 400.0]
+    assert pauses == [audit.LONGEST_S, audit.LONGEST_S, 400.0]
     assert [one[3]["times"] for one in refused(client)] == [1, 2, 1]
 
 
@@ -159,8 +159,8 @@ def test_refused_requests_wait_for_a_database_that_is_away(
     tmp_path: Path, client: httpx.Client, database: Database
 ) -> None:
     away = Database(f"sqlite:///{tmp_path / 'none' / 'none.sqlite'}")
-    counted = refusals.Refusals(away, first_s=3600.0)
-    counted.count(refusals.Group("token_wrong", Caller("anybody", "viewer")))
+    counted = audit.Refusals(away, first_s=3600.0)
+    counted.count(audit.Group("token_wrong", Caller("anybody", "viewer")))
     counted.write()
     counted._database = database
     counted.close()
@@ -279,7 +279,7 @@ def test_the_database_refuses_to_change_it(database: Database, statement: str) -
     filled(database)
     with pytest.raises(DBAPIError, match="audit"), database.transaction() as session:
         session.execute(text(statement))
-    assert service.verify(database).number == 4
+    assert audit.verify(database).number == 4
 
 
 def broken_off(database: Database) -> None:
@@ -331,22 +331,22 @@ def test_a_change_past_the_database_is_seen_in_its_file(
     raw.close()
     opened = Database(f"sqlite:///{copy}")
     with pytest.raises(ServiceError, match=f"up to {whole} are whole") as caught:
-        service.verify(opened)
+        audit.verify(opened)
     assert caught.value.code == "audit_broken"
     opened.close()
 
 
 def test_a_cut_end_is_seen_by_whoever_noted_the_last_entry(database: Database) -> None:
     filled(database)
-    noted = service.verify(database)
+    noted = audit.verify(database)
     with database.reading() as session:
-        found = list(service.store.everything(session))
-    assert service.verify_entries(found, noted) == noted
-    assert service.verify_entries(found[:3]).number == 3
+        found = list(audit.store.everything(session))
+    assert audit.verify_entries(found, noted) == noted
+    assert audit.verify_entries(found[:3]).number == 3
     with pytest.raises(ServiceError, match="does not hold entry 4"):
-        service.verify_entries(found[:3], noted)
+        audit.verify_entries(found[:3], noted)
     with pytest.raises(ServiceError, match="does not hold entry 4"):
-        service.verify_entries(found, Head(4, "0" * 64))
+        audit.verify_entries(found, Head(4, "0" * 64))
 
 
 @pytest.mark.skipif(programs() is None, reason="PostgreSQL is not installed")
@@ -363,10 +363,10 @@ def test_many_writers_on_postgresql_keep_one_chain() -> None:
 
         with ThreadPoolExecutor(8) as pool:
             list(pool.map(change, range(40)))
-        assert service.verify(databases[1]).number == 44
+        assert audit.verify(databases[1]).number == 44
         for statement in (*STATEMENTS, "TRUNCATE audit"):
             with pytest.raises(DBAPIError, match="audit"), databases[0].transaction() as session:
                 session.execute(text(statement))
-        assert service.verify(databases[0]).number == 44
+        assert audit.verify(databases[0]).number == 44
         for database in databases:
             database.close()

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from kilter_service.ground.by_name import copy_fields
+from kilter_service.ground.naming import copy_fields
 
 STORED = SimpleNamespace(id="a", rows=3, secret="s")
 

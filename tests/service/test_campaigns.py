@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_files.ground.names import number_of_session
+from kilter_files.ground.errors import number_of_session
 from kilter_service.campaigns import store
 from kilter_service.ground.db import Database
-from kilter_service.jobs.inputs.setups import Setups
+from kilter_service.jobs.setups import Setups
 from kilter_service.robots import store as robots
 
 pytestmark = pytest.mark.both_databases

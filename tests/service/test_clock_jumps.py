@@ -26,7 +26,7 @@ from kilter_client import Kilter
 from kilter_service.ground.settings import Settings
 from kilter_service.run.backup import service as backups
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.health.service import SetClock
+from kilter_service.web.health import SetClock
 from tests.service.conftest import Katana, ready
 from tests.service.preloaded import preloaded
 

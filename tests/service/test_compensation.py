@@ -17,7 +17,7 @@ from kilter_client import Kilter
 from kilter_client.cli import main
 from kilter_service.ground.db import Database, revision
 from kilter_service.robots.compensation import CORRECTS, VALUES
-from kilter_service.stream.corrector.database_source import DatabaseSource
+from kilter_service.stream.corrector.active import DatabaseSource
 from tests.service.made_versions import store_version
 
 ARM = {"name": "arm", "convention": "preset", "preset": "katana450-chapter5"}

@@ -15,7 +15,7 @@ from kilter_service.ground.settings import Settings
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.policy import RULES
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.concurrency import Room
+from kilter_service.web.bodies import Room
 from tests.service.conftest import Katana, Serve, wait_for
 
 LIMIT_S = 0.3

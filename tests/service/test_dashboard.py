@@ -15,7 +15,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from kilter_service.ground.db import Database
 from kilter_service.stream.corrector.fast_path import WORDS, Counters
-from kilter_service.web.health import store as health
+from kilter_service.web import store as health
 
 DASHBOARD = Path(__file__).resolve().parents[2] / "examples" / "monitoring" / "dashboard.json"
 SAMPLE = re.compile(r"\b((?:kilter|process)_[a-z_]+)(?:\{([^}]*)\})?")

@@ -14,10 +14,8 @@ from kilter_service.ground.db import Database
 from kilter_service.jobs.work import store
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
-from kilter_service.versions.drift.charts import KeptCharts, control_charts
-from kilter_service.versions.drift.records import StoredCheck
 from kilter_service.versions.drift.store import of_all_causes
-from kilter_service.versions.drift.wire import chance_words
+from kilter_service.versions.drift.wire import KeptCharts, StoredCheck, chance_words, control_charts
 from tests.core.watch.drifting import DriftingArm, some_arm
 from tests.service.conftest import WorkerProcess
 from tests.service.test_budgets import TRACKER

@@ -17,9 +17,9 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow, RobotRow
 from kilter_service.ground.settings import Settings
 from kilter_service.run.app import create_app
-from kilter_service.web.auth import following
+from kilter_service.web.auth import token as following
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.logins.service import COOKIE, CSRF_HEADER
+from kilter_service.web.logins import COOKIE, CSRF_HEADER
 from tests.service.conftest import Katana, served
 
 JOB = f"job_{1:016x}"

@@ -13,13 +13,13 @@ from prometheus_client.parser import text_string_to_metric_families
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import FleetJobRow, FleetRobotRow, HeartbeatRow, JobRow, RobotRow
-from kilter_service.ground.ended_jobs.store import AT_MOST_MS
 from kilter_service.ground.settings import Settings
+from kilter_service.ground.store import AT_MOST_MS
 from kilter_service.jobs import store
 from kilter_service.jobs.fleet import store as fleet
-from kilter_service.jobs.work import retention
 from kilter_service.jobs.work import store as lease
-from kilter_service.versions.metrics import service as metrics
+from kilter_service.jobs.work import worker
+from kilter_service.versions import metrics
 from tests.service.conftest import Katana
 
 LONG_AGO = timedelta(days=40)
@@ -80,7 +80,7 @@ def test_the_counter_does_not_fall_when_jobs_are_purged_or_the_server_starts_aga
     with database.transaction() as session:
         for row in session.query(JobRow):
             row.finished_at = utc_now() - LONG_AGO
-    assert retention.purge(database, timedelta(days=30), "test") == 5
+    assert worker.purge(database, timedelta(days=30), "test") == 5
     assert given(settings) == before
 
 

@@ -16,8 +16,8 @@ import pytest
 from kilter_core.errors import CancelledError, CoreError, OptionError
 from kilter_core.identify import Folds, IdentifyOptions, identify
 from kilter_core.twin import thesis_katana
-from kilter_service.jobs.fan_out import FanOut, engine, fan_out, spread
-from kilter_service.jobs.fan_out.engine import LocalProcesses
+from kilter_service.jobs.fan_out import FanOut, fan_out, spread
+from kilter_service.jobs.fan_out.spread import LocalProcesses
 from tests.service.parts import doubled, killing, where
 
 
@@ -28,7 +28,7 @@ def alive(pid: int) -> bool:
 
 @pytest.fixture
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "START_S", -1e9)
+    monkeypatch.setattr(spread, "START_S", -1e9)
 
 
 def test_folds_in_processes_give_the_same_numbers(at_once: None) -> None:
@@ -125,7 +125,7 @@ def test_a_part_that_kills_every_process_fails_the_job(at_once: None, monkeypatc
 
 PROGRAM = """
 from kilter_service.jobs.fan_out import FanOut
-from kilter_service.jobs.fan_out.engine import LocalProcesses
+from kilter_service.jobs.fan_out.spread import LocalProcesses
 from tests.service.parts import noted
 if __name__ == "__main__":
     list(FanOut(LocalProcesses(2)).as_completed(noted, [({folder!r}, k, 600.0) for k in range(2)]))

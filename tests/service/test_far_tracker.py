@@ -29,7 +29,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
 from kilter_service.robots.documents import core_document
 from kilter_service.robots.importers.urdf import chain_document
-from kilter_service.stream.corrector.database_source import DatabaseSource
+from kilter_service.stream.corrector.active import DatabaseSource
 from kilter_service.stream.corrector.process import Corrector
 from tests.core.soft_arm import NOISE_M, TOOL, Scene, scene
 from tests.core.truth import Arm

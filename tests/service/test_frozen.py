@@ -14,7 +14,7 @@ import httpx
 import pytest
 
 from kilter_client.stream import CorrectedStream
-from kilter_service.ground.processes.child import is_process_stopped, running
+from kilter_service.ground.child_process import is_process_stopped, running
 from kilter_service.ground.settings import Settings
 from kilter_service.run.backup.service import verify_stored
 from kilter_service.run.supervisor import Program

@@ -16,17 +16,17 @@ from typing import Any
 import httpx
 import pytest
 
+from kilter_service.ground.child_process import running
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import HeartbeatRow
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.processes.child import running
 from kilter_service.ground.settings import Settings
 from kilter_service.run.app import create_app
+from kilter_service.web import health, store
+from kilter_service.web import pulse as pulses
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.health import pulse as pulses
-from kilter_service.web.health import service, store
-from kilter_service.web.health.pulse import Pulse
+from kilter_service.web.pulse import Pulse
 from tests.service.forked import ForkedPopen
 from tests.service.postgresql import own_postgresql, programs, running_postgresql
 
@@ -96,7 +96,7 @@ def test_one_that_never_spoke_is_missed_where_kilterd_serve_runs_it(
     client: httpx.Client, database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     beat(database, "worker")
-    monkeypatch.setenv(service.BESIDE, "worker,corrector")
+    monkeypatch.setenv(health.BESIDE, "worker,corrector")
     assert "corrector: has not spoken yet" in why(client)
 
 
@@ -104,8 +104,8 @@ def test_one_that_has_not_spoken_since_the_server_began_is_starting(
     client: httpx.Client, database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also beside what a server that was killed left in the database; for as long as a start may take."""
-    monkeypatch.setenv(service.BESIDE, "worker,corrector")
-    monkeypatch.setenv(service.BEGAN, str(time.monotonic() - 40.0))
+    monkeypatch.setenv(health.BESIDE, "worker,corrector")
+    monkeypatch.setenv(health.BEGAN, str(time.monotonic() - 40.0))
     beat(database, "worker")
     beat(database, "corrector", "local", age_s=60.0)
     assert re.search(r"corrector: is starting, for 4\d s", why(client))
@@ -115,13 +115,13 @@ def test_one_that_has_not_spoken_since_the_server_began_is_starting(
         store.silence(session, "worker", "here")
         store.silence(session, "corrector", "local")
     assert re.search(r"worker: is starting, for 4\d s; corrector: is starting", why(client))
-    monkeypatch.setenv(service.BEGAN, str(time.monotonic() - service.LONGEST_START_S - 1.0))
+    monkeypatch.setenv(health.BEGAN, str(time.monotonic() - health.LONGEST_START_S - 1.0))
     assert "corrector: has not spoken yet" in why(client)
 
 
 def test_a_full_disk_is_told(client: httpx.Client, database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     beat(database, "worker")
-    monkeypatch.setattr(service, "LEAST_FREE_MB", 1 << 40)
+    monkeypatch.setattr(health, "LEAST_FREE_MB", 1 << 40)
     assert "make room in" in why(client)
 
 
@@ -227,7 +227,7 @@ def test_a_corrector_that_is_stopped_from_outside_is_missed(
     until: Callable[..., None],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(service, "SILENT_AFTER_S", 4.0)
+    monkeypatch.setattr(health, "SILENT_AFTER_S", 4.0)
     environment = {**os.environ, **settings.environment()}
     command = [sys.executable, "-m", "kilter_service", "corrector"]
     found = lambda: client.get("/v1/health").json()["checks"]["corrector"]  # noqa: E731

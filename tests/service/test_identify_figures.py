@@ -12,15 +12,23 @@ import numpy as np
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.identify.fit.tukey import RowErrors
+from kilter_core.identify.fit.robust import RowErrors
 from kilter_core.observations import Observations
 from kilter_service.contract.jobs.identify import IdentifyOptions
 from kilter_service.jobs.kind import JobInput
 from kilter_service.jobs.kinds.identify import run
-from kilter_service.jobs.plotly_figures.arrows import LONGEST, MOST_ARROWS, arrows, magnification
 from kilter_service.jobs.plotly_figures.identify import MOST_PARAMETERS, WORST, changes
 from kilter_service.jobs.plotly_figures.layout import LONGEST as LONGEST_LABEL
-from kilter_service.jobs.plotly_figures.layout import add_captions, bar_layout, distinct_labels, shorten_label
+from kilter_service.jobs.plotly_figures.layout import LONGEST_ARROWS as LONGEST
+from kilter_service.jobs.plotly_figures.layout import (
+    MOST_ARROWS,
+    add_captions,
+    arrows,
+    bar_layout,
+    distinct_labels,
+    magnification,
+    shorten_label,
+)
 from tests.core.campaigns import joints, measured
 from tests.core.truth import Arm, some_arm, some_pose, ur10, with_hidden_errors
 

@@ -19,7 +19,7 @@ from typing import Any
 import httpx
 import pytest
 
-from kilter_service.ground.processes import child
+from kilter_service.ground import child_process
 from kilter_service.ground.settings import Settings
 from kilter_service.web.auth.token import admin_token
 from tests.service.forked import ForkedPopen, children_of, forked_command
@@ -86,7 +86,7 @@ def test_a_command_that_cannot_go_on_says_so_in_json(settings: Settings, tmp_pat
 def test_warnings_and_what_nobody_caught_are_lines_too(tmp_path: Path) -> None:
     code = """
 import threading, warnings
-from kilter_service.web.observability import logs
+from kilter_service.web import logs
 from kilter_service.ground.settings import Settings
 from tests.service.forked import ForkedPopen, children_of, forked_command
 logs.configure(Settings(log_format="json"), "api")
@@ -116,7 +116,7 @@ raise RuntimeError("nobody foresaw this")
 def test_the_last_line_of_a_process_is_a_sentence(line: str, said: str) -> None:
     code = f"import sys; sys.stderr.write({line!r})"
     with subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE) as process:
-        words = child.ChildOutput("worker")
+        words = child_process.ChildOutput("worker")
         words.follow(process.stderr)
         process.wait(30)
         words.close()

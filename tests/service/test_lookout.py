@@ -15,7 +15,7 @@ from kilter_service.ground.db.tables import RobotRow
 from kilter_service.jobs.work import store
 from kilter_service.jobs.work.runner import Runner
 from kilter_service.jobs.work.worker import QueueConsumer
-from kilter_service.stream.corrector.database_source import DatabaseSource
+from kilter_service.stream.corrector.active import DatabaseSource
 from tests.service.conftest import Katana
 
 ROBOTS = select(RobotRow.name).where(RobotRow.name.in_(["katana", "100% :x"])).order_by(RobotRow.name)

@@ -9,7 +9,7 @@ import pytest
 
 SCRATCH = """
 import numpy as np
-from kilter_service.ground.processes.memory import return_freed_memory
+from kilter_service.ground.memory import return_freed_memory
 
 def resident():
     with open("/proc/self/status") as status:
@@ -37,7 +37,7 @@ def test_memory_of_a_job_goes_back_to_the_system() -> None:
 
 def test_the_api_process_shares_the_memory_of_its_threads() -> None:
     program = (
-        "from kilter_service.ground.processes.memory import keep_small; keep_small(); import pyarrow as pa; "
+        "from kilter_service.ground.memory import keep_small; keep_small(); import pyarrow as pa; "
         "print(pa.default_memory_pool().backend_name)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
@@ -61,7 +61,7 @@ from kilter_core.observations.repeats import numbered_poses
 from kilter_core.twin import Twin
 from kilter_service.ground.core import core_observations
 from kilter_service.ground.correction_outcome import about
-from kilter_service.versions.predictions.paired import chance
+from kilter_service.versions.predictions.differences import chance
 print(round(float(about(np.array([0.0]), np.array([2.0]))[0]), 9), round(chance(2, 6), 9))
 rows = Twin(robot_from_document(preset_document("ur10")), {}, ()).observe(np.zeros((2, 6)))
 print(rows.position.shape, numbered_poses(rows.q), core_observations.is_log(rows))
@@ -79,7 +79,7 @@ LIBRARIES = """
 import llvmlite.binding as llvm
 import numba
 import pyarrow
-from kilter_service.ground.processes.memory import return_pages_of_libraries
+from kilter_service.ground.memory import return_pages_of_libraries
 
 def resident():
     with open("/proc/self/status") as status:

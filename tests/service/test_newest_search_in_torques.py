@@ -9,8 +9,8 @@ import pytest
 
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow
-from kilter_service.ground.ended_jobs.store import get_search_in_torques
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.store import get_search_in_torques
 
 MODEL = {"base": [1.0, 2.0], "links": []}
 # As searches in poses store it, fits, earlier searches in torques, and those that have a model.

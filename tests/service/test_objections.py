@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kilter_client.cli.reports.next_step import suggest_for_version
+from kilter_client.cli.reports.answer import suggest_for_version
 from kilter_client.cli.reports.results import show_job
 from kilter_core.identify.comparison import PoseErrors
 from kilter_service.contract.versions import CorrectionLimits

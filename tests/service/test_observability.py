@@ -28,12 +28,12 @@ from sqlalchemy import text
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
 from kilter_service.stream.corrector.fast_path import bin_edges_us
-from kilter_service.versions.metrics import service
-from kilter_service.versions.metrics.service import HELD_BACK
+from kilter_service.versions import metrics
+from kilter_service.versions.metrics import HELD_BACK
+from kilter_service.web import logs
+from kilter_service.web import store as health
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.health import store as health
-from kilter_service.web.observability import logs, tracing
-from kilter_service.web.observability.requests import UNKNOWN
+from kilter_service.web.request_log import UNKNOWN
 from tests.service.forked import ForkedPopen
 
 TRACE = "0af7651916cd43dd8448eb211c80319c"
@@ -97,11 +97,11 @@ def test_metrics_say_how_much_room_is_left_and_when_the_certificate_ends(databas
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "cell")])
     made = x509.CertificateBuilder(name, name, key.public_key(), 7, now, now + timedelta(days=9))
     certificate.write_bytes(made.sign(key, hashes.SHA256()).public_bytes(serialization.Encoding.PEM))
-    with_it = values(service.text(database, Settings(data=tmp_path, tls_certificate=certificate)).decode())
+    with_it = values(metrics.text(database, Settings(data=tmp_path, tls_certificate=certificate)).decode())
     assert with_it["kilter_certificate_end_timestamp_seconds", ()] == (now + timedelta(days=9)).timestamp()
     assert with_it["kilter_disk_free_bytes", ()] > 0
     for settings in (Settings(data=tmp_path), Settings(data=tmp_path, tls_certificate=tmp_path / "none.pem")):
-        without = values(service.text(database, settings).decode())
+        without = values(metrics.text(database, settings).decode())
         assert ("kilter_certificate_end_timestamp_seconds", ()) not in without
 
 
@@ -272,4 +272,4 @@ def test_request_and_job_share_their_identifiers_from_client_to_worker(
 
 
 def test_without_a_collector_nothing_is_traced() -> None:
-    assert tracing.traceparent() == ""
+    assert logs.traceparent() == ""

@@ -16,12 +16,12 @@ import httpx
 import pytest
 
 from kilter_service.ground.db import Database
+from kilter_service.ground.db.failures import Failing, log_failure
 from kilter_service.ground.db.revision import migrate
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.failure_log import Failing, log_failure
 from kilter_service.ground.settings import Settings
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.health.pulse import Pulse
+from kilter_service.web.pulse import Pulse
 from tests.service.forked import ForkedPopen
 from tests.service.postgresql import PostgreSql, own_postgresql, programs
 

@@ -17,7 +17,7 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
-from kilter_service.versions.predictions.preview import drawn
+from kilter_service.versions.predictions.at_pose import drawn
 from kilter_service.versions.store import NewVersion
 from tests.service.test_versions import Versions, thesis_katana
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from kilter_service.ground.db import Database
-from kilter_service.ground.files.private_files import Scratch, protect
+from kilter_service.ground.private_files import Scratch, protect
 from kilter_service.stream.corrector.endpoints import PrivateSocket
 from tests.service.forked import forked_command
 
@@ -20,7 +20,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 HOLDER = """
 import sys, time
 from pathlib import Path
-from kilter_service.ground.files.private_files import Scratch
+from kilter_service.ground.private_files import Scratch
 scratch = Scratch(Path(sys.argv[1]))
 (scratch.folder / "upload-x").mkdir()
 print(scratch.folder, flush=True)

@@ -14,19 +14,17 @@ from fastapi import FastAPI
 
 from kilter_client import Kilter
 from kilter_client.requests.steps import post
-from kilter_service.contract.kinematics import Frame, NewFrame
-from kilter_service.contract.tokens import NewToken
+from kilter_service.contract.robot_reports import Frame, NewFrame
+from kilter_service.contract.server import NewToken
 from kilter_service.ground.caller import CALLER, Caller
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
-from kilter_service.robots.frames import service as frames
+from kilter_service.robots import frames
 from kilter_service.run.app import create_app
-from kilter_service.web import connections, gate
+from kilter_service.web import gate, logins
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.connections import TimedConnection
-from kilter_service.web.gate import MOST_SENDERS, Rates
-from kilter_service.web.tokens import service as tokens
+from kilter_service.web.gate import MOST_SENDERS, Rates, TimedConnection
 
 from .conftest import served
 
@@ -80,7 +78,7 @@ def test_what_computes_is_counted_by_token_and_reads_are_not(
     tight = settings.model_copy(update={"rate": 0.01})  # one at once, the next in 100 s
     client = serve(create_app(tight))
     before = CALLER.set(Caller("admin", "admin"))  # whose change is audited: a token that is not does not work
-    made = [tokens.add(database, NewToken(name=name, role="operator"), "admin") for name in ("a", "b")]
+    made = [logins.add(database, NewToken(name=name, role="operator"), "admin") for name in ("a", "b")]
     CALLER.reset(before)
     first, second = ({"Authorization": f"Bearer {token.token}"} for token in made)
     assert client.post("/v1/frames", json={}, headers=first).json()["code"] == "observations_invalid"
@@ -108,7 +106,7 @@ def quick(
 ) -> Iterator[tuple[httpx.Client, dict[str, str]]]:
     """A server that waits for a moment only, on its own connections."""
     monkeypatch.setattr(gate, "GRACE_S", 0.5)
-    monkeypatch.setattr(connections, "HEAD_S", 0.5)
+    monkeypatch.setattr(gate, "HEAD_S", 0.5)
     with served(create_app(settings), http=TimedConnection) as client:
         yield client, {"Authorization": f"Bearer {admin_token(settings)}"}
 

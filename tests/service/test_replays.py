@@ -26,10 +26,9 @@ from kilter_service.ground.settings import DATABASE_FILE, Settings
 from kilter_service.robots import service as robots
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.run.backup import service as backups
-from kilter_service.stream.corrector.database_source import DatabaseSource
+from kilter_service.stream.corrector.active import DatabaseSource
 from kilter_service.versions import activation, store
-from kilter_service.versions.answers.store import BY_UPGRADE
-from kilter_service.versions.store import NewVersion
+from kilter_service.versions.store import BY_UPGRADE, NewVersion
 from tests.corrector.conftest import calibration_of
 
 ROBOT = "katana450-chapter4"
@@ -81,7 +80,7 @@ def test_a_version_keeps_its_task_until_it_is_activated_anew(settings: Settings,
     calibration = calibration_of(ROBOT)
     version = store_active(settings, database, {"name": ROBOT, "convention": "preset", "preset": ROBOT}, calibration)
     with database.reading() as session:
-        rules = store.rules_of(session, version)
+        rules = store.activation_rules(session, version)
     assert rules is not None
     assert (rules["task"], "largest_rad" in rules) == ("position", False)
     keep_instead(settings, rules={**rules, "least_leverage": 50.0, "of_another_release": 1})
@@ -105,7 +104,7 @@ def test_a_rollback_returns_to_the_rules_of_that_time(settings: Settings, databa
     document = {"name": ROBOT, "convention": "preset", "preset": ROBOT}
     first = store_active(settings, database, document, calibration)
     with database.reading() as session:
-        rules = store.rules_of(session, first)
+        rules = store.activation_rules(session, first)
     assert rules is not None
     keep_instead(settings, rules={**rules, "rate_rad_s": 0.001})
     with database.transaction() as session:
@@ -117,7 +116,7 @@ def test_a_rollback_returns_to_the_rules_of_that_time(settings: Settings, databa
     activation.activate(database, second, "admin", ActivationWish(force=True, reason="test"))
     assert activation.rollback(database, ROBOT, "admin").id == first
     with database.reading() as session:
-        found, entry = store.rules_of(session, first), store.active_entry(session, 1)
+        found, entry = store.activation_rules(session, first), store.active_entry(session, 1)
         assert entry is not None
         assert session.get(ReplayRow, entry.id) is not None
     assert found is not None

@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
-from kilter_service.robots.frames import service as frames
+from kilter_service.robots import frames
 from kilter_service.run import app as application
 from kilter_service.run.app import create_app
 from kilter_service.web import bodies

@@ -27,8 +27,7 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.robots.documents import core_document
 from kilter_service.run.app import create_app
-from kilter_service.stream.corrector.active import version_number
-from kilter_service.stream.corrector.database_source import DatabaseSource
+from kilter_service.stream.corrector.active import DatabaseSource, version_number
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
 from kilter_service.web.auth.token import admin_token

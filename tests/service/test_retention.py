@@ -14,7 +14,7 @@ from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import FleetJobRow, FleetRobotRow, JobRow
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
-from kilter_service.jobs.work import retention as service
+from kilter_service.jobs.work import worker as service
 from kilter_service.run.backup import service as backup
 from tests.service.conftest import Katana
 from tests.service.made_versions import store_version

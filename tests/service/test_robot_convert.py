@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
+from kilter_core.arm.load_wrenches import axial_loads, joint_loads
 from kilter_core.arm.presets import preset_document
 from kilter_service.robots.documents import convert as converted
 from kilter_service.robots.documents import core_document

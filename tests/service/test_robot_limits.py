@@ -15,7 +15,7 @@ import pytest
 from kilter_core.errors import RobotError
 from kilter_core.procedures.circle_points import _alone
 from kilter_core.procedures.reference_frame import frame_of_features
-from kilter_service.robots.importers import xml_text
+from kilter_service.robots.importers import urdf_tree
 from kilter_service.robots.importers.urdf import chain_document
 
 pytestmark = pytest.mark.timeout(60)  # only a backstop: a URDF of 3000 joints was never answered
@@ -124,9 +124,9 @@ def test_xml_is_counted_while_it_is_read(text: str, said: str) -> None:
 
 def test_comments_without_an_end_are_looked_at_once() -> None:
     """A pattern looked from every beginning to the end of the text: quadratic."""
-    small, large = (steps(lambda n=n: xml_text._without_comments("<!--" * n)) for n in (1000, 100_000))
+    small, large = (steps(lambda n=n: urdf_tree._without_comments("<!--" * n)) for n in (1000, 100_000))
     assert large == small
-    assert xml_text._without_comments("a<!-- ${x} -->b<!---->c<!--d") == "abc<!--d"
+    assert urdf_tree._without_comments("a<!-- ${x} -->b<!---->c<!--d") == "abc<!--d"
 
 
 def document(**fields: Any) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from kilter_service.contract.words import said_of_chance
+from kilter_service.contract.wording import said_of_chance
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from kilter_service.ground import backup_folder
 from kilter_service.ground.db import Database
-from kilter_service.ground.files import backup_folder
 from kilter_service.ground.settings import Settings
 from kilter_service.run.doctor import commands
-from kilter_service.versions.metrics import service as metrics
+from kilter_service.versions import metrics
 from tests.service.conftest import ready
 from tests.service.forked import forked_command
 

@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy import text
 
 from kilter_service.ground.db import Database, revision
-from kilter_service.ground.db.schema_check import FILE, definitions, schema_altered
+from kilter_service.ground.db.revision import FILE, definitions, schema_altered
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.run.backup import service

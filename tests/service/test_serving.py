@@ -46,7 +46,7 @@ assert len(collected) < 20, len(collected)  # of what comes after the import
 
 SHORT = """
 import gc, weakref
-from kilter_service.ground.processes.memory import ShortPauses
+from kilter_service.ground.memory import ShortPauses
 class Thing: pass
 def cycle():
     one, other = Thing(), Thing()

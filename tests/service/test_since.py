@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 
 from kilter_service.ground.db import Database
-from kilter_service.versions.drift.records import StoredCheck, last_otherwise
+from kilter_service.versions.drift.wire import StoredCheck, last_otherwise
 from tests.core.watch.drifting import some_arm
 from tests.service.watched_robot import DAY, Watched
 

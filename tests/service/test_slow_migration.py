@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
+from kilter_service.ground.backup_folder import is_migrating, migration_lock
 from kilter_service.ground.db import Database, revision
-from kilter_service.ground.files.migration_lock import is_migrating, migration_lock
 from kilter_service.ground.settings import Settings
 from kilter_service.run.serving import MIGRATION_WAIT_S, check_database
 from kilter_service.run.supervisor import SUPERVISED
-from kilter_service.stream.corrector.database_source import DatabaseSource
-from kilter_service.web.health import pulse
+from kilter_service.stream.corrector.active import DatabaseSource
+from kilter_service.web import pulse
 from tests.service.forked import ForkedPopen
 
 COMMAND = [sys.executable, "-m", "kilter_service", "worker"]

@@ -13,9 +13,8 @@ import httpx
 import pytest
 from sqlalchemy import update
 
-from kilter_service.contract.drift import CheckOfRobot, DriftSummary
 from kilter_service.contract.fits import Errors, StageErrors
-from kilter_service.contract.today import ErrorsToday, Today
+from kilter_service.contract.today import CheckOfRobot, DriftSummary, ErrorsToday, Today
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import HeartbeatRow
 from kilter_service.page.shared.standing import Corrector, assess_robot_state

@@ -16,8 +16,7 @@ import pytest
 
 from kilter_client import Kilter
 from kilter_client.cli.correction.correct import _show_status
-from kilter_client.cli.reports.activation_report import show_activations
-from kilter_client.cli.reports.results import show_job, show_version
+from kilter_client.cli.reports.results import show_activations, show_job, show_version
 from kilter_client.cli.suspicious import show_suspicious
 from kilter_service.page.words import format_in_largest_unit, mm
 from tests.core.truth import ur10, with_hidden_errors

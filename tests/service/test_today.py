@@ -15,7 +15,7 @@ import pytest
 from sqlalchemy import select
 
 from kilter_client import Kilter
-from kilter_client.cli.reports.activation_report import show_today
+from kilter_client.cli.reports.results import show_today
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import CampaignRow, JobRow, RobotRow

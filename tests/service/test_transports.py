@@ -16,12 +16,12 @@ from pyarrow import parquet
 from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_core.twin import Twin, thesis_katana
 from kilter_service.ground.db import Database
+from kilter_service.stream import ros2_messages
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.queries import QueryError, correct_trajectory, decode_trajectory, encode_trajectory
 from kilter_service.stream.corrector.stream import Stream
 from kilter_service.stream.corrector.wire import Answer, Flag, Status, decode_answer, encode_setpoints
-from kilter_service.stream.ros2 import cdr
-from kilter_service.stream.ros2.process import TrajectoryRelay
+from kilter_service.stream.ros2_process import TrajectoryRelay
 from tests.service.test_versions import Versions
 
 STEP_NS = 20_000_000
@@ -109,13 +109,15 @@ def by_ros2(client: httpx.Client, active: Active, asked: Motion) -> Found:
     parts += [np.empty((ROWS, 0))] * (4 - len(parts))
     nanos = np.round(asked.t * 1e9).astype(np.int64)
     time = np.stack([nanos // 10**9, nanos % 10**9], axis=1).astype(np.int32)
-    head = cdr.Head((0, 0), "world", ("grip", *(NAMES[k] for k in order)))
+    head = ros2_messages.Head((0, 0), "world", ("grip", *(NAMES[k] for k in order)))
     relay = TrajectoryRelay(NAMES)
-    out = relay.answer(cdr.encode_joint_trajectory(cdr.JointTrajectory(head, time, *parts)), None, 0, active)
+    out = relay.answer(
+        ros2_messages.encode_joint_trajectory(ros2_messages.JointTrajectory(head, time, *parts)), None, 0, active
+    )
     if out is None:
         (name,) = relay.counts
         return Refused(None, name)
-    positions = cdr.decode_joint_trajectory(out).positions
+    positions = ros2_messages.decode_joint_trajectory(out).positions
     assert set(positions[:, 0]) == {0.02}
     return positions[:, 1:][:, np.argsort(order)]
 

@@ -17,8 +17,7 @@ from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.db import Database
 from kilter_service.jobs.kind import JobInput, JobOutput, VersionContent
 from kilter_service.jobs.work.runner import with_doubts
-from kilter_service.stream.corrector.active import Active
-from kilter_service.stream.corrector.database_source import DatabaseSource
+from kilter_service.stream.corrector.active import Active, DatabaseSource
 from kilter_service.stream.corrector.wire import Flag
 from tests.core.truth import ur10
 from tests.service.test_versions import Versions, joints, streamed, trajectory, twin, versions

@@ -23,7 +23,7 @@ from kilter_service.ground.settings import DATABASE_FILE, Settings
 from kilter_service.robots.documents import hash_canonical_json
 from kilter_service.run.backup import upgrade
 from kilter_service.run.backup.service import verify
-from kilter_service.stream.corrector.database_source import DatabaseSource
+from kilter_service.stream.corrector.active import DatabaseSource
 from tests.corrector.conftest import calibration_of
 from tests.corrector.live import ROBOT, Q
 from tests.corrector.stored import store_active

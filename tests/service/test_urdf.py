@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
+from kilter_core.arm.load_wrenches import axial_loads, joint_loads
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations

@@ -18,7 +18,7 @@ from kilter_core.correct.program import CorrectionOptions, Track, compile_progra
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.observations.directions import last_motion
+from kilter_core.observations.groups import last_motion
 from kilter_core.twin import Twin, thesis_katana
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow, VersionRow

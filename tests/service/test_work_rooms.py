@@ -14,14 +14,14 @@ import pytest
 
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import Scratch
+from kilter_service.ground.private_files import Scratch
 from kilter_service.ground.settings import Settings
 from kilter_service.page.drop import routes
 from kilter_service.page.drop.drafts import Drafts
 from kilter_service.run.app import create_app
 from kilter_service.web.auth.policy import PAGE_RULES, RULES, Kind
 from kilter_service.web.auth.token import admin_token
-from kilter_service.web.concurrency import Room, rooms_with
+from kilter_service.web.bodies import Room, rooms_by_kind
 from tests.service.conftest import Katana, Serve
 from tests.service.made_versions import store_version
 
@@ -130,7 +130,7 @@ def test_a_file_read_anew_takes_a_slot_of_drops_only(arms: Arms, gate: Gate, unt
 
 def test_the_rooms_of_the_routes() -> None:
     rules = {**RULES, **PAGE_RULES}
-    rooms = rooms_with(Settings())
+    rooms = rooms_by_kind(Settings())
     assert set(rooms) == set(get_args(Kind))
     assert [route for route, rule in rules.items() if rule.room == "corrections"] == [
         "POST /v1/robots/{robot}/correct", "POST /v1/robots/{robot}/torques",

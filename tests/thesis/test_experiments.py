@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kilter_core.identify.rows.influence import parameter_influence
+from kilter_core.identify.measured_rows import parameter_influence
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from tools.thesis import arms, combining
+from tools import influence_and_tilting
+from tools.thesis import arms
 from tools.thesis import experiments as done
 from tools.thesis.drawing import table
 from tools.thesis_reproduction import MODELS, verdict
@@ -31,10 +32,10 @@ def test_the_arms_share_no_code_with_kilter() -> None:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("label", combining.MAKES)
+@pytest.mark.parametrize("label", influence_and_tilting.MAKES)
 def test_the_arm_as_drawn_is_the_robot_that_kilter_is_given(label: str) -> None:
-    make = combining.MAKES[label]
-    robot = combining.robot_of(make)
+    make = influence_and_tilting.MAKES[label]
+    robot = influence_and_tilting.robot_of(make)
     low, high = np.radians(np.array(make.limits_deg)).T
     q = np.random.default_rng(0).uniform(low, high, (20, make.n))
     model = RobotModel(robot)
@@ -72,10 +73,10 @@ def test_the_order_of_the_thesis_and_the_figures_of_the_page() -> None:
 
 def test_weights_and_tilting_together_as_the_page_says() -> None:
     """One arm of one make: tilting is what counts, weights on top of it change little and lose."""
-    make = combining.MAKES["Katana 450"]
-    robot = combining.robot_of(make)
-    calibrate, unseen = combining.poses(robot, 30)
-    error = combining.compared(robot, make, 1, calibrate, unseen)
+    make = influence_and_tilting.MAKES["Katana 450"]
+    robot = influence_and_tilting.robot_of(make)
+    calibrate, unseen = influence_and_tilting.poses(robot, 30)
+    error = influence_and_tilting.compared(robot, make, 1, calibrate, unseen)
     measured = error["tilting measured first, least squares"]
     assert error["no tilting, least squares"] > 10.0 * measured
     assert error["tilting measured first, influence"] == pytest.approx(measured, rel=0.25)

@@ -15,7 +15,7 @@ from kilter_core.effects import EFFECTS, Effect
 from kilter_core.motion.effects import MOTION_EFFECTS, MotionEffect
 from tools.contract.client import LISTS, client_files
 from tools.contract.interface import SNAPSHOT
-from tools.contract.options import describe_option, options_data
+from tools.contract.lists import describe_option, options_data
 
 JOINTS = next(f.metadata["text"] for f in fields(Effect) if f.name == "joints")
 
@@ -74,7 +74,7 @@ def modules() -> dict[Path, str]:
 
 def interface() -> dict[Path, str]:
     """Return the snapshot of the interface as it should be."""
-    from tools.contract.served import served_interface_text  # imports the modules, which must stand
+    from tools.contract.lists import served_interface_text  # imports the modules, which must stand
 
     return {SNAPSHOT: served_interface_text()}
 

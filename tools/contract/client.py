@@ -38,7 +38,7 @@ def _option_texts(interface: Mapping[str, Any]) -> str:
     schemas = interface["components"]["schemas"]
     needs = {row["id"]: row["needs_campaigns"] for row in json.loads(LISTS.read_text(encoding="utf-8"))["kinds"]}
     lines = ['"""Kinds of jobs and their options, made from the interface by `make contract`: change it there."""\n']
-    lines.append("from __future__ import annotations\n\nfrom kilter_client.results.kind import Kind\n")
+    lines.append("from __future__ import annotations\n\nfrom kilter_client.results.record import Kind\n")
     kinds = []
     for kind, job in kinds_of_job(interface).items():
         stem = job.removesuffix("Job")

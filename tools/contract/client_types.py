@@ -57,23 +57,23 @@ FAMILIES: Mapping[str, tuple[str, str]] = {
 }
 INHERITED = 6  # fields that a type has of another one: with so many it inherits them
 # What is written by hand for a type: how it is shown, and what can be made of it.
-SHOWN: Mapping[str, tuple[str, str]] = {
-    "ActivatedVersion": ("ShownActivated", "shown_jobs"),
-    "Campaign": ("ShownCampaign", "shown_jobs"),
-    "DriftResult": ("ShownDrift", "shown_jobs"),
-    "EvaluateResult": ("ShownEvaluation", "shown_jobs"),
-    "Figure": ("ShownFigure", "shown"),
-    "GapResult": ("ShownSearch", "shown_jobs"),
-    "IdentifyResult": ("ShownFit", "shown_jobs"),
-    "JointParametersResult": ("ShownFit", "shown_jobs"),
-    "Metrics": ("ShownMetrics", "shown"),
-    "Parameter": ("ShownParameter", "shown"),
-    "PlanResult": ("ShownPlan", "shown_jobs"),
-    "RezeroResult": ("ShownDrift", "shown_jobs"),
-    "Uploaded": ("ShownUpload", "shown_jobs"),
-    "Version": ("ShownVersion", "shown_jobs"),
-    "VersionDiff": ("ShownDiff", "shown_jobs"),
-    "VersionSummary": ("OfVersion", "shown_jobs"),
+SHOWN: Mapping[str, str] = {
+    "ActivatedVersion": "ShownActivated",
+    "Campaign": "ShownCampaign",
+    "DriftResult": "ShownDrift",
+    "EvaluateResult": "ShownEvaluation",
+    "Figure": "ShownFigure",
+    "GapResult": "ShownSearch",
+    "IdentifyResult": "ShownFit",
+    "JointParametersResult": "ShownFit",
+    "Metrics": "ShownMetrics",
+    "Parameter": "ShownParameter",
+    "PlanResult": "ShownPlan",
+    "RezeroResult": "ShownDrift",
+    "Uploaded": "ShownUpload",
+    "Version": "ShownVersion",
+    "VersionDiff": "ShownDiff",
+    "VersionSummary": "OfVersion",
 }
 # Names that Python or the record they stand in has already.
 RENAMED = {"class": "class_", "document": "posted"}
@@ -190,7 +190,7 @@ def _needed_by_hand(name: str) -> set[str]:
     """Fields that what is written by hand for a type states."""
     if name not in SHOWN:
         return set()
-    return _stated_fields(SHOWN[name][0])
+    return _stated_fields(SHOWN[name])
 
 
 def _stated_fields(name: str) -> set[str]:
@@ -261,10 +261,9 @@ def _module(module: str, schemas: Schema, own: Sequence[str], held: Mapping[str,
     records = [name for name, used in (("Record", "Record):"), ("Records", "Records[")) if used in classes]
     if records:
         lines.append(f"from kilter_client.results.record import {', '.join(records)}")
-    for where in ("shown", "shown_jobs"):
-        shown = sorted({SHOWN[name][0] for name in own if name in SHOWN and SHOWN[name][1] == where})
-        if shown:
-            lines.append(f"from kilter_client.results.{where} import {', '.join(shown)}")
+    shown = sorted({SHOWN[name] for name in own if name in SHOWN})
+    if shown:
+        lines.append(f"from kilter_client.results.shown_jobs import {', '.join(shown)}")
     used: dict[str, set[str]] = {}
     for name in own:
         for needed in _needs(schemas, name, bases) - set(own):
@@ -275,7 +274,7 @@ def _module(module: str, schemas: Schema, own: Sequence[str], held: Mapping[str,
 
 def _class(name: str, schemas: Schema, bases: Mapping[str, str]) -> Iterator[str]:
     base = bases.get(name, "Record")
-    yield f"\nclass {name}({SHOWN[name][0]}, {base}):" if name in SHOWN else f"\nclass {name}({base}):"
+    yield f"\nclass {name}({SHOWN[name]}, {base}):" if name in SHOWN else f"\nclass {name}({base}):"
     yield f'    """{_text(schemas[name]["description"])}"""'
     own, properties = _own(schemas, name, bases), schemas[name]["properties"]
     if own:

@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import Any
 
 import kilter
-from kilter_client.results import corrected, dry_run, program, record, rows, shown, shown_jobs
+from kilter_client.results import corrected, record, rows, shown_jobs
 from kilter_client.typed.names import JOBS, MODULE_OF
 
 MADE = "<!-- Made from the docstrings by `make contract`: change it there. -->\n"
@@ -75,15 +75,15 @@ GROUPS = {
 BEHAVIOUR = {
     "Every result": (record.Record,),
     "Lists of results": (record.Records, rows.Tabular),
-    "Parameters": (shown.ShownParameter,),
-    "Identifications, versions and gap searches": (shown.Shown, shown.Asking),
+    "Parameters": (shown_jobs.ShownParameter,),
+    "Identifications, versions and gap searches": (shown_jobs.Shown, shown_jobs.Asking),
     "Versions": (shown_jobs.OfVersion,),
     "Plans": (shown_jobs.ShownPlan,),
-    "Dry runs": (dry_run.DryRun,),
-    "Figures": (shown.ShownFigure,),
+    "Dry runs": (corrected.DryRun,),
+    "Figures": (shown_jobs.ShownFigure,),
     "Rows": (rows.Rows,),
     "Corrected trajectories": (corrected.Corrected,),
-    "Corrected programs": (program.FilteredProgram,),
+    "Corrected programs": (corrected.FilteredProgram,),
 }
 SECTION = re.compile(r"^(Args|Raises):\n", re.MULTILINE)
 # What the signatures mean by these.

@@ -12,7 +12,7 @@ from typing import Any
 from kilter_core.effects import EFFECTS
 from kilter_files.formats.registry import list_formats
 from kilter_service.contract.jobs.registry import KINDS
-from kilter_service.contract.words import describe_schema
+from kilter_service.contract.wording import describe_schema
 from tools.contract.client import plain_text
 from tools.contract.interface import REFERENCE, Document, promised_interface
 

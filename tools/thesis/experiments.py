@@ -15,12 +15,12 @@ from kilter_core.arm.robot import Robot
 from kilter_core.effects import make_effect
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.estimate import prepare_problem
+from kilter_core.identify.measured_rows import imposed_step, relative_influence
 from kilter_core.identify.methods.per_pose import pose_solutions
-from kilter_core.identify.rows.influence import imposed_step, relative_influence
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.plan.iso9283_poses import iso_poses
+from kilter_core.plan.d_optimal import iso_poses
 from kilter_core.types import Floats
 from tests.core.correct.reference import CorrectOptions, correct
 from tools.thesis.arms import CHAPTER_4, Arm, built

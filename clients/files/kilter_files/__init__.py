@@ -14,20 +14,20 @@ from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, PARQUET_TYPE, Prepare
 if TYPE_CHECKING:
     from kilter_files.formats.reader import LogHints
     from kilter_files.look.drafts import Draft
-    from kilter_files.tables.joint_log import JointLog
+    from kilter_files.tables.table import JointLog
 
     DEVICES: Mapping[str, Callable[[Path], Table]]
 
 with later(__name__):
-    from kilter_files.formats import reader, registry, tracker_header
+    from kilter_files.formats import marker_header, reader, registry
     from kilter_files.formats.joints import joint_log
     from kilter_files.ground import units
     from kilter_files.look import drafts
     from kilter_files.maps import column_map as column_maps
     from kilter_files.maps import mapped
-    from kilter_files.rig import points
-    from kilter_files.tables import joint_log as joint_logs
+    from kilter_files.rig import tilt_join
     from kilter_files.tables import source
+    from kilter_files.tables import table as joint_logs
 
 __all__ = ["DEVICES", "Prepared", "draft", "has_contract_header", "inspect", "prepare", "read_joints"]
 
@@ -83,7 +83,7 @@ def prepare(
             return as_it_is(path)
         table = by_device.read(path)
     elif preset is not None:
-        table = points.read_points(path, preset, euler, other, hints)
+        table = tilt_join.read_points(path, preset, euler, other, hints)
     else:
         table = _read_with_map(path, None if column_map is None else Path(column_map), other)
     return Prepared.from_table(table)
@@ -91,7 +91,7 @@ def prepare(
 
 def _preset_for_device(device: str, path: Path, joined: bool) -> str | None:
     """Return the preset that a device names, where its file is an export of points and not contract columns already."""
-    if device not in tracker_header.PRESETS or path.suffix.lower() in (".json", ".parquet"):
+    if device not in marker_header.PRESETS or path.suffix.lower() in (".json", ".parquet"):
         return None
     return device if joined or not registry.has_format(path, "contract-columns") else None
 

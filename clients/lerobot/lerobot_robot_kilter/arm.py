@@ -2,10 +2,13 @@
 
 The true joints are those at which the nominal arm has its tool where the real one has it: what the correction undoes. So
 an arm that has arrived observes what it was told.
+
+The version that corrects an arm, from the server; and whether the arm's servos are still those it was measured with.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -15,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from kilter_client import Kilter
+from kilter_client.bridges import correction
 from kilter_client.bridges.correction import Correction, Guard
-from kilter_client.errors import ConflictError, UsageError
-from kilter_core.correct import LARGEST, OK
+from kilter_client.errors import ConflictError, FileError, UsageError
+from kilter_core.correct import LARGEST, OK, Stored, from_bytes
 from kilter_files.formats import BY_RANGE, DEGREES, TICK_DEG, read_calibration, servo_name_for_joint
 from kilter_files.ground import Floats
-from lerobot_robot_kilter.version import Used, refuse_other_calibration
 
 POSITION = ".pos"
 REVERSAL_RAD = math.radians(1.5 * TICK_DEG)  # a servo that holds still reads either of two ticks
@@ -149,3 +153,66 @@ class CorrectedArm:
             name + POSITION: self._servos.recorded_value(name, float(angle), self._mode, ticks)
             for name, angle in zip(self.names, np.degrees(q), strict=True)
         }
+
+
+CONDITION = "calibration_sha256"
+
+
+@dataclass(frozen=True)
+class Used:
+    """A version as it corrects: its robot, joints in order, program, and the servo calibration of each of its campaigns."""
+
+    robot: str
+    version_id: str
+    joints: tuple[str, ...]
+    stored: Stored
+    calibrations: Mapping[str, str | None]
+
+
+def fetch_used_version(robot: str, version: str | None = None, force: bool = False) -> Used:
+    """Fetch what corrects a robot.
+
+    Raises:
+        ConflictError: no version is active, or the arm would be corrected twice.
+        UsageError: no robot is named.
+
+    """
+    if not robot:
+        raise UsageError("Say which robot of the Kilter server this arm is: --robot.kilter_robot=NAME.")
+    found = correction.fetch_startup_version(robot, version, force)
+    with Kilter() as kilter:
+        joints = tuple(str(joint["name"]) for joint in kilter.robots.get(robot)["joints"])
+        campaigns = [str(one["id"]) for one in kilter.versions.get(found.version_id, robot=robot)["campaigns"]]
+        stated = {one: kilter.campaigns.get(one)["conditions"].get(CONDITION) for one in campaigns}
+    return Used(robot, found.version_id, joints, from_bytes(found.program), stated)
+
+
+def refuse_other_calibration(found: Used, calibration: Path) -> None:
+    """Compare the calibration of the servos with that of the version's campaigns.
+
+    Raises:
+        FileError: the arm has no calibration.
+        ConflictError: the campaigns were measured with another one, or nobody stated with which.
+
+    """
+    if not calibration.is_file():
+        raise FileError(
+            f"{calibration}: is missing. Give --robot.id the name under which the arm was calibrated, or calibrate and measure "
+            "it as so101_follower first.",
+            file=str(calibration),
+        )
+    own = hashlib.sha256(calibration.read_bytes()).hexdigest()
+    for campaign, stated in found.calibrations.items():
+        if stated is None:
+            raise ConflictError(
+                f"Campaign {campaign} of version {found.version_id} does not state with which calibration of the servos "
+                "it was measured. Upload its rows again with --calibration JSON, and identify anew.",
+                code="calibration_differs",
+            )
+        if stated != own:
+            raise ConflictError(
+                f"{calibration}: its SHA-256 is {own[:12]}, campaign {campaign} of version {found.version_id} was measured "
+                f"with {stated[:12]}: with other zeros it is another arm. Put that calibration back, or measure it and "
+                "identify anew.",
+                code="calibration_differs",
+            )

@@ -11,9 +11,8 @@ from lerobot.robots.robot import Robot
 from lerobot.robots.so_follower import SO101Follower
 
 from kilter_client.errors import UsageError
-from lerobot_robot_kilter.arm import CorrectedArm, Pace
+from lerobot_robot_kilter.arm import CorrectedArm, Pace, fetch_used_version, refuse_other_calibration
 from lerobot_robot_kilter.config import KilterSO101Config
-from lerobot_robot_kilter.version import fetch_used_version, refuse_other_calibration
 
 log = logging.getLogger(__name__)
 

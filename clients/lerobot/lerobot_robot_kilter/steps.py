@@ -8,8 +8,7 @@ from typing import Any
 
 from lerobot.processor import ObservationProcessorStep, ProcessorStepRegistry, RobotActionProcessorStep
 
-from lerobot_robot_kilter.arm import CorrectedArm, Pace
-from lerobot_robot_kilter.version import fetch_used_version
+from lerobot_robot_kilter.arm import CorrectedArm, Pace, fetch_used_version
 
 
 @dataclass

@@ -12,7 +12,7 @@ from enum import Enum, auto
 
 import numpy as np
 
-from kilter_core.arm.loads.slopes import EACH, links_with_mass
+from kilter_core.arm.load_slopes import EACH, links_with_mass
 from kilter_core.arm.robot import Robot
 from kilter_core.types import Floats
 
@@ -105,7 +105,7 @@ class RunTimeForm:
 
     ``base_shift`` m and ``base_tilt`` rad, together a twist, move the base frame; ``base_compliance`` rad/(N m) tilts it
     about x and y by the load on it. ``link_errors`` are errors of the masses of the links, four of each that has one,
-    ``payload_errors`` four of the payload, in the order of :class:`~kilter_core.arm.loads.slopes.LoadSlopes`.
+    ``payload_errors`` four of the payload, in the order of :class:`~kilter_core.arm.load_slopes.LoadSlopes`.
     """
 
     robot: Robot

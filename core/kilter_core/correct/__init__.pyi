@@ -1,5 +1,7 @@
 from .correction_needs import Needs as Needs
+from .correction_needs import levers as levers
 from .correction_needs import needs as needs
+from .correction_needs import read_program_limits as read_program_limits
 from .file import Stored as Stored
 from .file import from_bytes as from_bytes
 from .file import to_bytes as to_bytes
@@ -13,14 +15,12 @@ from .kernels.layout import RATE_LIMIT as RATE_LIMIT
 from .kernels.layout import REMOVED as REMOVED
 from .kernels.layout import TOO_LARGE as TOO_LARGE
 from .kernels.stream import correct_setpoint as correct_setpoint
-from .leverage import levers as levers
 from .program import DEFAULT_TASK as DEFAULT_TASK
 from .program import CorrectionOptions as CorrectionOptions
 from .program import CorrectionProgram as CorrectionProgram
 from .program import Track as Track
 from .program import compile_program as compile_program
 from .program import warm_up as warm_up
-from .stated import read_program_limits as read_program_limits
 from .walker import CorrectedTrajectory as CorrectedTrajectory
 from .walker import correct_trajectory as correct_trajectory
 from .walker import side_by_side as side_by_side

@@ -1,4 +1,4 @@
-"""What a version needs to be corrected over its workspace, and limits that follow from it.
+"""What a version needs to be corrected over its workspace, and what a program promises of every correction.
 
 A limit that is too small leaves errors that the version knows how to remove, one that is too large lets a wrong version
 move the arm far. So the rows are corrected within the widest limits that :func:`needs` would ever suggest, and what
@@ -11,11 +11,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
 from kilter_core.correct.kernels import layout
-from kilter_core.correct.program import CorrectedRows, CorrectionOptions, compile_program
+from kilter_core.correct.program import CorrectedRows, CorrectionOptions, CorrectionProgram, compile_program
 from kilter_core.errors import ObservationError
 from kilter_core.model import Calibration
 from kilter_core.types import Floats
@@ -114,4 +115,70 @@ def _shares(rows: CorrectedRows, options: CorrectionOptions) -> Shares:
         held=float(np.mean(good & (rows.flags & layout.SATURATED != 0))),
         left=float(np.mean(good & (left > options.reached_m))),
         most_left=float(left[good].max(initial=0.0)),
+    )
+
+
+PARALLEL = 1.0 - 1e-9
+
+
+def levers(program: CorrectionProgram) -> Floats:
+    """Most motion of the tool point (n,) per motion of each joint, m/rad or m/m, wherever the other joints are.
+
+    For a revolute joint this is how far the tool can be from its axis: the links after it stretched out, those between
+    parallel axes across these only. An upper bound, by the nominal arm; infinite behind a prismatic joint without limits.
+    """
+    m = program.moves
+    moves, joints = program.array[: m + 1], program.array[m + 1 : m + 1 + program.n_joints]
+    out = np.zeros(program.n_joints)
+    for k in range(m):
+        reach = 1.0 if moves[k, layout.KIND] else _farthest(moves[k + 1 :], joints)
+        out[int(moves[k, layout.JOINT])] += abs(moves[k, layout.RATIO]) * reach
+    return out
+
+
+def _farthest(rows: Floats, joints: Floats) -> float:
+    """How far the tool can be from a revolute axis; ``rows`` are those after its move, the last is up to the tool."""
+    far, parallel = 0.0, True
+    for k, row in enumerate(rows):
+        x, y, z = row[layout.NOMINAL + 9 : layout.NOMINAL + 12].tolist()
+        far += math.hypot(x, y) if parallel else math.hypot(x, y, z)
+        parallel = parallel and abs(row[layout.NOMINAL + 8]) > PARALLEL
+        if k + 1 < len(rows) and row[layout.KIND] and not parallel:  # a prismatic move along z
+            joint = joints[int(row[layout.JOINT])]
+            far += abs(row[layout.RATIO]) * max(abs(joint[layout.LOWER]), abs(joint[layout.UPPER]))
+    return far
+
+
+TASKS = {3: "position", 5: "axis", 6: "pose"}  # by the number of rows that come first
+
+
+@dataclass(frozen=True)
+class Stated:
+    """Task and limits of a program; of each joint (n,) the largest correction, its most rate and its most acceleration.
+
+    ``held_joints`` (from 0) are those that it leaves as they are wanted.
+
+    Units rad or m, per second and per second squared; ``farthest_m`` is the largest correction of the tool point.
+    """
+
+    task: str
+    at_limit: Literal["saturate", "refuse"]
+    largest: Floats
+    farthest_m: float
+    rate: Floats
+    acceleration: Floats
+    held_joints: tuple[int, ...]
+
+
+def read_program_limits(program: CorrectionProgram) -> Stated:
+    """What the program promises."""
+    joints, scalars = program.array[program.moves + 1 : program.moves + 1 + program.n_joints], program.array[-1]
+    return Stated(
+        task=TASKS[int(scalars[layout.FIRST])],
+        at_limit="saturate" if scalars[layout.SATURATES] else "refuse",
+        largest=joints[:, layout.LARGEST].copy(),
+        farthest_m=float(scalars[layout.FARTHEST]),
+        rate=joints[:, layout.CHANGE].copy(),
+        acceleration=joints[:, layout.SPURT].copy(),
+        held_joints=tuple(np.flatnonzero(joints[:, layout.FREE] == 0.0).tolist()),
     )

@@ -30,7 +30,7 @@ from functools import cache
 
 import numpy as np
 
-from kilter_core.arm.loads.wrenches import HANGING_ROUNDS, SIDED_ROUNDS
+from kilter_core.arm.load_wrenches import HANGING_ROUNDS, SIDED_ROUNDS
 from kilter_core.correct.kernels import layout
 from kilter_core.correct.program import CorrectionProgram
 from kilter_core.errors import OptionError

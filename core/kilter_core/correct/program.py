@@ -15,22 +15,25 @@ from typing import Literal
 import numpy as np
 
 from kilter_core.arm.chain import Axis, Chain, Element
-from kilter_core.arm.loads.slopes import with_masses, with_payload
-from kilter_core.arm.loads.wrenches import HANGING_ROUNDS, SIDED_ROUNDS, axial_loads, joint_loads
+from kilter_core.arm.load_slopes import with_masses, with_payload
+from kilter_core.arm.load_wrenches import HANGING_ROUNDS, SIDED_ROUNDS, axial_loads, joint_loads
 from kilter_core.arm.robot import Joint, Link, Payload, Robot
 from kilter_core.arm.run_time import Conditions, RunTimeForm
-from kilter_core.correct.collapse import (
+from kilter_core.correct.kernels import layout, stream
+from kilter_core.correct.program_rows import (
+    bending_rows,
     collapse_chains,
     collapse_constants,
+    curve_rows,
+    doubt_rows,
     fixed_links_moment,
+    joint_rows,
     load_rows,
     nominal_values,
     write_base,
     write_bodies,
     write_moves,
 )
-from kilter_core.correct.kernels import layout, stream
-from kilter_core.correct.rows import bending_rows, curve_rows, doubt_rows, joint_rows
 from kilter_core.errors import OptionError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.types import Floats, Ints

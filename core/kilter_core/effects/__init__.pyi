@@ -4,8 +4,8 @@ from .base import Derivative as Derivative
 from .base import Effect as Effect
 from .base import Local as Local
 from .batch import Batch as Batch
-from .other_campaigns import SENTENCES as SENTENCES
-from .other_campaigns import carried_findings as carried_findings
+from .laws import SENTENCES as SENTENCES
+from .laws import carried_findings as carried_findings
 from .registry import EFFECTS as EFFECTS
 from .registry import effect_from_document as effect_from_document
 from .registry import make_effect as make_effect

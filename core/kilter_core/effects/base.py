@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kilter_core.arm.loads.slopes import LoadSlopes
+from kilter_core.arm.load_slopes import LoadSlopes
 from kilter_core.arm.robot import Robot
 from kilter_core.arm.run_time import RunTimeForm
 from kilter_core.effects.batch import Batch

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.arm.loads.slopes import LoadSlopes
+from kilter_core.arm.load_slopes import LoadSlopes
 from kilter_core.observations import Conditions
 from kilter_core.observations.clock import on_shared_clock
 from kilter_core.types import Floats
@@ -25,7 +25,7 @@ class Batch(Conditions):
 
     ``wrench (N, n, 6)`` is the load on each joint; ``axial (N, n)`` its part that works on the joint: the moment about
     the axis of a revolute joint (N·m), the force along that of a prismatic one (N). ``end_wrench``, ``base_wrench`` and
-    ``tool_point`` are those of :class:`~kilter_core.arm.loads.wrenches.Loads`, ``link_vectors (n + 1, 3)`` those of the chain.
+    ``tool_point`` are those of :class:`~kilter_core.arm.load_wrenches.Loads`, ``link_vectors (n + 1, 3)`` those of the chain.
     ``payload_axial (N, n, 4)`` is what one more kilogram at the payload's place adds to ``axial``, and one more kg·m of
     first moment along each tool axis; it comes with ``payload_kg``. ``slopes`` say how the loads follow errors of the
     masses, where the model has such errors. ``blur (n, 2)`` N·m is how uncertain the load across and about each joint is

@@ -1,4 +1,4 @@
-"""Every effect Kilter knows, by id. Adding one is its file, one line here, and one row in the docs."""
+"""Every effect Kilter knows, by id. Adding one is its class, one line here, and one row in the docs."""
 
 from __future__ import annotations
 
@@ -6,57 +6,41 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from kilter_core.effects.axial_compliance import AxialCompliance
-from kilter_core.effects.backlash import Backlash
-from kilter_core.effects.backlash_load import BacklashLoad
+from kilter_core.effects.backlash import Backlash, BacklashLoad, ClearanceTilt, FrictionWindup, GearError
 from kilter_core.effects.base import Effect
-from kilter_core.effects.base_compliance import BaseCompliance
-from kilter_core.effects.base_step import BaseStep
-from kilter_core.effects.clearance_tilt import ClearanceTilt
-from kilter_core.effects.column_bending import ColumnBending
-from kilter_core.effects.direction_compliance import DirectionCompliance
-from kilter_core.effects.drift import Drift
-from kilter_core.effects.eccentricity import Eccentricity
-from kilter_core.effects.encoder_curve import EncoderCurve
-from kilter_core.effects.encoder_scale import EncoderScale
-from kilter_core.effects.friction_windup import FrictionWindup
-from kilter_core.effects.gear_error import GearError
-from kilter_core.effects.gravity_spring import GravitySpring
-from kilter_core.effects.guide_rotation import GuideRotation
-from kilter_core.effects.hardening import Hardening
-from kilter_core.effects.joint_coupling import JointCoupling
-from kilter_core.effects.link_bending import LinkBending
-from kilter_core.effects.link_growth import LinkGrowth
-from kilter_core.effects.link_lengthening import LinkLengthening
-from kilter_core.effects.link_torsion import LinkTorsion
-from kilter_core.effects.load_error import LoadError
-from kilter_core.effects.local_bump import LocalBump
-from kilter_core.effects.measured_tilt import MeasuredTilt
-from kilter_core.effects.measurement_scale import MeasurementScale
-from kilter_core.effects.payload_error import PayloadError
-from kilter_core.effects.radial_compliance import RadialCompliance
-from kilter_core.effects.random_walk import RandomWalk
-from kilter_core.effects.reading_tilt import ReadingTilt
-from kilter_core.effects.scale_thermal import ScaleThermal
-from kilter_core.effects.second_harmonic import SecondHarmonic
-from kilter_core.effects.session_shift import SessionShift
-from kilter_core.effects.settling import Settling
-from kilter_core.effects.straightness import Straightness
-from kilter_core.effects.strain_wave import StrainWave
-from kilter_core.effects.telescope_bending import TelescopeBending
-from kilter_core.effects.thermal_drift import ThermalDrift
-from kilter_core.effects.thermal_growth import ThermalGrowth
-from kilter_core.effects.time_offset import TimeOffset
-from kilter_core.effects.tool_sag import ToolSag
-from kilter_core.effects.tool_step import ToolStep
-from kilter_core.effects.tracking_lag import TrackingLag
-from kilter_core.effects.unknown_field import UnknownField
-from kilter_core.effects.unknown_joint_curve import UnknownJointCurve
-from kilter_core.effects.unknown_residual import UnknownResidual
-from kilter_core.effects.unknown_smooth_curve import UnknownSmoothCurve
-from kilter_core.effects.zero_drift import ZeroDrift
-from kilter_core.effects.zero_step import ZeroStep
-from kilter_core.effects.zero_thermal import ZeroThermal
+from kilter_core.effects.compliance import (
+    AxialCompliance,
+    BaseCompliance,
+    DirectionCompliance,
+    GravitySpring,
+    Hardening,
+    RadialCompliance,
+    StrainWave,
+)
+from kilter_core.effects.guide import GuideRotation, Straightness
+from kilter_core.effects.instrument import MeasuredTilt, MeasurementScale, TimeOffset, TrackingLag
+from kilter_core.effects.links import LinkBending, LinkTorsion, TelescopeBending, ToolSag
+from kilter_core.effects.masses import LoadError, PayloadError
+from kilter_core.effects.over_time import Drift, LinkLengthening, RandomWalk, Settling, ZeroDrift
+from kilter_core.effects.readings import (
+    Eccentricity,
+    EncoderCurve,
+    EncoderScale,
+    JointCoupling,
+    LocalBump,
+    ReadingTilt,
+    SecondHarmonic,
+)
+from kilter_core.effects.steps import BaseStep, SessionShift, ToolStep, ZeroStep
+from kilter_core.effects.thermal import (
+    ColumnBending,
+    LinkGrowth,
+    ScaleThermal,
+    ThermalDrift,
+    ThermalGrowth,
+    ZeroThermal,
+)
+from kilter_core.effects.unknown import UnknownField, UnknownJointCurve, UnknownResidual, UnknownSmoothCurve
 from kilter_core.errors import OptionError
 
 _ALL: tuple[type[Effect], ...] = (

@@ -1,3 +1,8 @@
+from .error_budget import Budget as Budget
+from .error_budget import Conformity as Conformity
+from .error_budget import K as K
+from .error_budget import PermissibleError as PermissibleError
+from .error_budget import judge as judge
 from .iso9283 import Trial as Trial
 from .iso9283 import criteria as criteria
 from .prediction import errors_by_row as errors_by_row
@@ -6,8 +11,3 @@ from .prediction import expected_error_half_widths as expected_error_half_widths
 from .prediction import expected_of as expected_of
 from .prediction import mean_errors as mean_errors
 from .prediction import rows_of as rows_of
-from .uncertainty.budget import Budget as Budget
-from .uncertainty.budget import K as K
-from .uncertainty.budget import PermissibleError as PermissibleError
-from .uncertainty.conformity import Conformity as Conformity
-from .uncertainty.conformity import judge as judge

@@ -14,7 +14,7 @@ from kilter_core.identify.estimate import new_frames, refit_frames
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.identify.view_report import left_open, tell_less
 from kilter_core.measurement import Measurement, Residual
-from kilter_core.measurement.metrics import Errors
+from kilter_core.measurement.frames import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import mm

@@ -25,8 +25,8 @@ from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Library, Untestable, with_testable
 from kilter_core.gap.search.linear.gram import Gram
 from kilter_core.gap.search.linear.linearized import refit
+from kilter_core.gap.search.outliers import outliers
 from kilter_core.gap.search.prepare import Prepared, prepare_data
-from kilter_core.gap.search.rows.outliers import outliers
 from kilter_core.gap.search.scan import Scorer, null_distribution
 from kilter_core.gap.search.select import HIDING, Selector
 from kilter_core.gap.study import beginning, refuse_other_confirmation, split_held_out_rows

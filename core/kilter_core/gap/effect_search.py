@@ -9,19 +9,25 @@ import numpy as np
 
 from kilter_core.effects import Effect
 from kilter_core.errors import Finding
-from kilter_core.gap.budget import MEASURING, SEARCHING, Budget, OutOfTimeError
 from kilter_core.gap.evidence.fits.final_fit import by_rows, jacobian_prior_covariance
 from kilter_core.gap.evidence.fits.intervals import amplitude_significance, are_all_significant
 from kilter_core.gap.evidence.held_out.when import refine_event_positions
 from kilter_core.gap.evidence.separators import compare_with_friction
 from kilter_core.gap.evidence.similarity.testability import Testability, testability, through_loads, to_search
+from kilter_core.gap.options import MEASURING, SEARCHING, Budget, OutOfTimeError
 from kilter_core.gap.search.candidates import FAMILY, JOINT, Candidate, Library, Untestable, with_testable
-from kilter_core.gap.search.finalize import finalize, or_geometry_alone
-from kilter_core.gap.search.forward_selection import SearchResult, search, update_event_times, update_selector
+from kilter_core.gap.search.events import refit_with_updated_noise, under
+from kilter_core.gap.search.forward_selection import (
+    SearchResult,
+    finalize,
+    or_geometry_alone,
+    search,
+    update_event_times,
+    update_selector,
+)
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, estimate_linear_parameters, refit
-from kilter_core.gap.search.linear.ranges import library_parameters
+from kilter_core.gap.search.linear.settings import library_parameters
 from kilter_core.gap.search.prepare import Prepared, blur_load_signs
-from kilter_core.gap.search.re_evaluation import refit_with_updated_noise, under
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.gap.study import Study

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from kilter_core.arm.robot import Robot
 from kilter_core.gap.effect_search import search_effects
-from kilter_core.gap.effect_verdicts import judge_effects
-from kilter_core.gap.fit_assessment import assess_fit, settle_version
+from kilter_core.gap.effect_verdicts import assess_fit, judge_effects, settle_version
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.outcome_warnings import Outcome
 from kilter_core.gap.report.localization import localize
 from kilter_core.gap.report.report import GapReport
-from kilter_core.gap.report.told_apart import plan_next_poses
+from kilter_core.gap.report.separation import plan_next_poses
 from kilter_core.gap.report_assembly import build_report
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.study import begin_study

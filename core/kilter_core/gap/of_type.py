@@ -10,13 +10,12 @@ from kilter_core.arm.robot import Robot
 from kilter_core.errors import OptionError
 from kilter_core.gap.options import GapOptions
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.fleet.prior import FleetPrior, of_its_type
-from kilter_core.identify.fleet.said import prior_document, prior_warnings
-from kilter_core.identify.fleet.versions import FleetVersion
+from kilter_core.identify.fleet_prior import FleetPrior, FleetVersion, of_its_type
+from kilter_core.identify.fleet_report import prior_document, prior_warnings
+from kilter_core.identify.measured_rows import measurement_for
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
-from kilter_core.identify.rows.measurement_of_rows import measurement_for
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from kilter_core.errors import Finding, Sentences
+from kilter_core.gap.effect_verdicts import FitAssessment, Version
 from kilter_core.gap.evidence.guarded import Guard
 from kilter_core.gap.evidence.held_out.practical_size import moves_mm
 from kilter_core.gap.evidence.held_out.when import event_findings, events, not_said_by
 from kilter_core.gap.evidence.verdict import CONTRADICTED, Judged
-from kilter_core.gap.fit_assessment import FitAssessment, Version
 from kilter_core.gap.report.localization import Place
-from kilter_core.gap.report.told_apart import ToldApart
+from kilter_core.gap.report.separation import ToldApart
 from kilter_core.gap.search.linear.complete_form import incomplete_warnings
-from kilter_core.gap.search.linear.in_space import fit_rms
+from kilter_core.gap.search.linear.linearized import fit_rms
 from kilter_core.gap.study import Study
 from kilter_core.identify.comparison import (
     CONFIRM,
@@ -27,8 +27,8 @@ from kilter_core.identify.comparison import (
     grown,
     worse_warning,
 )
-from kilter_core.identify.identifiable.load_model import far_from_stated
-from kilter_core.identify.plausibility.another_arm import another_arm
+from kilter_core.identify.identifiability import far_from_stated
+from kilter_core.identify.plausibility.believable import another_arm
 from kilter_core.identify.report import large_residual
 from kilter_core.measurement import Measurement
 from kilter_core.parameters import degrees, display_unit_and_scale

@@ -14,16 +14,15 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import EFFECTS
-from kilter_core.effects.other_campaigns import placed_later
+from kilter_core.effects.laws import placed_later
 from kilter_core.errors import ObservationError, OptionError
-from kilter_core.gap.budget import Budget
 from kilter_core.gap.evidence.replication import refuse_unfit
-from kilter_core.gap.options import GapOptions
+from kilter_core.gap.options import Budget, GapOptions
 from kilter_core.gap.search.candidates import joints_by_effect
 from kilter_core.gap.search.events import with_row_numbers
 from kilter_core.identify.holdout import split
+from kilter_core.identify.measured_rows import as_inputs
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
-from kilter_core.identify.rows.measurement_of_rows import as_inputs
 from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.identify.views import PlannedViews
 from kilter_core.measurement import Measurement
@@ -201,12 +200,7 @@ def split_held_out_rows(
 
 
 def _refuse_other_contacts(rows: Observations, validation: Observations) -> None:
-    """Refuse validation rows whose tool was measured otherwise where contacts held either, and contacts too small to judge.
-
-    Raises:
-        ObservationError: what cannot judge what, and the remedy.
-
-    """
+    """Refuse validation rows whose tool was measured otherwise where contacts held either, and contacts too small to judge."""
     widths = [{3 if c.kind == "socket" else 1 for c in group_contacts(part)} for part in (rows, validation)]
     if widths[0] != widths[1]:
         raise ObservationError(

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.arm.loads.slopes import EACH, links_with_mass
+from kilter_core.arm.load_slopes import EACH, links_with_mass
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect
-from kilter_core.effects.load_error import LoadError
+from kilter_core.effects.masses import LoadError
 from kilter_core.identify.fit.least_squares import Fit, Problem
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.registry import METHODS

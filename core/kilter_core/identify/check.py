@@ -16,14 +16,12 @@ from kilter_core.arm.robot import Robot
 from kilter_core.identify.carried_masses import beside_masses, of_masses
 from kilter_core.identify.estimate import START_SIGMA_RAD, prepare_problem
 from kilter_core.identify.fit.least_squares import Fit, Problem, Weights, build_fit
-from kilter_core.identify.fleet.prior import of_its_type
-from kilter_core.identify.fleet.versions import FleetVersion
-from kilter_core.identify.identifiable.identifiability import NullDirection, identifiable, null_directions
-from kilter_core.identify.learned import select_learned_effects
+from kilter_core.identify.fleet_prior import FleetVersion, of_its_type
+from kilter_core.identify.holdout import select_learned_effects
+from kilter_core.identify.identifiability import NullDirection, identifiable, null_directions
+from kilter_core.identify.measured_rows import Repeats, measurement_for
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.report import known_of_fit, null_rows, still_joints, within_a_turn
-from kilter_core.identify.rows.measurement_of_rows import measurement_for
-from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.setup_frames import Frames, marginal, of_the_arm
 from kilter_core.identify.steps.start import build_start_model, refuse_missing_columns
 from kilter_core.identify.uncertainty.predictive import MEASURED

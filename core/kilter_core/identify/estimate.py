@@ -12,7 +12,7 @@ import numpy as np
 from kilter_core.errors import OptionError, TooFewPosesError
 from kilter_core.identify.carried_masses import of_masses
 from kilter_core.identify.fit.least_squares import Fit, Problem, Weights, build_fit, freedom_by_group, solve
-from kilter_core.identify.fit.tukey import redescend
+from kilter_core.identify.fit.robust import redescend
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.views import with_rig
 from kilter_core.measurement import Measurement, Residual

@@ -43,7 +43,7 @@ class IdentifyOptions:
     frames a correction should put the tool where the nominal robot would be: "robot": the measurements were taken in its
     own base and tool; "registration": where the nominal robot fits the measurements best. ``refit`` ("base",) gives every
     campaign and session a base of its own, ("tool",) a tool (a marker that was mounted anew), () one of each to all; None
-    leaves the base to the device of the campaign. ``prior`` is that of :mod:`kilter_core.identify.fleet`.
+    leaves the base to the device of the campaign. ``prior`` is that of :mod:`kilter_core.identify.fleet_prior`.
     """
 
     level: int | None = option(

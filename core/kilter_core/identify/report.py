@@ -17,11 +17,11 @@ from scipy.linalg import null_space
 
 from kilter_core.arm.robot import Robot
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.fleet.said import resting
-from kilter_core.identify.identifiable.identifiability import NullDirection, identifiable, own_members
-from kilter_core.identify.rows.noise import Repeats
-from kilter_core.identify.uncertainty.intervals import Intervals
-from kilter_core.measurement.marker_checks import bending
+from kilter_core.identify.fleet_report import resting
+from kilter_core.identify.identifiability import NullDirection, identifiable, own_members
+from kilter_core.identify.measured_rows import Repeats
+from kilter_core.identify.uncertainty.stated_noise import Intervals
+from kilter_core.measurement.markers import bending
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from kilter_core.parameters import display_unit_and_scale, mm

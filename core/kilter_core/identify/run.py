@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from kilter_core.arm.robot import Robot
-from kilter_core.identify.fleet.versions import FleetVersion
+from kilter_core.identify.fleet_prior import FleetVersion
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.steps.findings import Outcome, estimate_uncertainty
-from kilter_core.identify.steps.fit import fit_study
 from kilter_core.identify.steps.report import Identification, assemble_identification
-from kilter_core.identify.steps.start import Validation, prepare_study
+from kilter_core.identify.steps.start import Validation, fit_study, prepare_study
 from kilter_core.identify.steps.validation import compare_stages, cross_validate, hold_out
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations

@@ -18,11 +18,11 @@ from kilter_core.identify.view_report import WRONG_VIEWS
 from kilter_core.identify.views import PlannedViews
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.board_poses import board_poses
-from kilter_core.measurement.pose_weights import DEVIATIONS, typical_deviations, weights
+from kilter_core.measurement.poses import DEVIATIONS, typical_deviations, weights
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
-from kilter_core.observations.same_columns import CONTACTS
+from kilter_core.observations.rig import CONTACTS
 from kilter_core.transforms import inverse, inverses
 from kilter_core.types import Bools, Floats
 

@@ -17,19 +17,24 @@ from scipy.special import fdtrc, gammaincinv
 
 from kilter_core.errors import CoreError
 from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.measured_rows import measurement_for
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.options import FRAME_NAMES, IdentifyOptions
-from kilter_core.identify.plausibility.views.unrelated_views import shuffled_control
-from kilter_core.identify.plausibility.views.view_residuals import NUMBERS, Part, ViewResiduals, astray, astray_views
-from kilter_core.identify.rows.measurement_of_rows import measurement_for
+from kilter_core.identify.plausibility.orientation_mix_ups import NUMBERS, Part, ViewResiduals, astray, astray_views
+from kilter_core.identify.plausibility.unrelated_views import shuffled_control
 from kilter_core.identify.scale_gauge import contradicted_scale
-from kilter_core.identify.uncertainty.by_views import predictive_of_views, rig_sigmas, view_scatter
+from kilter_core.identify.uncertainty.by_view import (
+    beside_tool_error,
+    by_tool_error,
+    predictive_of_views,
+    rig_sigmas,
+    view_scatter,
+)
 from kilter_core.identify.uncertainty.clustered import with_clustered_covariance
 from kilter_core.identify.uncertainty.predictive import Predictive
-from kilter_core.identify.uncertainty.tool_error import beside_tool_error, by_tool_error
 from kilter_core.identify.views import rig_from_calibration, rig_from_values, with_cameras
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.camera.view_scatter import ToolErrors, ViewScatter
+from kilter_core.measurement.camera.views import ToolErrors, ViewScatter
 from kilter_core.model import Calibration
 from kilter_core.model.placed_rig import Place
 from kilter_core.observations import Observations

@@ -16,7 +16,7 @@ from kilter_core.effects.physical import INSTRUMENT
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.views import Views, camera_board_pairs, sight_by_tool
 from kilter_core.measurement.frames import register
-from kilter_core.measurement.pose_weights import Scale, weights
+from kilter_core.measurement.poses import Scale, weights
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations import Observations
@@ -61,7 +61,7 @@ class PlannedViews:
         return PlannedViews(bare, rig, tuple(pairs), tuple(sides), sigma_px, scale)
 
     def weights(self, rows: Observations) -> Floats:
-        """Weights (N, 6, 6) of the tool's pose, as :func:`~kilter_core.measurement.pose_weights.weights` has them.
+        """Weights (N, 6, 6) of the tool's pose, as :func:`~kilter_core.measurement.poses.weights` has them.
 
         All cameras that see a whole board count; where none does, nothing is told.
         """

@@ -1,4 +1,4 @@
-"""Where the robot stands in the frame of the measurements, and where the measured point sits on its tool.
+"""Frames of robot, measurements and tool, and errors of a prediction in mm and degrees.
 
 With flange frames (F, f), measured points p = b + R (f + F t) say R'p - f = R'b + F t. For a known base rotation R that is
 linear in base and tool, by a matrix that does not depend on R. Projected on what neither can explain, the loss is quadratic
@@ -9,13 +9,16 @@ wherever the flange moves on a sphere (a wrist, a shoulder, a head with two axes
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.marker_shape import fit_poses
-from kilter_core.model import RobotModel
+from kilter_core.measurement.markers import fit_poses
+from kilter_core.model import Calibration, RobotModel
+from kilter_core.parameters import degrees, mm
 from kilter_core.transforms import inverse, nearest_rotation, scipy_rotation, skew
 from kilter_core.types import Bools, Floats
 
@@ -180,3 +183,59 @@ def _rotations(w: Floats) -> Floats:
 def _everywhere() -> Floats:
     """Rotations (60, 3, 3) evenly over SO(3), the icosahedron's: no rotation is farther than 45 degrees from one of them."""
     return np.asarray(scipy_rotation().create_group("I").as_matrix())
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Point errors (K, 3) m, measured minus predicted, and orientation errors (K,) rad where measured.
+
+    Distances and contacts have errors of one number, (K, 1).
+    """
+
+    points: Floats
+    turns: Floats | None
+
+    @staticmethod
+    def from_calibration(calibration: Calibration, measurement: Measurement) -> Errors:
+        """Errors of a calibration; every seen marker counts as a point."""
+        return Errors(*measurement.errors(calibration))
+
+    @property
+    def mean(self) -> float:
+        """Mean size of the errors of points, m."""
+        return float(np.linalg.norm(self.points, axis=1).mean())
+
+    @staticmethod
+    def concatenate(parts: list[Errors]) -> Errors:
+        """Pool the errors of several folds."""
+        turns = [part.turns for part in parts if part.turns is not None]
+        return Errors(np.concatenate([p.points for p in parts]), np.concatenate(turns) if turns else None)
+
+    def to_document(self) -> dict[str, float]:
+        """Mean, rms, 95th percentile and maximum of the 3-D error, rms per axis, in mm; mean orientation error in deg."""
+        size = mm(np.asarray(np.linalg.norm(self.points, axis=1)))
+        out = {
+            "mean_mm": size.mean(),
+            "rms_mm": np.sqrt(np.mean(size**2)),
+            "p95_mm": np.percentile(size, 95),
+            "max_mm": size.max(),
+        }
+        if self.points.shape[1] == 3:
+            axes = mm(np.asarray(np.sqrt(np.mean(self.points**2, axis=0))))
+            out |= dict(zip(("x_mm", "y_mm", "z_mm"), axes, strict=True))
+        if self.turns is not None:
+            out["orientation_deg"] = degrees(self.turns.mean())
+        return {key: float(value) for key, value in out.items()}
+
+
+def metrics_document(train: dict[str, Errors], held: dict[str, Errors], left_out: int = 0) -> dict[str, Any]:
+    """The ``metrics`` of the contract: each stage's errors on the rows fitted and, unless empty, on those held out.
+
+    ``left_out`` rows held out are not among the latter.
+    """
+
+    def block(errors: dict[str, Errors], without: int) -> dict[str, Any]:
+        n = len(next(iter(errors.values())).points)
+        return {"n": n, "left_out": without, **{name: e.to_document() for name, e in errors.items()}}
+
+    return {"train": block(train, 0), "validation": block(held, left_out) if held else None}

@@ -4,12 +4,12 @@ from .calibration import unexplained_error as unexplained_error
 from .closed_inverse import closed_form_kind as closed_form_kind
 from .closed_inverse import flange as flange
 from .closed_inverse import read_six_axes as read_six_axes
-from .directions import missing_directions as missing_directions
 from .general_inverse import reaching as reaching
 from .geometry import FlangeFrames as FlangeFrames
 from .geometry import arm_screws as arm_screws
 from .geometry import flange_frames as flange_frames
 from .geometry import flange_screws as flange_screws
+from .geometry import missing_directions as missing_directions
 from .geometry import wanted_tool as wanted_tool
 from .prediction import Prediction as Prediction
 from .region import Region as Region

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.arm.loads.chain import LoadChain
+from kilter_core.arm.load_wrenches import LoadChain
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect, effect_from_document
-from kilter_core.effects.other_campaigns import carried_effects
+from kilter_core.effects.laws import carried_effects
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.model.prediction import Prediction
 from kilter_core.model.robot_model import RobotModel

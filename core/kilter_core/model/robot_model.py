@@ -12,12 +12,12 @@ import numpy as np
 
 from kilter_core.arm.chain import FRAME_AXES, Chain, Element, frame_parameters, increment
 from kilter_core.arm.kernels import kinematics
-from kilter_core.arm.loads.chain import LoadChain
-from kilter_core.arm.loads.slopes import LoadSlopes, payload_sensitivity
-from kilter_core.arm.loads.wrenches import (
+from kilter_core.arm.load_slopes import LoadSlopes, payload_sensitivity
+from kilter_core.arm.load_wrenches import (
     HANGING_ROUNDS,
     SIDED_ROUNDS,
     Deflection,
+    LoadChain,
     Loads,
     axial_loads,
     row_load_wrenches,
@@ -25,9 +25,18 @@ from kilter_core.arm.loads.wrenches import (
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Batch, Effect
 from kilter_core.errors import ObservationError
-from kilter_core.model.joint_columns import joint_rows, own_turns, rotation_derivatives
-from kilter_core.model.load_errors import Reader
-from kilter_core.model.prediction import NOTHING, TOOL_ROWS, Prediction, ToolColumns, Total, find_instrument
+from kilter_core.model.prediction import (
+    NOTHING,
+    TOOL_ROWS,
+    Prediction,
+    Reader,
+    ToolColumns,
+    Total,
+    find_instrument,
+    joint_rows,
+    own_turns,
+    rotation_derivatives,
+)
 from kilter_core.observations import Observations
 from kilter_core.parameters import CorrelatedPrior, Parameter, Prior, indices, refuse_collisions
 from kilter_core.types import Bools, Floats, Ints

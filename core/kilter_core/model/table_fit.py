@@ -11,8 +11,7 @@ import numpy as np
 
 from kilter_core.arm.chain import Chain, Element
 from kilter_core.arm.conventions import Row, dh_elements, mdh_elements
-from kilter_core.arm.conversions.screws import Screws, chain_frames
-from kilter_core.arm.conversions.tables import link_table
+from kilter_core.arm.conversions.tables import Screws, chain_frames, link_table
 from kilter_core.arm.robot import Link, Robot, moved_link
 from kilter_core.effects import Effect
 from kilter_core.model import Calibration, Prediction, RobotModel

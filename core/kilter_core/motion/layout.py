@@ -139,6 +139,11 @@ class Layout:
         return replace(self, terms=tuple(terms), width=at)
 
     @property
+    def fade_speeds(self) -> tuple[float, ...]:
+        """Speeds (n,) at which breaking loose has faded: as found, else a share of what each joint usually reaches."""
+        return self.fades or tuple((FADE_SHARE * self.speeds).tolist())
+
+    @property
     def n_body_columns(self) -> int:
         """Number of columns that all joints share, masses of one session with them."""
         return len(self.kept) + sum(len(columns) for _, columns, _ in self.carried)
@@ -182,7 +187,7 @@ class Layout:
             float(self.middles[j]),
             self.orders[j],
             self.delays[j] if self.delays else DELAY_STEP_S,
-            self.fades[j] if self.fades else FADE_SHARE * float(self.speeds[j]),
+            self.fade_speeds[j],
         )
         if known is None:
             return bare

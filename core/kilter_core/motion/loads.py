@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.arm.loads.slopes import links_with_mass
+from kilter_core.arm.load_slopes import links_with_mass
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.load_error import LoadError
+from kilter_core.effects.masses import LoadError
 from kilter_core.errors import OptionError
 from kilter_core.motion.fit import Fit, covariance
 from kilter_core.motion.normal import Equations

@@ -13,7 +13,7 @@ import numpy as np
 from kilter_core.arm.robot import Link, Robot
 from kilter_core.errors import ObservationError
 from kilter_core.motion.bodies import physical_links
-from kilter_core.motion.effects import LEAST_SPEED, MOTION_EFFECTS, SIGN_SHARE, STRIBECK_SHARE
+from kilter_core.motion.effects import LEAST_SPEED, MOTION_EFFECTS, SIGN_SHARE
 from kilter_core.motion.fit import Fit
 from kilter_core.motion.kernels import torque
 from kilter_core.motion.layout import Known, Layout, Term
@@ -118,7 +118,7 @@ class TorqueModel:
             P[k, torque.BODY : torque.BODY + PER_LINK] += numbers
         joints = P[m : m + n]
         joints[:, torque.WIDTH] = np.maximum(SIGN_SHARE * layout.speeds, LEAST_SPEED)
-        joints[:, torque.LOOSE] = STRIBECK_SHARE * layout.speeds
+        joints[:, torque.LOOSE] = layout.fade_speeds
         joints[:, torque.MIDDLE], joints[:, torque.ORDER] = layout.middles, [one or 0.0 for one in layout.orders]
         joints[list(self.joints), torque.KNOWN] = 1.0
         for term in layout.terms:

@@ -1,10 +1,10 @@
 from .clock import SINCE_1970_S as SINCE_1970_S
 from .clock import clock_warnings as clock_warnings
-from .directions import with_directions as with_directions
 from .groups import evenly as evenly
 from .groups import is_log as is_log
 from .groups import is_trajectory as is_trajectory
 from .groups import segments as segments
+from .groups import with_directions as with_directions
 from .repeats import numbered_poses as numbered_poses
 from .repeats import rounded_poses as rounded_poses
 from .rig import Board as Board

@@ -1,11 +1,14 @@
-"""Groups of rows, by motion or condition: what is left of values when the mean of each is taken out."""
+"""Groups of rows, and from which side each joint came to a row."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from kilter_core.observations.clock import read_clock
 from kilter_core.observations.rows import Observations
 from kilter_core.types import Bools, Floats, Ints
 
@@ -72,3 +75,75 @@ def is_log(rows: Observations) -> bool:
     tool = (rows.position, rows.markers, rows.socket, rows.plane, rows.bar, rows.pixels)
     measured = (*tool, rows.link_q, rows.tilt)
     return rows.tau is not None and all(one is None for one in measured)
+
+
+REST = 3e-4  # rad or m: readings of an arm at rest come back nearer than that
+CLEAR = 5e-3  # rad or m (0.3 deg): a motion that crosses the backlash of any industrial gear
+
+
+def with_directions(rows: Observations) -> Observations:
+    """Return rows with the direction of the last motion of each joint, as stated, else by their order.
+
+    Samples of a motion stay as they are: the arm did not stop there.
+    """
+    if rows.direction is not None or len(rows) < 2 or is_trajectory(rows):
+        return rows
+    order = read_clock(rows).order
+    found = np.empty_like(rows.q)
+    found[order] = last_motion(rows.q[order], _new_session(rows, order), _same_pose(rows, order))
+    return replace(rows, direction=found, directions_derived=True) if found.any() else rows
+
+
+def last_motion(q: Floats, starts: Bools | None = None, rests: Bools | None = None) -> Floats:
+    """Return the direction {-1, 0, 1} of the last motion of each joint (N, n), for rows in the order of their measurement.
+
+    0 before the first motion and after one too small to tell: where the joint then sits in its backlash is not known.
+    ``starts (N,)`` marks rows before which the arm may have been anywhere, ``rests (N,)`` those of the pose before.
+    """
+    step = np.diff(q, axis=0, prepend=q[:1])
+    size = np.abs(step)
+    kept = size <= REST
+    if rests is not None:
+        kept = kept | rests[:, None]
+    sign = np.where(size > CLEAR, np.sign(step), 0.0)
+    begin = np.zeros(len(q), dtype=bool) if starts is None else starts.copy()
+    begin[:1] = True
+    sign, kept = np.where(begin[:, None], 0.0, sign), kept & ~begin[:, None]
+    since = np.maximum.accumulate(np.where(kept, 0, np.arange(len(q))[:, None]), axis=0)
+    return np.take_along_axis(sign, since, axis=0)
+
+
+def _new_session(rows: Observations, order: Ints) -> Bools:
+    """Which rows (N,), in order, begin a session, or follow rows that are not there."""
+    new = np.zeros(len(order), dtype=bool)
+    for column in (rows.session, rows.setup):
+        if column is not None:
+            new[1:] |= np.diff(column[order]) != 0
+    if rows.row is not None:
+        new[1:] |= np.diff(rows.row[order]) != 1
+    return new
+
+
+def _same_pose(rows: Observations, order: Ints) -> Bools:
+    """Which rows (N,), in order, are of the pose of the row before."""
+    pose = rows.pose_groups()[order]
+    same = np.zeros(len(order), dtype=bool)
+    same[1:] = pose[1:] == pose[:-1]
+    return same
+
+
+def with_neutral_conditions(rows: Observations, needs: frozenset[str]) -> Observations:
+    """Rows (N,) with constants for what effects need and a pose cannot choose: at rest, 20 deg C, level, one session."""
+    n = len(rows)
+    made: dict[str, Any] = {
+        "qd": np.zeros_like(rows.q),
+        "qdd": np.zeros_like(rows.q),
+        "t": np.zeros(n),
+        "temperature_c": np.full(n, 20.0),
+        "base_tilt_x": np.zeros(n),
+        "base_tilt_y": np.zeros(n),
+        "payload_kg": np.zeros(n),
+        "session": np.zeros(n, dtype=np.int64),
+        "direction": np.zeros_like(rows.q),
+    }
+    return replace(rows, **{name: made[name] for name in needs if name in made and getattr(rows, name) is None})

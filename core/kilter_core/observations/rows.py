@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from kilter_core.errors import ObservationError
 from kilter_core.observations.clock import came_back, read_clock
 from kilter_core.observations.repeats import group_means, numbered_poses, numbered_rows
-from kilter_core.observations.rig import Rig
-from kilter_core.observations.same_columns import CONTACTS, INSTRUMENT, with_same_columns
+from kilter_core.observations.rig import CONTACTS, INSTRUMENT, Rig, with_same_columns
 from kilter_core.types import Bools, Floats, Ints
 
 WHOLE = ("rig", "directions_derived")  # fields that have no row for each of the rows

@@ -20,7 +20,7 @@ from kilter_core.model import Calibration, Prediction, RobotModel
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
-from kilter_core.observations.directions import with_neutral_conditions
+from kilter_core.observations.groups import with_neutral_conditions
 from kilter_core.plan.d_optimal import POOL, conditions, looked_for, most_informative, with_loads
 from kilter_core.transforms import inverse, inverses
 from kilter_core.types import Bools, Floats, Ints

@@ -20,7 +20,7 @@ import scipy.optimize
 from kilter_core.arm.conversions import Screws, pose_document, robot_document
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError, TooFewPosesError
-from kilter_core.measurement.marker_shape import fit_poses, marker_shape
+from kilter_core.measurement.markers import fit_poses, marker_shape
 from kilter_core.parameters import DEG, MM, mm
 from kilter_core.transforms import align_z_axis, inverse, nearest_rotation, rotations_about
 from kilter_core.types import Bools, Floats, Ints

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from kilter_core.arm.chain import increment
-from kilter_core.arm.loads.wrenches import axial_loads, row_load_wrenches
+from kilter_core.arm.load_wrenches import axial_loads, row_load_wrenches
 from kilter_core.identify.estimate import Frame
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations

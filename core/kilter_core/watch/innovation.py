@@ -11,7 +11,7 @@ from kilter_core.effects import make_effect
 from kilter_core.errors import ObservationError, OptionError, TooFewPosesError
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.pose_weights import beside_rotation
+from kilter_core.measurement.poses import beside_rotation
 from kilter_core.model import Calibration, Prediction
 from kilter_core.observations import Observations
 from kilter_core.observations.groups import evenly, subtract_group_means

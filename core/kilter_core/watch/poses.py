@@ -19,7 +19,7 @@ from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.model.region import Region
 from kilter_core.observations import Observations
-from kilter_core.observations.directions import last_motion, with_neutral_conditions
+from kilter_core.observations.groups import last_motion, with_neutral_conditions
 from kilter_core.parameters import degrees, mm
 from kilter_core.types import Floats, Ints, Progress
 from kilter_core.watch.arm_check import Check, check, required_noncentrality

@@ -251,12 +251,7 @@ def _derivatives(innovation: Innovation, calibration: Calibration, places: Ints)
 
 
 def _inverse(W: Floats) -> Floats:
-    """Pseudo-inverse (F, R) of the derivatives by the parameters that change.
-
-    Raises:
-        CoreError: two of them look the same. A frame may have numbers that nothing measured shows: they stay.
-
-    """
+    """Pseudo-inverse (F, R) of the derivatives by the parameters that change."""
     size = np.linalg.norm(W, axis=0)
     seen = size > APART * size.max()
     scaled = W[:, seen] / size[seen]

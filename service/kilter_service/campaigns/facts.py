@@ -15,12 +15,11 @@ from kilter_core.observations import identical_repeats, with_directions
 from kilter_files.ground.later import pc
 from kilter_service.campaigns import looking
 from kilter_service.campaigns.belonging import Judged, judged_whole
-from kilter_service.campaigns.looking import Rows
-from kilter_service.campaigns.repeats import MAD, Repeats, repeats
+from kilter_service.campaigns.looking import MAD, Repeats, Rows, repeats
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.ground.core import core_identify, core_model, transforms
 from kilter_service.ground.db import Database
-from kilter_service.ground.recent import Recent
+from kilter_service.ground.limits import Recent
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.wire import to_deg, to_mm
 

@@ -1,15 +1,23 @@
-"""Names and notes of campaigns; retiring, restoring and purging them."""
+"""Names and notes of campaigns; retiring, restoring and purging them.
+
+A campaign that is another one without some rows says so first in its notes; without that it is one of its own.
+
+A load that nobody stated, in words: the same wherever a load matters, in jobs, their checks and corrections.
+"""
 
 from __future__ import annotations
+
+import re
+from collections.abc import Sequence
 
 from kilter_service.campaigns import store
 from kilter_service.campaigns.service import load_campaign, refuse_other_servos
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.contract.references import Change, Tombstone
+from kilter_service.contract.wording import Change, Tombstone
+from kilter_service.ground import store as references
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.references import store as references
 from kilter_service.robots import store as robots
 from kilter_service.robots.documents import hash_canonical_json
 
@@ -75,3 +83,33 @@ def purge(database: Database, campaign_id: str, actor: str) -> Tombstone:
         references.add_tombstone(session, left)
         store.delete_whole(session, campaign_id)
     return left
+
+
+WHOLE = re.compile(r"Campaign (cmp_[0-9a-f]{16}) \(")
+READ = 32  # characters of the notes that tell
+
+
+def format_origin_note(campaign: str, name: str, without: str, actor: str) -> str:
+    """Return the sentence with which the notes of the rest begin."""
+    return f"Campaign {campaign} ({name}) without rows {without}, set aside by {actor} on the page."
+
+
+def parse_origin_campaign(notes: str) -> str | None:
+    """Return the campaign that a campaign is the rest of, by the beginning of its notes; None: it is one of its own."""
+    found = WHOLE.match(notes)
+    return None if found is None else found[1]
+
+
+REMEDY = (
+    "Say the load with payload_kg (0 for an empty tool), as a column or for the whole {whole}, or give the robot a default "
+    "load."
+)
+
+
+def counted_as_nothing(subject: str, following: Sequence[str]) -> str:
+    """Say that a payload which nobody stated counts as 0 kg, and for which effects that matters."""
+    named = ", ".join(following[:3]) + (f" and {len(following) - 3} more effects" if len(following) > 3 else "")
+    return (
+        f"{subject} no payload and the robot has no default load, so it counted as 0 kg: {named} "
+        f"{'follows' if len(following) == 1 else 'follow'} the load."
+    )

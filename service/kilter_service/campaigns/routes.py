@@ -1,4 +1,4 @@
-"""Campaigns and observations over HTTP."""
+"""Campaigns, observations, and rows that look wrong, over HTTP."""
 
 from __future__ import annotations
 
@@ -10,16 +10,22 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
 from kilter_service.campaigns import keeping, service
-from kilter_service.contract.campaigns import Campaign, CampaignList, CheckedRows, NewCampaign, Parts, Uploaded
-from kilter_service.contract.references import Change, Tombstone
-from kilter_service.ground.files.file_hash import check_digest
+from kilter_service.campaigns import suspicious as suspicious_rows
+from kilter_service.contract.campaigns import (
+    Campaign,
+    CampaignList,
+    CheckedRows,
+    NewCampaign,
+    Parts,
+    SuspiciousRows,
+    Uploaded,
+)
+from kilter_service.contract.wording import Change, Tombstone
+from kilter_service.ground.backup_folder import check_digest
 from kilter_service.ground.tables import reading
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.bodies import FORM, is_form, parse_json, spool_form, spool_upload
-from kilter_service.web.concurrency import compute
-from kilter_service.web.idempotency.key import OnceOnly
-from kilter_service.web.routing import ConditionalRoute
-from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp, get_scratch
+from kilter_service.web.bodies import FORM, compute, is_form, parse_json, spool_form, spool_upload
+from kilter_service.web.routing import ConditionalRoute, DatabaseOfApp, OnceOnly, PageOfList, SettingsOfApp, get_scratch
 
 router = APIRouter(prefix="/v1", tags=["campaigns"], route_class=ConditionalRoute)
 
@@ -180,3 +186,12 @@ async def upload(
         done = await compute(request, service.upload, database, campaign, path, media, sha256, once)
     response.status_code = 201 if done.new else 200
     return done
+
+
+suspicious_router = APIRouter(prefix="/v1/campaigns", tags=["campaigns"], route_class=ConditionalRoute)
+
+
+@suspicious_router.get("/{campaign}/suspicious")
+def suspicious(campaign: str, database: DatabaseOfApp) -> SuspiciousRows:
+    """Name the rows of a campaign that look wrong, and who says so: the rows themselves, and every version made of them."""
+    return suspicious_rows.of_campaign(database, campaign)

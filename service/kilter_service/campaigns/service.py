@@ -14,9 +14,9 @@ from kilter_core.observations import SINCE_1970_S
 from kilter_files.ground.later import pc
 from kilter_service.campaigns import store
 from kilter_service.campaigns.belonging import judged_whole
-from kilter_service.campaigns.row_rules.rules import RowRules, payload_warning
-from kilter_service.campaigns.row_rules.view_rules import views_rules
+from kilter_service.campaigns.row_rules import RowRules, payload_warning
 from kilter_service.campaigns.store import CampaignRecord, Chunk, UploadRecord, write_chunk
+from kilter_service.campaigns.view_rules import views_rules
 from kilter_service.contract.campaigns import (
     Campaign,
     CampaignList,
@@ -28,22 +28,21 @@ from kilter_service.contract.campaigns import (
     Uploaded,
 )
 from kilter_service.contract.columns import CONTACTS, TILTS
-from kilter_service.contract.instruments import Instrument
-from kilter_service.contract.remarks import Remark
-from kilter_service.ground.by_name import copy_fields
+from kilter_service.contract.devices import Instrument
+from kilter_service.contract.wording import Remark
+from kilter_service.ground import store as retired
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.paging import Page, in_time
-from kilter_service.ground.references import store as retired
 from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.assemble import rig_from_conditions
 from kilter_service.ground.tables.columns import has, read_columns
 from kilter_service.ground.tables.reading import Names
 from kilter_service.ground.tables.writing import write_table
 from kilter_service.robots import store as robots
-from kilter_service.robots.instruments import store as instruments
-from kilter_service.robots.instruments.store import remarks
-from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_document
+from kilter_service.robots.store import remarks
+from kilter_service.web.routing import NOT_REPEATED, Once, hash_document
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot
@@ -88,7 +87,7 @@ def _refuse_unfit(session: Session, robot_id: int, robot: str, campaign: NewCamp
     _refuse_future(campaign)
     rig_from_conditions(campaign.conditions.model_dump(mode="json", exclude_none=True))
     if campaign.instrument is not None:
-        instruments.get(session, campaign.instrument)
+        robots.get_instrument(session, campaign.instrument)
     refuse_other_zeros(session, robot_id, robot, campaign.name, campaign.conditions.model_dump())
 
 
@@ -173,7 +172,7 @@ def list_campaigns(
         read = store.campaigns_on_page(session, owner.id, staged, page, with_retired)
         found, cursor = page.cut(read, lambda campaign: in_time(campaign.created_at, campaign.id))
         uploads = store.uploads_of_all(session, [campaign.id for campaign in found])
-        used = instruments.of_names(session, {one.instrument for one in found if one.instrument})
+        used = robots.of_names(session, {one.instrument for one in found if one.instrument})
     shown_ones = [describe_campaign(one, owner.name, uploads[one.id], used) for one in found]
     return CampaignList(campaigns=shown_ones, next=cursor)
 
@@ -285,7 +284,7 @@ def load_campaign(session: Session, campaign_id: str) -> Campaign:
     """Return a campaign as it is shown."""
     record = store.get(session, campaign_id)
     robot, uploads = robots.by_id(session, record.robot_id).name, store.uploads_of_campaign(session, campaign_id)
-    return describe_campaign(record, robot, uploads, instruments.of_names(session, _instrument_names(record)))
+    return describe_campaign(record, robot, uploads, robots.of_names(session, _instrument_names(record)))
 
 
 def _instrument_names(record: CampaignRecord) -> list[str]:

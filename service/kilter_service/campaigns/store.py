@@ -1,4 +1,7 @@
-"""Rows of campaigns, uploads and chunks, and what they become in core."""
+"""Rows of campaigns, uploads and chunks, and what they become in core.
+
+What the jobs that made versions said of rows.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import hashlib
 import io
 import json
 import uuid
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -21,21 +24,20 @@ from kilter_files.ground import NAMED_SESSIONS
 from kilter_files.ground.later import pa, parquet
 from kilter_service.contract.campaigns import NewCampaign
 from kilter_service.contract.columns import CONTACTS
-from kilter_service.contract.instruments import Instrument
-from kilter_service.contract.jobs.job import FINAL
-from kilter_service.contract.remarks import Remark
-from kilter_service.ground.by_name import copy_fields
+from kilter_service.contract.devices import Instrument
+from kilter_service.contract.jobs.kind import FINAL
+from kilter_service.contract.wording import Remark
+from kilter_service.ground import store as references
 from kilter_service.ground.db import Session
-from kilter_service.ground.db.tables import CampaignRow, ChunkRow, JobRow, UploadRow
+from kilter_service.ground.db.tables import CampaignRow, ChunkRow, JobRow, UploadRow, VersionRow
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.paging import Page
-from kilter_service.ground.references import store as references
 from kilter_service.ground.tables.assemble import observations as assemble
 from kilter_service.ground.tables.assemble import with_default_load
 from kilter_service.ground.tables.columns import read_columns
 from kilter_service.robots import store as robots
-from kilter_service.robots.instruments import store as gauges
-from kilter_service.robots.instruments.store import remarks
+from kilter_service.robots.store import remarks
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -138,7 +140,7 @@ def usable(session: Session, campaign_id: str) -> CampaignRecord:
 def instruments(session: Session, campaign_ids: Collection[str]) -> dict[str, Instrument]:
     """Return the instruments of the campaigns that name one, by id of the campaign."""
     named = {key: get(session, key).instrument for key in campaign_ids}
-    known = gauges.of_names(session, {name for name in named.values() if name is not None})
+    known = robots.of_names(session, {name for name in named.values() if name is not None})
     return {key: known[name] for key, name in named.items() if name in known}
 
 
@@ -421,3 +423,31 @@ def read_chunk(blob: bytes, sha256: str) -> pa.Table:
             f"Stored observations are damaged (chunk {sha256[:12]}): restore the database from a backup."
         )
     return parquet.ParquetFile(io.BytesIO(blob)).read(use_threads=False)  # read_table imports datasets, 8 MB
+
+
+@dataclass(frozen=True)
+class Said:
+    """A version that set rows aside: the kind of its job, and what it stored of each row."""
+
+    version_id: str
+    name: str
+    job_id: str
+    kind: str
+    rows: list[dict[str, Any]]
+
+
+def iter_set_aside_rows(session: Session, campaign_id: str) -> Iterator[Said]:
+    """Yield what the versions of a campaign's robot say of rows of the campaign, oldest first."""
+    version, aside = VersionRow, VersionRow.report["set_aside"]
+    query = (
+        select(version.id, version.name, version.job_id, JobRow.kind, version.campaigns, aside)
+        .join(JobRow, JobRow.id == version.job_id)
+        .join(CampaignRow, CampaignRow.robot_id == version.robot_id)
+        .where(CampaignRow.id == campaign_id)
+        .order_by(version.created_at, version.id)
+    )
+    for key, name, job, kind, used, rows in session.execute(query):
+        if any(one["id"] == campaign_id for one in used):
+            mine = [row for row in rows or [] if row.get("campaign") in (campaign_id, None)]
+            if mine:
+                yield Said(key, name, job, kind, mine)

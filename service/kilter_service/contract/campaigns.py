@@ -9,9 +9,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, AwareDatetime, BeforeValidator, Field, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
-from kilter_service.contract.references import RETIRED_AT
-from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Celsius, Listed, Load, Mm, Name, Newton, NewtonMetre, PointMm, Strict
+from kilter_service.contract.wording import RETIRED_AT, Remark
 
 SaidBy = Literal["rows", "identification", "search"]
 

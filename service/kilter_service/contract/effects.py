@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, create_model
 
-from kilter_service.contract.options import option_fields
+from kilter_service.contract.columns import option_fields
 from kilter_service.contract.units import Asked, JointNumber
 
 Said = Mapping[str, Any]

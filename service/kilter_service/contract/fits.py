@@ -8,7 +8,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from kilter_service.contract.budgets import Budget
-from kilter_service.contract.cameras import BoardFound, CameraFound, PixelsFound
+from kilter_service.contract.devices import BoardFound, CameraFound, PixelsFound
 from kilter_service.contract.units import Deg, Metres, Mm, Rad, Stored
 
 SEARCHED_MASSES = (
@@ -174,7 +174,7 @@ class StageErrors(Stored):
         return self.geometry_fitted or self.geometry_only
 
     @property
-    def without(self) -> Errors | None:
+    def without_version(self) -> Errors | None:
         """The arm without the version: nominal, with base and tool anew where most of its error is where these are."""
         return self.uncorrected or (self.nominal if self.place_mm is None else self.registration_only)
 

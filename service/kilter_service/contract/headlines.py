@@ -14,10 +14,10 @@ from typing import Literal
 
 from pydantic import Field
 
-from kilter_service.contract.cameras import PixelsFound
+from kilter_service.contract.devices import PixelsFound
+from kilter_service.contract.figures import NextPose, ToldApart
 from kilter_service.contract.fits import Metrics, Noise, Parameter
 from kilter_service.contract.gap_details import Adequacy, Amplitude, GapNoise, GapSize, MotionFound, NamedEffect
-from kilter_service.contract.next_poses import NextPose, ToldApart
 from kilter_service.contract.units import Mm, Stored
 
 HEADLINE = "The answer in one to three lines: what was found, how large the error is, what is not proven."

@@ -10,9 +10,8 @@ from pydantic import Field
 from kilter_service.contract.fits import Covariance, FitDetails, JointMotions, Metrics, NullDirection, Parameter
 from kilter_service.contract.gap_details import MotionFound
 from kilter_service.contract.headlines import HEADLINE, NEAR, count_noise_left, describe_fit, describe_masses
-from kilter_service.contract.references import RETIRED_AT, TITLE
-from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Celsius, Deg, Listed, Mm, Stored, Strict
+from kilter_service.contract.wording import RETIRED_AT, TITLE, Remark
 
 Lengths = list[Mm | None]
 

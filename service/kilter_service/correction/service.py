@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.types import Floats
 from kilter_files.ground.later import pa
-from kilter_service.campaigns.unstated_load import REMEDY, counted_as_nothing
+from kilter_service.campaigns.keeping import REMEDY, counted_as_nothing
 from kilter_service.contract.columns import LOAD_PARTS, PAYLOAD_CENTRE
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground import correction_outcome as outcome
-from kilter_service.ground.correction_limits import correction_options
+from kilter_service.ground.correction_limits import correction_options, where_sentences
 from kilter_service.ground.correction_outcome import OK, flag_names
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.left_out import where_sentences
 from kilter_service.ground.limits import MAX_ROS2_ROWS, MAX_TRAJECTORY_CELLS, MAX_TRAJECTORY_ROWS
 from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.assemble import observations, with_default_load
@@ -338,7 +337,7 @@ def _version(
     row = versions.get(session, version)
     if row.robot_id != stored.id:
         raise ServiceError(f"Version {version} is not of robot {robot!r}.", code="option_invalid", version=version)
-    limits, rules = CorrectionLimits(**row.limits), versions.rules_of(session, version)
+    limits, rules = CorrectionLimits(**row.limits), versions.activation_rules(session, version)
     return row, correction_options(limits, temperature_c, wanted.task, wanted.at_limit, wanted.hold, rules)
 
 

@@ -12,7 +12,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Any, cast
 
-from kilter_service.contract.tokens import Role
+from kilter_service.contract.server import Role
 
 ADMIN = "admin"
 ANYBODY = "anybody"

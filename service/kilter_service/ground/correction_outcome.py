@@ -12,7 +12,7 @@ import numpy as np
 
 from kilter_core.types import Bools, Floats, Ints
 from kilter_files.ground.later import special
-from kilter_service.contract.stream_messages import Flag, Status
+from kilter_service.contract.streams import Flag, Status
 from kilter_service.ground.core import core_correct, core_model
 from kilter_service.ground.wire import to_mm
 

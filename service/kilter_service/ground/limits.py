@@ -1,7 +1,15 @@
 """How large a thing may be before Kilter looks at it; what a server may change is in its settings, what a request may
-say in the contract."""
+say in the contract.
+
+What was computed lately, kept in memory: at most so much of it, and what was asked for longest ago goes first.
+"""
 
 from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Generic, TypeVar
 
 # Columns: 32 joints in six quantities, 99 markers and everything else together make fewer than 600.
 MAX_COLUMNS = 1000
@@ -37,3 +45,28 @@ MAX_XML_TAGS = 50_000
 MAX_XML_DEPTH = 64
 MAX_XML_ATTRIBUTES = 64
 MAX_XML_VALUE = 4096
+
+
+T = TypeVar("T")
+
+
+class Recent(Generic[T]):
+    """Values by key, of ``most`` in all, as ``size`` counts them (one each). They are shared, and nobody changes them."""
+
+    def __init__(self, most: int, size: Callable[[T], int] = lambda _: 1) -> None:
+        self._most, self._size, self._lock = most, size, threading.Lock()
+        self._kept = OrderedDict[Hashable, T]()
+
+    def get(self, key: Hashable, compute: Callable[[], T]) -> T:
+        """Return a value, computed where it is not kept; meanwhile nobody waits for it."""
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        found = compute()
+        with self._lock:
+            if self._size(found) <= self._most:
+                self._kept[key] = found
+            while sum(map(self._size, self._kept.values())) > self._most:
+                self._kept.popitem(last=False)
+        return found

@@ -1,10 +1,15 @@
-"""Settings of one server, read from ``KILTER_*`` environment variables when they are asked for."""
+"""Settings of one server, read from ``KILTER_*`` environment variables when they are asked for.
+
+Which build of Kilter this is.
+"""
 
 from __future__ import annotations
 
 import ipaddress
 import json
 import re
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Literal
 from urllib.parse import urlsplit
@@ -261,3 +266,15 @@ class Settings(BaseSettings):
             "WORKER_QUEUES": json.dumps(self.worker_queues),
         }
         return {f"KILTER_{name}": value for name, value in values.items() if value is not None}
+
+
+SOURCE_TREE = "0.2.0+source"
+
+
+@cache
+def code_version() -> str:
+    """Return the version of the installed distribution, or that of a source tree that is not installed."""
+    try:
+        return version("kilter")
+    except PackageNotFoundError:
+        return SOURCE_TREE

@@ -19,9 +19,8 @@ from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import read_secret_file
-from kilter_service.ground.settings import Settings
-from kilter_service.ground.version import code_version
+from kilter_service.ground.private_files import read_secret_file
+from kilter_service.ground.settings import Settings, code_version
 
 log = logging.getLogger("kilter.worker")
 

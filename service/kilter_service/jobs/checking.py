@@ -8,17 +8,17 @@ from dataclasses import dataclass
 
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import store as campaigns
-from kilter_service.campaigns.unstated_load import REMEDY
+from kilter_service.campaigns.keeping import REMEDY
 from kilter_service.contract.jobs.check import CheckedCampaign
 from kilter_service.contract.jobs.registry import JobCheck, NewJob
-from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Database, Session
+from kilter_service.ground.naming import copy_fields
 from kilter_service.jobs import service, store
 from kilter_service.jobs.durations import PastRun, duration
-from kilter_service.jobs.inputs.default_load import find_unstated_load, load_not_stated
 from kilter_service.jobs.kind import JobInput, JobKind, JobPreview, Lack, count_poses
 from kilter_service.jobs.records import JobRequest
 from kilter_service.jobs.registry import get_job_kind
+from kilter_service.jobs.setups import find_unstated_load, load_not_stated
 
 MOST_ROWS = 100_000  # read of all campaigns together; what takes more is thinned
 

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from kilter_core.model import Calibration
     from kilter_core.observations import Observations
     from kilter_core.types import Each
-    from kilter_service.contract.instruments import Instrument
-    from kilter_service.contract.remarks import Remark
-    from kilter_service.versions.drift.records import StoredCheck
+    from kilter_service.contract.devices import Instrument
+    from kilter_service.contract.wording import Remark
+    from kilter_service.versions.drift.wire import StoredCheck
 
 
 How = Literal["campaigns", "fraction", "folds", "unasked", "none"]

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from kilter_core.errors import CoreError, OptionError
 from kilter_service.contract.units import Asked
-from kilter_service.contract.words import describe_schema
+from kilter_service.contract.wording import describe_schema
 from kilter_service.jobs.registry import KINDS, get_job_kind
 
 OptionsT = TypeVar("OptionsT", bound=Asked)

@@ -1,4 +1,4 @@
-"""Jobs over HTTP."""
+"""Jobs and fleet jobs over HTTP."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import StreamingResponse
 
-from kilter_service.contract.jobs.job import FINAL, JobList
+from kilter_service.contract.jobs.fleet import FleetJob, FleetJobList, FleetJobSummary, NewFleetJob
+from kilter_service.contract.jobs.kind import FINAL, JobList
 from kilter_service.contract.jobs.registry import Job, JobCheck, NewJob
 from kilter_service.ground.db import Database
-from kilter_service.ground.failure_log import Failing
+from kilter_service.ground.db.failures import Failing
 from kilter_service.jobs import checking, service, store
+from kilter_service.jobs.fleet import service as fleets
 from kilter_service.jobs.refusals import refusal, without_kind
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.auth.following import limit_event_stream
-from kilter_service.web.idempotency.key import OnceOnly
-from kilter_service.web.routing import FOR_GOOD, ConditionalRoute
-from kilter_service.web.state import DatabaseOfApp, PageOfJobs
+from kilter_service.web.auth.token import limit_event_stream
+from kilter_service.web.routing import FOR_GOOD, ConditionalRoute, DatabaseOfApp, OnceOnly, PageOfJobs
 
 # The life of jobs as server-sent events.
 #
@@ -250,3 +250,34 @@ async def follow(
 def cancel(job: str, database: DatabaseOfApp, _: Admin) -> Job:
     """Stop a job."""
     return service.cancel(database, job)
+
+
+fleet_router = APIRouter(prefix="/v1/fleet-jobs", tags=["jobs"], route_class=ConditionalRoute)
+
+
+@fleet_router.post("", status_code=202)
+def submit_fleet(
+    fleet: NewFleetJob, response: Response, database: DatabaseOfApp, once: OnceOnly, _: Admin
+) -> FleetJobSummary:
+    """Queue a job for each of many robots, which identifies it anew."""
+    queued = fleets.submit(database, fleet, once)
+    response.headers["Location"] = f"/v1/fleet-jobs/{queued.id}"
+    return queued
+
+
+@fleet_router.get("")
+def list_fleet_jobs(database: DatabaseOfApp, page: PageOfJobs) -> FleetJobList:
+    """List the newest fleet jobs."""
+    return fleets.list_fleet_jobs(database, page)
+
+
+@fleet_router.get("/{fleet_job}")
+def get_fleet(fleet_job: str, database: DatabaseOfApp) -> FleetJob:
+    """Show how far a fleet job is, and what became of each robot."""
+    return fleets.get(database, fleet_job)
+
+
+@fleet_router.post("/{fleet_job}/cancel")
+def cancel_fleet(fleet_job: str, database: DatabaseOfApp, _: Admin) -> FleetJob:
+    """Cancel the jobs of a fleet job that are not over."""
+    return fleets.cancel(database, fleet_job)

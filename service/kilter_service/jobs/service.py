@@ -7,26 +7,23 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.jobs.check import CheckedCampaign, Duration, HeldOut, JobProblem, Missing
-from kilter_service.contract.jobs.job import FINAL, Folds, JobError, JobList, JobSummary, Progress
+from kilter_service.contract.jobs.check import NEWEST, CheckedCampaign, Duration, HeldOut, JobProblem, Missing
+from kilter_service.contract.jobs.kind import FINAL, Folds, JobError, JobList, JobSummary, Progress
 from kilter_service.contract.jobs.registry import Job, JobCheck, NewJob
-from kilter_service.contract.jobs.shared import NEWEST
-from kilter_service.contract.written import as_written
-from kilter_service.ground.by_name import copy_fields
-from kilter_service.ground.called import display_name
+from kilter_service.contract.wording import as_written
+from kilter_service.ground import store as references
 from kilter_service.ground.db import Database, Session
-from kilter_service.ground.ended_jobs import store as ended_jobs
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import copy_fields, display_name
 from kilter_service.ground.paging import Page, in_time
-from kilter_service.ground.references import store as references
 from kilter_service.jobs import store
 from kilter_service.jobs.kind import JobKind, JobPreview
 from kilter_service.jobs.records import Asked, JobRecord, ListedJob, Place, ProgressRecord, WantedJobs
 from kilter_service.jobs.registry import get_job_kind
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
-from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_document
-from kilter_service.web.observability import logs, tracing
+from kilter_service.web import logs
+from kilter_service.web.routing import NOT_REPEATED, Once, hash_document
 
 JOB: TypeAdapter[Job] = TypeAdapter(Job)
 
@@ -52,7 +49,7 @@ def submit(database: Database, job: NewJob, once: Once = NOT_REPEATED) -> Job:
         known = once.first_answer(session, body, JOB)
         if known is not None:
             return known
-        asked = Asked(logs.request_id(), tracing.traceparent())
+        asked = Asked(logs.request_id(), logs.traceparent())
         job_id = store.add(session, validate_job(session, job, kind), job, asked)  # robot and campaigns are still there
         queued = once.keep(session, body, describe_job(store.get(session, job_id)))
     return queued
@@ -74,7 +71,7 @@ def _with_searched_masses(session: Session, job: NewJob) -> NewJob:
     if named is None:
         return job
     robot_id = robots.usable(session, job.robot).id
-    found, *_ = ended_jobs.get_search_in_torques(session, robot_id, None if named == NEWEST else named)
+    found, *_ = references.get_search_in_torques(session, robot_id, None if named == NEWEST else named)
     return job.model_copy(update={"options": job.options.model_copy(update={"masses_from": found})})
 
 
@@ -204,7 +201,7 @@ def succeeded_evaluations(database: Database, version_id: str) -> list[str]:
 def list_searches_in_torques(database: Database, robot: str, limit: int) -> list[tuple[str, str]]:
     """Return id and name of the searches in torques whose masses and torques a robot can take, the newest first."""
     with database.reading() as session:
-        return ended_jobs.list_searches_in_torques(session, robots.usable(session, robot).id, limit)
+        return references.list_searches_in_torques(session, robots.usable(session, robot).id, limit)
 
 
 def open_of_robots(database: Database) -> dict[str, int]:

@@ -11,22 +11,20 @@ from typing import TYPE_CHECKING, Any
 from sqlalchemy import ColumnElement, Select, case, func, or_, select
 
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.jobs.job import FINAL
+from kilter_service.contract.jobs.check import NEWEST
+from kilter_service.contract.jobs.kind import FINAL
 from kilter_service.contract.jobs.registry import NewJob
-from kilter_service.contract.jobs.shared import NEWEST
 from kilter_service.contract.versions import CorrectionLimits, Objection
-from kilter_service.ground.by_name import copy_fields
-from kilter_service.ground.called import job_noun
+from kilter_service.ground import store as ended
 from kilter_service.ground.caller import allowed_robots, as_document
 from kilter_service.ground.core import core_motion
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import NOT_OVER, JobRow, RobotRow, VersionRow
-from kilter_service.ground.ended_jobs import store as ended
+from kilter_service.ground.naming import copy_fields, job_noun
 from kilter_service.ground.paging import Page
-from kilter_service.ground.version import code_version
+from kilter_service.ground.settings import code_version
 from kilter_service.jobs.durations import PastRun
-from kilter_service.jobs.fit_of_version import load_version_fit
 from kilter_service.jobs.kind import FitOfVersion, JobInput, JobKind, VersionContent
 from kilter_service.jobs.plotly_figures.layout import add_captions
 from kilter_service.jobs.records import (
@@ -38,6 +36,7 @@ from kilter_service.jobs.records import (
     ProgressRecord,
     UsedRecord,
     WantedJobs,
+    load_version_fit,
 )
 from kilter_service.jobs.refusals import read_options
 from kilter_service.jobs.registry import get_job_kind

@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 from fastapi import Form, Request, Response
 from fastapi.responses import HTMLResponse
 
-from kilter_service.contract.tokens import ROLE, NewToken, Role, TokenName
+from kilter_service.contract.server import ROLE, NewToken, Role, TokenName
 from kilter_service.ground.caller import ADMIN, CALLER, Caller
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
@@ -20,11 +20,9 @@ from kilter_service.ground.settings import Settings
 from kilter_service.page.answers import get_root_path, redirect, render, router
 from kilter_service.page.shared.lists import Asked, select_page
 from kilter_service.robots import service as robots
-from kilter_service.web.audit import refusals
+from kilter_service.web import audit, logins
 from kilter_service.web.auth.access import Admin, get_caller
-from kilter_service.web.logins import service as logins
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
-from kilter_service.web.tokens import service as tokens
+from kilter_service.web.routing import DatabaseOfApp, SettingsOfApp
 
 LONGEST = 500
 
@@ -43,7 +41,7 @@ def log_in_by_token(
     then: Annotated[str, Form(max_length=2000)] = "/",
 ) -> Response:
     """Give the browser a login, if the token holds."""
-    return _start_login_session(request, database, lambda: tokens.hash_secret(token.strip()), then)
+    return _start_login_session(request, database, lambda: logins.hash_secret(token.strip()), then)
 
 
 @router.post("/login/link")
@@ -63,7 +61,7 @@ def _start_login_session(request: Request, database: Database, token_sha256: Cal
         sha256 = token_sha256()
         CALLER.set(_caller(request, database, sha256))
     except ServiceError as error:
-        refusals.note(request, error.code)
+        audit.note(request, error.code)
         return render(request, "login.html", 401, then=_local_path(then), problem=error.message)
     answer = redirect(request, _local_path(then))
     answer.set_cookie(
@@ -79,16 +77,11 @@ def _start_login_session(request: Request, database: Database, token_sha256: Cal
 
 
 def _caller(request: Request, database: Database, sha256: str) -> Caller:
-    """Return who logs in, for the audit.
-
-    Raises:
-        ServiceError: the token does not hold.
-
-    """
+    """Return who logs in, for the audit."""
     asked = get_caller(request)
-    if secrets.compare_digest(sha256, tokens.hash_secret(request.app.state.token)):
+    if secrets.compare_digest(sha256, logins.hash_secret(request.app.state.token)):
         return replace(asked, actor=ADMIN, role="admin")
-    found = tokens.get_valid_token(database, sha256)
+    found = logins.get_valid_token(database, sha256)
     return replace(asked, actor=found.name, role=found.role, token_id=found.id)
 
 
@@ -123,7 +116,7 @@ ROLES: tuple[Role, ...] = ("viewer", "operator", "admin")
 def show_tokens(request: Request, database: DatabaseOfApp) -> HTMLResponse:
     """Show who may do what, newest first."""
     found = select_page(
-        tokens.list_tokens(database, Page()).tokens,
+        logins.list_tokens(database, Page()).tokens,
         Asked.from_request(request, ("role",)),
         lambda one: f"{one.name} {one.role} {' '.join(one.robots or [])} {one.created_by} {one.id}",
         {"name": lambda one: one.name, "role": lambda one: ROLES.index(one.role), "made": lambda one: one.created_at},
@@ -146,12 +139,12 @@ def add(
 ) -> HTMLResponse:
     """Make a token; its secret is in this answer and nowhere else."""
     wanted = NewToken(name=name, role=role, robots=robot or None, days=days or None)
-    return render(request, "access/made.html", 201, made=tokens.add(database, wanted, actor))
+    return render(request, "access/made.html", 201, made=logins.add(database, wanted, actor))
 
 
 @router.post("/access/{token}/revoke")
 def revoke(token: str, request: Request, database: DatabaseOfApp, settings: SettingsOfApp, actor: Admin) -> Response:
     """End a token at once, and the sessions of streams that it asked for."""
-    ended = tokens.revoke(database, token, actor)
+    ended = logins.revoke(database, token, actor)
     request.app.state.end_sessions(database, settings, ended.id)
     return redirect(request, "/access")

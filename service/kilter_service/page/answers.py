@@ -22,16 +22,15 @@ from fastapi.responses import HTMLResponse, RedirectResponse, StreamingResponse
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from kilter_core.errors import CoreError
-from kilter_service.contract.tokens import Role
+from kilter_service.contract.server import Role
 from kilter_service.ground.caller import ANYBODY, CALLER, RANK
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import PROBLEMS, ServiceError
-from kilter_service.ground.version import code_version
+from kilter_service.ground.settings import code_version
 from kilter_service.page import words
 from kilter_service.page.figures import plot as room
-from kilter_service.web.audit import refusals
-from kilter_service.web.logins import service as logins
-from kilter_service.web.problems import headers_of
+from kilter_service.web import audit, logins
+from kilter_service.web.problems import refusal_headers
 from kilter_service.web.routing import FOR_GOOD, GuardedRoute
 
 assets = APIRouter(include_in_schema=False, route_class=GuardedRoute)
@@ -270,13 +269,13 @@ def render_refusal(request: Request, error: CoreError | RequestValidationError) 
     else:
         code, message, context = error.code, error.message, error.context
     if code != "token_missing":  # whoever is not logged in yet is asked to, and has done nothing wrong
-        refusals.note(request, code)
+        audit.note(request, code)
     if code in LOG_IN_FIRST:
         return _to_login(request)
     status, title = PROBLEMS.get(code, UNKNOWN)
     template = "refusal_part.html" if is_part(request) else "refusal.html"
     response = render(request, template, status=status, title=title, message=message, code=code)
-    response.headers.update(headers_of(code, status, context) or {})
+    response.headers.update(refusal_headers(code, status, context) or {})
     return response
 
 

@@ -11,17 +11,17 @@ from fastapi.responses import HTMLResponse
 
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import service as campaigns
-from kilter_service.contract.tokens import AuditEntry
-from kilter_service.ground.called import display_name
+from kilter_service.contract.server import AuditEntry
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import display_name
 from kilter_service.ground.paging import Page
 from kilter_service.jobs import service as jobs
 from kilter_service.page.answers import render, router
 from kilter_service.page.shared.lists import Asked, select_page
 from kilter_service.versions import service as versions
-from kilter_service.web.audit import service as audit
-from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web import audit
+from kilter_service.web.routing import DatabaseOfApp
 
 # What the method and path of a route did; names in braces are those of what was changed, of campaigns, versions and jobs with
 # what they are: "version spring", and of one without a name "the search of 2026-11-02 14:05:09".

@@ -11,18 +11,17 @@ from fastapi import Form, Query, Request, Response
 from fastapi.responses import HTMLResponse, JSONResponse
 
 from kilter_core.errors import CoreError
-from kilter_service.campaigns import keeping, looking, rest
+from kilter_service.campaigns import keeping, looking, suspicious
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.facts import cached_campaign_facts
-from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.campaigns import Campaign, NewCampaign, Parts
-from kilter_service.contract.references import Change
+from kilter_service.contract.wording import Change
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import plural
 from kilter_service.ground.paging import Page
 from kilter_service.ground.tables.reading import PARQUET
 from kilter_service.ground.tables.writing import write_table
-from kilter_service.ground.texts import plural
 from kilter_service.page import chosen
 from kilter_service.page.answers import redirect, render, router
 from kilter_service.page.chosen import keep_columns, named_rows, ranges
@@ -30,11 +29,10 @@ from kilter_service.page.shared import asking
 from kilter_service.page.shared.lists import Asked, select_page
 from kilter_service.page.shared.measured import describe_facts
 from kilter_service.robots import service as robots
-from kilter_service.robots.repairs import service as repairs
 from kilter_service.versions import service as versions
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.concurrency import compute
-from kilter_service.web.state import DatabaseOfApp, get_scratch
+from kilter_service.web.bodies import compute
+from kilter_service.web.routing import DatabaseOfApp, get_scratch
 
 
 def load_campaign_view(database: Database, campaign_id: str) -> dict[str, Any]:
@@ -63,7 +61,7 @@ def load_campaign_view(database: Database, campaign_id: str) -> dict[str, Any]:
             (name, what if unit == "–" else f"{what}, {unit}")
             for name, what, unit, *_ in (seen["columns"] if seen else ())
         ],
-        "noted": repairs.list_notes(database, campaign.robot, campaign.id),
+        "noted": robots.list_notes(database, campaign.robot, campaign.id),
     }
 
 
@@ -105,7 +103,7 @@ def _encode_remaining_rows(database: Database, campaign: Campaign, rows: list[in
 
 def _new(campaign: Campaign, rows: list[int], actor: str) -> NewCampaign:
     ending = f" without {plural(len(rows), 'row')}"
-    said = rest.format_origin_note(campaign.id, campaign.name, ranges(rows), actor)
+    said = keeping.format_origin_note(campaign.id, campaign.name, ranges(rows), actor)
     notes = f"{said}\n\n{campaign.notes}".strip()
     return NewCampaign(
         name=campaign.name[: LONGEST_NAME - len(ending)] + ending,

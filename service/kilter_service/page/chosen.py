@@ -17,17 +17,17 @@ from kilter_service.campaigns import looking
 from kilter_service.campaigns import service as campaigns
 from kilter_service.campaigns.facts import campaign_cache_key, display_unit_and_factor
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.recent import Recent
+from kilter_service.ground.limits import Recent
+from kilter_service.ground.naming import display_name
 from kilter_service.ground.tables.reading import CSV
 from kilter_service.ground.tables.writing import write_table
 from kilter_service.ground.wire import joint_scale, joint_units
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 from kilter_service.versions.predictions import places
-from kilter_service.versions.predictions.paired import error_lengths, residuals
+from kilter_service.versions.predictions.differences import error_lengths, residuals
 
 if TYPE_CHECKING:
     from kilter_core.types import Floats

@@ -17,9 +17,9 @@ from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.robot_reports import RobotSummary
 from kilter_service.contract.today import NextStep, Today
 from kilter_service.contract.versions import VersionSummary
-from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import display_name
 from kilter_service.ground.paging import Page
 from kilter_service.ground.settings import Settings
 from kilter_service.jobs import service as jobs
@@ -43,7 +43,7 @@ from kilter_service.versions import service as versions
 from kilter_service.versions.drift import service as drift
 from kilter_service.versions.predictions.differences import resolve_version_id
 from kilter_service.versions.today import service as today
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.routing import DatabaseOfApp, SettingsOfApp
 
 DAY = 86400.0
 COUNTS = {"bad": "to act on", "warn": "to look at", "faint": "not known", "good": "good"}

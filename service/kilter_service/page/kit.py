@@ -27,14 +27,14 @@ from kilter_service.campaigns.facts import campaign_cache_key
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.versions import Version
 from kilter_service.ground.db import Database
+from kilter_service.ground.limits import Recent
 from kilter_service.ground.paging import Page
-from kilter_service.ground.recent import Recent
 from kilter_service.ground.wire import to_deg
 from kilter_service.page.answers import render, router
 from kilter_service.robots import service as robots
 from kilter_service.robots.documents import convert
 from kilter_service.versions import service as versions
-from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web.routing import DatabaseOfApp
 
 NEWEST = Page(limit=20)
 CORNER = "u1_px"  # a column that only views have

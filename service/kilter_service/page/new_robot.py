@@ -27,8 +27,8 @@ from kilter_service.robots.check import check
 from kilter_service.robots.compensation import WORDS
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.concurrency import compute
-from kilter_service.web.state import DatabaseOfApp, get_scratch
+from kilter_service.web.bodies import compute
+from kilter_service.web.routing import DatabaseOfApp, get_scratch
 
 if TYPE_CHECKING:
     from kilter_service.contract.robot_reports import RobotCheck

@@ -12,16 +12,15 @@ from fastapi.responses import HTMLResponse, JSONResponse
 from pydantic import ValidationError
 
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.suspicious import service as suspicious
+from kilter_service.campaigns import suspicious
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.contract.drift import NewRepair
 from kilter_service.contract.jobs.gap import GAP, GapResult
-from kilter_service.contract.references import RobotChange
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.robots import MeshUnit
-from kilter_service.contract.today import Today
+from kilter_service.contract.today import NewRepair, Today
 from kilter_service.contract.units import ControllerCompensation
 from kilter_service.contract.versions import Version, VersionSummary
+from kilter_service.contract.wording import RobotChange
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.limits import MAX_MESH_MB, MAX_TRIANGLES
@@ -43,14 +42,12 @@ from kilter_service.page.words import validation_words
 from kilter_service.robots import service as robots
 from kilter_service.robots.compensation import WORDS
 from kilter_service.robots.meshes import service as meshes
-from kilter_service.robots.repairs import service as repairs
 from kilter_service.versions import service as versions
 from kilter_service.versions.drift import service as drift
 from kilter_service.versions.today import service as today
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.bodies import MESH, spool_upload
-from kilter_service.web.concurrency import compute
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
+from kilter_service.web.bodies import MESH, compute, spool_upload
+from kilter_service.web.routing import DatabaseOfApp, SettingsOfApp, get_scratch
 
 NEWEST = Page(limit=50)
 
@@ -276,14 +273,16 @@ def add_repair(
     rows: Annotated[str, Form(max_length=LONGEST)] = "",
 ) -> Response:
     """Record what was done to an arm, or a note on a date, a campaign or its rows."""
-    repairs.add(database, robot, parse_repair(what, at, kind=kind, campaign_id=campaign or None, rows=rows), actor)
+    robots.add_repair(
+        database, robot, parse_repair(what, at, kind=kind, campaign_id=campaign or None, rows=rows), actor
+    )
     return Response(status_code=204, headers=ANEW)
 
 
 @router.post("/robots/{robot}/repairs/{repair}/remove")
 def remove_repair(robot: str, repair: str, database: DatabaseOfApp, _: Admin) -> Response:
     """Take back a repair that was recorded by mistake."""
-    repairs.remove(database, robot, repair)
+    robots.remove_repair(database, robot, repair)
     return Response(status_code=204, headers=ANEW)
 
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from kilter_service.campaigns import looking
 from kilter_service.campaigns.facts import display_unit_and_factor, meaning
-from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import display_name
 from kilter_service.ground.settings import Settings
 from kilter_service.ground.wire import joint_scale, joint_units, to_deg, to_mm, to_mm_if_known
 from kilter_service.page import words

@@ -10,22 +10,22 @@ from fastapi import Request
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import HTMLResponse, StreamingResponse
 
-from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
+from kilter_service.ground.naming import display_name
 from kilter_service.ground.paging import Page
 from kilter_service.ground.settings import Settings
 from kilter_service.page.answers import render, router
 from kilter_service.page.figures.plot import Axis, Plot
 from kilter_service.page.shared.standing import corrector
 from kilter_service.robots import service as robots
-from kilter_service.stream.bridges import service as known_bridges
+from kilter_service.stream import bridges as known_bridges
 from kilter_service.stream.live import service as live
 from kilter_service.stream.live.followers import get_viewers
 from kilter_service.stream.live.heard import WHY, Second
 from kilter_service.stream.live.session import read_corrector_place
 from kilter_service.versions import service as versions
-from kilter_service.web.auth.following import limit_event_stream
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.auth.token import limit_event_stream
+from kilter_service.web.routing import DatabaseOfApp, SettingsOfApp
 
 CALM_MM = 0.05  # a correction that is smaller is drawn small
 MOST_NAMES = 200  # of versions: one that corrects is hardly ever older

@@ -12,10 +12,9 @@ from markupsafe import Markup, escape
 
 from kilter_files.look import why_unusual
 from kilter_service.contract.fits import Parameter, split_nominal_and_moved
-from kilter_service.contract.words import said_of_chance, said_of_lengths, unit_of_length
-from kilter_service.ground.called import display_name
+from kilter_service.contract.wording import said_of_chance, said_of_lengths, unit_of_length
 from kilter_service.ground.db.row import utc_now
-from kilter_service.ground.texts import plural
+from kilter_service.ground.naming import display_name, plural
 
 NONE = "–"
 MASSES = "load_error"  # carried beside effects that follow loads: nobody asks for it

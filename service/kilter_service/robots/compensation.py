@@ -1,4 +1,7 @@
-"""What a controller that corrects by itself means for Kilter's corrections: applied on top of it, they move the arm wrongly."""
+"""What a controller that corrects by itself means for Kilter's corrections: applied on top of it, they move the arm wrongly.
+
+What to say of a robot's controller when it is given a calibration that Kilter exported.
+"""
 
 from __future__ import annotations
 
@@ -88,3 +91,27 @@ def sentence(robot: str, compensation: str) -> str:
     """Say what the controller does, and what follows; empty where nothing does."""
     found = objection(robot, compensation) or remark(robot, compensation)
     return "" if found is None else found.message
+
+
+INTO_CONTROLLERS = {
+    "dh-csv": "enters this table",
+    "mdh-csv": "enters this table",
+    "ur-yaml": "enters these lengths and angles",
+    "corrector": "runs this program",
+    "c": "runs this code",
+}
+
+
+def said_of_controller(form: str, robot: str, compensation: str) -> tuple[str, ...]:
+    """Return what must be said of the controller once it has a file, or that it corrects by itself already."""
+    if form not in INTO_CONTROLLERS:
+        return ()
+    if compensation == "kilter":
+        return ()
+    found = objection(robot, compensation)
+    if found is not None:
+        return (found.message,)
+    return (
+        f"A controller that {INTO_CONTROLLERS[form]} corrects by itself: say so then with `kilter robot compensation "
+        f"{robot} kilter`, so that nothing corrects the arm twice.",
+    )

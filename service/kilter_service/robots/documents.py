@@ -10,7 +10,7 @@ from xml.etree.ElementTree import indent, tostring
 from kilter_core.errors import RobotError
 from kilter_service.contract.robots import RobotDocument
 from kilter_service.ground.core import core_arm, core_model
-from kilter_service.robots.exporters.urdf_new import new_urdf
+from kilter_service.robots.exporters.urdf_file import new_urdf
 from kilter_service.robots.importers.urdf import chain_document
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Robots over HTTP."""
+"""Robots, their frames, meshes and repairs, and instruments over HTTP."""
 
 from __future__ import annotations
 
@@ -9,30 +9,100 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
+from fastapi.concurrency import run_in_threadpool
 
 from kilter_core.errors import ObservationError, OptionError
-from kilter_service.contract.kinematics import Flanges, JointRows, Postures
-from kilter_service.contract.references import RobotChange, Tombstone
-from kilter_service.contract.robot_reports import CircleAxis, FoundRobot, RobotCheck, RobotList, RobotReport
-from kilter_service.contract.robots import RobotDocument, Target
+from kilter_service.contract.devices import Instrument, InstrumentList, NewInstrument
+from kilter_service.contract.robot_reports import (
+    CircleAxis,
+    Flanges,
+    FoundRobot,
+    Frame,
+    JointRows,
+    NewFrame,
+    Postures,
+    RobotCheck,
+    RobotList,
+    RobotReport,
+)
+from kilter_service.contract.robots import Mesh, MeshList, MeshUnit, RobotDocument, Target, UrdfShapes
+from kilter_service.contract.today import NewRepair, Repair
 from kilter_service.contract.units import MAX_JOINTS, Name
+from kilter_service.contract.wording import RobotChange, Tombstone
+from kilter_service.ground.backup_folder import check_digest
 from kilter_service.ground.core import core_procedures
-from kilter_service.ground.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_MB, MAX_CIRCLE_ROWS
+from kilter_service.ground.limits import MAX_CIRCLE_CELLS, MAX_CIRCLE_MB, MAX_CIRCLE_ROWS, MAX_MESH_MB
 from kilter_service.ground.tables import reading
 from kilter_service.ground.tables.assemble import observations
 from kilter_service.ground.tables.columns import read_columns
 from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.robots import check as checks
-from kilter_service.robots import documents, nominal, service
+from kilter_service.robots import documents, frames, service
+from kilter_service.robots.meshes import service as meshes
 from kilter_service.robots.wire import DOCUMENT
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.bodies import spool_upload
-from kilter_service.web.concurrency import compute
-from kilter_service.web.routing import ConditionalRoute
-from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp, get_scratch
+from kilter_service.web.bodies import MESH, compute, spool_upload
+from kilter_service.web.routing import (
+    ConditionalRoute,
+    DatabaseOfApp,
+    GuardedRoute,
+    PageOfList,
+    SettingsOfApp,
+    get_scratch,
+)
 
 if TYPE_CHECKING:
     from kilter_core.procedures import AxisFit
+
+
+mesh_router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)
+FILE = {"schema": {"type": "string", "format": "binary"}}
+MESH_CONTENT = dict.fromkeys(meshes.MEDIA, FILE)
+
+
+@mesh_router.get("/{robot}/meshes")
+def list_meshes(robot: str, database: DatabaseOfApp) -> MeshList:
+    """List the shapes of a robot's links."""
+    return meshes.list_meshes(database, robot)
+
+
+@mesh_router.get("/{robot}/urdf-shapes")
+def of_urdf(robot: str, database: DatabaseOfApp) -> UrdfShapes:
+    """List what the robot's URDF draws of the arm: files to send as meshes, and where each goes."""
+    return meshes.of_urdf(database, robot)
+
+
+@mesh_router.put("/{robot}/meshes/{link}", openapi_extra={"requestBody": {"required": True, "content": MESH_CONTENT}})
+async def put(
+    robot: str, link: str, request: Request, database: DatabaseOfApp, _: Admin, unit: MeshUnit = "mm"
+) -> Mesh:
+    """Give a link its shape (STL or OBJ), in the frame in which its mass is given; it is drawn only."""
+    form = meshes.format_from_content_type(request.headers.get("content-type", ""))
+    await run_in_threadpool(meshes.check_link, database, robot, link)
+    with get_scratch(request).folder_for("mesh") as folder:
+        path = folder / "body"
+        sha256 = await spool_upload(request, path, MAX_MESH_MB, MESH)
+        check_digest(request.headers, sha256)
+        return await compute(request, meshes.put, database, robot, link, path, form, unit, sha256)
+
+
+@mesh_router.get(
+    "/{robot}/meshes/{link}",
+    response_class=Response,
+    responses={200: {"content": MESH_CONTENT, "description": "The file as it was sent"}},
+)
+def get_mesh(robot: str, link: str, database: DatabaseOfApp) -> Response:
+    """Download the shape of a link as it was sent."""
+    content, media = meshes.file(database, robot, link)
+    headers = {"Content-Disposition": "attachment", "X-Content-Type-Options": "nosniff"}
+    return Response(content, media_type=media, headers=headers)
+
+
+@mesh_router.delete("/{robot}/meshes/{link}", status_code=204)
+def remove_mesh(robot: str, link: str, database: DatabaseOfApp, _: Admin) -> None:
+    """Delete the shape of a link: it is drawn as cylinders again."""
+    meshes.remove(database, robot, link)
+
 
 JOINT = re.compile(r"q([1-9][0-9]?)_(deg|rad|mm|m)")
 
@@ -75,12 +145,7 @@ def found_robot(
 
 
 def _follows(pairs: Sequence[str]) -> dict[int, int]:
-    """Follower -> leader, from 0.
-
-    Raises:
-        OptionError: a pair that is not written j3=j2.
-
-    """
+    """Follower -> leader, from 0."""
     found = [FOLLOWS.fullmatch(pair.replace(" ", "")) for pair in pairs]
     wrong = [pair for pair, match in zip(pairs, found, strict=True) if match is None]
     if wrong:
@@ -91,12 +156,7 @@ def _follows(pairs: Sequence[str]) -> dict[int, int]:
 
 
 def _kinds(names: list[str]) -> list[str]:
-    """Kind of every joint, by the unit of its reading.
-
-    Raises:
-        ObservationError: no joint readings, or a gap in their numbers.
-
-    """
+    """Kind of every joint, by the unit of its reading."""
     units = {int(match[1]): match[2] for match in map(JOINT.fullmatch, names) if match}
     if sorted(units) != list(range(1, len(units) + 1)) or not units:
         raise ObservationError(
@@ -134,7 +194,6 @@ Follows = Annotated[
     list[str] | None,
     Query(description='Joints read against the horizontal, each with its leader: "j3=j2".', max_length=MAX_JOINTS),
 ]
-FILE = {"schema": {"type": "string", "format": "binary"}}
 COLUMNS = {"schema": {"type": "object", "additionalProperties": {"type": "array"}}}
 CONTENT = {reading.CSV: FILE, reading.PARQUET: FILE, reading.JSON: COLUMNS}
 
@@ -200,13 +259,13 @@ def get(robot: str, database: DatabaseOfApp) -> RobotReport:
 @router.post("/{robot}/forward")
 def forward(robot: str, rows: JointRows, database: DatabaseOfApp) -> Flanges:
     """Say where the nominal flange is at these joints."""
-    return nominal.forward(database, robot, rows)
+    return frames.forward(database, robot, rows)
 
 
 @router.post("/{robot}/inverse")
 def inverse(robot: str, wanted: Flanges, database: DatabaseOfApp) -> Postures:
     """Find all joints that bring the nominal flange to these poses, of a six-axis arm."""
-    return nominal.inverse(database, robot, wanted)
+    return frames.inverse(database, robot, wanted)
 
 
 @router.patch("/{robot}")
@@ -237,3 +296,46 @@ def purge(robot: str, database: DatabaseOfApp, actor: Admin) -> Tombstone:
 def remove(robot: str, database: DatabaseOfApp, actor: Admin) -> None:
     """Delete a robot on which nothing was measured, as purge does."""
     service.purge(database, robot, actor)
+
+
+frame_router = APIRouter(prefix="/v1/frames", tags=["frames"], route_class=GuardedRoute)
+
+
+@frame_router.post("")
+def make(frame: NewFrame) -> Frame:
+    """Find a frame from digitised points: known points measured again, or a plane, a line in it and an origin."""
+    return frames.find_frame(frame)
+
+
+instrument_router = APIRouter(prefix="/v1/instruments", tags=["instruments"], route_class=ConditionalRoute)
+
+
+@instrument_router.post(
+    "", status_code=201, responses={200: {"model": Instrument, "description": "Already there, unchanged"}}
+)
+def add_instrument(instrument: NewInstrument, response: Response, database: DatabaseOfApp, _: Admin) -> Instrument:
+    """Add an instrument with its permissible error and its certificate."""
+    found, new = service.add_instrument(database, instrument)
+    response.status_code = 201 if new else 200
+    return found
+
+
+@instrument_router.get("")
+def list_instruments(database: DatabaseOfApp, page: PageOfList) -> InstrumentList:
+    """List the instruments."""
+    return service.list_instruments(database, page)
+
+
+repair_router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)
+
+
+@repair_router.post("/{robot}/repairs", status_code=201)
+def add_repair(robot: str, repair: NewRepair, database: DatabaseOfApp, actor: Admin) -> Repair:
+    """Record what was done to an arm: checks, charts and comparisons begin anew with it."""
+    return service.add_repair(database, robot, repair, actor)
+
+
+@repair_router.delete("/{robot}/repairs/{repair}", status_code=204)
+def remove_repair(robot: str, repair: str, database: DatabaseOfApp, _: Admin) -> None:
+    """Delete a repair that was recorded by mistake."""
+    service.remove_repair(database, robot, repair)

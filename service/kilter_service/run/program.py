@@ -16,27 +16,24 @@ from typing import NoReturn
 from pydantic import ValidationError
 
 from kilter_files.ground.later import later
-from kilter_service.ground.files.private_files import UMASK, protect
-from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, Settings
-from kilter_service.ground.version import code_version
-from kilter_service.run.zenoh_config import command as zenoh_command
+from kilter_service.ground.private_files import UMASK, protect
+from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, Settings, code_version
+from kilter_service.run import zenoh_command
 from kilter_service.stream.signing import command
-from kilter_service.web.observability import logs, tracing
+from kilter_service.web import logs
 
 # A command loads what it runs, and nothing else.
 with later(__name__):
-    from kilter_service.ground import db
+    from kilter_service.ground import db, private_files
     from kilter_service.ground.db import failures, revision
-    from kilter_service.ground.files import private_files
-    from kilter_service.jobs.work import retention
     from kilter_service.jobs.work import worker as jobs
     from kilter_service.run import compiling, serving, supervisor
     from kilter_service.run.backup import commands
     from kilter_service.run.backup import upgrade as upgrading
     from kilter_service.run.doctor import commands as doctor_commands
+    from kilter_service.stream import ros2_process
     from kilter_service.stream.corrector import process as corrector_process
-    from kilter_service.stream.ros2 import process as ros2_process
-    from kilter_service.web.audit import service as audits
+    from kilter_service.web import audit as audits
     from kilter_service.web.auth import token
 
 ASIDE = frozenset({"compile", "doctor"})  # which change nothing in the data folder
@@ -157,14 +154,14 @@ def seal(settings: Settings, arguments: argparse.Namespace) -> None:
 
 def purge_jobs(settings: Settings, arguments: argparse.Namespace) -> None:
     """Delete jobs that ended long ago and that nothing needs, while the server runs."""
-    age = retention.parse_age(arguments.older_than)
+    age = jobs.parse_age(arguments.older_than)
     database = db.Database(settings.database)
     try:
         revision.check(database)
         if arguments.dry_run:
-            print(f"{retention.count(database, age)} jobs would be purged.")
+            print(f"{jobs.count(database, age)} jobs would be purged.")
             return
-        print(f"{retention.purge(database, age, 'kilterd purge-jobs')} jobs were purged; the audit names them.")
+        print(f"{jobs.purge(database, age, 'kilterd purge-jobs')} jobs were purged; the audit names them.")
     finally:
         database.close()
 
@@ -278,7 +275,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             protect(settings.data, DATABASE_FILE, JOBS_FILE)
         logs.configure(settings, given.command)
         if given.command in TRACED:
-            tracing.configure(given.command)
+            logs.configure_tracing(given.command)
         given.deserted = threading.Event()
         given.supervised = _end_with_parent(given.deserted)
         COMMANDS[given.command][0](settings, given)

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from kilter_files.ground.later import later
+from kilter_service.ground.backup_folder import wait_for_migration
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.migration_lock import wait_for_migration
-from kilter_service.ground.processes.memory import ShortPauses, keep_small
+from kilter_service.ground.memory import ShortPauses, keep_small
 from kilter_service.ground.settings import Settings
 
 with later(__name__):
@@ -120,7 +120,7 @@ def serve(settings: Settings, opened: socket.socket) -> None:
         from uvicorn import Config
 
         from kilter_service.run.app import create_app
-        from kilter_service.web.connections import StreamEndingServer, TimedConnection
+        from kilter_service.web.gate import StreamEndingServer, TimedConnection
 
         app = create_app(settings)
     ShortPauses().watch_collections()

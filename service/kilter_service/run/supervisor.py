@@ -20,14 +20,14 @@ from pathlib import Path
 from typing import IO, Any
 
 from kilter_files.ground.later import later
+from kilter_service.ground.backup_folder import migration_lock
+from kilter_service.ground.child_process import Child, ChildOutput
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.migration_lock import migration_lock
-from kilter_service.ground.files.private_files import ServerFile, private_folder
-from kilter_service.ground.processes.child import Child, ChildOutput
+from kilter_service.ground.private_files import ServerFile, private_folder
 from kilter_service.ground.settings import LOCK_FILE, Settings
 from kilter_service.run.serving import listener, listening_url
 from kilter_service.stream.corrector.endpoints import check_free, check_listening
-from kilter_service.stream.corrector.orphan import goes_on_alone
+from kilter_service.stream.corrector.session import goes_on_alone
 from kilter_service.web.auth.token import admin_token, check_binding
 
 with later(__name__):
@@ -220,10 +220,6 @@ def _wait_until_standing(
     at every start must not end a corrector that corrects: others ask for readiness, this one whether the processes stand.
     Where a stream process `went_on` alone from the server before, an arm follows it: then not even an API that ends at
     every start ends it.
-
-    Raises:
-        ServiceError: no setpoint can be corrected: the API or the corrector ends at every start, or did not start in time.
-
     """
     deadline = time.monotonic() + READY_S
     since, before = time.monotonic(), None

@@ -7,7 +7,7 @@ from datetime import timedelta
 from typing import Any
 
 from kilter_service.contract.versions import ActivatedVersion, ActivationWish, VersionSummary
-from kilter_service.ground import left_out
+from kilter_service.ground import correction_limits
 from kilter_service.ground.core import core_correct
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import utc_now
@@ -17,7 +17,6 @@ from kilter_service.robots import store as robots
 from kilter_service.versions import replays, store, wire
 from kilter_service.versions.ability import CODE as CANNOT
 from kilter_service.versions.ability import Ability, ability
-from kilter_service.versions.answers import store as kept_answers
 from kilter_service.versions.guard import Verdict, judge
 from kilter_service.versions.if_match import ANY_STATE, Expected
 
@@ -111,7 +110,7 @@ def _left_out(database: Database, version_id: str, temperature_c: float | None) 
     with database.reading() as session:
         calibration = store.calibration(session, version_id)
     made = core_correct.compile_program(calibration, core_correct.CorrectionOptions(temperature_c=temperature_c))
-    return left_out.fields(made.unsupported, made.where_stated)
+    return correction_limits.fields(made.unsupported, made.where_stated)
 
 
 def _refuse_retired(session: Session, version_id: str) -> int:
@@ -142,7 +141,7 @@ def _write_activation(
     wish: ActivationWish,
     verdict: Verdict,
     expected: Expected,
-    replay: kept_answers.Replay,
+    replay: store.Replay,
 ) -> VersionSummary | None:
     """Write the activation; None when another version became active since the verdict."""
     with database.transaction() as session:
@@ -151,7 +150,7 @@ def _write_activation(
         last = store.active_entry(session, robot_id)
         active = None if last is None else last.version_id
         # The active version keeps its rules until somebody activates it anew.
-        if active != version_id or store.rules_of(session, version_id) not in (None, replay.rules):
+        if active != version_id or store.activation_rules(session, version_id) not in (None, replay.rules):
             if active != verdict.active:
                 return None
             entry = store.activate(
@@ -164,7 +163,7 @@ def _write_activation(
                 reason=wish.reason,
                 objections=[objection.model_dump() for objection in verdict.objections],
             )
-            kept_answers.add(session, entry, replay)
+            store.add_answer(session, entry, replay)
         return wire.summary(store.get(session, version_id))
 
 
@@ -183,7 +182,7 @@ def rollback(
         robot_id = robots.get(session, robot).id
         expected.check(session, robot_id)
         before = _find_rollback_target(session, robot_id, robot)
-        kept_answers.repeat(session, store.activate(session, robot_id, before, ROLLBACK, actor), before)
+        store.repeat(session, store.activate(session, robot_id, before, ROLLBACK, actor), before)
         summary = wire.summary(store.get(session, before))
         compensated = robots.get_compensation(session, robot_id)
     able = ability(database, before, temperature_c)  # after: nothing stands between a person and the way back

@@ -20,10 +20,9 @@ from kilter_service.campaigns import store as campaigns
 from kilter_service.contract.versions import Comparison, CorrectionLimits, Objection, Rival
 from kilter_service.ground.core import core_identify, core_model
 from kilter_service.ground.db import Database, Session
-from kilter_service.ground.texts import plural
+from kilter_service.ground.naming import plural
 from kilter_service.ground.wire import to_mm
 from kilter_service.robots import store as robots
-from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions import store, wire
 from kilter_service.versions.objections import objections_from_report, of_calibration
 from kilter_service.versions.predictions import unfitted_rows
@@ -368,7 +367,7 @@ class AsItWas:
     @staticmethod
     def from_repairs_and_reports(session: Session, robot_id: int, *reports: Mapping[str, Any]) -> AsItWas:
         """What was measured before the last repair, or before what the versions of these reports were re-zeroed by."""
-        repair, found = repairs.last_repair(session, robot_id), AsItWas()
+        repair, found = robots.last_repair(session, robot_id), AsItWas()
         if repair is not None:
             before = frozenset(campaigns.ids_until(session, robot_id, repair.at))
             found = AsItWas(before, f"the repair of {repair.at:%Y-%m-%d} ({repair.what})")

@@ -1,4 +1,7 @@
-"""The state that a change of the active version starts from: its ETag, and `If-Match` that names it."""
+"""The state that a change of the active version starts from: its ETag, and `If-Match` that names it.
+
+Versions in the address of a request: by id, or as `tour v2`.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,12 @@ from typing import Annotated
 
 from fastapi import Depends, Header
 
+from kilter_service.ground import store as references
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
+from kilter_service.web.routing import DatabaseOfApp
 
 ANY = "*"
 
@@ -77,3 +82,27 @@ async def expected_from_header(
 
 ANY_STATE = Expected()
 ExpectedState = Annotated[Expected, Depends(expected_from_header)]
+
+
+def _id_in_address(database: Database, text: str) -> str:
+    if " " not in text:
+        return text
+    with database.reading() as session:
+        return references.version_id(session, text)
+
+
+def _version_id(version: str, database: DatabaseOfApp) -> str:
+    return _id_in_address(database, version)
+
+
+def _first_version_id(a: str, database: DatabaseOfApp) -> str:
+    return _id_in_address(database, a)
+
+
+def _second_version_id(b: str, database: DatabaseOfApp) -> str:
+    return _id_in_address(database, b)
+
+
+AddressedVersion = Annotated[str, Depends(_version_id)]
+FirstVersion = Annotated[str, Depends(_first_version_id)]
+SecondVersion = Annotated[str, Depends(_second_version_id)]

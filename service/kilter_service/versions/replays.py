@@ -11,15 +11,16 @@ import numpy as np
 from kilter_core.errors import CoreError
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
-from kilter_service.contract.stream_messages import Status
+from kilter_service.contract.streams import Status
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_correct
 from kilter_service.ground.correction_limits import Rules, correction_options, rules_today
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.wire import to_deg, to_mm
 from kilter_service.versions import store
-from kilter_service.versions.answers.store import BY_UPGRADE, Replay, add, kept
-from kilter_service.versions.predictions.preview import drawn
+from kilter_service.versions.predictions.at_pose import drawn
+from kilter_service.versions.store import BY_UPGRADE, Replay, kept
+from kilter_service.versions.store import add_answer as add
 
 if TYPE_CHECKING:
     from kilter_core.model import Calibration
@@ -76,7 +77,9 @@ def keep_answers(database: Database, *, before_rules: bool = False) -> None:
     """
     with database.reading() as session:
         missing = [
-            entry for entry in store.active_entries(session) if store.rules_of(session, entry.version_id) is None
+            entry
+            for entry in store.active_entries(session)
+            if store.activation_rules(session, entry.version_id) is None
         ]
     for entry in missing:
         try:

@@ -1,13 +1,13 @@
-"""Versions over HTTP."""
+"""Versions, checks, today, metrics and decisions about a tolerance over HTTP."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
 
-from kilter_service.contract.references import Change, Tombstone
-from kilter_service.contract.units import MAX_NAMED
+from kilter_service.contract.today import Acceptance, DriftHistory, DriftList, Today
+from kilter_service.contract.units import MAX_NAMED, Name
 from kilter_service.contract.versions import (
     ActivatedVersion,
     ActivationList,
@@ -18,17 +18,21 @@ from kilter_service.contract.versions import (
     VersionList,
     VersionPreview,
 )
+from kilter_service.contract.wording import Change, Tombstone
 from kilter_service.ground.tables.reading import CSV, JSON, PARQUET
 from kilter_service.robots.exporters.registry import FORMATS
+from kilter_service.versions import acceptance as acceptance_service
 from kilter_service.versions import activation, service
-from kilter_service.versions.addressed import AddressedVersion, FirstVersion, SecondVersion
-from kilter_service.versions.if_match import ExpectedState, tag_of_robot
+from kilter_service.versions import metrics as metrics_service
+from kilter_service.versions.acceptance import Wish
+from kilter_service.versions.drift import service as drift_service
+from kilter_service.versions.if_match import AddressedVersion, ExpectedState, FirstVersion, SecondVersion, tag_of_robot
+from kilter_service.versions.predictions import at_pose as previews
 from kilter_service.versions.predictions import differences
-from kilter_service.versions.predictions import preview as previews
-from kilter_service.versions.predictions import residuals as left
+from kilter_service.versions.predictions import unfitted_rows as left
+from kilter_service.versions.today import service as today_service
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.routing import ConditionalRoute
-from kilter_service.web.state import DatabaseOfApp, PageOfList, SettingsOfApp
+from kilter_service.web.routing import ConditionalRoute, DatabaseOfApp, GuardedRoute, PageOfList, SettingsOfApp
 
 FILE = {"schema": {"type": "string", "format": "binary"}}
 EXPORTS = {form.media_type: FILE for form in FORMATS.values()} | {JSON: {"schema": {"type": "object"}}}
@@ -188,3 +192,76 @@ def export(
     if file.notes:
         headers["Kilter-Notes"] = " | ".join(file.notes)
     return Response(file.text, media_type=file.media_type, headers=headers)
+
+
+drift_router = APIRouter(prefix="/v1", tags=["robots"], route_class=ConditionalRoute)
+
+
+@drift_router.get("/robots/{robot}/drift")
+def drift(robot: str, database: DatabaseOfApp) -> DriftHistory:
+    """Return the checks of a robot, the control charts of its active version, and how it stands by them."""
+    return drift_service.of_robot(database, robot)
+
+
+@drift_router.get("/drift")
+def drifts(database: DatabaseOfApp) -> DriftList:
+    """Return how all robots stand by their checks, the worst first."""
+    return drift_service.of_robots(database)
+
+
+today_router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)
+
+
+@today_router.get("/{robot}/today")
+def today(robot: str, database: DatabaseOfApp) -> Today:
+    """Say how good a robot is today: its newest error on rows that no fit used, and what is missing."""
+    return today_service.of_robot(database, robot)
+
+
+metrics_router = APIRouter(tags=["health"], route_class=GuardedRoute)
+TEXT: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"text/plain": {"schema": {"type": "string"}}}, "description": "Metrics"}
+}
+
+
+@metrics_router.get("/metrics", response_class=Response, responses=TEXT)
+def metrics(database: DatabaseOfApp, settings: SettingsOfApp) -> Response:
+    """Return the metrics of this process and of the database, in the text format of Prometheus."""
+    return Response(metrics_service.text(database, settings), headers={"Content-Type": metrics_service.MEDIA_TYPE})
+
+
+acceptance_router = APIRouter(prefix="/v1/robots", tags=["robots"], route_class=ConditionalRoute)
+LARGEST_MM = 1000.0
+Refit = Literal["none", "base", "base,tool"]
+REFITS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "base,tool": ("base", "tool")}
+ToleranceMm = Annotated[
+    float,
+    Query(
+        gt=0,
+        le=LARGEST_MM,
+        description="Tolerance of the position of the tool, mm.",
+        json_schema_extra={"x-unit": "mm"},
+    ),
+]
+Campaigns = Annotated[
+    list[str] | None,
+    Query(description="Ids of campaigns; none: those of today's number, else all.", max_length=MAX_NAMED),
+]
+
+
+@acceptance_router.get("/{robot}/acceptance")
+def acceptance(
+    robot: str,
+    database: DatabaseOfApp,
+    tolerance_mm: ToleranceMm,
+    version: Annotated[str | None, Query(description="The version; none: the active one.", max_length=64)] = None,
+    campaign: Campaigns = None,
+    refit: Annotated[
+        Refit | None,
+        Query(description="Frames to fit to the rows of each campaign; none given: as today's number does."),
+    ] = None,
+    instrument: Annotated[Name | None, Query(description="Instrument of campaigns that name none.")] = None,
+) -> Acceptance:
+    """Decide by ISO 14253-1 whether a robot keeps a tolerance, on rows that its version was not fitted to."""
+    wish = Wish(tolerance_mm, version, campaign or (), None if refit is None else REFITS[refit], instrument)
+    return acceptance_service.of_robot(database, robot, wish)

@@ -5,19 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.references import Change, Tombstone
 from kilter_service.contract.versions import ActivationList, Version, VersionList, VersionSummary
-from kilter_service.ground.by_name import copy_fields
+from kilter_service.contract.wording import Change, Tombstone
+from kilter_service.ground import store as references
 from kilter_service.ground.caller import allowed_robots
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.paging import Page, in_time
-from kilter_service.ground.references import store as references
 from kilter_service.robots import store as robots
+from kilter_service.robots.compensation import said_of_controller
 from kilter_service.robots.exporters.exportable import Exportable
 from kilter_service.robots.exporters.registry import RANGES, Exported, export, export_notes
-from kilter_service.robots.into_controller import said_of_controller
 from kilter_service.versions import store, wire
 from kilter_service.versions.records import VersionRecord
 
@@ -75,10 +75,10 @@ def exported_notes(database: Database, version_id: str, format_name: str) -> tup
 def _exportable(database: Database, version_id: str, format_name: str) -> tuple[Exportable, tuple[str, ...]]:
     with database.reading() as session:
         record = store.get(session, version_id)
-        robot, rules = robots.get(session, record.robot), store.rules_of(session, version_id)
+        robot, rules = robots.get(session, record.robot), store.activation_rules(session, version_id)
         fleet = store.fleet_versions(session, robot.id, allowed_robots()) if format_name == RANGES else ()
     version = Exportable(robot, wire.version(record), record.calibration, rules, fleet=fleet)
-    return version, said_of_controller(format_name, robot)
+    return version, said_of_controller(format_name, robot.name, robot.controller_compensation)
 
 
 def change(database: Database, version_id: str, wanted: Change) -> Version:

@@ -1,4 +1,7 @@
-"""Rows of versions and activations, and what they become in core."""
+"""Rows of versions and activations, and what they become in core.
+
+Rows of kept answers.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +11,22 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sqlalchemy import Select, and_, func, or_, select
+from sqlalchemy.orm import InstrumentedAttribute
 
 from kilter_service.contract.fits import Metrics
-from kilter_service.contract.jobs.job import FINAL
+from kilter_service.contract.jobs.kind import FINAL
 from kilter_service.contract.versions import CorrectionLimits, VersionSummary
-from kilter_service.contract.written import as_written
-from kilter_service.ground.by_name import copy_fields
+from kilter_service.contract.wording import as_written
+from kilter_service.ground import store as references
 from kilter_service.ground.core import core_identify, core_model
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.audited import note
 from kilter_service.ground.db.tables import ActivationRow, JobRow, ReplayRow, RobotRow, VersionRow
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.paging import ALL, Page
-from kilter_service.ground.references import store as references
+from kilter_service.ground.settings import code_version
 from kilter_service.robots import store as robots
 from kilter_service.robots.documents import hash_canonical_json
-from kilter_service.versions.answers.store import fetch_last_kept
 from kilter_service.versions.records import ActivationRecord, VersionRecord
 
 if TYPE_CHECKING:
@@ -270,11 +274,11 @@ def active_version(session: Session, robot: str) -> ActiveVersion | None:
     row = _row(session, last.version_id)
     limits = CorrectionLimits(**row.limits)
     known = calibration(session, row.id)
-    workspace, rules = row.report.get("workspace"), rules_of(session, row.id)
+    workspace, rules = row.report.get("workspace"), activation_rules(session, row.id)
     return ActiveVersion(robot, row.id, row.sha256, last.id, known, limits, workspace, rules)
 
 
-def rules_of(session: Session, version_id: str) -> dict[str, Any] | None:
+def activation_rules(session: Session, version_id: str) -> dict[str, Any] | None:
     """Return the task and rules that a version was activated under the last time; None where that is not known."""
     found: dict[str, Any] | None = fetch_last_kept(session, ReplayRow.rules, version_id)
     return found
@@ -414,3 +418,54 @@ def _asked_fleet(version: VersionRecord, known: Mapping[str, VersionRecord]) -> 
             return True
         following = known.get(following.parent_id or "")
     return False
+
+
+BY_ACTIVATION, BY_UPGRADE = "activation", "upgrade"
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Task and rules of a correction, ``setpoints`` and ``answers``, as the table has them."""
+
+    rules: dict[str, Any]
+    setpoints: bytes
+    answers: bytes
+
+
+def fetch_last_kept(session: Session, what: type[ReplayRow] | InstrumentedAttribute[Any], version_id: str) -> Any:
+    """Return what was kept with the last activation of a version, the row or a column of it; None where nothing was."""
+    query = select(what).join(ActivationRow, ActivationRow.id == ReplayRow.activation_id)
+    query = query.where(ActivationRow.version_id == version_id).order_by(ActivationRow.id.desc()).limit(1)
+    return session.execute(query).scalar_one_or_none()
+
+
+def add_answer(session: Session, activation_id: int, replay: Replay, made_by: str = BY_ACTIVATION) -> None:
+    """Keep the answers of a version with its activation; those that are kept already stay."""
+    if session.get(ReplayRow, activation_id) is not None:
+        return
+    session.add(
+        ReplayRow(
+            activation_id=activation_id,
+            rules=replay.rules,
+            setpoints=replay.setpoints,
+            answers=replay.answers,
+            made_by=made_by,
+            code_version=code_version(),
+        )
+    )
+    session.flush()
+
+
+def repeat(session: Session, activation_id: int, version_id: str) -> None:
+    """Keep with an activation what was kept with the last one of the version, its task and rules too."""
+    before = fetch_last_kept(session, ReplayRow, version_id)
+    if before is not None:
+        names = ("rules", "setpoints", "answers", "made_by", "code_version")
+        session.add(ReplayRow(activation_id=activation_id, **{name: getattr(before, name) for name in names}))
+        session.flush()
+
+
+def kept(session: Session, activation_id: int) -> Replay | None:
+    """Return what was kept with an activation; None where nothing was."""
+    row = session.get(ReplayRow, activation_id)
+    return None if row is None else Replay(row.rules, row.setpoints, row.answers)

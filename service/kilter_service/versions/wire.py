@@ -11,7 +11,6 @@ import numpy as np
 from kilter_core.types import Floats
 from kilter_files.ground.later import pa
 from kilter_service.contract.fits import Covariance, Metrics, NullDirection, Parameter
-from kilter_service.contract.remarks import Remark
 from kilter_service.contract.versions import (
     Activation,
     CorrectionLimits,
@@ -24,9 +23,9 @@ from kilter_service.contract.versions import (
     VersionPreview,
     VersionSummary,
 )
-from kilter_service.contract.written import as_written
-from kilter_service.ground import left_out
-from kilter_service.ground.by_name import copy_fields
+from kilter_service.contract.wording import Remark, as_written
+from kilter_service.ground import correction_limits
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.wire import joint_scale, joint_units, to_deg, to_metres, to_mm, to_rad
 from kilter_service.versions.objections import objections_from_report
 from kilter_service.versions.records import ActivationRecord, PreviewedPoses, VersionRecord
@@ -130,7 +129,7 @@ def preview(
             )
             for joint, unit, size, at in zip(robot.joints, units, sizes, shown, strict=True)
         ],
-        **left_out.fields(found.unsupported, found.where_stated),
+        **correction_limits.fields(found.unsupported, found.where_stated),
         temperature_c=temperature_c,
     )
 

@@ -19,7 +19,7 @@ from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.processes.memory import return_freed_memory
+from kilter_service.ground.memory import return_freed_memory
 from kilter_service.web.auth.policy import rule_for_route
 from kilter_service.web.routing import GuardedRoute
 

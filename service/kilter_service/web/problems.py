@@ -15,11 +15,11 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from kilter_core.errors import CoreError
-from kilter_service.contract.problems import Problem
+from kilter_service.contract.server import Problem
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import PROBLEMS
-from kilter_service.web.audit import refusals
-from kilter_service.web.observability.requests import REFUSALS, new_request_id
+from kilter_service.web import audit
+from kilter_service.web.request_log import REFUSALS, new_request_id
 
 log = logging.getLogger("kilter.api")
 
@@ -60,11 +60,11 @@ def problem(
     listed, title = PROBLEMS.get(code, (400, "The request cannot be fulfilled"))
     status = status or listed
     REFUSALS.labels(code).inc()
-    refusals.note(request, code)
+    audit.note(request, code)
     if request.headers.get("hx-request") == "true":
-        return _render_problem_part(code, title, detail, status, headers_of(code, status, context))
+        return _render_problem_part(code, title, detail, status, refusal_headers(code, status, context))
     if _reads(request):
-        return _page(request, code, title, detail, status, headers_of(code, status, context))
+        return _page(request, code, title, detail, status, refusal_headers(code, status, context))
     document = {
         "type": f"urn:kilter:problem:{code}",
         "title": title,
@@ -74,7 +74,9 @@ def problem(
         "context": _drop_long_values(context),
         "request_id": getattr(request.state, "request_id", new_request_id()),
     }
-    return Response(json.dumps(document, default=json_default), status, headers_of(code, status, context), MEDIA_TYPE)
+    return Response(
+        json.dumps(document, default=json_default), status, refusal_headers(code, status, context), MEDIA_TYPE
+    )
 
 
 def _render_problem_part(code: str, title: str, detail: str, status: int, headers: dict[str, str] | None) -> Response:
@@ -112,7 +114,7 @@ def _drop_long_values(context: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def headers_of(code: str, status: int, context: Mapping[str, Any]) -> dict[str, str] | None:
+def refusal_headers(code: str, status: int, context: Mapping[str, Any]) -> dict[str, str] | None:
     """Return the headers that a refusal has: how to log in, or when to come again."""
     if status == 401:
         return {"WWW-Authenticate": "Bearer"}

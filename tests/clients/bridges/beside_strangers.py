@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from kilter_client import Kilter
-from kilter_client.requests.local_server import local_server
+from kilter_client.requests.connection import local_server
 from tests.clients.bridges import test_fci_bridge as fci
 from tests.clients.bridges.egm_peer import EgmPeer
 from tests.clients.bridges.franka_arm import table

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from kilter_client import Kilter
-from kilter_client.requests.local_server import local_server
+from kilter_client.requests.connection import local_server
 from tests.clients.bridges.rsi_peer import RsiPeer
 from tests.clients.bridges.running_bridge import PRIORITY, add_arm, bridging, off_mm
 from tests.clients.bridges.strangers import strangers

@@ -9,9 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from kilter_client.bridges.correction import Correction, Guard
+from kilter_client.bridges.correction import Correction, Guard, Line, pair
 from kilter_client.bridges.fci import Fci, Rejoined
-from kilter_client.bridges.news import Line, pair
 from kilter_client.bridges.plan import Setpoints, Table
 from kilter_core.correct.file import from_bytes, to_bytes
 from tests.clients.bridges.franka_arm import table

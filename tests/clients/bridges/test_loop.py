@@ -15,10 +15,9 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from kilter_client.bridges.correction import Correction, Guard
+from kilter_client.bridges.correction import Correction, Guard, Kind, Line, pair
+from kilter_client.bridges.egm import From, RsiWire
 from kilter_client.bridges.loop import Loop, Request, without_collections
-from kilter_client.bridges.news import Kind, Line, pair
-from kilter_client.bridges.rsi import From, RsiWire
 from kilter_core.correct.file import from_bytes, to_bytes
 from tests.clients.bridges.udp_peer import Floats
 from tests.core.correct.test_c_corrector import program_of

@@ -15,11 +15,10 @@ import pytest
 import zenoh
 
 from kilter_client import Kilter
-from kilter_client.bridges.news import Kind
-from kilter_client.bridges.versions import Followed, fetch_startup_version, poll_server
+from kilter_client.bridges.correction import Followed, Kind, fetch_startup_version, poll_server
 from kilter_client.cli import run
 from kilter_client.errors import ConflictError, NotFoundError
-from kilter_client.streaming.corrector import session_config
+from kilter_client.streaming.certificates import session_config
 from kilter_core.correct.file import from_bytes
 from tests.clients.answered import document
 from tests.clients.bridges.rsi_peer import RsiPeer

@@ -13,11 +13,11 @@ from re import Pattern
 
 import pytest
 
-from kilter_client.bridges import egm, rsi
+from kilter_client.bridges import egm
 from kilter_client.bridges.correction import Correction
+from kilter_client.bridges.egm import From, RsiWire
 from kilter_client.bridges.fci import opened_sockets_hear
 from kilter_client.bridges.loop import Request
-from kilter_client.bridges.rsi import From, RsiWire
 from tests.clients.bridges.strangers import packets, strangers
 from tests.clients.bridges.test_loop import (
     GONE_S,
@@ -212,7 +212,7 @@ def repeats(tree: object) -> Iterator[int]:
 @pytest.mark.parametrize("source", list(From))
 def test_no_pattern_of_a_message_repeats_without_a_bound(source: From) -> None:
     wire = RsiWire([1.0] * 6, source)
-    found = [one for one in [*vars(rsi).values(), *vars(wire).values()] if isinstance(one, Pattern)]
+    found = [one for one in [*vars(egm).values(), *vars(wire).values()] if isinstance(one, Pattern)]
     assert len(found) == 5
     for pattern in found:
         most = list(repeats(parser.parse(pattern.pattern)))

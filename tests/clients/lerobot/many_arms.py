@@ -23,7 +23,7 @@ import numpy as np
 
 from kilter_client import Kilter
 from kilter_client.cli import run as kilter_command
-from kilter_client.requests.local_server import local_server
+from kilter_client.requests.connection import local_server
 from tests.blind.bounds import Figure, share
 from tests.clients.files.formats.test_lerobot import calibration
 from tests.clients.lerobot.so101_twin import Twin

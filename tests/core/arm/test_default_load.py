@@ -9,11 +9,11 @@ import pytest
 
 from kilter_core.arm.conversions import robot_document
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.documents.resolved import resolved_document, robot_from_resolved
+from kilter_core.arm.documents.parts import resolved_document, robot_from_resolved
 from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Payload, Robot
 from kilter_core.correct.program import CorrectionOptions, compile_program
-from kilter_core.effects.axial_compliance import AxialCompliance
+from kilter_core.effects.compliance import AxialCompliance
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from kilter_core.arm.conversions import robot_document
-from kilter_core.arm.conversions.screws import screws_of_chain
+from kilter_core.arm.conversions.tables import screws_of_chain
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
+from kilter_core.arm.load_wrenches import axial_loads, joint_loads
 from kilter_core.arm.presets import preset_document
 from kilter_core.errors import OptionError, RobotError
 from kilter_core.identify import IdentifyOptions, identify

@@ -10,8 +10,8 @@ import pinocchio as pin
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.loads.chain import LoadChain
-from kilter_core.arm.loads.slopes import payload_sensitivity
+from kilter_core.arm.load_slopes import payload_sensitivity
+from kilter_core.arm.load_wrenches import LoadChain
 from kilter_core.effects import make_effect
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations

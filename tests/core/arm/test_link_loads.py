@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
+from kilter_core.arm.load_wrenches import axial_loads, joint_loads
 from kilter_core.correct.program import CorrectionOptions
 from kilter_core.correct.walker import correct_trajectory
 from kilter_core.gap import GapOptions, find_gap

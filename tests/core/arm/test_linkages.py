@@ -11,9 +11,9 @@ import pytest
 
 from kilter_core.arm.conversions import robot_document
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.documents.resolved import resolved_document, robot_from_resolved
-from kilter_core.arm.loads.slopes import LoadSlopes, with_masses
-from kilter_core.arm.loads.wrenches import axial_loads, joint_loads, row_load_wrenches
+from kilter_core.arm.documents.parts import resolved_document, robot_from_resolved
+from kilter_core.arm.load_slopes import LoadSlopes, with_masses
+from kilter_core.arm.load_wrenches import axial_loads, joint_loads, row_load_wrenches
 from kilter_core.errors import RobotError
 from kilter_core.observations import Observations
 from tests.core.palletiser import palletiser, said

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.loads.chain import LoadChain
+from kilter_core.arm.load_wrenches import LoadChain
 from kilter_core.arm.presets import preset_document
 from kilter_core.correct.program import CorrectionOptions, compile_program
 from kilter_core.effects import make_effect

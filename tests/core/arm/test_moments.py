@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from kilter_core.arm.chain import Chain
 from kilter_core.arm.conversions import robot_document
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.documents.resolved import resolved_document, robot_from_resolved
-from kilter_core.arm.loads.slopes import payload_sensitivity
-from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
+from kilter_core.arm.documents.parts import resolved_document, robot_from_resolved
+from kilter_core.arm.load_slopes import payload_sensitivity
+from kilter_core.arm.load_wrenches import axial_loads, joint_loads
 from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Joint, Robot
 from kilter_core.effects import make_effect

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.correct.leverage import levers
+from kilter_core.correct.correction_needs import levers
 from kilter_core.correct.program import compile_program
 from kilter_core.model import Calibration
 from tests.core.truth import Arm, Step, some_arm, ur10

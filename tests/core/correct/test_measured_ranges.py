@@ -11,7 +11,7 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.correct.program import compile_program
 from kilter_core.effects import make_effect
-from kilter_core.effects.joint_curve import FADE
+from kilter_core.effects.curves import FADE
 from kilter_core.errors import OptionError
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations

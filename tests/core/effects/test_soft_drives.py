@@ -9,10 +9,10 @@ import pytest
 
 from kilter_core.arm.conversions import robot_document
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.documents.resolved import resolved_document, robot_from_resolved
+from kilter_core.arm.documents.parts import resolved_document, robot_from_resolved
 from kilter_core.arm.presets import preset_document
-from kilter_core.effects.axial_compliance import AxialCompliance
-from kilter_core.effects.friction_windup import FrictionWindup
+from kilter_core.effects.backlash import FrictionWindup
+from kilter_core.effects.compliance import AxialCompliance
 from kilter_core.errors import RobotError
 
 ARM: dict[str, Any] = {

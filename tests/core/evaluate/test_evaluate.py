@@ -14,7 +14,7 @@ from kilter_core.errors import OptionError
 from kilter_core.evaluate import evaluate
 from kilter_core.identify import identify
 from kilter_core.identify.uncertainty.predictive import Predictive
-from kilter_core.measurement.metrics import Errors
+from kilter_core.measurement.frames import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.campaigns import joints, measured

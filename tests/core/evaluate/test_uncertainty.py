@@ -11,7 +11,7 @@ import pytest
 
 from kilter_core.errors import OptionError
 from kilter_core.evaluate import errors_by_row
-from kilter_core.evaluate.uncertainty import Budget, PermissibleError, judge
+from kilter_core.evaluate.error_budget import Budget, PermissibleError, judge
 from kilter_core.identify import Identification, IdentifyOptions, identify
 from kilter_core.identify.holdout import split
 from kilter_core.identify.options import FRAME_NAMES

@@ -8,10 +8,10 @@ from dataclasses import replace
 import pytest
 
 from kilter_core.errors import OptionError
-from kilter_core.gap import GapOptions, GapReport, budget, find_gap
+from kilter_core.gap import GapOptions, GapReport, find_gap, options
 from kilter_core.gap.effect_search import AGAIN
+from kilter_core.gap.search.events import WRONG
 from kilter_core.gap.search.prepare import prepare_data
-from kilter_core.gap.search.re_evaluation import WRONG
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import unheard
@@ -26,7 +26,7 @@ HIDDEN = [("backlash", (1,), (6e-4,)), ("eccentricity", (2,), (6e-4, 4e-4))]
 @pytest.fixture
 def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
     """A clock that goes one second at every look: what is cut short does not depend on the machine."""
-    monkeypatch.setattr(budget, "clock", itertools.count(0.0).__next__)
+    monkeypatch.setattr(options, "clock", itertools.count(0.0).__next__)
 
 
 def searched(seconds: float | None) -> GapReport:
@@ -76,7 +76,7 @@ def spoilt() -> Observations:
 
 @pytest.mark.usefixtures("ticking")
 def test_the_search_for_wrong_readings_ends_in_time() -> None:
-    short, long = budget.Budget(12.0), budget.Budget(1e6)  # at a second for each look, three fits of the descent
+    short, long = options.Budget(12.0), options.Budget(1e6)  # at a second for each look, three fits of the descent
     cut, whole = (prepare_data(Calibration.nominal(katana()), spoilt(), QUICK, unheard, b) for b in (short, long))
     assert cut.problem.settings.used.all()
     assert short.left_out == [WRONG]

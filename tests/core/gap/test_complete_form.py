@@ -9,7 +9,7 @@ import pytest
 
 from kilter_core.arm.chain import Axis
 from kilter_core.arm.robot import Robot
-from kilter_core.gap import GapOptions, find_gap, fit_assessment
+from kilter_core.gap import GapOptions, effect_verdicts, find_gap
 from kilter_core.gap.search.linear.complete_form import MissingDirection, incomplete_warnings, missing_directions
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
@@ -81,7 +81,7 @@ def test_nothing_is_confirmed_that_a_missing_rotation_explains_as_well(monkeypat
     (plain,) = find_gap(arm, measured, options).effects
     assert "complete_geometry" not in plain.gates
     one = MissingDirection(2, Axis.RY, 1e-3, 1e-9)
-    monkeypatch.setattr(fit_assessment, "missing_directions", lambda *_: (one,))
+    monkeypatch.setattr(effect_verdicts, "missing_directions", lambda *_: (one,))
     report = find_gap(arm, measured, options)
     row = report.to_document()["effects"][0]
     assert (row["verdict"], row["gates"]["complete_geometry"]) == ("provisional", False)

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.noise.covariances import SMALLEST
+from kilter_core.gap.noise.covariance_models import SMALLEST
 from kilter_core.gap.report.stored import Stored
 from kilter_core.gap.search.linear import linearized
 from kilter_core.identify import IdentifyOptions
 from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.measured_rows import measurement_for
 from kilter_core.identify.methods.fit import fit_by_method
-from kilter_core.identify.rows.measurement_of_rows import measurement_for
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import CorrelatedPrior

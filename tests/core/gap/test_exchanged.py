@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kilter_core.gap.search.linear.projection import FIRM, split_geometry_directions
+from kilter_core.gap.search.linear.gram import FIRM, split_geometry_directions
 from tests.blind.generator import cases
 from tests.blind.run import run_case
 

@@ -10,11 +10,11 @@ import pytest
 
 from kilter_core.arm.robot import Robot
 from kilter_core.gap import GapOptions
-from kilter_core.gap.search.linear.in_space import fit_rms
+from kilter_core.gap.search.linear.linearized import fit_rms
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.sources.tool_source import ToolSource
 from kilter_core.identify import identify
-from kilter_core.measurement.metrics import Errors
+from kilter_core.measurement.frames import Errors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.blind.generator import generate

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kilter_core.gap.search.linear.fewer import Fewer
-from kilter_core.gap.search.linear.gram import RIDGE, VISIBLE, Gram, Recent
+from kilter_core.gap.search.linear.gram import RIDGE, VISIBLE, Fewer, Gram, Recent
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Floats
 from tests.core.gap.test_reach import world

@@ -13,9 +13,8 @@ import pytest
 
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.linear import settings
-from kilter_core.gap.search.linear.gram import Recent
+from kilter_core.gap.search.linear.gram import Recent, Soft
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, refit
-from kilter_core.gap.search.linear.projection import Soft
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana

@@ -9,8 +9,8 @@ import pytest
 
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.evidence.control import by_blocks
-from kilter_core.gap.noise.motion import blocks, correlation_length, split_into_windows
-from kilter_core.gap.search.linear.tails import tail
+from kilter_core.gap.noise.visits import blocks, correlation_length, split_into_windows
+from kilter_core.gap.search.linear.settings import tail
 from kilter_core.identify.holdout import split
 from kilter_core.observations import Observations
 from kilter_core.observations.groups import is_trajectory, segments

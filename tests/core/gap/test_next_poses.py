@@ -11,8 +11,12 @@ from kilter_core.gap import find_gap, plan_separation
 from kilter_core.gap.evidence.similarity.testability import testability as judged
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.report.next_poses import Proposal, _Question, proposal_rows, separate
-from kilter_core.gap.report.separation import simulate_first_campaign, undecided_effect_pair
-from kilter_core.gap.report.told_apart import are_never_separable, assess_separation
+from kilter_core.gap.report.separation import (
+    are_never_separable,
+    assess_separation,
+    simulate_first_campaign,
+    undecided_effect_pair,
+)
 from kilter_core.gap.search.candidates import with_testable
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.model import Calibration

@@ -13,7 +13,7 @@ from kilter_core.errors import CoreError, OptionError
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.of_type import KnownType, known_type
 from kilter_core.identify import identify
-from kilter_core.identify.fleet.versions import FleetVersion
+from kilter_core.identify.fleet_prior import FleetVersion
 from kilter_core.observations import Observations
 from tests.core.identify.fleet.simulated import Arm, Type, document, poses
 

@@ -14,7 +14,7 @@ from kilter_core.gap import GapReport, find_gap
 from kilter_core.gap.options import GapOptions
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.seen_poses import seen_poses
-from kilter_core.measurement.pose_weights import typical_deviations, weights
+from kilter_core.measurement.poses import typical_deviations, weights
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.pixel_scene import Floats, Scene, eye_in_hand, eye_to_hand

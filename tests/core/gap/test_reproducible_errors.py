@@ -10,7 +10,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, find_gap
-from kilter_core.gap.search.rows.wrong_rows import along_one_motion
+from kilter_core.gap.search.outliers import along_one_motion
 from kilter_core.identify.uncertainty.predictive import Predictive
 from kilter_core.model.calibration import unexplained_error
 from kilter_core.observations import Observations

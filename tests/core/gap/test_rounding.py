@@ -12,7 +12,7 @@ from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.identify.fit.problem import ByCovariance, SharedErrors
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
-from kilter_core.observations.rounding import reading_steps
+from kilter_core.observations.repeats import reading_steps
 from tests.core.gap.time_twins import BASE, DH, NOISE_M, TOOL, robot, tool_points
 
 QUICK = GapOptions(

@@ -13,7 +13,7 @@ from kilter_core.gap.search.candidates import with_testable
 from kilter_core.gap.search.forward_selection import search
 from kilter_core.gap.search.linear.gram import Gram
 from kilter_core.gap.search.linear.linearized import estimate_linear_parameters, refit
-from kilter_core.gap.search.linear.tails import tail
+from kilter_core.gap.search.linear.settings import tail
 from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.gap.search.scan import Scorer, null_distribution, residual_given
 from kilter_core.gap.search.select import Selector

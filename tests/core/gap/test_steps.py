@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_core.effects import BASE, make_effect
-from kilter_core.effects.other_campaigns import carried_effects
+from kilter_core.effects.laws import carried_effects
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.search.events import (
     Course,

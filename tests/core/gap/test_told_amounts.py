@@ -15,7 +15,7 @@ from kilter_core.gap import effect_search as module
 from kilter_core.gap.effect_search import refit_with_wider_priors
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.report.report import GapReport
-from kilter_core.gap.search import re_evaluation as renewal
+from kilter_core.gap.search import events as renewal
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.linearized import linearise_problem
 from tests.blind.generator import cases

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from kilter_core.gap import GapOptions, find_gap
+from kilter_core.gap.search.events import refit_with_updated_noise
 from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.prepare import prepare_data
-from kilter_core.gap.search.re_evaluation import refit_with_updated_noise
 from kilter_core.model import Calibration
 from tests.core.gap.simulated import campaign, katana
 

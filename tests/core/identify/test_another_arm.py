@@ -11,7 +11,7 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.identify import Identification, identify
-from kilter_core.identify.plausibility.another_arm import CODE, another_arm
+from kilter_core.identify.plausibility.believable import CODE, another_arm
 from kilter_core.observations import Observations
 from tests.core.campaigns import joints, measured, table_errors
 from tests.core.truth import Arm, some_arm, ur10

@@ -7,7 +7,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.bar_length import explains_better, other_lengths, scale_bar_readings
+from kilter_core.identify.scale_gauge import explains_better, other_lengths, scale_bar_readings
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.campaigns import held, joints, table_errors

@@ -10,8 +10,8 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.axial_compliance import AxialCompliance
-from kilter_core.effects.load_error import LoadError
+from kilter_core.effects.compliance import AxialCompliance
+from kilter_core.effects.masses import LoadError
 from kilter_core.errors import OptionError
 from kilter_core.identify import Identification, IdentifyOptions, identify
 from kilter_core.identify.carried_masses import describe_masses

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.check import check_identification
-from kilter_core.identify.identifiable.identifiability import identifiable, null_directions
+from kilter_core.identify.identifiability import identifiable, null_directions
 from kilter_core.identify.report import Known
 from kilter_core.observations import Observations
 from tests.core.soft_arm import scene

@@ -16,7 +16,7 @@ from kilter_core.errors import OptionError
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.fit.least_squares import Fit, Problem, Weights, solve
 from kilter_core.identify.steps.report import correlated_groups, observability
-from kilter_core.identify.uncertainty.intervals import bootstrap, profile
+from kilter_core.identify.uncertainty.stated_noise import bootstrap, profile
 from kilter_core.measurement import Measurement
 from kilter_core.model import RobotModel
 from tests.core.campaigns import joints, measured, table_errors

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.effects.unknown_residual import UnknownResidual
+from kilter_core.effects.unknown import UnknownResidual
 from kilter_core.errors import OptionError
 from kilter_core.gap.search.candidates import build_library
 from kilter_core.identify import Identification, IdentifyOptions, identify

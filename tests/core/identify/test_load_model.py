@@ -13,7 +13,7 @@ from kilter_core.effects import make_effect
 from kilter_core.gap import GapOptions, find_gap
 from kilter_core.gap.report.report import GapReport
 from kilter_core.identify import Identification, IdentifyOptions, identify
-from kilter_core.identify.identifiable.load_model import load_rows
+from kilter_core.identify.identifiability import load_rows
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
 from tests.core.gap.simulated import campaign, katana

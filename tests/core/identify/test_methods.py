@@ -14,14 +14,14 @@ from kilter_core.arm.robot import Robot
 from kilter_core.errors import OptionError
 from kilter_core.identify import Identification, IdentifyOptions, Prior, identify
 from kilter_core.identify.fit.least_squares import Problem, Weights
+from kilter_core.identify.measured_rows import parameter_influence
 from kilter_core.identify.methods.kalman import run_kalman_filter
 from kilter_core.identify.methods.per_pose import pose_solutions
 from kilter_core.identify.registry import METHODS
-from kilter_core.identify.rows.influence import parameter_influence
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.plan.iso9283_poses import iso_poses
+from kilter_core.plan.d_optimal import iso_poses
 from kilter_core.twin import thesis_katana
 from tests.core.campaigns import joints, measured, table_errors
 from tests.core.truth import Arm, small_pose, ur10

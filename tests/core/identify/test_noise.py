@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kilter_core.identify.rows.noise import Repeats, repeat_sigma
+from kilter_core.identify.measured_rows import Repeats, repeat_sigma
 from kilter_core.observations import Observations
 
 Ints = NDArray[np.int64]

@@ -11,7 +11,7 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.plausibility.views.unrelated_views import refuse_unrelated_views
+from kilter_core.identify.plausibility.unrelated_views import refuse_unrelated_views
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.pixel_scene import BROWN, Eye, Scene, eye_in_hand, eye_to_hand, grid, looking, soft

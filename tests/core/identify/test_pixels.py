@@ -14,7 +14,7 @@ from kilter_core.errors import ObservationError
 from kilter_core.identify import Identification, IdentifyOptions, identify
 from kilter_core.identify.estimate import prepare_problem
 from kilter_core.identify.holdout import Folds
-from kilter_core.identify.plausibility.views.unrelated_views import refuse_unrelated_views
+from kilter_core.identify.plausibility.unrelated_views import refuse_unrelated_views
 from kilter_core.identify.views import rig_from_calibration, with_cameras
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.identify.plausibility.placed import unit_factor
+from kilter_core.identify.plausibility.set_up_changes import unit_factor
 from tests.core.campaigns import joints, measured, table_errors
 from tests.core.truth import Arm, some_pose, ur10
 

@@ -16,7 +16,7 @@ from kilter_core.gap.find import find_gap
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.outcome_warnings import SENTENCES
 from kilter_core.identify import Identification, IdentifyOptions, identify
-from kilter_core.identify.plausibility.views.unrelated_views import far_views, refuse_unrelated_views
+from kilter_core.identify.plausibility.unrelated_views import far_views, refuse_unrelated_views
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.pixel_scene import Scene, eye_in_hand, eye_to_hand

@@ -7,7 +7,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.uncertainty.zero_offsets import known_zeros
+from kilter_core.identify.uncertainty.by_view import known_zeros
 from kilter_core.model.table_fit import closest_table
 from kilter_core.observations import Observations
 

@@ -10,7 +10,7 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.camera.board_shape import BoardShape, board_shapes
+from kilter_core.measurement.camera.view_motion import BoardShape, board_shapes
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from tests.core.pixel_scene import Scene, eye_in_hand, eye_to_hand

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.measurement.marker_checks import bending, refuse_bad_markers
-from kilter_core.measurement.marker_shape import marker_shape
+from kilter_core.measurement.markers import bending, marker_shape, refuse_bad_markers
 from kilter_core.observations import Observations
 from tests.core.campaigns import joints
 from tests.core.truth import small_pose, ur10

@@ -9,7 +9,7 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from kilter_core.errors import ObservationError
-from kilter_core.measurement.marker_shape import fit_poses, marker_shape
+from kilter_core.measurement.markers import fit_poses, marker_shape
 
 Floats = NDArray[np.float64]
 TOOL = np.array([[0.03, 0.01, 0.0], [-0.02, 0.04, 0.01], [0.0, -0.05, 0.02], [0.01, 0.0, -0.03]])

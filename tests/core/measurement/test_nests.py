@@ -15,7 +15,7 @@ from kilter_core.errors import ObservationError
 from kilter_core.gap import find_gap
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.metrics import Errors
+from kilter_core.measurement.frames import Errors
 from kilter_core.observations import Observations
 from kilter_core.types import Floats
 

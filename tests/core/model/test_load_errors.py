@@ -9,8 +9,8 @@ import pinocchio as pin
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.loads.slopes import LoadSlopes, with_masses, with_payload
-from kilter_core.arm.loads.wrenches import axial_loads, row_load_wrenches
+from kilter_core.arm.load_slopes import LoadSlopes, with_masses, with_payload
+from kilter_core.arm.load_wrenches import axial_loads, row_load_wrenches
 from kilter_core.arm.presets import preset_document
 from kilter_core.arm.robot import Robot
 from kilter_core.correct.program import CorrectionOptions, compile_program

@@ -9,7 +9,7 @@ import pytest
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
-from kilter_core.model.directions import missing_directions
+from kilter_core.model.geometry import missing_directions
 
 ROWS = [(0, 400, 25, -90), (0, 0, 455, 0), (-90, 0, 35, -90), (0, 420, 0, 90), (0, 0, 0, -90), (0, 80, 0, 0)]
 

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.loads.slopes import with_masses
+from kilter_core.arm.load_slopes import with_masses
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import OptionError
 from kilter_core.gap import GapOptions, find_gap
@@ -18,7 +18,7 @@ from kilter_core.identify import Identification, IdentifyOptions, identify
 from kilter_core.motion import find_missing_torque, told_loads
 from kilter_core.motion.regressor import rigid_regressor, stated_numbers
 from kilter_core.observations import Observations
-from kilter_service.jobs.inputs.plain import to_json_types
+from kilter_service.jobs.setups import to_json_types
 from tests.core.identify.test_carried_masses import ASKED, SOFT, measured, standing
 from tests.core.motion.moving_arm import Logger
 from tests.core.truth import Arm

@@ -14,7 +14,7 @@ from kilter_core.errors import ObservationError
 from kilter_core.motion import TorqueModel, find_missing_torque, path_of_rows
 from kilter_core.motion.regressor import rigid_regressor, stated_numbers
 from kilter_core.observations import Observations
-from kilter_service.jobs.inputs.plain import to_json_types
+from kilter_service.jobs.setups import to_json_types
 from tests.core.motion.moving_arm import Logger, reversed_softly, seven_like, ur_like
 
 

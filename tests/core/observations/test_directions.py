@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kilter_core.observations import Observations
-from kilter_core.observations.directions import with_directions
+from kilter_core.observations.groups import with_directions
 
 Q = np.radians([[0.0, 0.0], [10.0, -5.0], [10.0, 5.0], [9.9, 20.0], [9.9, 20.0], [30.0, 20.0], [-10.0, 0.0]])
 SIDES = [[0, 0], [1, -1], [1, 1], [0, 1], [0, 1], [1, 1], [-1, -1]]  # 0.1 deg back says nothing of a backlash

@@ -8,7 +8,7 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.errors import RobotError
-from kilter_core.plan.iso9283_poses import Cube, five_poses, iso_poses, largest_cube
+from kilter_core.plan.d_optimal import Cube, five_poses, iso_poses, largest_cube
 from tests.core.truth import Arm, Step, ur10
 
 # The Katana of eq. 4.2 to 4.5 with the attachment of table 5.1, in its nominal base.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kilter_core.arm.conversions.screws import screws_of_chain
+from kilter_core.arm.conversions.tables import screws_of_chain
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import CoreError
 from kilter_core.identify import identify

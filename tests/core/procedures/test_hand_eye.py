@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from kilter_core.errors import ObservationError
 from kilter_core.observations.rig import Board, Camera, Rig
-from kilter_core.procedures.hand_eye import hand_eye
+from kilter_core.procedures.reference_frame import hand_eye
 from tests.core.pixel_scene import eye_in_hand, eye_to_hand
 
 STIFF = np.zeros(6)

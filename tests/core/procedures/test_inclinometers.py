@@ -11,7 +11,7 @@ import pytest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document
 from kilter_core.errors import ObservationError, RobotError
-from kilter_core.plan.inclinometers import inclinometer_poses
+from kilter_core.plan.d_optimal import inclinometer_poses
 from kilter_core.procedures.inclinometers import Log, calibration_from_inclinations, joint_parameters, weightless_joints
 from tests.core.truth import Arm, Body, ur10
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kilter_core.identify.identifiable.identifiability import null_directions
+from kilter_core.identify.identifiability import null_directions
 from tests.core.processors.compared import CORES, differences, touched, under
 from tests.core.processors.fitting import fitted
 from tests.core.processors.made import KINDS, campaigns

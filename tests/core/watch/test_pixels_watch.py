@@ -14,7 +14,7 @@ from scipy.stats import f, kstest
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.evaluate import evaluate
-from kilter_core.evaluate.uncertainty import Budget
+from kilter_core.evaluate.error_budget import Budget
 from kilter_core.identify import Identification, IdentifyOptions, identify
 from kilter_core.identify.estimate import refit_frames
 from kilter_core.identify.uncertainty.predictive import Predictive

@@ -18,7 +18,7 @@ import yaml
 from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.loads.wrenches import axial_loads, joint_loads
+from kilter_core.arm.load_wrenches import axial_loads, joint_loads
 from kilter_core.arm.presets import preset_document
 from kilter_core.errors import RobotError
 from kilter_core.model import Calibration

@@ -23,7 +23,7 @@ from kilter_core.twin import Twin
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots.exporters.exportable import Exportable
 from kilter_service.robots.exporters.registry import FORMATS, Exported, export
-from kilter_service.robots.exporters.usd.file import stage_text, usd
+from kilter_service.robots.exporters.usd_file import stage_text, usd
 from tests.service.exporters.test_exporters import exportable
 from tests.service.exporters.test_mjcf import ALL, BACKLASH, EVERYTHING, GEOMETRY, MOUNT, SAG, WINDUP
 

@@ -1,4 +1,9 @@
-"""What a reader of files states: which files it recognises, how it describes one, and how it reads it."""
+"""What a reader of files states: which files it recognises, how it describes one, and how it reads it.
+
+A column of numbers, described.
+
+What a ZIP archive holds, by the names in it: nothing is unpacked, and whoever gave it is told what to do with its parts.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +14,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
-from kilter_files.ground.errors import FileError, read_head
+from kilter_files.ground.arrays import Floats
+from kilter_files.ground.errors import FileError, fault, read_head
+from kilter_files.ground.later import np
 from kilter_files.ground.text_layout import TextLayout, lines_in_cells, sniff
+from kilter_files.ground.workbook_formulas import member_names
 from kilter_files.tables.source import Layout
 
 if TYPE_CHECKING:
     from kilter_files.ground.arrays import Floats
     from kilter_files.tables.recording import Recording
+
 
 Document = dict[str, Any]
 Read = TypeVar("Read", covariant=True)
@@ -151,6 +160,54 @@ class RecordingReader(Reader["Recording"]):
 
     def describe(self, head: Head) -> Document:
         """Frames, and gaps and noise of each marker."""
-        from kilter_files.formats.recordings.described import describe_recording
+        from kilter_files.formats.marker_header import describe_recording
 
         return describe_recording(self.read(head.path, head.hints))
+
+
+def column(name: str, unit: str | None, values: Floats) -> Document:
+    """Describe a column of numbers: unit, range, and how many cells are empty."""
+    known = values[~np.isnan(values)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (None, None)
+    return {"name": name, "unit": unit, "low": low, "high": high, "empty": len(values) - len(known)}
+
+
+ZIP = b"PK\x03\x04"
+DATA_SET = "meta/info.json"
+PICTURES = (".png", ".jpg", ".jpeg")
+MOST_NAMED = 3
+
+
+def of_zip(path: Path) -> FileError:
+    """Return the error of an archive that was given for a file of measurements."""
+    try:
+        names = [name for name in member_names(path) if not name.endswith("/")]
+    except ValueError:
+        return fault(
+            path,
+            "is a ZIP archive or a spreadsheet",
+            "Unpack it; where that fails it is damaged: copy or export it again.",
+        )
+    if any(name == DATA_SET or name.endswith(f"/{DATA_SET}") for name in names):
+        return fault(
+            path,
+            "is a ZIP archive of a LeRobot data set",
+            "Unpack it, and match its folder with a recording: it says where "
+            "the servos were, and not where the tool was (kilter measure match RECORDING FOLDER --calibration JSON "
+            "--norm-mode MODE).",
+        )
+    pictures = [name for name in names if name.lower().endswith(PICTURES)]
+    if pictures and len(pictures) > len(names) / 2:
+        return fault(
+            path,
+            f"is a ZIP archive of {len(pictures)} pictures",
+            "Unpack it: kilter measure see finds the board in them (kilter measure see FOLDER --board BOARD.json "
+            "--joints JOINTS.csv).",
+        )
+    more = ", ..." if len(names) > MOST_NAMED else ""
+    holds = f" ({', '.join(names[:MOST_NAMED])}{more})" if names else ", and empty"
+    return fault(
+        path,
+        f"is a ZIP archive or a spreadsheet{holds}",
+        "Unpack it, and give a file of it; a spreadsheet is read as .xlsx.",
+    )

@@ -9,8 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kilter_files.formats.reader import MAP, USES, Document, Head, Hints, Reader, RecordingReader
-from kilter_files.formats.zipped import ZIP, of_zip
+from kilter_files.formats.reader import MAP, USES, ZIP, Document, Head, Hints, Reader, RecordingReader, of_zip
 from kilter_files.ground.errors import FileError, fault
 from kilter_files.tables.source import Layout, Source
 

@@ -1,14 +1,14 @@
-from .archives import member_names as member_names
 from .arrays import Floats as Floats
+from .errors import NAMED_SESSIONS as NAMED_SESSIONS
 from .errors import FileError as FileError
 from .errors import KilterError as KilterError
 from .errors import MissingPackageError as MissingPackageError
 from .errors import UsageError as UsageError
+from .errors import did_you_mean as did_you_mean
 from .errors import read_head as read_head
-from .names import NAMED_SESSIONS as NAMED_SESSIONS
-from .names import did_you_mean as did_you_mean
 from .units import TIMESTAMP as TIMESTAMP
 from .units import UNKNOWN as UNKNOWN
 from .units import column_unit as column_unit
 from .units import converter as converter
 from .units import units_like as units_like
+from .workbook_formulas import member_names as member_names

@@ -1,7 +1,11 @@
-"""Time stamps as instruments write them: a clock, a date with a clock, with or without a spreadsheet's apostrophe."""
+"""Time stamps as instruments write them: a clock, a date with a clock, with or without a spreadsheet's apostrophe.
+
+Which readings are the same position: decided by the gaps between them, never by rounding.
+"""
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -177,3 +181,12 @@ def _zone_s(zone: str | None) -> float:
         return 0.0
     digits = zone[1:].replace(":", "")
     return (1.0 if zone[0] == "+" else -1.0) * (3600.0 * int(digits[:2]) + 60.0 * int(digits[2:]))
+
+
+def clusters(values: Sequence[float], tolerance: float) -> list[int]:
+    """Number the values so that those with no gap above the tolerance between them share a number."""
+    labels = [0] * len(values)
+    order = sorted(range(len(values)), key=values.__getitem__)
+    for before, after in itertools.pairwise(order):
+        labels[after] = labels[before] + (values[after] - values[before] > tolerance)
+    return labels

@@ -15,8 +15,8 @@ from kilter_files.formats.unknown.guess import ASK_INSTRUMENT, COMMANDED, COMPUT
 from kilter_files.formats.unknown.table_shape import TableShape
 from kilter_files.formats.unknown.turns import Turned
 from kilter_files.formats.unknown.understood import Understood, joined_names, understand
-from kilter_files.ground.clusters import clusters
 from kilter_files.ground.errors import UsageError
+from kilter_files.ground.time_stamps import clusters
 from kilter_files.ground.units import JOINT, UNKNOWN, converter
 
 SAME_DEG = 0.01

@@ -11,9 +11,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from kilter_files.ground.clusters import clusters
 from kilter_files.ground.errors import MissingPackageError
 from kilter_files.ground.later import need, pa, parquet
+from kilter_files.ground.time_stamps import clusters
 from kilter_files.ground.units import column_unit, converter
 from kilter_files.tables.table import CSV_TYPE, JSON_TYPE, Prepared
 

@@ -16,11 +16,9 @@ from shlex import quote
 
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.orientation import MATRICES, is_sequence
 from kilter_files.ground.time_stamps import DAY_S, Stamp, continuous_seconds, parse_stamp_column
-from kilter_files.ground.units import SIZES, TIMESTAMP, UNKNOWN, column_unit, units_like
-from kilter_files.maps.columns import Column, Columns, contract_columns, expand_patterns, read_columns
-from kilter_files.maps.section import Section
+from kilter_files.ground.units import MATRICES, SIZES, TIMESTAMP, UNKNOWN, column_unit, is_sequence, units_like
+from kilter_files.maps.columns import Column, Columns, Section, contract_columns, expand_patterns, read_columns
 from kilter_files.tables.source import Layout, Source
 from kilter_files.tables.table import Table
 

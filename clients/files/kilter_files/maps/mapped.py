@@ -7,17 +7,23 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from kilter_files.ground.clusters import clusters
-from kilter_files.ground.errors import FileError, fault
-from kilter_files.ground.names import number_of_session
-from kilter_files.ground.orientation import Quaternion, from_euler, from_matrix, upright
-from kilter_files.ground.time_stamps import continuous_seconds, parse_stamp_column, times_of_rows
-from kilter_files.ground.units import JOINT, MARKER, TIMESTAMP, column_unit, converter
+from kilter_files.ground.errors import FileError, fault, number_of_session
+from kilter_files.ground.time_stamps import clusters, continuous_seconds, parse_stamp_column, times_of_rows
+from kilter_files.ground.units import (
+    JOINT,
+    MARKER,
+    TIMESTAMP,
+    Quaternion,
+    column_unit,
+    converter,
+    from_euler,
+    from_matrix,
+    upright,
+)
 from kilter_files.maps.column_map import ColumnMap, Keep, Orientation, add_joined, joined_columns
 from kilter_files.maps.columns import Column, expand_patterns
-from kilter_files.tables.source import Source, row_line_numbers
+from kilter_files.tables.source import Source, TextSource, row_line_numbers
 from kilter_files.tables.table import Table
-from kilter_files.tables.text_source import TextSource
 
 # The table [markers] of a column map: rows that measure one marker each, with a column that names it.
 #

@@ -1,6 +1,3 @@
-from .arm import Arm as Arm
-from .arm import arm_from_check as arm_from_check
-from .arm import rotations as rotations
 from .clock_checks import Checks as Checks
 from .dwells import RestOptions as RestOptions
 from .matching import Columns as Columns
@@ -9,8 +6,11 @@ from .matching import frame_rows as frame_rows
 from .matching import match_dwells as match_dwells
 from .matching import match_frames as match_frames
 from .matching import pose_row_indices as pose_row_indices
+from .rigid_body import Arm as Arm
 from .rigid_body import Body as Body
+from .rigid_body import arm_from_check as arm_from_check
 from .rigid_body import find_body as find_body
 from .rigid_body import names_a_file as names_a_file
+from .rigid_body import rotations as rotations
 from .rigid_body import tool_as_markers as tool_as_markers
 from .uploaded_markers import checked_markers as checked_markers

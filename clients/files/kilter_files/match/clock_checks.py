@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import fault
-from kilter_files.match.arm import Arm
 from kilter_files.match.dwells import Thinned, mean_seen
 from kilter_files.match.lag_evidence import (
     GRID_S,
@@ -28,7 +27,8 @@ from kilter_files.match.lag_evidence import (
     squares_by_model,
     squares_by_speed,
 )
-from kilter_files.tables.joint_log import JointLog
+from kilter_files.match.rigid_body import Arm
+from kilter_files.tables.table import JointLog
 
 STEP_SHARE = 0.25  # of the price of a jump, for one step of the grid: clocks that drift apart take one now and then
 

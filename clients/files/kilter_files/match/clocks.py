@@ -19,7 +19,7 @@ from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import fault
 from kilter_files.match.clock_checks import Checks, follow_clocks, refuse_drift
 from kilter_files.match.dwells import Thinned
-from kilter_files.tables.joint_log import JointLog
+from kilter_files.tables.table import JointLog
 
 SEARCH_S = 0.3
 STEPS = 20

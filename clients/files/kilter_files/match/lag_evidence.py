@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.match.arm import Arm, rotations
 from kilter_files.match.dwells import Thinned
-from kilter_files.tables.joint_log import JointLog
+from kilter_files.match.rigid_body import Arm, rotations
+from kilter_files.tables.table import JointLog
 
 NOISE_MM = 0.1
 # what the geometry of a robot may be off, as standard deviations: an axis (rad, mm), the wave of a joint (rad)

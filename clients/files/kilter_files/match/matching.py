@@ -23,9 +23,9 @@ from kilter_files.match.pair_checks import (
     refuse_wrong_pairs,
 )
 from kilter_files.match.rigid_body import Body, Poses, poses, seen_enough
-from kilter_files.tables.joint_log import JointLog
 from kilter_files.tables.recording import Recording
 from kilter_files.tables.survey import jumps
+from kilter_files.tables.table import JointLog
 
 SAME_POSE_DEG = 0.01
 MOVED_DEG = 0.05

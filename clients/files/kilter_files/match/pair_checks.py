@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.match.arm import Arm
 from kilter_files.match.clock_checks import Checks
 from kilter_files.match.dwells import Thinned
 from kilter_files.match.knocks import Knock, knocks_of_frames, knocks_of_rows
@@ -24,8 +23,9 @@ from kilter_files.match.lag_evidence import (
     register,
     spread,
 )
-from kilter_files.tables.joint_log import JointLog
+from kilter_files.match.rigid_body import Arm
 from kilter_files.tables.recording import Recording
+from kilter_files.tables.table import JointLog
 
 EXPLAINED = 0.06  # of the markers' spread that a model may leave where it explains them
 WINDOW = (6, 16)

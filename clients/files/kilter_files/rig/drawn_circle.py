@@ -8,21 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from kilter_files.formats.logs.inclinometer import TIME
+from kilter_files.formats.instrument_logs import TIME
+from kilter_files.formats.marker_header import canonical_column_name
 from kilter_files.formats.reader import Head
 from kilter_files.formats.registry import binary_reader, open_source
 from kilter_files.formats.tables.mat import read_mat
 from kilter_files.formats.tables.tdms import Calibration, channels, read_channel
-from kilter_files.formats.tracker_header import canonical_column_name
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.errors import FileError, fault
-from kilter_files.ground.names import did_you_mean
+from kilter_files.ground.errors import FileError, did_you_mean, fault
 from kilter_files.ground.text_blocks import blocks, count_rows, line_number_of_row
 from kilter_files.ground.text_layout import sniff
 from kilter_files.ground.units import SIZES, converter
-from kilter_files.tables.joint_log import JointLog
 from kilter_files.tables.source import Layout
-from kilter_files.tables.table import Table
+from kilter_files.tables.table import JointLog, Table
 
 REGISTERED_MM = 3.0
 REACH_MM = 1.5  # a row this near to the circle and to its gap was at that gap

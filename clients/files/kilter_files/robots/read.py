@@ -11,12 +11,11 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from kilter_files.ground.errors import FileError, UsageError
-from kilter_files.ground.names import did_you_mean
+from kilter_files.ground.errors import FileError, UsageError, did_you_mean
+from kilter_files.robots.exported import read_text
+from kilter_files.robots.mesh_files import uncoupled_urdf
 from kilter_files.robots.table import read_table
-from kilter_files.robots.text import read_text
 from kilter_files.robots.universal import holds_dh, read_universal
-from kilter_files.robots.urdf_coupling import uncoupled_urdf
 
 Item = dict[str, Any]
 

@@ -10,12 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from kilter_files.ground.archives import unpacked_bytes
-from kilter_files.ground.errors import FileError, UsageError
+from kilter_files.ground.errors import FileError, UsageError, did_you_mean
 from kilter_files.ground.later import need
-from kilter_files.ground.names import did_you_mean
-from kilter_files.ground.workbook_formulas import REMEDY, describe_cells, formulas_without_value
-from kilter_files.robots.text import read_text
+from kilter_files.ground.workbook_formulas import REMEDY, describe_cells, formulas_without_value, unpacked_bytes
+from kilter_files.robots.exported import read_text
 
 CENTRE = ("com_x", "com_y", "com_z")
 INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")

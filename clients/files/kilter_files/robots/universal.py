@@ -15,7 +15,7 @@ from typing import Any
 
 from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.ground.later import need, np, yaml
-from kilter_files.robots.text import read_text
+from kilter_files.robots.exported import read_text
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 KEYS = ("x", "y", "z", "roll", "pitch", "yaw")

@@ -1,4 +1,3 @@
-from .joint_log import JointLog as JointLog
 from .recording import Recording as Recording
 from .recording import cut_to_interval as cut_to_interval
 from .recording import drop_markers as drop_markers
@@ -6,5 +5,6 @@ from .table import CSV_TYPE as CSV_TYPE
 from .table import JSON_TYPE as JSON_TYPE
 from .table import PARQUET_TYPE as PARQUET_TYPE
 from .table import WHOLE_NUMBERS as WHOLE_NUMBERS
+from .table import JointLog as JointLog
 from .table import Prepared as Prepared
 from .table import Table as Table

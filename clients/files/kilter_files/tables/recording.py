@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.errors import fault
+from kilter_files.ground.errors import did_you_mean, fault
 from kilter_files.ground.later import np
-from kilter_files.ground.names import did_you_mean
 from kilter_files.ground.units import SIZES
 
 if TYPE_CHECKING:

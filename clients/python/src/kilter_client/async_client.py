@@ -5,17 +5,16 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
-from kilter_client.requests.calls import access, fleet, references
-from kilter_client.requests.connection import AsyncConnection, locate
-from kilter_client.requests.methods import make_async_method
+from kilter_client.requests.calls import jobs as fleet
+from kilter_client.requests.calls import references
+from kilter_client.requests.connection import AsyncConnection, locate, make_async_method
 from kilter_client.requests.steps import Steps
 from kilter_client.verbs import campaigns as measured
-from kilter_client.verbs import drifts, keeping, programs
-from kilter_client.verbs import dry_run as dry_runs
 from kilter_client.verbs import jobs as computed
+from kilter_client.verbs import programs
 from kilter_client.verbs import robots as described
 from kilter_client.verbs import versions as made
-from kilter_client.verbs.error_wording import rephrase_error
+from kilter_client.verbs.progress import rephrase_error
 
 if TYPE_CHECKING:
     import httpx
@@ -71,7 +70,7 @@ class AsyncKilter:
     add_instrument = make_async_method(measured.add_instrument)
     instruments = make_async_method(measured.instruments)
     upload = make_async_method(measured.upload)
-    dry_run = make_async_method(dry_runs.dry_run)
+    dry_run = make_async_method(measured.dry_run)
     campaign = make_async_method(measured.campaign)
     suspicious = make_async_method(measured.suspicious)
     campaigns = make_async_method(measured.campaigns)
@@ -80,8 +79,8 @@ class AsyncKilter:
     evaluate = make_async_method(computed.evaluate)
     plan = make_async_method(computed.plan)
     joint_parameters = make_async_method(computed.joint_parameters)
-    drift = make_async_method(drifts.drift)
-    rezero = make_async_method(drifts.rezero)
+    drift = make_async_method(made.drift)
+    rezero = make_async_method(made.rezero)
     check = make_async_method(computed.check)
     submit = make_async_method(computed.submit)
     job = make_async_method(computed.job)
@@ -105,20 +104,20 @@ class AsyncKilter:
     torques = make_async_method(made.torques)
     filter = make_async_method(programs.filter)
     versions = make_async_method(made.versions)
-    change = make_async_method(keeping.change)
-    retire = make_async_method(keeping.retire)
-    restore = make_async_method(keeping.restore)
-    purge = make_async_method(keeping.purge)
+    change = make_async_method(made.change)
+    retire = make_async_method(made.retire)
+    restore = make_async_method(made.restore)
+    purge = make_async_method(made.purge)
     resolve = make_async_method(references.resolve)
-    health = make_async_method(access.health)
-    tombstones = make_async_method(access.tombstones)
-    whoami = make_async_method(access.whoami)
-    login_link = make_async_method(access.login_link)
-    add_token = make_async_method(access.add_token)
-    tokens = make_async_method(access.tokens)
-    revoke_token = make_async_method(access.revoke_token)
-    audit = make_async_method(access.audit)
-    verify_audit = make_async_method(access.verify_audit)
+    health = make_async_method(references.health)
+    tombstones = make_async_method(references.tombstones)
+    whoami = make_async_method(references.whoami)
+    login_link = make_async_method(references.login_link)
+    add_token = make_async_method(references.add_token)
+    tokens = make_async_method(references.tokens)
+    revoke_token = make_async_method(references.revoke_token)
+    audit = make_async_method(references.audit)
+    verify_audit = make_async_method(references.verify_audit)
 
     async def close(self) -> None:
         """Close the connections."""

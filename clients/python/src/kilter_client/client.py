@@ -5,15 +5,13 @@ from __future__ import annotations
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from kilter_client.requests.calls import access, fleet, references
-from kilter_client.requests.connection import Connection, Reword, locate
-from kilter_client.requests.methods import waiting
+from kilter_client.requests.calls import jobs as fleet
+from kilter_client.requests.calls import references
+from kilter_client.requests.connection import Connection, Reword, locate, waiting
 from kilter_client.requests.steps import Steps
-from kilter_client.resources.documents import Campaigns, Robots, Versions
-from kilter_client.resources.jobs import Jobs
-from kilter_client.verbs import campaigns, drifts, jobs, keeping, programs, robots, versions
-from kilter_client.verbs import dry_run as dry_runs
-from kilter_client.verbs.error_wording import rephrase_error
+from kilter_client.resources import Campaigns, Jobs, Robots, Versions
+from kilter_client.verbs import campaigns, jobs, programs, robots, versions
+from kilter_client.verbs.progress import rephrase_error
 
 if TYPE_CHECKING:
     import httpx
@@ -87,7 +85,7 @@ class Kilter:
     add_instrument = waiting(campaigns.add_instrument)
     instruments = waiting(campaigns.instruments)
     upload = waiting(campaigns.upload)
-    dry_run = waiting(dry_runs.dry_run)
+    dry_run = waiting(campaigns.dry_run)
     campaign = waiting(campaigns.campaign)
     suspicious = waiting(campaigns.suspicious)
     identify = waiting(jobs.identify)
@@ -95,8 +93,8 @@ class Kilter:
     evaluate = waiting(jobs.evaluate)
     plan = waiting(jobs.plan)
     joint_parameters = waiting(jobs.joint_parameters)
-    drift = waiting(drifts.drift)
-    rezero = waiting(drifts.rezero)
+    drift = waiting(versions.drift)
+    rezero = waiting(versions.rezero)
     check = waiting(jobs.check)
     submit = waiting(jobs.submit)
     job = waiting(jobs.job)
@@ -118,20 +116,20 @@ class Kilter:
     correct = waiting(versions.correct)
     torques = waiting(versions.torques)
     filter = waiting(programs.filter)
-    change = waiting(keeping.change)
-    retire = waiting(keeping.retire)
-    restore = waiting(keeping.restore)
-    purge = waiting(keeping.purge)
+    change = waiting(versions.change)
+    retire = waiting(versions.retire)
+    restore = waiting(versions.restore)
+    purge = waiting(versions.purge)
     resolve = waiting(references.resolve)
-    health = waiting(access.health)
-    tombstones = waiting(access.tombstones)
-    whoami = waiting(access.whoami)
-    login_link = waiting(access.login_link)
-    add_token = waiting(access.add_token)
-    tokens = waiting(access.tokens)
-    revoke_token = waiting(access.revoke_token)
-    audit = waiting(access.audit)
-    verify_audit = waiting(access.verify_audit)
+    health = waiting(references.health)
+    tombstones = waiting(references.tombstones)
+    whoami = waiting(references.whoami)
+    login_link = waiting(references.login_link)
+    add_token = waiting(references.add_token)
+    tokens = waiting(references.tokens)
+    revoke_token = waiting(references.revoke_token)
+    audit = waiting(references.audit)
+    verify_audit = waiting(references.verify_audit)
 
     def close(self) -> None:
         """Close the connections."""

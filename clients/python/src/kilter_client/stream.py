@@ -26,14 +26,11 @@ from pathlib import Path
 from typing import Any
 
 from kilter_client.signing import Session
-from kilter_client.streaming.acceptance import Acceptance
-from kilter_client.streaming.accepted_versions import InUse
-from kilter_client.streaming.certificates import why_not
-from kilter_client.streaming.corrector import StreamError, find_corrector
-from kilter_client.streaming.frames import QD, QDD, RESET, SETTLED, Answer
+from kilter_client.streaming.accepted_versions import Acceptance, InUse
+from kilter_client.streaming.certificates import StreamError, find_corrector, why_not
+from kilter_client.streaming.frames import QD, QDD, RESET, SETTLED, Answer, Setpoint, Statistics
 from kilter_client.streaming.held_correction import Carried, farthest
 from kilter_client.streaming.link import AGAIN, GONE, Link, Place, Sessions
-from kilter_client.streaming.setpoint import Setpoint, Statistics
 
 __all__ = ["CorrectedStream", "Setpoint", "Statistics", "StreamError", "corrected", "find_corrector"]
 
@@ -287,7 +284,7 @@ class CorrectedStream(Link):
                 return answer
 
     def _accept(self, data: bytes) -> Answer | None:
-        """The answer to the setpoint just sent, as :mod:`kilter_client.streaming.acceptance` judges; others are dropped."""
+        """The answer to the setpoint just sent, if it is accepted; others are dropped."""
         answer = self._acceptance.judge(data)
         if answer is not None:
             self._flags &= ~(RESET | SETTLED)  # the corrector has heard of the new sequence

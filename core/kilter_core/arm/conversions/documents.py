@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from kilter_core.arm.complete_models import rotation_to
-from kilter_core.arm.conventions import PARALLEL_RAD, Row
-from kilter_core.arm.conversions.screws import Screws, chain_frames, screws_of_chain
-from kilter_core.arm.conversions.tables import link_table
+from kilter_core.arm.conventions import PARALLEL_RAD, Row, rotation_to
+from kilter_core.arm.conversions.tables import Screws, chain_frames, link_table, screws_of_chain
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.documents.parts import STIFFNESS
 from kilter_core.arm.robot import CENTRE_M, MASS_SHARE, Joint, Link, Robot, moved_link

@@ -8,15 +8,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from kilter_core.arm.chain import Axis, Chain, Element
-from kilter_core.arm.complete_models import (
+from kilter_core.arm.conventions import (
     MovingAxis,
     Place,
+    Row,
     cpc_elements,
+    dh_elements,
     mcpc_elements,
+    mdh_elements,
     poe_elements,
     rotation_to,
+    s_model_elements,
 )
-from kilter_core.arm.conventions import Row, dh_elements, mdh_elements, s_model_elements
 from kilter_core.arm.documents.parts import (
     MM,
     Document,

@@ -11,7 +11,7 @@ import numpy as np
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.linearized import whitened_unit_columns
-from kilter_core.gap.search.linear.tails import tail
+from kilter_core.gap.search.linear.settings import tail
 from kilter_core.gap.search.scan import grouping, residual_given
 from kilter_core.observations import CONDITIONS
 from kilter_core.types import Floats, Ints

@@ -17,14 +17,14 @@ from scipy.stats import norm
 
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect
-from kilter_core.effects.law_of_time import LawOfTime
+from kilter_core.effects.laws import LawOfTime
 from kilter_core.errors import CoreError, ObservationError, TooFewPosesError
 from kilter_core.gap.evidence.fits.final_fit import Posterior
 from kilter_core.gap.evidence.guarded import Guarded
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
-from kilter_core.gap.search.linear.tails import tail
+from kilter_core.gap.search.linear.settings import tail
 from kilter_core.gap.search.prepare import SPARE, Prepared, prepare_data
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts

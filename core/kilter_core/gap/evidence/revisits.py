@@ -21,8 +21,8 @@ from scipy.stats import t as t_distribution
 
 from kilter_core.gap.evidence.fits.final_fit import amounts
 from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linear.gram import orthonormal
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
-from kilter_core.gap.search.linear.projection import orthonormal
 from kilter_core.observations import Observations
 from kilter_core.observations.repeats import numbered_rows
 from kilter_core.types import Bools, Floats, Ints

@@ -16,16 +16,16 @@ from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 from scipy.stats import rankdata
 
-from kilter_core.effects.law_of_time import SHARES, settled_share
+from kilter_core.effects.laws import SHARES, settled_share
 from kilter_core.effects.physical import JOINT_ZERO, STATION, THERMAL, Separator, joint_numbers
 from kilter_core.gap.evidence.fits.final_fit import amounts, final_effect_amounts
 from kilter_core.gap.evidence.revisits import revisits
 from kilter_core.gap.evidence.similarity.smooth import TURN
 from kilter_core.gap.search.candidates import Candidate
 from kilter_core.gap.search.forward_selection import SearchResult
+from kilter_core.gap.search.linear.gram import Projection, orthonormal
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
-from kilter_core.gap.search.linear.projection import Projection, orthonormal
-from kilter_core.gap.search.linear.ranges import library_parameters
+from kilter_core.gap.search.linear.settings import library_parameters
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.gap.search.sources.source import Source
 from kilter_core.observations import Observations

@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from kilter_core.gap.noise.covariances import SMALLEST, approach, even, second, shrunk, spread
-from kilter_core.gap.noise.drift import Drift, Repeats, estimate_drift_free_noise, scalar_blocks
-from kilter_core.gap.noise.pair_model import PairModel
+from kilter_core.gap.noise.covariance_models import SMALLEST, PairModel, approach, even, second, shrunk, spread
+from kilter_core.gap.noise.shared_drift import Drift, Repeats, estimate_drift_free_noise, scalar_blocks
 from kilter_core.gap.noise.visits import Visits, isolate_unused_visits
-from kilter_core.identify.rows.noise import pooled_columns
+from kilter_core.identify.measured_rows import pooled_columns
 from kilter_core.observations.groups import subtract_group_means, unbiased_deviations
 from kilter_core.types import Bools, Floats, Ints
 

@@ -14,8 +14,8 @@ from kilter_core.gap.evidence.held_out.unseen_fit import UnseenFit
 from kilter_core.gap.evidence.similarity.aliases import Alias
 from kilter_core.gap.evidence.verdict import Judged
 from kilter_core.gap.report.localization import Place
+from kilter_core.gap.report.separation import ToldApart
 from kilter_core.gap.report.stored import Stored
-from kilter_core.gap.report.told_apart import ToldApart
 from kilter_core.gap.search.candidates import Library, Untestable
 from kilter_core.gap.study import POSES_TO_SPARE_SOME
 from kilter_core.model import Calibration

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.stats import f
 
 from kilter_core.effects import Effect
-from kilter_core.effects.joint_curve import JointCurve
-from kilter_core.effects.law_of_temperature import LawOfTemperature
+from kilter_core.effects.curves import JointCurve
+from kilter_core.effects.laws import LawOfTemperature
 from kilter_core.effects.physical import JOINT_CURVE
 from kilter_core.gap.evidence.fits.final_fit import Posterior, posterior
 from kilter_core.gap.evidence.fits.intervals import scale_freedom
@@ -23,9 +23,8 @@ from kilter_core.gap.search.linear.linearized import refit
 from kilter_core.gap.search.prepare import with_masses
 from kilter_core.gap.study import SHIFT
 from kilter_core.identify.comparison import geometry_alone
-from kilter_core.identify.fleet.said import prior_dominated_mask
-from kilter_core.identify.identifiable.identifiability import identifiable, null_directions
-from kilter_core.identify.identifiable.load_model import load_rows
+from kilter_core.identify.fleet_report import prior_dominated_mask
+from kilter_core.identify.identifiability import identifiable, load_rows, null_directions
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import frame_sources, register_nominal, wanted_frames
 from kilter_core.identify.report import (
@@ -38,8 +37,8 @@ from kilter_core.identify.report import (
 from kilter_core.identify.uncertainty.predictive import CHANCE, EXACT, Predictive
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts as held_rows
+from kilter_core.measurement.frames import Errors, metrics_document
 from kilter_core.measurement.kind import POINTS
-from kilter_core.measurement.metrics import Errors, metrics_document
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.calibration import Doubt
 from kilter_core.observations import Observations

@@ -10,7 +10,7 @@ import numpy as np
 
 from kilter_core.gap.search.candidates import FAMILY, JOINT
 from kilter_core.gap.search.linear.gram import RIDGE, Gram
-from kilter_core.gap.search.linear.tails import tail
+from kilter_core.gap.search.linear.settings import tail
 from kilter_core.gap.search.scan import Scorer
 from kilter_core.types import Floats, Ints
 

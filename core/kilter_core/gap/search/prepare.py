@@ -10,36 +10,34 @@ import numpy as np
 import scipy.linalg
 
 from kilter_core.effects import Effect
-from kilter_core.effects.load_error import LoadError
+from kilter_core.effects.masses import LoadError
 from kilter_core.errors import NotConvergedError, ObservationError, TooFewPosesError
-from kilter_core.gap.budget import Budget
 from kilter_core.gap.noise.from_repeats import add_approach_noise, fit_noise, spikes
-from kilter_core.gap.noise.motion import (
+from kilter_core.gap.noise.visits import (
+    Visits,
+    average_visits,
     average_windows,
     blocks,
     correlation_length,
     motion_blocks,
     split_into_windows,
 )
-from kilter_core.gap.noise.visits import Visits, average_visits
-from kilter_core.gap.options import GapOptions
+from kilter_core.gap.options import Budget, GapOptions
 from kilter_core.gap.search.candidates import Library, build_library
-from kilter_core.gap.search.events import place_events
+from kilter_core.gap.search.events import place_events, under, without_wrong
 from kilter_core.gap.search.linear.linearized import LinearizedProblem, Tick, ignore_step, refit
 from kilter_core.gap.search.linear.settings import ProblemSettings
-from kilter_core.gap.search.re_evaluation import under, without_wrong
-from kilter_core.gap.search.rows.noise_reader import NoiseReader
-from kilter_core.gap.search.rows.row_warnings import (
+from kilter_core.gap.search.noise_reader import (
     JUDGED_AGAIN,
     REPEATS_SET_ASIDE,
+    NoiseReader,
     noise_warnings,
     outlier_warnings,
     rounding_warnings,
 )
 from kilter_core.gap.search.sources.contact_source import ContactSource
 from kilter_core.gap.search.sources.link_source import LinkSource
-from kilter_core.gap.search.sources.rounding import rounding
-from kilter_core.gap.search.sources.source import Source
+from kilter_core.gap.search.sources.source import Source, rounding
 from kilter_core.gap.search.sources.tool_source import ToolSource
 from kilter_core.identify.estimate import estimate
 from kilter_core.identify.estimate import prepare_problem as start_of
@@ -48,7 +46,7 @@ from kilter_core.identify.options import IdentifyOptions
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.contacts import has_contacts
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.model.load_errors import load_sign_blur as shared_blur
+from kilter_core.model.prediction import load_sign_blur as shared_blur
 from kilter_core.observations import Observations
 from kilter_core.observations.groups import FEWEST_ROWS, is_trajectory
 from kilter_core.observations.shared_rows import identical_repeats

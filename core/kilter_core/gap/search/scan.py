@@ -18,10 +18,9 @@ from scipy.sparse import csr_array
 from kilter_core.gap.kernels.reductions import reductions
 from kilter_core.gap.noise.from_repeats import Noise
 from kilter_core.gap.search.candidates import Candidate
-from kilter_core.gap.search.linear.gram import RIDGE, VISIBLE, Gram, inverse_square_root
+from kilter_core.gap.search.linear.gram import RIDGE, VISIBLE, Gram, Projection, inverse_square_root
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
-from kilter_core.gap.search.linear.projection import Projection
-from kilter_core.gap.search.linear.tails import tail
+from kilter_core.gap.search.linear.settings import tail
 from kilter_core.types import Bools, Floats, Ints
 
 # Share of alpha that is spent. Whitening uses an estimated covariance, which makes noise a little wilder than the

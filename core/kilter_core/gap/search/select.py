@@ -15,8 +15,7 @@ import numpy as np
 
 from kilter_core.gap.search.candidate_sets import CandidateSets
 from kilter_core.gap.search.candidates import FAMILY, JOINT
-from kilter_core.gap.search.linear.fewer import Fewer
-from kilter_core.gap.search.linear.gram import Gram
+from kilter_core.gap.search.linear.gram import Fewer, Gram
 from kilter_core.gap.search.linear.linearized import Tick, ignore_step
 from kilter_core.gap.search.scan import Scorer, Scores
 from kilter_core.types import Bools, Floats, Ints

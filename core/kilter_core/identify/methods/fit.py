@@ -19,13 +19,13 @@ from kilter_core.identify.estimate import (
     scatter,
 )
 from kilter_core.identify.fit.least_squares import Fit, PriorUse, Weights, build_fit, solve
-from kilter_core.identify.fleet.said import LOOSE, assess_prior_conflict, required_prior_widening
+from kilter_core.identify.fleet_report import LOOSE, assess_prior_conflict, required_prior_widening
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.registry import METHODS
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration, RobotModel
-from kilter_core.model.load_errors import load_sign_blur
+from kilter_core.model.prediction import load_sign_blur
 from kilter_core.observations import Observations
 from kilter_core.parameters import CorrelatedPrior
 from kilter_core.types import Floats, Progress

@@ -13,8 +13,8 @@ import numpy as np
 from kilter_core.errors import NotConvergedError, OptionError
 from kilter_core.identify.estimate import estimate_weights, has_sigma_settled, prepare_problem, unobservable_directions
 from kilter_core.identify.fit.least_squares import Fit, Problem, build_fit
+from kilter_core.identify.measured_rows import repeat_sigma
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.rows.noise import repeat_sigma
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.types import Floats, Progress

@@ -15,8 +15,8 @@ import numpy as np
 from kilter_core.errors import NotConvergedError
 from kilter_core.identify.estimate import estimate_weights, prepare_problem
 from kilter_core.identify.fit.least_squares import Fit, Problem, build_fit
+from kilter_core.identify.measured_rows import imposed_step, relative_influence
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.rows.influence import imposed_step, relative_influence
 from kilter_core.identify.uncertainty.clustered import with_clustered_covariance
 from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration

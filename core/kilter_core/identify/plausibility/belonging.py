@@ -14,13 +14,12 @@ import numpy as np
 
 from kilter_core.arm.robot import Robot
 from kilter_core.errors import ObservationError
-from kilter_core.identify.plausibility.placed import Sample, place_nearer, seen_tool
 from kilter_core.identify.plausibility.plausibility import FACTOR, FOREIGN, refuse_foreign
-from kilter_core.identify.plausibility.views.unrelated_views import refuse_unrelated_views
+from kilter_core.identify.plausibility.set_up_changes import Sample, place_nearer, seen_tool
+from kilter_core.identify.plausibility.unrelated_views import refuse_unrelated_views
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.frames import register
-from kilter_core.measurement.marker_checks import alike_orders, format_exchanged_markers
-from kilter_core.measurement.marker_shape import fit_poses
+from kilter_core.measurement.markers import alike_orders, fit_poses, format_exchanged_markers
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.clock import read_clock

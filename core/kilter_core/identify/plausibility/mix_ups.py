@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from kilter_core.arm.conversions.screws import screws_of_chain
+from kilter_core.arm.conversions.tables import screws_of_chain
 from kilter_core.arm.robot import Robot
 from kilter_core.parameters import DEG, MM
 from kilter_core.transforms import inverses

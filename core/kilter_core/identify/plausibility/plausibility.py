@@ -17,13 +17,12 @@ from typing import Any
 import numpy as np
 
 from kilter_core.errors import ObservationError
-from kilter_core.identify.plausibility.believable import believable, reach
-from kilter_core.identify.plausibility.lacking import find_lacking
+from kilter_core.identify.plausibility.believable import believable, find_lacking, reach
 from kilter_core.identify.plausibility.mix_ups import LENGTHS, MixUp, mix_ups
 from kilter_core.identify.plausibility.orientation_mix_ups import rotation_faults
-from kilter_core.identify.plausibility.placed import ROWS, Placed, Sample, place
+from kilter_core.identify.plausibility.set_up_changes import ROWS, Placed, Sample, place
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.marker_checks import equal_markers
+from kilter_core.measurement.markers import equal_markers
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import mm
@@ -241,12 +240,7 @@ def _refuse(
 
 
 def _description_warnings(sample: Sample) -> Iterator[dict[str, Any]]:
-    """Warn of a description that does not fit the rows.
-
-    Raises:
-        ObservationError: base and tool make no more of the rows than of shuffled ones.
-
-    """
+    """Warn of a description that does not fit the rows."""
     found = find_misfit(sample) if _has_gross_misfit(sample) else None
     if found is None:
         return

@@ -17,11 +17,10 @@ from itertools import product
 import numpy as np
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.backlash import Backlash
-from kilter_core.effects.clearance_tilt import ClearanceTilt
+from kilter_core.effects.backlash import Backlash, ClearanceTilt
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
-from kilter_core.observations.directions import last_motion
+from kilter_core.observations.groups import last_motion
 from kilter_core.parameters import mm
 from kilter_core.transforms import nearest_rotation
 from kilter_core.types import Floats, Ints

@@ -9,26 +9,23 @@ from typing import Any
 import numpy as np
 
 from kilter_core.arm.chain import Element
-from kilter_core.effects.load_error import LoadError
+from kilter_core.effects.masses import LoadError
 from kilter_core.identify.carried_masses import beside_drawn_masses, considered_masses
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.fleet.said import prior_warnings
-from kilter_core.identify.identifiable.identifiability import identifiable
-from kilter_core.identify.identifiable.load_model import far_from_stated, load_rows
+from kilter_core.identify.fleet_report import prior_warnings
+from kilter_core.identify.identifiability import far_from_stated, identifiable, load_rows
+from kilter_core.identify.measured_rows import Repeats
 from kilter_core.identify.options import IdentifyOptions
-from kilter_core.identify.plausibility.another_arm import another_arm
+from kilter_core.identify.plausibility.believable import another_arm
 from kilter_core.identify.plausibility.belonging import unless_astray
 from kilter_core.identify.report import fit_warnings
-from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.scale_gauge import free_scale
 from kilter_core.identify.setup_frames import marginal, of_the_arm
-from kilter_core.identify.steps.fit import Fitted
-from kilter_core.identify.steps.start import Study
+from kilter_core.identify.steps.start import Fitted, Study
 from kilter_core.identify.steps.validation import HeldOut
-from kilter_core.identify.uncertainty.by_views import predictive_of_views, tool_sigma_from_views
-from kilter_core.identify.uncertainty.intervals import Intervals, bootstrap, profile
+from kilter_core.identify.uncertainty.by_view import predictive_of_views, tool_sigma_from_views
 from kilter_core.identify.uncertainty.predictive import Predictive, predictive
-from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
+from kilter_core.identify.uncertainty.stated_noise import BeyondNoise, Intervals, bootstrap, profile
 from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.identify.view_report import (
     tell_less,
@@ -38,8 +35,7 @@ from kilter_core.identify.view_report import (
     wrong_views,
 )
 from kilter_core.identify.views import unknown_rig
-from kilter_core.measurement.camera.board_shape import board_shapes
-from kilter_core.measurement.camera.view_motion import Delay, timing
+from kilter_core.measurement.camera.view_motion import Delay, board_shapes, timing
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import format_part_name
 from kilter_core.parameters import mm

@@ -11,24 +11,20 @@ from scipy.sparse.csgraph import connected_components
 
 from kilter_core.identify.carried_masses import beside_masses, describe_masses
 from kilter_core.identify.fit.least_squares import Fit
-from kilter_core.identify.fit.tukey import RowErrors, set_aside
-from kilter_core.identify.fleet.prior import FleetPrior
-from kilter_core.identify.fleet.said import prior_document
-from kilter_core.identify.identifiable.identifiability import STRUCTURAL, NullDirection, null_directions
-from kilter_core.identify.identifiable.load_model import load_rows
-from kilter_core.identify.learned import Learned
+from kilter_core.identify.fit.robust import RowErrors, set_aside
+from kilter_core.identify.fleet_prior import FleetPrior
+from kilter_core.identify.fleet_report import prior_document
+from kilter_core.identify.holdout import Learned
+from kilter_core.identify.identifiability import STRUCTURAL, NullDirection, load_rows, null_directions
+from kilter_core.identify.measured_rows import Repeats, Shares, parameter_influence, squared_errors_by_kind
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import frame_sources
 from kilter_core.identify.registry import METHODS
 from kilter_core.identify.report import known_of_fit, null_rows, parameter_rows
-from kilter_core.identify.rows.errors_by_kind import Shares, squared_errors_by_kind
-from kilter_core.identify.rows.influence import parameter_influence
-from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.setup_frames import OwnFrame
 from kilter_core.identify.steps.findings import Outcome, list_findings
-from kilter_core.identify.uncertainty.intervals import Intervals
 from kilter_core.identify.uncertainty.predictive import Predictive, residual_sigma
-from kilter_core.identify.uncertainty.stated_noise import BeyondNoise
+from kilter_core.identify.uncertainty.stated_noise import BeyondNoise, Intervals
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.parameters import degrees, mm

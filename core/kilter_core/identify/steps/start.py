@@ -1,4 +1,4 @@
-"""What an identification begins with: the model with the effects asked for, rows that belong to it, and the hold-out."""
+"""What an identification begins with, and the fit of a study."""
 
 from __future__ import annotations
 
@@ -7,17 +7,23 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from kilter_core.arm.robot import Robot
-from kilter_core.effects.other_campaigns import placed_later
+from kilter_core.effects.laws import placed_later
 from kilter_core.errors import ObservationError, OptionError
 from kilter_core.identify.carried_masses import with_masses
-from kilter_core.identify.fleet.prior import FleetPrior, of_its_type
-from kilter_core.identify.fleet.versions import FleetVersion
-from kilter_core.identify.holdout import Folds, split
+from kilter_core.identify.fit.least_squares import Fit
+from kilter_core.identify.fleet_prior import FleetPrior, FleetVersion, of_its_type
+from kilter_core.identify.holdout import Folds, Learned, select_learned_effects, split
+from kilter_core.identify.measured_rows import as_inputs, between_rows, measurement_for
+from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.methods.kalman import Prior
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.plausibility.belonging import of_held_out, refuse_mixed_up
-from kilter_core.identify.rows.measurement_of_rows import as_inputs, between_rows, measurement_for
-from kilter_core.identify.setup_frames import Frames
+from kilter_core.identify.reference import is_continued, place_nominal, wanted_frames
+from kilter_core.identify.scale_gauge import with_likeliest_scale
+from kilter_core.identify.setup_frames import Frames, without_frames
+from kilter_core.identify.uncertainty.by_view import beside_tool_error
+from kilter_core.identify.views import with_cameras
+from kilter_core.measurement import Measurement
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.shared_rows import refuse_shared_rows
@@ -140,3 +146,42 @@ def _split_rows(study: Study) -> Study:
     fitted, unseen = train.select(inside), train.select(outside)
     options = between_rows(options, fitted)
     return replace(study, train=fitted, validation=unseen, options=options, inside=inside, outside=outside)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The fit of the rows of a study.
+
+    ``begin`` has the cameras and the learned effects that were fitted; the ``stages`` are "nominal", "registration_only"
+    and "identified"; ``arm`` is the last of them without the frames of set-ups, cameras and boards.
+    """
+
+    begin: Calibration
+    measurement: Measurement
+    fit: Fit
+    learned: Learned | None
+    stages: dict[str, Calibration]
+    arm: Calibration
+
+
+def fit_study(study: Study, progress: Progress) -> Fitted:
+    """Register the frames of the nominal robot, then fit what the options leave free."""
+    options, prior = study.options, study.prior
+    measurement = measurement_for(study.train, options, study.points)
+    begin = with_cameras(study.begin, study.train, measurement)
+    tool = measurement.of_tool()
+    registered = place_nominal(begin, tool, options, prior)
+    wanted = wanted_frames(begin, registered, tool, options, is_continued(options, prior))
+    begin, learned = select_learned_effects(begin, study.train, options, prior)
+    found = fit_by_method(begin, measurement, options, progress, prior)
+    fit = with_likeliest_scale(beside_tool_error(found))
+    stages = name_stages(study, measurement, registered, fit.calibration(*wanted))
+    return Fitted(begin, measurement, fit, learned, stages, without_frames(stages["identified"]))
+
+
+def name_stages(
+    study: Study, measurement: Measurement, registered: Calibration, identified: Calibration
+) -> dict[str, Calibration]:
+    """The calibrations to compare, by name; seen by cameras alone the nominal robot has no place but the registered one."""
+    nominal = registered if measurement.tool.places_itself else Calibration.nominal(study.robot)
+    return {"nominal": nominal, "registration_only": registered, "identified": identified}

@@ -9,23 +9,26 @@ from typing import Any
 import numpy as np
 
 from kilter_core.identify.comparison import PoseErrors, elsewhere, geometry_alone
-from kilter_core.identify.fit.tukey import RowErrors
-from kilter_core.identify.holdout import Folds, fold_splits
-from kilter_core.identify.learned import select_learned_effects
+from kilter_core.identify.fit.robust import RowErrors
+from kilter_core.identify.holdout import Folds, fold_splits, select_learned_effects
+from kilter_core.identify.measured_rows import (
+    KindErrors,
+    between_rows,
+    measurement_for,
+    pool_kind_errors,
+    squared_errors_by_kind,
+)
 from kilter_core.identify.methods.fit import fit_by_method
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.identify.reference import place_nominal, refuse_contradicted
-from kilter_core.identify.rows.errors_by_kind import KindErrors, pool_kind_errors, squared_errors_by_kind
-from kilter_core.identify.rows.measurement_of_rows import between_rows, measurement_for
 from kilter_core.identify.setup_frames import OwnFrame, frame_shift, split_by_setup, with_own_frames
-from kilter_core.identify.steps.fit import Fitted, name_stages
-from kilter_core.identify.steps.start import Study
-from kilter_core.identify.uncertainty.tool_error import beside_tool_error
+from kilter_core.identify.steps.start import Fitted, Study, name_stages
+from kilter_core.identify.uncertainty.by_view import beside_tool_error
 from kilter_core.identify.view_report import held_views
 from kilter_core.identify.views import with_cameras
 from kilter_core.measurement import Measurement
-from kilter_core.measurement.camera.view_scatter import ToolErrors
-from kilter_core.measurement.metrics import Errors, metrics_document
+from kilter_core.measurement.camera.views import ToolErrors
+from kilter_core.measurement.frames import Errors, metrics_document
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.types import Each, Ints, Progress

@@ -19,8 +19,7 @@ from scipy.special import stdtrit
 
 from kilter_core.identify.fit.least_squares import HUBER_SIGMAS, Fit, freedom_by_group
 from kilter_core.identify.fit.problem import HOLD
-from kilter_core.identify.fit.robust import Loss, tukey_limit
-from kilter_core.identify.fit.tukey import row_dimension, row_sizes
+from kilter_core.identify.fit.robust import Loss, row_dimension, row_sizes, tukey_limit
 from kilter_core.measurement.kind import TURNS, Spanned
 from kilter_core.types import QUANTILE, Bools, Floats, Ints
 

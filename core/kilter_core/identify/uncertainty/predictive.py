@@ -15,8 +15,8 @@ from scipy.special import fdtri
 
 from kilter_core.arm.chain import increment
 from kilter_core.identify.fit.least_squares import Fit, freedom_by_group
+from kilter_core.identify.measured_rows import Repeats
 from kilter_core.identify.options import FRAME_NAMES
-from kilter_core.identify.rows.noise import Repeats
 from kilter_core.identify.uncertainty.structure import Structure
 from kilter_core.measurement import Measurement
 from kilter_core.measurement.camera.pixels import PixelsAlone

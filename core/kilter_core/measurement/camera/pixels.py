@@ -15,8 +15,14 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.measurement.camera.rig_fit import estimate_start_rig, fit_rig, fit_rig_beside_arm, thin_views
-from kilter_core.measurement.camera.view_scatter import ToolErrors
-from kilter_core.measurement.camera.views import Views, camera_board_pairs, sight, sight_and_slopes, sight_by_tool
+from kilter_core.measurement.camera.views import (
+    ToolErrors,
+    Views,
+    camera_board_pairs,
+    sight,
+    sight_and_slopes,
+    sight_by_tool,
+)
 from kilter_core.measurement.kind import POINTS, Block, Kind, Rows, Spanned, find_anchor
 from kilter_core.model import Calibration, Prediction
 from kilter_core.model.placed_rig import PlacedRig

@@ -13,8 +13,7 @@ import numpy as np
 
 from kilter_core.errors import ObservationError
 from kilter_core.measurement.camera.board_poses import FEWEST_IN_SPACE, board_poses
-from kilter_core.measurement.camera.view_scatter import ToolErrors
-from kilter_core.measurement.camera.views import Slopes, Views, sight_and_slopes, sight_by_tool
+from kilter_core.measurement.camera.views import Slopes, ToolErrors, Views, sight_and_slopes, sight_by_tool
 from kilter_core.model.placed_rig import PlacedRig
 from kilter_core.observations.rig import Rig
 from kilter_core.transforms import inverse, inverses, nearest_rotation, rotation_log

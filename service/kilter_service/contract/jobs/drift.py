@@ -9,11 +9,10 @@ from pydantic import Field
 
 from kilter_service.contract.fits import StageErrors
 from kilter_service.contract.headlines import HEADLINE
-from kilter_service.contract.jobs.job import JobOf
-from kilter_service.contract.jobs.kind import JobContract
-from kilter_service.contract.jobs.shared import NewFrames, NoiseMm, SetupMm, Version
-from kilter_service.contract.remarks import Remark
+from kilter_service.contract.jobs.check import NewFrames, NoiseMm, SetupMm, Version
+from kilter_service.contract.jobs.kind import JobContract, JobOf
 from kilter_service.contract.units import Asked, Celsius, JointNumber, Mm, PointMm, Stored
+from kilter_service.contract.wording import Remark
 
 CauseKind = Literal["zero", "sag", "base", "tool", "scale"]
 DriftVerdict = Literal["ok", "moved", "cannot_tell"]

@@ -6,14 +6,13 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field
 
-from kilter_service.contract.cameras import LeftOpen
+from kilter_service.contract.devices import LeftOpen
 from kilter_service.contract.fits import StageErrors
 from kilter_service.contract.headlines import HEADLINE, MOST_NAMED, number
-from kilter_service.contract.jobs.job import JobOf
-from kilter_service.contract.jobs.kind import JobContract
-from kilter_service.contract.jobs.shared import NewFrames, Version
-from kilter_service.contract.remarks import Remark
+from kilter_service.contract.jobs.check import NewFrames, Version
+from kilter_service.contract.jobs.kind import JobContract, JobOf
 from kilter_service.contract.units import Asked, Deg, Mm, Stored
+from kilter_service.contract.wording import Remark
 
 Symbol = Literal["AP", "RP", "vAP", "AD", "RD", "AT", "RT", "dAP", "dRP"]
 

@@ -8,11 +8,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from kilter_service.contract.jobs.identify import IdentifyOptions
-from kilter_service.contract.jobs.job import NAME, JobError, Progress, State
-from kilter_service.contract.references import Title
-from kilter_service.contract.remarks import Remark
+from kilter_service.contract.jobs.kind import NAME, JobError, Progress, State
 from kilter_service.contract.units import MAX_NAMED, Fraction, Id, Ids, Listed, Mm, Strict
 from kilter_service.contract.versions import Comparison, Objection
+from kilter_service.contract.wording import Remark, Title
 
 RobotState = Literal["queued", "running", "succeeded", "failed", "cancelled", "refused"]
 HELD_OUT = 0.2

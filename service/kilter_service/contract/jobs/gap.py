@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field
 
-from kilter_service.contract.effect_curves import EffectCurve
-from kilter_service.contract.figures import GapFigures
+from kilter_service.contract.columns import WithCoreOptions, with_core_options
+from kilter_service.contract.figures import EffectCurve, GapFigures, NextPose, ToldApart
 from kilter_service.contract.fits import SEARCHED_MASSES, LoadNumber, NullDirection, PriorUsed, Reference, SetAside
 from kilter_service.contract.gap_details import (
     Adequacy,
@@ -32,10 +32,7 @@ from kilter_service.contract.headlines import (
     describe_search,
     list_found,
 )
-from kilter_service.contract.jobs.check import TestabilityCheck
-from kilter_service.contract.jobs.job import JobOf
-from kilter_service.contract.jobs.kind import JobContract
-from kilter_service.contract.jobs.shared import (
+from kilter_service.contract.jobs.check import (
     FIX,
     FREE,
     LIMITS,
@@ -47,10 +44,10 @@ from kilter_service.contract.jobs.shared import (
     MassesFrom,
     Names,
     PriorName,
+    TestabilityCheck,
     Version,
 )
-from kilter_service.contract.next_poses import NextPose, ToldApart
-from kilter_service.contract.options import WithCoreOptions, with_core_options
+from kilter_service.contract.jobs.kind import JobContract, JobOf
 
 
 @with_core_options("gap")

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field
 
+from kilter_service.contract.columns import WithCoreOptions, with_core_options
 from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import FitDetails, Metrics, NullDirection, Parameter
 from kilter_service.contract.gap_details import MotionFound, NamedEffect, Untestable
@@ -17,23 +18,21 @@ from kilter_service.contract.headlines import (
     describe_motion,
     list_found,
 )
-from kilter_service.contract.jobs.check import IdentifiabilityCheck
-from kilter_service.contract.jobs.job import JobOf
-from kilter_service.contract.jobs.kind import JobContract
-from kilter_service.contract.jobs.shared import (
+from kilter_service.contract.jobs.check import (
     FIX,
     FREE,
     LIMITS,
     MASSES_FROM,
     START,
     Effects,
+    IdentifiabilityCheck,
     Limits,
     MadeVersion,
     MassesFrom,
     Names,
     Version,
 )
-from kilter_service.contract.options import WithCoreOptions, with_core_options
+from kilter_service.contract.jobs.kind import JobContract, JobOf
 from kilter_service.contract.units import Mm
 
 

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from kilter_service.contract.fits import JointMotions, Parameter
+from kilter_service.contract.jobs.check import MadeVersion, Seed
 from kilter_service.contract.jobs.kind import JobContract
-from kilter_service.contract.jobs.shared import MadeVersion, Seed
 from kilter_service.contract.units import Asked, Deg, Kg, Load, PointMm, Stored
 
 RESOLUTION_DEG = 0.001

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from kilter_service.contract.headlines import HEADLINE, number
+from kilter_service.contract.jobs.check import Seed
 from kilter_service.contract.jobs.kind import JobContract
-from kilter_service.contract.jobs.shared import Seed
-from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Asked, Stored
+from kilter_service.contract.wording import Remark
 
 MOST_MOTIONS = 20
 WELL = 100.0  # condition below which every parameter is seen well

@@ -8,8 +8,8 @@ from pydantic import Field
 
 from kilter_service.contract.headlines import HEADLINE, number
 from kilter_service.contract.jobs.kind import JobContract
-from kilter_service.contract.remarks import Remark
 from kilter_service.contract.units import Asked, Kg, PointMm, Stored
+from kilter_service.contract.wording import Remark
 
 CampaignName = Annotated[str, Field(min_length=1, max_length=128)]
 

@@ -6,13 +6,12 @@ from typing import Annotated, Literal, TypeAlias
 
 from pydantic import ConfigDict, Field
 
+from kilter_service.contract.figures import ToldApart
+from kilter_service.contract.jobs.check import PRIOR, Effects, NoiseMm, PriorName, Seed, Version
 from kilter_service.contract.jobs.drift import SmallestChange
-from kilter_service.contract.jobs.job import JobOf
-from kilter_service.contract.jobs.kind import JobContract
-from kilter_service.contract.jobs.shared import PRIOR, Effects, NoiseMm, PriorName, Seed, Version
-from kilter_service.contract.next_poses import ToldApart
-from kilter_service.contract.remarks import Remark
+from kilter_service.contract.jobs.kind import JobContract, JobOf
 from kilter_service.contract.units import MAX_JOINTS, Asked, JointNumber, Kg, Mm, PointMm, Stored
+from kilter_service.contract.wording import Remark
 
 MAX_POSES = 2000
 HEAVIEST_KG = 1000.0

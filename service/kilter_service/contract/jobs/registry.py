@@ -15,9 +15,8 @@ from kilter_service.contract.jobs.drift import DRIFT
 from kilter_service.contract.jobs.evaluate import EVALUATE
 from kilter_service.contract.jobs.gap import GAP
 from kilter_service.contract.jobs.identify import IDENTIFY
-from kilter_service.contract.jobs.job import JobOf, NewJobOf
 from kilter_service.contract.jobs.joint_parameters import JOINT_PARAMETERS
-from kilter_service.contract.jobs.kind import JobContract
+from kilter_service.contract.jobs.kind import JobContract, JobOf, NewJobOf
 from kilter_service.contract.jobs.motion_plan import MOTION_PLAN
 from kilter_service.contract.jobs.payload import PAYLOAD
 from kilter_service.contract.jobs.plan import PLAN

@@ -7,9 +7,9 @@ from typing import Annotated
 from pydantic import Field
 
 from kilter_service.contract.fits import Metrics, Parameter
+from kilter_service.contract.jobs.check import LIMITS, Limits, MadeVersion, NewFrames, NoiseMm, SetupMm, Version
 from kilter_service.contract.jobs.drift import DriftCause
 from kilter_service.contract.jobs.kind import JobContract
-from kilter_service.contract.jobs.shared import LIMITS, Limits, MadeVersion, NewFrames, NoiseMm, SetupMm, Version
 from kilter_service.contract.units import Asked
 
 CauseName = Annotated[str, Field(pattern=r"^((zero|sag)_[1-9][0-9]?|base|tool|scale)$")]

@@ -23,10 +23,10 @@ from sqlalchemy.orm import Session, sessionmaker
 from sqlalchemy.pool import ConnectionPoolEntry, QueuePool
 
 from kilter_service.ground.db import audited, sealed, seals
-from kilter_service.ground.db.audited_rows import AuditedTokens
+from kilter_service.ground.db.audited import AuditedTokens
 from kilter_service.ground.db.failures import AWAY_CODE, FAILED_CODE, FULL_CODE, READ_ONLY, READ_ONLY_CODE, in_words
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import private_file, private_folder
+from kilter_service.ground.private_files import private_file, private_folder
 
 BUSY_TIMEOUT_MS = 15_000
 CONNECT_TIMEOUT_S = 5

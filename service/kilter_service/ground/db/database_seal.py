@@ -10,8 +10,7 @@ from sqlalchemy import Connection, select, update
 from sqlalchemy.orm import Session
 
 from kilter_service.ground.db.row import Row
-from kilter_service.ground.db.seal_tables import DatabaseSealRow
-from kilter_service.ground.db.seals import KEY_VARIABLE, Sealer
+from kilter_service.ground.db.seals import KEY_VARIABLE, DatabaseSealRow, Sealer
 from kilter_service.ground.db.tables import AuditRow
 from kilter_service.ground.errors import ServiceError
 

@@ -1,8 +1,12 @@
-"""What the database or the disk under it says when it fails, in a sentence with the remedy."""
+"""What the database or the disk under it says when it fails, in a sentence with the remedy.
+
+How a failure is logged: in one line where the database or its disk says what is wrong, and once until it works again.
+"""
 
 from __future__ import annotations
 
 import errno
+import logging
 import re
 import sqlite3
 from collections.abc import Callable
@@ -121,3 +125,30 @@ def _reason(error: BaseException) -> str:
     """The driver's first line, without what it says of credentials."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return CREDENTIALS.sub("", lines[0])[:200] if lines else type(error).__name__
+
+
+def log_failure(log: logging.Logger, error: Exception, message: str, *arguments: object) -> None:
+    """Log a sentence with what the database or its disk says; only what Kilter does not know has its traceback."""
+    known = in_words(error)
+    if known is not None and (known is error or known.code in CODES):
+        log.error(f"{message}: %s", *arguments, known.message)
+    else:
+        log.error(message, *arguments, exc_info=error)
+
+
+class Failing:
+    """Something that is tried again and again: that it fails is logged once, until it has worked again."""
+
+    def __init__(self, log: logging.Logger, message: str, *arguments: object) -> None:
+        self._log, self._message, self._arguments = log, message, arguments
+        self._known = False
+
+    def report_failure(self, error: Exception) -> None:
+        """Say that it failed, and why."""
+        if not self._known:
+            self._known = True
+            log_failure(self._log, error, self._message, *self._arguments)
+
+    def report_success(self) -> None:
+        """Note that it works."""
+        self._known = False

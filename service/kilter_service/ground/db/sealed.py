@@ -13,8 +13,7 @@ from kilter_service.ground.db import seals
 from kilter_service.ground.db.audited import TOLD
 from kilter_service.ground.db.database_seal import AUDIT, read_database_seal, refuse_other_key
 from kilter_service.ground.db.row import Row
-from kilter_service.ground.db.seal_tables import SealRow
-from kilter_service.ground.db.seals import MODULUS, TABLES, Digests, Sealer
+from kilter_service.ground.db.seals import MODULUS, TABLES, Digests, Sealer, SealRow
 
 log = logging.getLogger("kilter.seals")
 

@@ -3,6 +3,8 @@
 A row that is changed, removed or put in past Kilter no longer fits its digests or the total; a table that is put back to
 an earlier state with its total no longer fits the seal over all of them. Values are taken as SQLite
 stores them, so that a seal holds in either database and in a backup. docs/decisions/0019-rows-are-sealed.md has the reasons.
+
+The tables of the seals: of the rows, and the one over all tables.
 """
 
 from __future__ import annotations
@@ -15,14 +17,38 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Column, Table
+from sqlalchemy import Column, String, Table, Text
 from sqlalchemy.dialects import sqlite
+from sqlalchemy.orm import Mapped, mapped_column
 
 from kilter_service.ground.db.row import Row
-from kilter_service.ground.db.seal_tables import DatabaseSealRow, SealRow
 from kilter_service.ground.db.tables import AuditRow, EndedJobsRow, HeartbeatRow
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import read_secret_file
+from kilter_service.ground.private_files import read_secret_file
+
+
+class SealRow(Row):
+    """What a row was stored as: a digest for each of its columns. It is written with the row (`db/sealed.py`)."""
+
+    __tablename__ = "seals"
+    thing: Mapped[str] = mapped_column(String(32), primary_key=True)
+    id: Mapped[str] = mapped_column(String(200), primary_key=True)
+    digests: Mapped[str] = mapped_column(Text)
+
+
+class DatabaseSealRow(Row):
+    """The one seal over the totals of all tables and the last entry of the audit, and the number of the key that made it.
+
+    ``totals`` is a JSON object: for each table the number of its rows and a total over their seals, for the audit the
+    number and hash of its last entry.
+    """
+
+    __tablename__ = "database_seal"
+    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    totals: Mapped[str] = mapped_column(Text)
+    keyed_by: Mapped[str] = mapped_column(String(16))
+    seal: Mapped[str] = mapped_column(String(32))
+
 
 # The audit has a chain of its own, that a process is alive lasts for seconds, and on how many jobs ended rests nothing but
 # a metric. Nor does anything on the progress of a job, which workers note beside each other, and the bytes of chunks and

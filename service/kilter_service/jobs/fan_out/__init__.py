@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from kilter_service.jobs.fan_out.cluster import DaskCluster
-from kilter_service.jobs.fan_out.engine import LocalProcesses
-from kilter_service.jobs.fan_out.spread import FanOut
+from kilter_service.jobs.fan_out.spread import FanOut, LocalProcesses
 
 __all__ = ["FanOut", "fan_out"]
 

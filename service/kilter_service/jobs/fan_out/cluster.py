@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from kilter_core.errors import CoreError
 from kilter_service.ground.errors import ServiceError
-from kilter_service.jobs.fan_out.engine import Opened
+from kilter_service.jobs.fan_out.spread import Opened
 
 if TYPE_CHECKING:
     from distributed import Client

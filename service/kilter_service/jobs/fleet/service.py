@@ -1,4 +1,7 @@
-"""What can be done with fleet jobs. The jobs of the robots are ordinary ones: any number of workers takes part."""
+"""What can be done with fleet jobs. The jobs of the robots are ordinary ones: any number of workers takes part.
+
+How the version that a job of a fleet made compares with the one before, as its activation would find.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +23,9 @@ from kilter_service.contract.jobs.fleet import (
     NewFleetJob,
 )
 from kilter_service.contract.jobs.identify import IDENTIFY, IdentifyOptions
-from kilter_service.contract.jobs.job import FINAL, JobError, NewJobOf, Progress, State
-from kilter_service.contract.remarks import Remark
+from kilter_service.contract.jobs.kind import FINAL, JobError, NewJobOf, Progress, State
 from kilter_service.contract.versions import Comparison, Objection
-from kilter_service.contract.written import as_written
+from kilter_service.contract.wording import Remark, as_written
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import ALL, Page, in_time
@@ -31,12 +33,15 @@ from kilter_service.jobs import service as single_jobs
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.fleet import store
 from kilter_service.jobs.fleet.store import FleetRecord, FleetRobotRecord, Planned
+from kilter_service.jobs.kind import VersionContent
 from kilter_service.jobs.kinds import identify
-from kilter_service.jobs.records import Asked
+from kilter_service.jobs.records import Asked, JobRecord, UsedRecord
 from kilter_service.robots import store as robots
 from kilter_service.versions import store as versions
-from kilter_service.web.idempotency.key import NOT_REPEATED, Once, hash_document
-from kilter_service.web.observability import logs, tracing
+from kilter_service.versions.guard import judge_unstored
+from kilter_service.versions.store import Training
+from kilter_service.web import logs
+from kilter_service.web.routing import NOT_REPEATED, Once, hash_document
 
 ANSWER = TypeAdapter(FleetJobSummary)
 
@@ -61,7 +66,7 @@ def submit(database: Database, fleet: NewFleetJob, once: Once = NOT_REPEATED) ->
         known = once.first_answer(session, body, ANSWER)
         if known is not None:
             return known
-        fleet_id = store.add(session, fleet, planned, Asked(logs.request_id(), tracing.traceparent()))
+        fleet_id = store.add(session, fleet, planned, Asked(logs.request_id(), logs.traceparent()))
         return once.keep(session, body, summary(store.get(session, fleet_id)))
 
 
@@ -237,12 +242,7 @@ def _job(
 
 
 def _latest(session: Session, robot: str, robot_id: int, before: str | None) -> tuple[list[str], list[str]]:
-    """The campaigns that the active version and those it continues were made from, and those since, by their roles.
-
-    Raises:
-        ServiceError: there is none to fit.
-
-    """
+    """The campaigns that the active version and those it continues were made from, and those since, by their roles."""
     fitted, held, since = _of_version(session, before) if before else (set[str](), set[str](), None)
     there = _with_rows(session, robot_id)
     for one in there:
@@ -274,12 +274,7 @@ def _with_rows(session: Session, robot_id: int) -> Sequence[CampaignRecord]:
 
 
 def _options(session: Session, before: str | None) -> IdentifyOptions:
-    """The options of the identification that made a version; of another job those that identify the same effects.
-
-    Raises:
-        ServiceError: there is no version, or its effects cannot be asked for.
-
-    """
+    """The options of the identification that made a version; of another job those that identify the same effects."""
     if before is None:
         return IdentifyOptions()
     record = versions.get(session, before)
@@ -296,3 +291,35 @@ def _options(session: Session, before: str | None) -> IdentifyOptions:
             code="option_invalid",
             option="effects",
         ) from error
+
+
+def compare_with_previous(
+    database: Database, job_id: str, version: VersionContent | None, used: Sequence[UsedRecord]
+) -> dict[str, Any] | None:
+    """Return what the fleet's report says of a version that is not stored yet; None: its job is of no fleet job."""
+    if version is None:
+        return None
+    with database.reading() as session:
+        found = store.version_before_fleet_job(session, job_id)
+        job = jobs.get(session, job_id)
+    if found is None:
+        return None
+    try:
+        verdict = judge_unstored(
+            database, job.robot_id, version.calibration, version.report, version.limits, _training(job, used), found[0]
+        )
+    except CoreError as error:  # the version counts without it
+        return {"warnings": [{"code": error.code, "message": error.message}]}
+    return {
+        "compared": None if verdict.compared is None else verdict.compared.model_dump(mode="json"),
+        "objections": [one.model_dump(mode="json") for one in verdict.objections],
+        "warnings": list(verdict.warnings),
+    }
+
+
+def _training(job: JobRecord, used: Sequence[UsedRecord]) -> Training:
+    """What the version is fitted to, as it will be known when it is stored."""
+    held = job.request.validation
+    campaigns = tuple(dict.fromkeys((one.id, tuple(one.sha256)) for one in used if one.use == "train"))
+    seed = int(job.request.options.get("seed", IdentifyOptions.model_fields["seed"].default))
+    return Training(job.kind, campaigns, held if isinstance(held, float) and held > 0.0 else None, seed)

@@ -12,7 +12,7 @@ from sqlalchemy import func, or_, select
 
 from kilter_service.contract.jobs.fleet import NewFleetJob
 from kilter_service.contract.jobs.identify import IdentifyOptions
-from kilter_service.contract.jobs.job import FINAL, NewJobOf
+from kilter_service.contract.jobs.kind import FINAL, NewJobOf
 from kilter_service.ground.caller import allowed_robots
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now

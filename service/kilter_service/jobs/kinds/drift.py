@@ -12,11 +12,10 @@ from kilter_service.contract.jobs.drift import DRIFT, DriftOptions
 from kilter_service.ground.core import core_identify, core_measurement, core_watch
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.budgets import uncertainty_budget
-from kilter_service.jobs.inputs.plain import to_json_types
-from kilter_service.jobs.inputs.setups import build_check_conditions, counted_noise, remark
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Progress
+from kilter_service.jobs.setups import build_check_conditions, counted_noise, remark, to_json_types
 from kilter_service.versions.drift import wire
-from kilter_service.versions.drift.records import last_otherwise
+from kilter_service.versions.drift.wire import last_otherwise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -18,14 +18,19 @@ from kilter_service.contract.gap_details import Detectable, Untestable
 from kilter_service.contract.jobs.check import Testability
 from kilter_service.contract.jobs.gap import GAP, GapOptions
 from kilter_service.contract.versions import CorrectionLimits
-from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.core import core_gap, core_motion, core_observations
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.wire import to_metres
-from kilter_service.jobs.inputs.plain import by_campaign, to_json_types
-from kilter_service.jobs.inputs.poses import Pose, poses_document
-from kilter_service.jobs.inputs.torques import as_session, refuse_effects_of_torques, search_torques
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Lack, Progress, VersionContent
 from kilter_service.jobs.plotly_figures.gap import gap_figures
+from kilter_service.jobs.setups import by_campaign, to_json_types
+from kilter_service.jobs.torque_inputs import (
+    Pose,
+    as_session,
+    poses_document,
+    refuse_effects_of_torques,
+    search_torques,
+)
 from kilter_service.versions.store import HELD_OUT
 
 if TYPE_CHECKING:

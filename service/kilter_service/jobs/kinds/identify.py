@@ -19,11 +19,10 @@ from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_identify, core_model, core_motion
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs.budgets import add_to_metrics
-from kilter_service.jobs.inputs.plain import by_campaign, to_json_types
-from kilter_service.jobs.inputs.setups import FRAMES, LAID_AGAIN, Setups
-from kilter_service.jobs.inputs.torques import are_logs, fit_torques, refuse_effects_of_torques
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Lack, Progress, VersionContent
 from kilter_service.jobs.plotly_figures.identify import identify_figures, uncertainty_figure
+from kilter_service.jobs.setups import FRAMES, LAID_AGAIN, Setups, by_campaign, to_json_types
+from kilter_service.jobs.torque_inputs import are_logs, fit_torques, refuse_effects_of_torques
 
 if TYPE_CHECKING:
     from kilter_core.arm import Robot

@@ -7,10 +7,10 @@ import numpy as np
 from kilter_service.contract.jobs.motion_plan import MOTION_PLAN, MotionPlanOptions
 from kilter_service.ground.core import core_motion
 from kilter_service.ground.wire import joint_scale, joint_units, to_metres, to_rad
-from kilter_service.jobs.inputs.plain import to_json_types
-from kilter_service.jobs.inputs.poses import joint_columns
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, Progress
 from kilter_service.jobs.kinds.plan import UNCHECKED
+from kilter_service.jobs.setups import to_json_types
+from kilter_service.jobs.torque_inputs import joint_columns
 
 DIGITS = "%.5f"
 

@@ -10,8 +10,8 @@ from kilter_core.errors import OptionError
 from kilter_core.parameters import mm
 from kilter_service.contract.jobs.payload import PAYLOAD, PayloadOptions
 from kilter_service.ground.core import core_motion
-from kilter_service.jobs.inputs.plain import to_json_types
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Progress
+from kilter_service.jobs.setups import to_json_types
 
 if TYPE_CHECKING:
     from kilter_core.motion import CarriedBody
@@ -36,12 +36,7 @@ def preview_job(job: JobInput, found: JobPreview) -> None:
 
 
 def _empty_campaigns(job: JobInput) -> list[str]:
-    """Campaigns, by id, that the options name as empty.
-
-    Raises:
-        OptionError: a name that the job does not have, or no campaign that is left.
-
-    """
+    """Campaigns, by id, that the options name as empty."""
     options: PayloadOptions = job.options
     if len(job.campaigns) < 2:
         raise OptionError(

@@ -14,9 +14,9 @@ from kilter_service.campaigns.store import renumber_poses_and_sessions
 from kilter_service.contract.jobs.plan import PLAN, PlanOptions
 from kilter_service.ground.core import core_effects, core_gap, core_identify, core_model, core_plan, core_watch
 from kilter_service.ground.wire import to_metres, to_metres_if_known
-from kilter_service.jobs.inputs.plain import to_json_types
-from kilter_service.jobs.inputs.poses import Pose, poses_document, poses_from_rows
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Lack, Progress
+from kilter_service.jobs.setups import to_json_types
+from kilter_service.jobs.torque_inputs import Pose, poses_document, poses_from_rows
 from kilter_service.versions.drift import wire
 
 if TYPE_CHECKING:

@@ -10,10 +10,9 @@ from kilter_service.contract.jobs.rezero import REZERO, RezeroOptions
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_evaluate, core_identify, core_watch
 from kilter_service.jobs.budgets import uncertainty_budget
-from kilter_service.jobs.inputs.plain import to_json_types
-from kilter_service.jobs.inputs.setups import build_check_conditions, counted_noise
 from kilter_service.jobs.kind import JobInput, JobKind, JobOutput, JobPreview, Progress, VersionContent
 from kilter_service.jobs.kinds.drift import applied_calibration, comparable_rows, get_predictive
+from kilter_service.jobs.setups import build_check_conditions, counted_noise, to_json_types
 from kilter_service.versions.drift import wire
 from kilter_service.versions.store import REZEROED
 

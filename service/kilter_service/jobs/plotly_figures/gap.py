@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from kilter_service.contract.effect_curves import CurveSide, EffectCurve
-from kilter_service.jobs import curve_words
+from kilter_service.contract.figures import CurveSide, EffectCurve
+from kilter_service.jobs import budgets
 from kilter_service.jobs.plotly_figures.layout import (
     BLUE,
     FRAME_PX,
@@ -33,8 +33,8 @@ def own_curves(curves: Sequence[dict[str, Any]]) -> dict[str, Document]:
         curve = EffectCurve.model_validate(one)
         name = f"effect_curve_{curve.id}_joint_{curve.joint}"
         taken = sum(other == name or other.startswith(f"{name}_again") for other in out)
-        title = curve_words.title(curve) + _format_direction_gap(curve)
-        made = layout(title, curve_words.across(curve), curve_words.upwards(curve))
+        title = budgets.title(curve) + _format_direction_gap(curve)
+        made = layout(title, budgets.across(curve), budgets.upwards(curve))
         out[name if not taken else f"{name}_again_{taken}"] = {"data": list(_traces(curve)), "layout": made}
     return out
 
@@ -46,11 +46,9 @@ def _traces(curve: EffectCurve) -> Iterator[Document]:
     yield from _visits(curve)
     for place, side in enumerate(curve.rival.sides if curve.rival is not None else []):
         assert curve.rival is not None
-        yield _line(
-            side.x, side.y, f"refused: {curve_words.format_effect_name(curve.rival)}", RED, THIN, named=not place
-        )
+        yield _line(side.x, side.y, f"refused: {budgets.format_effect_name(curve.rival)}", RED, THIN, named=not place)
     for side in curve.sides:
-        yield _line(side.x, side.y, curve_words.model(side.direction), COLOUR_OF[side.direction], BOLD)
+        yield _line(side.x, side.y, budgets.model(side.direction), COLOUR_OF[side.direction], BOLD)
 
 
 def _visits(curve: EffectCurve) -> Iterator[Document]:
@@ -66,7 +64,7 @@ def _visits(curve: EffectCurve) -> Iterator[Document]:
         yield {
             "type": "scatter",
             "mode": "markers",
-            "name": curve_words.visit(direction),
+            "name": budgets.visit(direction),
             "showlegend": True,
             "x": [visits.x[k] for k in own],
             "y": [visits.y[k] for k in own],

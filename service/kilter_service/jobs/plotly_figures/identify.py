@@ -12,7 +12,6 @@ import numpy as np
 from kilter_core.observations import evenly
 from kilter_service.ground.core import core_identify
 from kilter_service.ground.wire import to_mm
-from kilter_service.jobs.plotly_figures.arrows import arrows
 from kilter_service.jobs.plotly_figures.layout import (
     BLUE,
     FRAME_PX,
@@ -22,6 +21,7 @@ from kilter_service.jobs.plotly_figures.layout import (
     RED,
     ROW_PX,
     Document,
+    arrows,
     bar_layout,
     distinct_labels,
     layout,

@@ -14,39 +14,36 @@ import numpy as np
 
 from kilter_core.errors import CancelledError, CoreError
 from kilter_core.observations import evenly
-from kilter_service.contract.drift import ControlChart, DriftHistory
 from kilter_service.contract.jobs.drift import DriftResult
-from kilter_service.contract.written import as_written
+from kilter_service.contract.today import ControlChart, DriftHistory
+from kilter_service.contract.wording import as_written
 from kilter_service.ground.caller import on_behalf
 from kilter_service.ground.core import core_effects, core_identify, core_model
 from kilter_service.ground.db import Database, DatabaseAwayError, Session
-from kilter_service.ground.db.failures import in_words
+from kilter_service.ground.db.failures import Failing, in_words, log_failure
 from kilter_service.ground.db.row import utc_now
-from kilter_service.ground.failure_log import Failing, log_failure
-from kilter_service.ground.processes.memory import return_freed_memory
+from kilter_service.ground.memory import return_freed_memory
 from kilter_service.ground.webhook import Webhook
 from kilter_service.ground.wire import to_mm
 from kilter_service.jobs import store
 from kilter_service.jobs.fan_out import FanOut, fan_out
 from kilter_service.jobs.fleet import store as fleet
-from kilter_service.jobs.fleet.comparison import compare_with_previous
-from kilter_service.jobs.inputs.default_load import with_load_warning
-from kilter_service.jobs.inputs.plain import to_json_types
-from kilter_service.jobs.inputs.setups import LAID_AGAIN
+from kilter_service.jobs.fleet.service import compare_with_previous
 from kilter_service.jobs.kind import JobInput, JobOutput
 from kilter_service.jobs.records import JobRecord, UsedRecord
 from kilter_service.jobs.registry import get_job_kind
+from kilter_service.jobs.setups import LAID_AGAIN, to_json_types, with_load_warning
 from kilter_service.jobs.work import store as work_store
 from kilter_service.jobs.work.store import Claim
 from kilter_service.versions import ability
 from kilter_service.versions.ability import CODE as CANNOT_CORRECT
+from kilter_service.versions.ability import WORKSPACE, suggest_limits
 from kilter_service.versions.drift import service as drift
 from kilter_service.versions.drift import store as drifts
-from kilter_service.versions.drift.charts import height
+from kilter_service.versions.drift.wire import height
 from kilter_service.versions.objections import objections_from_report
-from kilter_service.versions.predictions import preview
-from kilter_service.versions.suggested import WORKSPACE, suggest_limits
-from kilter_service.web.observability import logs, tracing
+from kilter_service.versions.predictions import at_pose
+from kilter_service.web import logs
 
 if TYPE_CHECKING:
     from kilter_core.errors import Finding
@@ -139,7 +136,7 @@ def with_ability_warning(output: JobOutput, job: JobInput) -> JobOutput:
     q = q[evenly(len(q), MOST_POSES)]
     calibration = core_model.Calibration.from_document(job.robot, version.calibration)
     try:
-        found = preview.at_poses(calibration, None, version.limits, q)
+        found = at_pose.at_poses(calibration, None, version.limits, q)
         objection = ability.of_poses(calibration, found, version.limits)
     except (CoreError, ArithmeticError, ValueError):  # activation says so
         return output
@@ -273,7 +270,7 @@ class Runner:
             job = self._patiently(lambda: self._record(claim))
             with (
                 logs.about(request_id=job.asked.request_id, job_id=job.id, robot=job.robot),
-                tracing.job(job.kind, job.id, job.robot, job.asked.traceparent),
+                logs.job(job.kind, job.id, job.robot, job.asked.traceparent),
             ):
                 began = time.monotonic()
                 outcome = self._compute(claim)

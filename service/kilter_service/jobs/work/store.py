@@ -11,7 +11,8 @@ from datetime import datetime
 
 from sqlalchemy import ColumnElement, Select, String, and_, cast, delete, func, or_, select, update
 
-from kilter_service.contract.jobs.job import FINAL
+from kilter_service.contract.jobs.kind import FINAL
+from kilter_service.ground import store as references
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.audited import note
 from kilter_service.ground.db.row import utc_now
@@ -24,8 +25,6 @@ from kilter_service.ground.db.tables import (
     JobRow,
     VersionRow,
 )
-from kilter_service.ground.ended_jobs import store as ended
-from kilter_service.ground.references import store as references
 from kilter_service.jobs.kinds.drift import REFUSED
 
 WORKER = "worker"  # the process of the heartbeats that count here
@@ -109,7 +108,7 @@ def orphans(session: Session) -> list[str]:
             message = f"The worker died {MAX_ATTEMPTS} times in this job: see its log."
             row.error = {"code": "internal_error", "message": message}
             row.state, row.stage, row.finished_at = "failed", "failed", utc_now()
-            ended.count(session, row)
+            references.count(session, row)
         else:
             _queue(row)
     return [row.id for row in found]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from kilter_files.ground import KilterError
 from kilter_files.rig import USUAL, Board, check_board, save_board
-from kilter_service.ground.processes.sandbox import confine
+from kilter_service.ground.child_process import confine
 from kilter_service.page.drop.routes import BOARD, REFUSED
 
 MARKER = 0.75  # side of a marker, of a square

@@ -19,7 +19,7 @@ from kilter_files.formats import Columns, Head, all_readers, detect_table_shape,
 from kilter_files.ground import FileError, KilterError, MissingPackageError, member_names
 from kilter_files.ground.later import need, parquet
 from kilter_files.look import draft, inspect
-from kilter_service.ground.processes.sandbox import confine
+from kilter_service.ground.child_process import confine
 from kilter_service.page.drop.drafts import PART, PICTURES, RIG
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
@@ -83,12 +83,7 @@ def _write_pictures(seen: rig.Seen) -> None:
 
 
 def _unpack(path: Path) -> Path:
-    """Unpack what counts, each file by its last name.
-
-    Raises:
-        FileError: there is more than anybody takes pictures of, or two files have one name.
-
-    """
+    """Unpack what counts, each file by its last name."""
     folder = Path("pictures")
     folder.mkdir(exist_ok=True)
     with zipfile.ZipFile(path) as archive:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import Scratch, private_folder
+from kilter_service.ground.private_files import Scratch, private_folder
 
 if TYPE_CHECKING:
     from kilter_service.campaigns.facts import Facts

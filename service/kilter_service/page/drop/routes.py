@@ -18,11 +18,11 @@ from kilter_core.observations import format_part_name
 from kilter_service.campaigns import looking
 from kilter_service.campaigns.facts import facts
 from kilter_service.contract.campaigns import Board, Camera, Conditions
+from kilter_service.ground import child_process
+from kilter_service.ground.child_process import Ended, Limits
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.paging import Page
-from kilter_service.ground.processes import sandbox
-from kilter_service.ground.processes.sandbox import Ended, Limits
 from kilter_service.ground.tables.assemble import rig_from_conditions
 from kilter_service.ground.tables.columns import has
 from kilter_service.page.answers import get_root_path, redirect, render, router
@@ -33,14 +33,12 @@ from kilter_service.page.shared.asking import take_step
 from kilter_service.page.shared.measured import describe_facts
 from kilter_service.page.words import validation_words
 from kilter_service.robots import service as robots
-from kilter_service.robots.instruments import service as instruments
 from kilter_service.versions.today import service as today
+from kilter_service.web import logins
 from kilter_service.web.auth.access import get_caller
-from kilter_service.web.bodies import parse_json, read_document, spool_upload
-from kilter_service.web.concurrency import compute
-from kilter_service.web.logins import service as logins
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp, get_scratch
-from kilter_service.web.tokens.service import hash_secret
+from kilter_service.web.bodies import compute, parse_json, read_document, spool_upload
+from kilter_service.web.logins import hash_secret
+from kilter_service.web.routing import DatabaseOfApp, SettingsOfApp, get_scratch
 
 PARTS: Mapping[str, type[Camera] | type[Board]] = {"cameras": Camera, "boards": Board}
 MISSING = (
@@ -51,7 +49,7 @@ MISSING = (
 REMEDY = "Give the JSON that `kilter measure see` writes beside its views."
 
 BOARD, REFUSED = "board.zip", "refused"
-DRAWING = sandbox.Limits(seconds=30, memory_mb=2048, output_mb=50)
+DRAWING = child_process.Limits(seconds=30, memory_mb=2048, output_mb=50)
 
 
 def draw_board(folder: Path, columns: int, rows: int, square_mm: float) -> None:
@@ -61,7 +59,7 @@ def draw_board(folder: Path, columns: int, rows: int, square_mm: float) -> None:
         ServiceError: there is no such board, or this server has no OpenCV.
 
     """
-    ended = sandbox.run(f"{__package__}.board", folder, [str(columns), str(rows), str(square_mm)], DRAWING)
+    ended = child_process.run(f"{__package__}.board", folder, [str(columns), str(rows), str(square_mm)], DRAWING)
     if not (folder / BOARD).exists():
         why = folder / REFUSED
         said = why.read_text(encoding="utf-8") if why.exists() else f"The board was not drawn: {ended.words[-200:]}"
@@ -156,7 +154,7 @@ def _understood(draft: Draft, joints: list[str]) -> dict[str, Any]:
     asked = json.dumps({"file": draft.name, "read_as": draft.read_as, "joints": joints})
     (draft.folder / "asked.json").write_text(asked, encoding="utf-8")
     limits = OF_PICTURES if draft.name.lower().endswith(".zip") else LIMITS
-    ended = sandbox.run(CHILD, draft.folder, [], limits)
+    ended = child_process.run(CHILD, draft.folder, [], limits)
     said = draft.folder / "understood.json"
     if ended.code != 0 or not said.exists() or said.stat().st_size > MOST_SAID:
         return {"refusal": f"{draft.name} {_describe_reader_failure(ended, limits)}", "map": _kept_map(draft)}
@@ -404,7 +402,7 @@ def _render_draft(
         found=draft.understood,
         seen=shown,
         ways=service.ways(),
-        instruments=instruments.list_instruments(database, Page()).instruments,
+        instruments=robots.list_instruments(database, Page()).instruments,
         problem=problem,
         here=_place(request, draft),
         meant=service.meant_for(database, draft),

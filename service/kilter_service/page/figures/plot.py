@@ -12,7 +12,7 @@ from itertools import pairwise
 
 from markupsafe import Markup, escape
 
-from kilter_service.contract.words import unit_of_length
+from kilter_service.contract.wording import unit_of_length
 
 COOKIE = "kilter-width"  # of the browser's window, pixels: the page's scripts say it
 MARGINS = 52.0  # pixels beside a figure in a narrow window: of the page and of the card

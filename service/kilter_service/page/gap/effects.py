@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from kilter_service.contract.figures import NextPose
 from kilter_service.contract.gap_details import AliasMatrix, AtJoints, Evidence, Halves, NamedEffect, Replication
 from kilter_service.contract.headlines import format_joints, list_found
 from kilter_service.contract.jobs.gap import GapResult
-from kilter_service.contract.next_poses import NextPose
-from kilter_service.ground.texts import plural
+from kilter_service.ground.naming import plural
 from kilter_service.page.figures.drawn import HeatMap
 from kilter_service.page.figures.plot import Plot
 from kilter_service.page.shared import curves

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from fastapi import Form, Request, Response
 
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.suspicious import service as suspicious
+from kilter_service.campaigns import suspicious
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.gap_details import AtJoints, Detectable, NamedEffect, Place, Refused, Untestable
 from kilter_service.contract.jobs.gap import GAP, GapJob, GapOptions, GapResult
@@ -20,8 +20,8 @@ from kilter_service.contract.jobs.plan import PLAN, PlanOptions
 from kilter_service.contract.jobs.registry import Job
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import plural
 from kilter_service.ground.paging import Page
-from kilter_service.ground.texts import plural
 from kilter_service.jobs import service as jobs
 from kilter_service.page.answers import redirect, router
 from kilter_service.page.figures.drawn import HeatMap
@@ -36,7 +36,7 @@ from kilter_service.page.shared.naming import (
 )
 from kilter_service.page.words import joined_by_and, number, percent
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web.routing import DatabaseOfApp
 
 Use = Literal["rows", "confirmation"]
 

@@ -14,16 +14,16 @@ from pydantic import BaseModel
 from kilter_core.errors import CoreError
 from kilter_core.types import Floats
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.suspicious import service as suspicious
+from kilter_service.campaigns import suspicious
 from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.fits import CorrelatedGroup, Covariance, Influence, StageErrors
+from kilter_service.contract.jobs.check import MadeVersion
 from kilter_service.contract.jobs.drift import DriftCause, DriftJob, DriftResult
 from kilter_service.contract.jobs.evaluate import EvaluateJob, EvaluateResult
 from kilter_service.contract.jobs.gap import GAP
 from kilter_service.contract.jobs.identify import IdentifyJob, IdentifyResult
 from kilter_service.contract.jobs.plan import PLAN, PlanJob, PlanResult
 from kilter_service.contract.jobs.registry import KINDS, Job
-from kilter_service.contract.jobs.shared import MadeVersion
 from kilter_service.contract.today import NextStep
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError

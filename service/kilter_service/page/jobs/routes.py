@@ -19,9 +19,9 @@ from pydantic import TypeAdapter, ValidationError
 
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.campaigns import Campaign
-from kilter_service.contract.jobs.job import Folds
+from kilter_service.contract.jobs.check import MadeVersion
+from kilter_service.contract.jobs.kind import Folds
 from kilter_service.contract.jobs.registry import KINDS, Job, JobCheck, NewJob
-from kilter_service.contract.jobs.shared import MadeVersion
 from kilter_service.ground.core import core_effects
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
@@ -40,7 +40,7 @@ from kilter_service.page.shared.naming import version_name
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.state import DatabaseOfApp
+from kilter_service.web.routing import DatabaseOfApp
 
 PREFIX = "option."
 EFFECT = "effect."  # an effect that was ticked in the list

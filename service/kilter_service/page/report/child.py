@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, NoReturn
 
-from kilter_service.ground.processes.sandbox import confine
+from kilter_service.ground.child_process import confine
 
 
 def main() -> None:

@@ -13,9 +13,8 @@ from markupsafe import Markup
 
 from kilter_core.errors import CoreError
 from kilter_files.look import why_unusual
-from kilter_service.campaigns import looking
+from kilter_service.campaigns import looking, suspicious
 from kilter_service.campaigns import service as campaigns
-from kilter_service.campaigns.suspicious import service as suspicious
 from kilter_service.contract.figures import IdentifyFigures
 from kilter_service.contract.fits import Parameter, StageErrors
 from kilter_service.contract.jobs.evaluate import EVALUATE
@@ -25,12 +24,12 @@ from kilter_service.contract.jobs.registry import Job
 from kilter_service.contract.robot_reports import RobotReport
 from kilter_service.contract.units import MAX_NAMED
 from kilter_service.contract.versions import Version
-from kilter_service.ground.called import display_name
+from kilter_service.ground import child_process
+from kilter_service.ground.child_process import Limits
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import display_name
 from kilter_service.ground.paging import Page
-from kilter_service.ground.processes import sandbox
-from kilter_service.ground.processes.sandbox import Limits
 from kilter_service.jobs import service as jobs
 from kilter_service.page import words
 from kilter_service.page.answers import environment, render, router, source
@@ -52,11 +51,11 @@ from kilter_service.page.shared.errors_drawn import cumulative
 from kilter_service.page.shared.naming import in_names
 from kilter_service.robots import service as robots
 from kilter_service.versions import service as versions
-from kilter_service.versions.acceptance.routes import LARGEST_MM, REFITS, Refit
-from kilter_service.versions.acceptance.service import Wish
-from kilter_service.versions.addressed import AddressedVersion
+from kilter_service.versions.acceptance import Wish
+from kilter_service.versions.if_match import AddressedVersion
+from kilter_service.versions.routes import LARGEST_MM, REFITS, Refit
 from kilter_service.versions.today import service as today
-from kilter_service.web.state import DatabaseOfApp, get_scratch
+from kilter_service.web.routing import DatabaseOfApp, get_scratch
 
 SIGMA95 = 1.96
 NEGATIVE_ZERO = re.compile(r"^-(?=0(\.0+)?( |$))")
@@ -263,7 +262,7 @@ def pdf(folder: Path, html: str, css: str) -> bytes:
     """
     (folder / "report.html").write_text(html, encoding="utf-8")
     (folder / "report.css").write_text(css, encoding="utf-8")
-    ended = sandbox.run(CHILD, folder, [], LIMITS, FONTS)
+    ended = child_process.run(CHILD, folder, [], LIMITS, FONTS)
     made = folder / "report.pdf"
     if ended.code == 0 and made.exists():
         return made.read_bytes()

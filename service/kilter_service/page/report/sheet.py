@@ -7,10 +7,10 @@ from typing import Any
 
 from kilter_core.errors import CoreError
 from kilter_files.look import why_unusual
-from kilter_service.contract.acceptance import Acceptance, JudgedCampaign
 from kilter_service.contract.budgets import Budget
 from kilter_service.contract.fits import Errors, Parameter, StageErrors, split_nominal_and_moved
 from kilter_service.contract.jobs.gap import GapResult
+from kilter_service.contract.today import Acceptance, JudgedCampaign
 from kilter_service.contract.versions import Version
 from kilter_service.ground.core import core_effects
 from kilter_service.ground.db import Database
@@ -18,9 +18,9 @@ from kilter_service.page import words
 from kilter_service.page.figures.plot import Group, Plot, Table, places_from_two_sides
 from kilter_service.page.shared import errors_drawn
 from kilter_service.page.words import of_joints
-from kilter_service.versions.acceptance import service as acceptance
-from kilter_service.versions.acceptance.routes import LARGEST_MM
-from kilter_service.versions.acceptance.service import Wish
+from kilter_service.versions import acceptance
+from kilter_service.versions.acceptance import Wish
+from kilter_service.versions.routes import LARGEST_MM
 
 INK, HEIGHT = "#141414", 230.0
 SHADES_OF_BARS = ("#c8c8c8", "#828282", INK)

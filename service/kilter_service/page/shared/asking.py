@@ -10,7 +10,7 @@ from kilter_service.contract.campaigns import Campaign
 from kilter_service.contract.jobs.gap import GAP, GapJob
 from kilter_service.contract.jobs.plan import PLAN
 from kilter_service.contract.jobs.registry import Job, NewJob
-from kilter_service.contract.references import RobotChange
+from kilter_service.contract.wording import RobotChange
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.jobs import checking
@@ -132,12 +132,7 @@ def take_step(database: Database, name: str, do: str, campaign: str) -> str:
 
 
 def _check_search(database: Database, job: NewJob) -> None:
-    """Refuse a search that would fail.
-
-    Raises:
-        ServiceError: why it would.
-
-    """
+    """Refuse a search that would fail."""
     found = checking.check(database, job)
     if not found.would_run:
         said = " ".join(one.message for one in found.problems)

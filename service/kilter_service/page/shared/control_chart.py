@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from datetime import datetime
 from itertools import pairwise
 
-from kilter_service.contract.drift import CheckOfRobot, ControlChart, DriftHistory, DriftMark, DriftSummary
-from kilter_service.contract.today import Today
-from kilter_service.ground.texts import plural
+from kilter_service.contract.today import CheckOfRobot, ControlChart, DriftHistory, DriftMark, DriftSummary, Today
+from kilter_service.ground.naming import plural
 from kilter_service.page.figures.plot import GREY, Axis, Days, Plot, days_around, lengths
 from kilter_service.page.words import bare, format_in_largest_unit, moment, number, unit
-from kilter_service.versions.drift.charts import height, last_value
-from kilter_service.versions.drift.wire import chance_words
-from kilter_service.versions.today.sentences import ago
+from kilter_service.versions.drift.wire import chance_words, height, last_value
+from kilter_service.versions.today.standing import ago
 
 DAY = 86400.0
 WIDTH, HEIGHT = 480.0, 280.0  # two beside each other, and one on a telephone whose letters can be read

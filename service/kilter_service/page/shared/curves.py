@@ -7,9 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from kilter_service.contract.effect_curves import CurveSide, CurveVisits, EffectCurve
-from kilter_service.contract.figures import Figure, GapFigures, Scatter
-from kilter_service.jobs.curve_words import SIDES, across, model, quantity, title, unit_of_x, upwards, visit
+from kilter_service.contract.figures import CurveSide, CurveVisits, EffectCurve, Figure, GapFigures, Scatter
+from kilter_service.jobs.budgets import SIDES, across, model, quantity, title, unit_of_x, upwards, visit
 from kilter_service.page.figures.plot import BLUE, COLOURS, GREY, RED, SKY, THIN, Plot, around
 from kilter_service.page.shared.naming import format_effect_at_joints, format_effect_name
 from kilter_service.page.words import number

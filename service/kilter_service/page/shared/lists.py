@@ -10,7 +10,7 @@ from urllib.parse import urlencode
 
 from fastapi import Request
 
-from kilter_service.contract.jobs.job import JobSummary
+from kilter_service.contract.jobs.kind import JobSummary
 from kilter_service.contract.jobs.registry import KINDS as DECLARED
 from kilter_service.ground.db import Database
 from kilter_service.ground.paging import Page

@@ -15,9 +15,9 @@ from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.fits import Parameter
 from kilter_service.contract.gap_details import AtJoints, NamedEffect
 from kilter_service.contract.versions import Objection
-from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import display_name
 from kilter_service.jobs import service as jobs
 from kilter_service.page.figures import drawn as strip
 from kilter_service.page.words import joined_by_and, number, of_joints, parameter_sigma

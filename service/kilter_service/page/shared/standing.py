@@ -16,7 +16,7 @@ from kilter_service.contract.jobs.gap import GapResult
 from kilter_service.contract.streams import Bridge
 from kilter_service.contract.today import UNUSED, Standing, Today
 from kilter_service.contract.versions import Version
-from kilter_service.contract.words import interval, widest
+from kilter_service.contract.wording import interval, widest
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
 from kilter_service.page.figures.plot import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY, whole_svg
@@ -24,10 +24,10 @@ from kilter_service.page.shared.errors_drawn import steps_shown
 from kilter_service.page.shared.naming import format_claim
 from kilter_service.page.words import format_in_largest_unit, list_effects
 from kilter_service.robots.compensation import CORRECTS, WORDS
-from kilter_service.stream.bridges import service as known_bridges
-from kilter_service.versions.metrics import service as observability
-from kilter_service.versions.today.sentences import largest
-from kilter_service.web.health import service as health
+from kilter_service.stream import bridges as known_bridges
+from kilter_service.versions import metrics as observability
+from kilter_service.versions.today.standing import largest
+from kilter_service.web import health
 
 
 @dataclass(frozen=True)

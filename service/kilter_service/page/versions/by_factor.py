@@ -18,7 +18,7 @@ from kilter_service.page.figures.plot import CORRECTED, FITTED, HELD_OUT, Plot, 
 from kilter_service.page.shared.errors_drawn import grouped_bars, rows_to_draw
 from kilter_service.page.words import in_columns
 from kilter_service.versions import service
-from kilter_service.versions.predictions.paired import error_lengths, residuals
+from kilter_service.versions.predictions.differences import error_lengths, residuals
 
 if TYPE_CHECKING:
     from kilter_core.types import Floats

@@ -12,9 +12,9 @@ import numpy as np
 from kilter_core.errors import CoreError
 from kilter_service.campaigns import service as campaigns
 from kilter_service.contract.versions import Version, VersionPreview
-from kilter_service.ground.called import display_name
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import display_name
 from kilter_service.ground.paging import Page
 from kilter_service.ground.wire import to_mm
 from kilter_service.page.figures.plot import BLUE, SKY, Group, Plot, around, lengths, places_from_two_sides
@@ -28,8 +28,8 @@ from kilter_service.versions import activation, service
 from kilter_service.versions.if_match import tag_of_robot
 from kilter_service.versions.predictions import differences
 from kilter_service.versions.predictions import places as measured
-from kilter_service.versions.predictions.paired import Pairs
-from kilter_service.versions.predictions.preview import preview
+from kilter_service.versions.predictions.at_pose import preview
+from kilter_service.versions.predictions.differences import Pairs
 
 if TYPE_CHECKING:
     from kilter_core.types import Floats

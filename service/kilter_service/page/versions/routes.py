@@ -10,12 +10,12 @@ import numpy as np
 from fastapi import Form, Query, Request, Response
 from fastapi.responses import HTMLResponse
 
-from kilter_service.campaigns.suspicious import service as suspicious
+from kilter_service.campaigns import suspicious
 from kilter_service.contract.versions import ActivationWish, VersionSummary
-from kilter_service.ground.called import display_name
 from kilter_service.ground.correction_outcome import REACHED_M
 from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import display_name
 from kilter_service.ground.paging import Page
 from kilter_service.ground.wire import joint_scale, to_mm
 from kilter_service.page.answers import redirect, render, router
@@ -30,13 +30,12 @@ from kilter_service.page.versions.comparison import REFUSED
 from kilter_service.page.words import bare, in_columns, largest, percent, unit
 from kilter_service.robots import service as robots
 from kilter_service.versions import activation, service
-from kilter_service.versions.addressed import AddressedVersion, FirstVersion, SecondVersion
-from kilter_service.versions.if_match import Expected
+from kilter_service.versions.if_match import AddressedVersion, Expected, FirstVersion, SecondVersion
 from kilter_service.versions.predictions import places
 from kilter_service.versions.predictions.places import workspace
 from kilter_service.versions.today import service as today
 from kilter_service.web.auth.access import Admin
-from kilter_service.web.state import DatabaseOfApp, SettingsOfApp
+from kilter_service.web.routing import DatabaseOfApp, SettingsOfApp
 
 if TYPE_CHECKING:
     from kilter_core.types import Floats

@@ -6,9 +6,8 @@ from pathlib import Path
 
 from kilter_core.correct import CorrectionProgram, compile_program, to_bytes
 from kilter_service.ground.core import core_motion
-from kilter_service.ground.correction_limits import correction_options
+from kilter_service.ground.correction_limits import correction_options, sentence, where_sentences
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.left_out import sentence, where_sentences
 from kilter_service.robots.exporters.exportable import Exportable, Written
 
 PACKAGE = Path(__file__).resolve().parents[2]

@@ -17,7 +17,7 @@ from kilter_core.identify import Predictive, fleet_prior, restrict_to_what_moves
 from kilter_core.parameters import FittedNumber, draw_ranges, indices, write_json_for_yaml
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots.exporters.exportable import Exportable, Written
-from kilter_service.robots.exporters.mjcf.file import model_element
+from kilter_service.robots.exporters.mjcf_file import model_element
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -32,8 +32,8 @@ RANGES = "ranges"  # which asks for versions of other robots too
 FORMATS: Mapping[str, Format] = {
     "json": Format("json_file.json_file", "application/json", "json"),
     "urdf": Format("urdf_file.urdf_file", "application/xml", "urdf"),
-    "mjcf": Format("mjcf.file.mjcf", "application/xml", "mjcf.xml"),
-    "usd": Format("usd.file.usd", "model/vnd.usda", "usda"),
+    "mjcf": Format("mjcf_file.mjcf", "application/xml", "mjcf.xml"),
+    "usd": Format("usd_file.usd", "model/vnd.usda", "usda"),
     "dh-csv": Format("table_csv.dh_csv", "text/csv", "dh.csv"),
     "mdh-csv": Format("table_csv.mdh_csv", "text/csv", "mdh.csv"),
     "ur-yaml": Format("ur_yaml.ur_yaml", "application/yaml", "yaml"),

@@ -15,7 +15,7 @@ from kilter_core.arm import STANDARD_GRAVITY, angles_and_lengths
 from kilter_core.identify import Predictive, known_zeros
 from kilter_core.model import ClosestTable, closest_table
 from kilter_core.transforms import rotation_between, xyz_rpy_from_pose
-from kilter_service.ground.texts import text_cell
+from kilter_service.ground.naming import text_cell
 from kilter_service.robots.exporters.exportable import (
     Exportable,
     Written,

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from kilter_service.contract.robots import Mesh, MeshList, MeshUnit, UrdfShape, UrdfShapes
-from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.limits import MAX_TRIANGLES
+from kilter_service.ground.naming import copy_fields
 from kilter_service.ground.wire import to_mm
 from kilter_service.robots import store as robots
-from kilter_service.robots.importers.urdf_shapes import link_shapes
+from kilter_service.robots.importers.urdf import link_shapes
 from kilter_service.robots.meshes import store
 from kilter_service.robots.meshes.store import MeshRecord
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from kilter_service.robots.importers.urdf_shapes import Shape
+    from kilter_service.robots.importers.urdf import Shape
 
     Triangles = NDArray[np.float64]
 

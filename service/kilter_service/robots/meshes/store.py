@@ -9,11 +9,11 @@ from typing import Literal
 from sqlalchemy import select
 
 from kilter_service.contract.robots import MeshUnit
-from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import MeshRow
 from kilter_service.ground.errors import ServiceError
+from kilter_service.ground.naming import copy_fields
 
 
 def put(session: Session, robot_id: int, record: MeshRecord, content: bytes) -> None:

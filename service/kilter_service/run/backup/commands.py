@@ -6,10 +6,10 @@ import argparse
 import sys
 from pathlib import Path
 
+from kilter_service.ground import backup_folder
 from kilter_service.ground.db import revision
-from kilter_service.ground.files import backup_folder
+from kilter_service.ground.naming import plural
 from kilter_service.ground.settings import Settings
-from kilter_service.ground.texts import plural
 from kilter_service.run.backup import service
 from kilter_service.run.backup import upgrade as upgrading
 

@@ -17,12 +17,11 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from kilter_service.ground.backup_folder import check_hash, has_hash, hash_file, name_now, write_hash
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.backup_folder import name_now
-from kilter_service.ground.files.file_hash import check_hash, has_hash, hash_file, write_hash
-from kilter_service.ground.files.private_files import private_file, private_folder
+from kilter_service.ground.private_files import private_file, private_folder
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, LOCK_FILE, Settings
 from kilter_service.run.backup import store
 from kilter_service.run.backup.store import Findings

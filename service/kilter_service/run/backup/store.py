@@ -13,22 +13,20 @@ from sqlalchemy import Connection, Select, Table, delete, func, insert, literal,
 from sqlalchemy.exc import DBAPIError
 
 from kilter_service.ground.caller import on_behalf
-from kilter_service.ground.db import Database, Session, seal_check
-from kilter_service.ground.db.audited import MOST_CHANGES, note
-from kilter_service.ground.db.audited_rows import audit_differences
+from kilter_service.ground.db import Database, Session, initial_seals
+from kilter_service.ground.db.audited import MOST_CHANGES, audit_differences, note
 from kilter_service.ground.db.database_seal import read_database_seal
 from kilter_service.ground.db.initial_seals import anew
+from kilter_service.ground.db.revision import schema_altered
 from kilter_service.ground.db.row import Row
-from kilter_service.ground.db.schema_check import schema_altered
-from kilter_service.ground.db.seal_tables import DatabaseSealRow, SealRow
 from kilter_service.ground.db.sealed import in_parts
-from kilter_service.ground.db.seals import Sealer
+from kilter_service.ground.db.seals import DatabaseSealRow, Sealer, SealRow
 from kilter_service.ground.db.tables import CampaignRow, ChunkRow, MeshRow, RobotRow, UploadRow, VersionRow
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.texts import plural
+from kilter_service.ground.naming import plural
 from kilter_service.robots.documents import hash_canonical_json, source_sha256
-from kilter_service.web.audit.service import verify_entries
-from kilter_service.web.audit.store import everything
+from kilter_service.web.audit import verify_entries
+from kilter_service.web.store import everything
 
 
 @dataclass
@@ -89,7 +87,7 @@ def check(database: Database, *, quick: bool = False) -> Findings:
     found = Findings()
     _check_part(database, found, "seals", partial(_whole, database), quick)
     if not found.other_key:
-        for name in seal_check.tables(quick=quick):
+        for name in initial_seals.tables(quick=quick):
             _check_part(database, found, f"rows of {name}", partial(_check_table_seals, database, name), quick)
     for part, what in (
         (_schema, "tables and triggers"),
@@ -124,15 +122,15 @@ def _check_part(database: Database, found: Findings, what: str, part: Part, quic
 
 def _check_table_seals(database: Database, name: str, session: Session, found: Findings, _quick: bool) -> None:
     """The rows of a table"""
-    found.damaged.extend(seal_check.describe_altered_rows(session.connection(), database.sealer, name))
+    found.damaged.extend(initial_seals.describe_altered_rows(session.connection(), database.sealer, name))
 
 
 def _whole(database: Database, session: Session, found: Findings, _quick: bool) -> None:
     """The seal over all tables and the end of the audit"""
     connection = session.connection()
-    found.other_key = seal_check.other_key(connection, database.sealer)
+    found.other_key = initial_seals.other_key(connection, database.sealer)
     if not found.other_key:
-        found.damaged.extend(seal_check.whole_altered(connection, database.sealer))
+        found.damaged.extend(initial_seals.whole_altered(connection, database.sealer))
 
 
 def _schema(session: Session, found: Findings, _quick: bool) -> None:
@@ -256,13 +254,15 @@ def seal(database: Database, *, accept: bool) -> list[str]:
     with database.engine.begin() as connection:
         whole = read_database_seal(connection, database.sealer)
         before = "" if whole is None else whole.keyed_by
-        other = seal_check.other_key(connection, database.sealer)
+        other = initial_seals.other_key(connection, database.sealer)
         found = [other] if other else []
         if not before or not other:
             old = Sealer() if other else database.sealer
-            found += seal_check.whole_altered(connection, old)
+            found += initial_seals.whole_altered(connection, old)
             found += [
-                one for name in seal_check.tables() for one in seal_check.describe_altered_rows(connection, old, name)
+                one
+                for name in initial_seals.tables()
+                for one in initial_seals.describe_altered_rows(connection, old, name)
             ]
         found += [one.sentence for one in differences]
         if found and not accept:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from kilter_files.ground.later import later
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import private_file
+from kilter_service.ground.private_files import private_file
 from kilter_service.ground.settings import Settings
 
 if TYPE_CHECKING:

@@ -17,11 +17,11 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
 
+from kilter_service.ground import backup_folder
 from kilter_service.ground.db import Database, revision
 from kilter_service.ground.db.failures import in_words
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files import backup_folder, file_hash
-from kilter_service.ground.files.private_files import UMASK
+from kilter_service.ground.private_files import UMASK
 from kilter_service.ground.settings import DATABASE_FILE, JOBS_FILE, TOKEN_FILE, Settings
 from kilter_service.run.backup.service import verify_stored
 from kilter_service.run.doctor import store
@@ -129,7 +129,7 @@ def backup(settings: Settings) -> tuple[bool, str]:
     newest, age_s = found[0], found[0].age_s()
     if age_s < -AHEAD.total_seconds():
         return _wrong(f"the newest, {newest.path.name}, is of a later time than now: set the clock, or move it away")
-    if not file_hash.has_hash(newest.path):
+    if not backup_folder.has_hash(newest.path):
         return _wrong(f"the newest, {newest.path.name}, does not have its hash: move it away and run `kilterd backup`")
     told = f"the newest of {len(found)}, {newest.path.name}, is {age_s / 3600:.0f} h old"
     return (

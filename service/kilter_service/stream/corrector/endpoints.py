@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.files.private_files import Scratch, scratch_for_sockets
+from kilter_service.ground.private_files import Scratch, scratch_for_sockets
 from kilter_service.ground.settings import Settings
 
 ON_THIS_MACHINE = ("unixsock-stream", "unixpipe")

@@ -24,9 +24,8 @@ from kilter_core.arm import EXACT, KernelCache, compile_kernel
 from kilter_core.correct import COLUMNS, REMOVED, Track, correct_setpoint
 from kilter_service.stream.corrector import wire
 from kilter_service.stream.corrector.active import Active
-from kilter_service.stream.corrector.admission import Clock
-from kilter_service.stream.corrector.specs import Rules
-from kilter_service.stream.corrector.wire import Flag, Kind, Status
+from kilter_service.stream.corrector.session import Rules
+from kilter_service.stream.corrector.wire import Clock, Flag, Kind, Status
 
 # words of a stream's memory: its clock, what it answers with, what it has counted, the frames
 SEQ, TRANSIT, SEEN, SENT, PACE, APPLIED, ANSWERED = range(7)

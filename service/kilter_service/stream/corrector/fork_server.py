@@ -24,11 +24,10 @@ from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import recv_handle, send_handle
 from typing import Any, NamedTuple, NoReturn
 
+from kilter_service.ground.child_process import Child, running
 from kilter_service.ground.core import core_correct
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.processes.child import Child, running
-from kilter_service.stream.corrector.orphan import Found
-from kilter_service.stream.corrector.specs import QuerySpec, StreamSpec, enter
+from kilter_service.stream.corrector.session import Found, QuerySpec, StreamSpec, enter
 
 log = logging.getLogger("kilter.corrector")
 

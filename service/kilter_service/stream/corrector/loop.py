@@ -25,8 +25,7 @@ from kilter_core.correct import warm_up
 from kilter_service.ground.errors import ServiceError
 from kilter_service.stream.corrector import endpoints, fast_path, wire
 from kilter_service.stream.corrector.active import Active, nothing_active
-from kilter_service.stream.corrector.orphan import ORPHAN_S, Door, State
-from kilter_service.stream.corrector.session import ENCODING, close, open_listening
+from kilter_service.stream.corrector.session import ENCODING, ORPHAN_S, Door, State, StreamSpec, close, open_listening
 from kilter_service.stream.corrector.slots import (
     Admitted,
     Gate,
@@ -36,10 +35,9 @@ from kilter_service.stream.corrector.slots import (
     parse_setpoint_key,
     unsigned_refusal,
 )
-from kilter_service.stream.corrector.specs import StreamSpec
 from kilter_service.stream.corrector.telemetry import PERIOD_S, Telemetry, TurnedAway
 from kilter_service.stream.corrector.wire import Status
-from kilter_service.stream.signing import questions, sealed
+from kilter_service.stream.signing import sealed, service
 from kilter_service.stream.signing.masters import Masters, load_masters
 
 log = logging.getLogger("kilter.corrector.stream")
@@ -308,7 +306,7 @@ class HousekeepingThread(threading.Thread):
     def _reply(self, query: zenoh.Query, key: str, robot: str, document: bytes) -> None:
         question = query.payload.to_bytes() if query.payload else b""
         stream = query.parameters.get("stream")
-        signed = questions.reply(self._loop.gate.masters, question, key, self._loop.spec.site, robot, stream, document)
+        signed = service.reply(self._loop.gate.masters, question, key, self._loop.spec.site, robot, stream, document)
         query.reply(key, signed, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _report(self) -> None:

@@ -21,19 +21,17 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from kilter_service.ground.child_process import running
+from kilter_service.ground.correction_limits import sentence
+from kilter_service.ground.db.failures import Failing
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.failure_log import Failing
-from kilter_service.ground.left_out import sentence
-from kilter_service.ground.processes.child import running
 from kilter_service.ground.settings import Settings
-from kilter_service.stream.corrector.active import Active, VersionSource
-from kilter_service.stream.corrector.database_source import DatabaseSource
+from kilter_service.stream.corrector.active import Active, DatabaseSource, VersionSource
 from kilter_service.stream.corrector.endpoints import PrivateSocket, check_listening, is_local
 from kilter_service.stream.corrector.fork_server import POLL_S, ForkedChild, ForkServer, StoppedError
-from kilter_service.stream.corrector.orphan import take_over
-from kilter_service.stream.corrector.specs import QUERY, STREAM, QuerySpec, Rules, StreamSpec
+from kilter_service.stream.corrector.session import QUERY, STREAM, QuerySpec, Rules, StreamSpec, take_over
 from kilter_service.stream.signing.masters import Masters, load_masters
-from kilter_service.web.health.pulse import Pulse
+from kilter_service.web.pulse import Pulse
 
 log = logging.getLogger("kilter.corrector")
 

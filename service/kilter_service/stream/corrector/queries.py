@@ -19,10 +19,9 @@ from kilter_core.errors import ObservationError
 from kilter_core.types import Floats
 from kilter_service.stream.corrector import endpoints, wire
 from kilter_service.stream.corrector.active import Active
-from kilter_service.stream.corrector.session import ENCODING, close, open_inside
-from kilter_service.stream.corrector.specs import QuerySpec, Rules
+from kilter_service.stream.corrector.session import ENCODING, QuerySpec, Rules, close, open_inside
 from kilter_service.stream.corrector.wire import Flag, FrameError, Header, Kind, Status
-from kilter_service.stream.signing import questions, sealed
+from kilter_service.stream.signing import sealed, service
 from kilter_service.stream.signing.sealed import Session
 
 log = logging.getLogger("kilter.corrector.queries")
@@ -220,7 +219,7 @@ class Queries:
         # The tag of a signed request is as good as a nonce: it covers a random sequence number and time.
         question = data[-sealed.TRAILER :] if sealed.is_signed(data) else data
         stream = query.parameters.get("stream")
-        return questions.reply(
+        return service.reply(
             self._masters, question, key, self._spec.site, endpoints.robot_from_key(key), stream, document
         )
 

@@ -23,8 +23,7 @@ import zenoh
 
 from kilter_service.stream.corrector import endpoints, wire
 from kilter_service.stream.corrector.active import Active
-from kilter_service.stream.corrector.session import ENCODING
-from kilter_service.stream.corrector.specs import Rules
+from kilter_service.stream.corrector.session import ENCODING, Rules
 from kilter_service.stream.corrector.stream import Stream
 from kilter_service.stream.corrector.wire import Status
 from kilter_service.stream.signing import sealed

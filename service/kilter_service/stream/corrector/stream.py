@@ -9,10 +9,9 @@ import numpy as np
 from kilter_core.correct import Track, walk_whole
 from kilter_service.stream.corrector import wire
 from kilter_service.stream.corrector.active import Active
-from kilter_service.stream.corrector.admission import Clock
 from kilter_service.stream.corrector.fast_path import LEFT, TOOL, Answered, FastPath
-from kilter_service.stream.corrector.specs import Rules
-from kilter_service.stream.corrector.wire import Flag, Kind, Setpoints, Status
+from kilter_service.stream.corrector.session import Rules
+from kilter_service.stream.corrector.wire import Clock, Flag, Kind, Setpoints, Status
 
 
 @dataclass

@@ -19,8 +19,8 @@ import zenoh
 from kilter_service.stream.corrector import endpoints
 from kilter_service.stream.corrector.active import Active
 from kilter_service.stream.corrector.fast_path import Answered
+from kilter_service.stream.corrector.session import StreamSpec
 from kilter_service.stream.corrector.slots import Gate, Served, Slots
-from kilter_service.stream.corrector.specs import StreamSpec
 
 PERIOD_S = 0.1
 MINUTE, SECOND_NS = 60, 1_000_000_000

@@ -14,11 +14,11 @@ from fastapi import FastAPI
 from fastapi.concurrency import run_in_threadpool
 
 from kilter_service.ground.db import Database
+from kilter_service.ground.db.failures import Failing
 from kilter_service.ground.errors import ServiceError
-from kilter_service.ground.failure_log import Failing
 from kilter_service.ground.settings import Settings
+from kilter_service.stream import store
 from kilter_service.stream.corrector.endpoints import robot_from_key, stream_from_key
-from kilter_service.stream.live import store
 from kilter_service.stream.live.heard import Heard, Reach, RobotShown, bypass
 from kilter_service.stream.live.session import LiveSession, Message, open_or_reuse_session
 from kilter_service.stream.signing.masters import Masters, load_masters
@@ -41,7 +41,7 @@ class Followed:
     def __init__(self) -> None:
         self.followers = 0
         self.streams: dict[str, Heard] = {}
-        self.known = store.Known()
+        self.known = store.KnownStreams()
         self.said, self.said_s = "", 0.0
         self._told = asyncio.Event()
 
@@ -190,7 +190,7 @@ class Viewers:
         return RobotShown(robot, reach, since, active, bypass(reach, active, streams, followed.known.twice), streams)
 
 
-def _load_robot_states(database: Database, robots: list[str]) -> dict[str, store.Known]:
+def _load_robot_states(database: Database, robots: list[str]) -> dict[str, store.KnownStreams]:
     found = {}
     with database.reading() as session:
         for robot in robots:

@@ -6,7 +6,7 @@ import time
 
 from kilter_service.ground.db import Database
 from kilter_service.ground.settings import Settings
-from kilter_service.stream.live import store
+from kilter_service.stream import store
 from kilter_service.stream.live.followers import ALIVE_S
 from kilter_service.stream.live.heard import Heard, Reach, RobotShown, Second, bypass
 from kilter_service.stream.live.session import read_corrector_place

@@ -1,12 +1,17 @@
-"""New sessions of signed streams."""
+"""New sessions of signed streams.
+
+Replies to questions: signed with the key of the session that asks, over the nonce it sent, else as an announcement.
+
+A question of a session is its id (16 bytes) and a nonce (16 bytes), drawn at random for this question; the selector names the
+stream (``?stream=main``). No earlier reply fits a new nonce.
+"""
 
 from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from kilter_service.contract.remarks import Remark
-from kilter_service.contract.stream_messages import MAX_AGE_NS
-from kilter_service.contract.streams import NewStreamSession, StreamSession
+from kilter_service.contract.streams import MAX_AGE_NS, NewStreamSession, StreamSession
+from kilter_service.contract.wording import Remark
 from kilter_service.ground.caller import CALLER
 from kilter_service.ground.db import Database, audited
 from kilter_service.ground.db import Session as Opened
@@ -14,11 +19,12 @@ from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
 from kilter_service.robots import compensation
 from kilter_service.robots import store as robots
-from kilter_service.stream.signing import sealed, store
+from kilter_service.stream import store
+from kilter_service.stream.signing import sealed
 from kilter_service.stream.signing.masters import Masters, load_masters, update_masters_file
 from kilter_service.stream.signing.sealed import Session
-from kilter_service.stream.signing.store import Holder
-from kilter_service.web.tokens import store as tokens
+from kilter_service.stream.store import Holder
+from kilter_service.web import store as tokens
 
 MAX_JOINTS, MAX_POINTS = 16, 4096
 
@@ -119,3 +125,17 @@ def _revoke_sessions(settings: Settings, found: list[bytes]) -> None:
 
 def _revoking(sessions: list[bytes]) -> str:
     return "`kilterd stream-keys " + " ".join(f"--revoke {one.hex()}" for one in sessions) + "`"
+
+
+HEAD = sealed.SESSION_BYTES + sealed.NONCE_BYTES
+
+
+def reply(
+    masters: Masters, question: bytes, address: str, site: str, robot: str, stream: str | None, document: bytes
+) -> bytes:
+    """A document, signed for whoever asked."""
+    session, nonce = question[: sealed.SESSION_BYTES], question[sealed.SESSION_BYTES :]
+    key = masters.session_key(session, site, robot, stream) if stream and len(question) == HEAD else None
+    if key is None:
+        return masters.sign_announcement(address, site, robot, document)
+    return sealed.signed_document(document, sealed.reply_tag(key, nonce, address, document).hex())

@@ -9,7 +9,7 @@ from functools import partial
 from itertools import pairwise
 from typing import Any
 
-from kilter_service.contract.drift import (
+from kilter_service.contract.today import (
     CheckOfRobot,
     ControlChart,
     DriftHistory,
@@ -20,14 +20,12 @@ from kilter_service.contract.drift import (
     Repair,
     State,
 )
-from kilter_service.ground.by_name import copy_fields
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
+from kilter_service.ground.naming import copy_fields
 from kilter_service.robots import store as robots
-from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions.drift import store
-from kilter_service.versions.drift.charts import FALSE_ALARM, RUN_LENGTH, KeptCharts, height
-from kilter_service.versions.drift.records import Activated, StoredCheck
+from kilter_service.versions.drift.wire import FALSE_ALARM, RUN_LENGTH, Activated, KeptCharts, StoredCheck, height
 
 
 def check(one: StoredCheck) -> CheckOfRobot:
@@ -78,8 +76,8 @@ def of_robot(database: Database, robot: str) -> DriftHistory:
         ((key, name),) = robots.names_by_key(session, robot).items()
         made = store.checks(session, [key]).get(key, [])
         log = store.activations(session, [key]).get(key, [])
-        repaired = repairs.of_robots(session, [key]).get(key, [])
-        noted = repairs.of_robots(session, [key], "note").get(key, [])
+        repaired = robots.of_robots(session, [key]).get(key, [])
+        noted = robots.of_robots(session, [key], "note").get(key, [])
         own, charts = _checks_and_charts(session, made, log, repaired)
     marks = [*map(mark, log), *_agreeing_again(made), *map(repair, repaired), *map(note, noted)]
     return DriftHistory(
@@ -110,7 +108,7 @@ def activations_of_robots(database: Database) -> dict[str, list[datetime]]:
 def summaries(session: Session, names: Mapping[int, str]) -> dict[int, DriftSummary]:
     """Return how robots stand by their checks, by key."""
     made, log = store.checks(session, names), store.activations(session, names)
-    repaired = repairs.of_robots(session, names)
+    repaired = robots.of_robots(session, names)
     found = {}
     for key, name in names.items():
         known = made.get(key, []), log.get(key, []), repaired.get(key, [])
@@ -123,7 +121,7 @@ def last_checks(session: Session) -> dict[str, CheckOfRobot]:
     """Return the last check of the active version of each robot, by name; reads few rows, for the metrics."""
     names = robots.names_by_key(session, None)
     made, log = store.checks(session, names, MOST_OF_LAST), store.activations(session, names)
-    repaired = repairs.of_robots(session, names)
+    repaired = robots.of_robots(session, names)
     own = {key: _of_active(found, log.get(key, []), repaired.get(key, [])) for key, found in made.items()}
     return {names[key]: check(found[-1]) for key, found in own.items() if found}
 
@@ -146,7 +144,7 @@ class Creeping:
         due = [name for name, one in last.items() if self._is_due(name, one, now)][: self._most]
         keys = {name: key for key, name in robots.names_by_key(session, None).items() if name in due}
         made = store.checks(session, keys.values())
-        log, repaired = store.activations(session, keys.values()), repairs.of_robots(session, keys.values())
+        log, repaired = store.activations(session, keys.values()), robots.of_robots(session, keys.values())
         for name, key in keys.items():
             charts = _checks_and_charts(session, made.get(key, []), log.get(key, []), repaired.get(key, []))[1]
             creeps = last[name].verdict == "ok" and any(one.alarms for one in charts)

@@ -20,7 +20,7 @@ from kilter_service.ground.db.tables import (
     VersionRow,
 )
 from kilter_service.robots import store as robots
-from kilter_service.versions.drift.records import Activated, StoredCheck
+from kilter_service.versions.drift.wire import Activated, StoredCheck
 from kilter_service.versions.store import REZEROED
 
 MOST = 1000  # checks of a robot, the newest

@@ -1,28 +1,36 @@
-"""What a version says of one pose: where the tool is, what moves it, effect by effect, and how well that is known."""
+"""What a version says of one pose: where the tool is, what moves it, effect by effect, and how well that is known.
+
+What a version does where the robot is driven, before it is activated: the correction itself, at those poses.
+
+:func:`over_poses` is for whoever decides by it, such as the guard of activation; :func:`preview` says it over the wire.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from kilter_core.observations import Observations
 from kilter_core.types import QUANTILE, Floats
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.stream_messages import Status
-from kilter_service.contract.versions import CorrectionLimits
+from kilter_service.contract.streams import Status
+from kilter_service.contract.versions import CorrectionLimits, VersionPreview
+from kilter_service.ground import correction_outcome as outcome
 from kilter_service.ground.core import core_correct, core_identify, core_model, transforms
 from kilter_service.ground.correction_limits import correction_options
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.tables.assemble import with_default_load
 from kilter_service.ground.wire import to_mm
-from kilter_service.versions import store
+from kilter_service.versions import store, wire
+from kilter_service.versions.records import PreviewedPoses
 
 if TYPE_CHECKING:
+    from kilter_core.arm import Robot
     from kilter_core.correct import CorrectionOptions
     from kilter_core.identify import Predictive
     from kilter_core.model import Calibration
@@ -66,7 +74,7 @@ def at_pose(
     """
     with database.reading() as session:
         limits = CorrectionLimits(**store.get(session, version).limits)
-        options = correction_options(limits, temperature_c, rules=store.rules_of(session, version))
+        options = correction_options(limits, temperature_c, rules=store.activation_rules(session, version))
         calibration, known = store.calibration(session, version), store.load_predictive(session, version)
         rows = _rows(session, calibration, q, campaign, row)
     return _predict_at_pose(calibration, known, rows, options)
@@ -165,3 +173,70 @@ def contributions(database: Database, version_id: str) -> tuple[int, list[Contri
         moved[name.partition("#")[0]] = (float(np.sqrt(np.mean(size**2))), float(size.max()))
     found = [Contribution(effect.id, *moved.get(effect.id, (None, None))) for effect in arm]
     return len(rows), sorted(found, key=lambda one: -(one.rms_mm or 0.0))
+
+
+Within = Literal["campaigns", "limits"]
+
+MOST_POSES = 2000
+DRAWN_POSES = 500
+FREE_TURN_RAD, FREE_SHIFT_M = math.pi, 0.5  # of a joint without limits
+
+
+def preview(database: Database, version_id: str, temperature_c: float | None) -> VersionPreview:
+    """Say what a version does over the robot's poses; nothing is stored.
+
+    Raises:
+        ServiceError: no such version.
+
+    """
+    robot, within, found = over_poses(database, version_id, temperature_c)
+    return wire.preview(version_id, robot, found, within, temperature_c)
+
+
+def over_poses(
+    database: Database, version_id: str, temperature_c: float | None
+) -> tuple[Robot, Within, PreviewedPoses]:
+    """Correct the poses that the robot was driven to ("campaigns"), else poses drawn within its joint limits ("limits").
+
+    Raises:
+        ServiceError: no such version.
+
+    """
+    with database.reading() as session:
+        record = store.get(session, version_id)
+        calibration, known = store.calibration(session, version_id), store.load_predictive(session, version_id)
+        driven = campaigns.driven(session, record.robot_id, calibration.robot, MOST_POSES)
+    q = drawn(calibration.robot) if driven is None else driven[:MOST_POSES]
+    found = at_poses(calibration, known, CorrectionLimits(**record.limits), q, temperature_c)
+    return calibration.robot, "limits" if driven is None else "campaigns", found
+
+
+def at_poses(
+    calibration: Calibration,
+    known: Predictive | None,
+    limits: CorrectionLimits,
+    q: Floats,
+    temperature_c: float | None = None,
+) -> PreviewedPoses:
+    """Correct poses ``q (N, n)`` as `correct` corrects a file of them without times, within these limits."""
+    found = outcome.correct(calibration, Observations(q=q), correction_options(limits, temperature_c), known)
+    with np.errstate(over="ignore"):  # a version of nonsense moves the tool beyond all numbers
+        moved = np.linalg.norm(found.done.error_removed, axis=1)
+    return PreviewedPoses(
+        q=q,
+        words=tuple(found.words),
+        moved=moved,
+        left=found.remaining_errors,
+        delta=found.done.q - q,
+        unsupported=found.done.not_corrected,
+        where_stated=found.done.where_stated,
+    )
+
+
+def drawn(robot: Robot, count: int = DRAWN_POSES) -> Floats:
+    """Poses (N, n), rad or m, all over the limits; the same every time."""
+    free = np.array([FREE_SHIFT_M if joint.kind == "prismatic" else FREE_TURN_RAD for joint in robot.joints])
+    low, high = np.maximum(robot.limits[:, 0], -free), np.minimum(robot.limits[:, 1], free)
+    outside = low > high  # limits that lie beyond a full turn
+    low, high = np.where(outside, robot.limits[:, 0], low), np.where(outside, robot.limits[:, 1], high)
+    return np.random.default_rng(0).uniform(low, high, (count, len(free)))

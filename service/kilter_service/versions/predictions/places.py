@@ -12,7 +12,7 @@ from kilter_core.observations import Observations
 from kilter_core.parameters import display_unit_and_scale
 from kilter_core.types import QUANTILE, Bools, Floats, Ints
 from kilter_service.campaigns import store as campaigns
-from kilter_service.contract.stream_messages import Status
+from kilter_service.contract.streams import Status
 from kilter_service.contract.versions import CorrectionLimits
 from kilter_service.ground.core import core_arm, core_correct, core_identify, core_measurement, core_model, transforms
 from kilter_service.ground.correction_limits import correction_options
@@ -20,8 +20,8 @@ from kilter_service.ground.db import Database
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots import store as robots
 from kilter_service.versions import store
-from kilter_service.versions.predictions.preview import at_poses, drawn
-from kilter_service.versions.predictions.residuals import Part, iter_frame_groups, load_parts, refit_frames
+from kilter_service.versions.predictions.at_pose import at_poses, drawn
+from kilter_service.versions.predictions.unfitted_rows import Part, iter_frame_groups, load_parts, refit_frames
 from kilter_service.versions.records import PreviewedPoses
 
 if TYPE_CHECKING:
@@ -219,7 +219,7 @@ def spread(at: Floats, size: Floats, most: int = MOST_ROWS) -> Ints:
 def reach(database: Database, version: str) -> Reach:
     """Return how far a version corrects the tool, and how well it knows it, wherever it corrects within the joint limits."""
     with database.reading() as session:
-        limits, rules = CorrectionLimits(**store.get(session, version).limits), store.rules_of(session, version)
+        limits, rules = CorrectionLimits(**store.get(session, version).limits), store.activation_rules(session, version)
         calibration, known = store.calibration(session, version), store.load_predictive(session, version)
     rows = Observations(q=drawn(calibration.robot, DRAWN))
     done = core_correct.correct_trajectory(calibration, rows, correction_options(limits, None, rules=rules))

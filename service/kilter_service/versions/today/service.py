@@ -5,27 +5,32 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from kilter_service.contract.drift import Repair
 from kilter_service.contract.fits import Metrics, StageErrors
 from kilter_service.contract.gap_details import AtJoints, NamedEffect
 from kilter_service.contract.headlines import name_effects
 from kilter_service.contract.jobs.gap import GapResult
-from kilter_service.contract.today import ErrorAt, ErrorsToday, MeasuredCampaign, NamedMissing, SearchToday, Today
+from kilter_service.contract.today import (
+    ErrorAt,
+    ErrorsToday,
+    MeasuredCampaign,
+    NamedMissing,
+    Repair,
+    SearchToday,
+    Today,
+)
 from kilter_service.contract.units import ControllerCompensation
-from kilter_service.contract.words import interval
-from kilter_service.contract.written import as_written
-from kilter_service.ground.by_name import copy_fields
+from kilter_service.contract.wording import as_written, interval
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.db.row import days_since
+from kilter_service.ground.naming import copy_fields
 from kilter_service.robots import store as arms
 from kilter_service.robots.compensation import parse_compensation, sentence
-from kilter_service.robots.repairs import store as repairs
 from kilter_service.versions.drift import service as drift
 from kilter_service.versions.predictions.unfitted_rows import larger
-from kilter_service.versions.today import sentences, store
+from kilter_service.versions.today import standing, store
 from kilter_service.versions.today.standing import Known, Reached, assess
 from kilter_service.versions.today.store import Active, Evaluated, Made, Measured, Searched
-from kilter_service.web.observability.store import streams
+from kilter_service.web.store import streams
 
 
 def against(found: Searched, active: Active | None) -> SearchToday:
@@ -124,7 +129,7 @@ def of_robot(database: Database, robot: str) -> Today:
         searched = None if found is None else against(found, active)
         compensation = parse_compensation(arms.get_compensation(session, key))
         known = _with_repair(
-            _today_by_robot(session, robots, searched, MOST)[robots[key]], repairs.last_repair(session, key)
+            _today_by_robot(session, robots, searched, MOST)[robots[key]], arms.last_repair(session, key)
         )
         return _with_controller(known, compensation)
 
@@ -247,7 +252,7 @@ def _today_without_version(robot: str, searched: SearchToday | None) -> Today:
         missing=searched,
         sentences=[],
     )
-    return found.model_copy(update={"sentences": sentences.describe_today(found)})
+    return found.model_copy(update={"sentences": standing.describe_today(found)})
 
 
 def _today(
@@ -268,12 +273,12 @@ def _today(
         own=own,
         changed=more is not None,
         larger_by_mm=more,
-        compared=sentences.describe_change(robot, newest, own, more),
+        compared=standing.describe_change(robot, newest, own, more),
         not_evaluated=_not_evaluated(version, campaigns, newest, candidates),
         missing=searched,
         sentences=[],
     )
-    return found.model_copy(update={"sentences": sentences.describe_today(found)})
+    return found.model_copy(update={"sentences": standing.describe_today(found)})
 
 
 def _age(found: ErrorsToday) -> tuple[bool, Any, Any]:
@@ -337,7 +342,7 @@ def _errors(
         at=at,
         campaigns=[_campaign(one) for one in found],
         refit=refit or [],
-        rows=sentences.rows(source, refit or []),
+        rows=standing.rows(source, refit or []),
         errors=errors,
     )
 
@@ -348,7 +353,7 @@ def _campaign(found: Measured) -> MeasuredCampaign:
         MeasuredCampaign,
         found,
         age_days=days,
-        when=sentences.describe_measurement_time(found.measured_at, days, stated=found.stated),
+        when=standing.describe_measurement_time(found.measured_at, days, stated=found.stated),
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from sqlalchemy import func, select
 
-from kilter_service.campaigns import rest
+from kilter_service.campaigns import keeping
 from kilter_service.ground.db import Session
 from kilter_service.ground.db.tables import ActivationRow, CampaignRow, JobRow, UploadRow, VersionRow
 from kilter_service.versions.store import REZEROED
@@ -121,7 +121,7 @@ def _training_file_hashes(lines: Mapping[str, tuple[str | None, list[dict[str, A
 def measured_campaigns(session: Session, of: Collection[int]) -> dict[int, dict[str, Measured]]:
     """Return the campaigns in use that have rows, by robot and id."""
     row = CampaignRow
-    begins = func.substr(row.notes, 1, rest.READ)
+    begins = func.substr(row.notes, 1, keeping.READ)
     query = (
         select(
             row.robot_id,
@@ -141,7 +141,7 @@ def measured_campaigns(session: Session, of: Collection[int]) -> dict[int, dict[
     retired: set[str] = set()
     out: dict[int, dict[str, Measured]] = {}
     for robot, key, name, stated, ended, role, notes, cameras, sha256, sent in session.execute(query):
-        at, whole = stated or sent, rest.parse_origin_campaign(notes)
+        at, whole = stated or sent, keeping.parse_origin_campaign(notes)
         retired |= {key} if ended is not None else set()
         known = out.setdefault(robot, {}).get(
             key, Measured(key, name, at, stated is not None, frozenset(), whole, role, bool(cameras))

@@ -1,22 +1,25 @@
-"""The gate of every route: who sends the request, and whether that is enough, before its body is read."""
+"""The gate of every route: who sends the request, and whether that is enough, before its body is read.
+
+Where a request comes from: straight from this machine, or passed on.
+"""
 
 from __future__ import annotations
 
+import ipaddress
 import secrets
 from collections.abc import Callable, Mapping
 from typing import Annotated, NamedTuple
 
 from fastapi import Depends, Request
 from fastapi.concurrency import run_in_threadpool
+from starlette.requests import HTTPConnection
 
 from kilter_service.ground.caller import ADMIN, ANYBODY, CALLER, RANK, Caller
 from kilter_service.ground.db import Database, Session
 from kilter_service.ground.errors import ServiceError
 from kilter_service.ground.settings import Settings
-from kilter_service.web.auth.forwarded import client_address, is_direct
+from kilter_service.web import logins
 from kilter_service.web.auth.policy import Rule, rule_for_route
-from kilter_service.web.logins import service as logins
-from kilter_service.web.tokens import service as tokens
 
 # A token that is limited to robots: what a path names must be of one of them, before the body is read.
 #
@@ -88,7 +91,7 @@ async def _caller(request: Request, rule: Rule, route: str) -> Caller:
     scheme, _, given = request.headers.get("authorization", "").partition(" ")
     secret = given.strip()
     bearer = scheme.lower() == "bearer" and bool(secret)
-    sha256 = tokens.hash_secret(secret) if bearer else await _login_token_hash(request)
+    sha256 = logins.hash_secret(secret) if bearer else await _login_token_hash(request)
     request.state.credentials = Credentials(sha256, "" if bearer else request.cookies.get(logins.COOKIE, ""))
     if sha256 is None:
         if rule.role == "viewer" and request.method in PLAIN_READS and is_direct(request, settings):
@@ -100,9 +103,9 @@ async def _caller(request: Request, rule: Rule, route: str) -> Caller:
             code="token_missing",
             role=rule.role,
         )
-    if secrets.compare_digest(sha256, tokens.hash_secret(request.app.state.token)):
+    if secrets.compare_digest(sha256, logins.hash_secret(request.app.state.token)):
         return Caller(ADMIN, "admin", None, "", address, route, ids)
-    found = await run_in_threadpool(tokens.get_valid_token, request.app.state.database, sha256)
+    found = await run_in_threadpool(logins.get_valid_token, request.app.state.database, sha256)
     robots = None if found.robots is None else frozenset(found.robots)
     return Caller(found.name, found.role, robots, found.id, address, route, ids)
 
@@ -139,3 +142,58 @@ async def actor(request: Request) -> str:
 
 
 Admin = Annotated[str, Depends(actor)]  # what the records call whoever makes a change; `policy` says who may
+
+
+FORWARDING = ("forwarded", "via", "x-real-ip")
+OTHER_SITES = frozenset({"cross-site", "same-site"})
+
+
+def is_direct(request: HTTPConnection, settings: Settings) -> bool:
+    """Whether a request was sent by a program on this machine, to this machine by name, and nobody passed it on.
+
+    A name that an attacker's DNS points here is not a name of this machine. A page of another site that a browser shows
+    here is not a program of this machine's user.
+    """
+    if settings.proxy or not settings.is_loopback or request.client is None:
+        return False
+    if any(name in FORWARDING or name.startswith("x-forwarded-") for name in request.headers):
+        return False
+    if request.headers.get("sec-fetch-site", "none") in OTHER_SITES:
+        return False
+    return is_loopback_name(request.client.host) and is_loopback_name(
+        parse_host_header(request.headers.get("host", ""))
+    )
+
+
+def parse_host_header(header: str) -> str:
+    """Return the host of a Host header, in lower case and without its port and brackets."""
+    text = header.strip().lower()
+    if text.startswith("["):
+        return text[1:].partition("]")[0]
+    return text.partition(":")[0].rstrip(".")
+
+
+def address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """Return a text as an address; None when it is a name."""
+    try:
+        found = ipaddress.ip_address(text)
+    except ValueError:
+        return None
+    return getattr(found, "ipv4_mapped", None) or found
+
+
+def is_loopback_name(host: str) -> bool:
+    """Whether a host is this machine, seen from this machine."""
+    found = address(host)
+    return host == "localhost" if found is None else found.is_loopback
+
+
+def client_address(request: HTTPConnection, settings: Settings) -> str:
+    """Return the address a request comes from; what a proxy says counts only where the proxy is one of the settings."""
+    peer = "" if request.client is None else request.client.host
+    if not settings.trusts(peer):
+        return peer
+    passed = [part.strip() for line in request.headers.getlist("x-forwarded-for") for part in line.split(",")]
+    # The last one was written by the nearest proxy; what stands before it may be invented.
+    unknown = [part for part in passed if part and not settings.trusts(part)]
+    return unknown[-1][:64] if unknown else peer

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
-from kilter_service.contract.tokens import Role
+from kilter_service.contract.server import Role
 
 Kind = Literal[
     "corrections", "stops", "drops", "files", "checks", "documents", "reads"

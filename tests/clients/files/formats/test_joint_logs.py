@@ -23,8 +23,8 @@ from kilter_files.formats.joints.bag import read_bag
 from kilter_files.formats.joints.joint_log import read_joint_log
 from kilter_files.formats.programs.dialects import DIALECTS
 from kilter_files.formats.programs.found import Dialect, Program
+from kilter_files.formats.programs.marks import read_targets
 from kilter_files.formats.programs.reading import read_program
-from kilter_files.formats.programs.targets import read_targets
 from kilter_files.formats.reader import LogHints
 from kilter_files.look.drafts import inspect
 from tests.clients.answered import document

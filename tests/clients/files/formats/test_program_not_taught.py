@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from kilter_files.formats.programs.marks import read_targets
 from kilter_files.formats.programs.reading import read_program, targets_in_visit_order
-from kilter_files.formats.programs.targets import read_targets
 from kilter_files.ground.errors import FileError
 
 STARS = "********"

@@ -11,12 +11,11 @@ from hypothesis import strategies as st
 
 from kilter_files.formats.programs import krl as krl_targets
 from kilter_files.formats.programs import rapid, rapid_moves, rapid_uses, urscript
-from kilter_files.formats.programs.keyed import Keyed, Tailed
+from kilter_files.formats.programs.krl_lines import Keyed, Tailed
 from kilter_files.formats.programs.poses import krl
-from kilter_files.formats.programs.poses import rapid as rapid_poses
 from kilter_files.formats.programs.poses import urscript as urscript_poses
 
-MODULES = (rapid, rapid_moves, rapid_uses, rapid_poses, rapid_moves, rapid_moves, krl_targets, krl, krl,
+MODULES = (rapid, rapid_moves, rapid_uses, rapid_uses, rapid_moves, rapid_moves, krl_targets, krl, krl,
            urscript, urscript_poses)  # fmt: skip
 FOUND = {
     f"{module.__name__.rpartition('programs.')[2]}.{name}": one

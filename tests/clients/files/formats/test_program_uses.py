@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from kilter_files.formats.programs.found import Program
+from kilter_files.formats.programs.marks import read_targets
 from kilter_files.formats.programs.reading import read_programs
-from kilter_files.formats.programs.targets import read_targets
 from kilter_files.ground.errors import FileError
 
 AXES = "[9E9,9E9,9E9,9E9,9E9,9E9]"

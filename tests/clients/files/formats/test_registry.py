@@ -13,8 +13,7 @@ from kilter_client import FileError, prepare
 from kilter_files.formats import registry
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.look.drafts import draft, inspect
-from kilter_files.tables.source import Source
-from kilter_files.tables.text_source import TextSource
+from kilter_files.tables.source import Source, TextSource
 from tests.clients.files.look.labs import LABS, write_lab
 
 ROWS = [[10.0 * k, -5.0 * k, 3.0 * k - 40, 100.5 + k, 200.25 - k, 300.75] for k in range(1, 12)]

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from kilter_client import FileError
 from kilter_files.formats.tables.text import read_text
 from kilter_files.ground.cell_numbers import parse_number
-from kilter_files.ground.orientation import from_euler
-from kilter_files.ground.units import column_unit, converter
+from kilter_files.ground.units import column_unit, converter, from_euler
 from kilter_files.tables.source import Layout
 
 

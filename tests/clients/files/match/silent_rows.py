@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from kilter_client import FileError
-from kilter_files.match.arm import Arm, arm_from_check
 from kilter_files.match.clock_checks import Checks
 from kilter_files.match.matching import frame_rows, match_dwells, match_frames
-from kilter_files.tables.joint_log import JointLog
+from kilter_files.match.rigid_body import Arm, arm_from_check
 from kilter_files.tables.recording import Block, Recording
+from kilter_files.tables.table import JointLog
 from tests.clients.files.match.campaign_generator import Jump, Knock, Made, Plan, document, make, schedule, turn_of
 
 SIZES_S = (0.1, 0.15, 0.2, 0.3, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.1, 4.0, 5.0, 6.2, 9.3, 10.0)

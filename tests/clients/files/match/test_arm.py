@@ -9,8 +9,8 @@ from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.presets import preset_document, preset_names
 from kilter_core.model import Calibration
 from kilter_core.model.geometry import arm_screws
-from kilter_files.match.arm import Arm, arm_from_check
 from kilter_files.match.lag_evidence import fit_arm_errors, register
+from kilter_files.match.rigid_body import Arm, arm_from_check
 from kilter_service.robots.check import check
 from kilter_service.robots.documents import convert
 from kilter_service.robots.wire import DOCUMENT

@@ -14,7 +14,7 @@ from kilter_client import FileError
 from kilter_client.cli import run
 from kilter_files.formats.joints.joint_log import read_joint_log
 from kilter_files.formats.registry import open_recording
-from kilter_files.ground.orientation import quaternions_from_matrices
+from kilter_files.ground.units import quaternions_from_matrices
 from kilter_files.look.drafts import inspect
 from kilter_files.match.clock_checks import Checks
 from kilter_files.match.matching import frame_rows, match_dwells

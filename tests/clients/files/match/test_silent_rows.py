@@ -15,7 +15,7 @@ from kilter_files import prepare
 from kilter_files.match.clock_checks import Checks
 from kilter_files.match.matching import match_dwells
 from kilter_files.match.uploaded_markers import checked_markers
-from kilter_files.tables.joint_log import JointLog
+from kilter_files.tables.table import JointLog
 from tests.clients.files.match.campaign_generator import (
     Jump,
     Knock,

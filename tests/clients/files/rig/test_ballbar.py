@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from kilter_client.cli import run
 from kilter_client.errors import FileError
 from kilter_files import prepare
-from kilter_files.formats.logs.ballbar import circle_fit_by_run, read_ballbar
+from kilter_files.formats.instrument_logs import circle_fit_by_run, read_ballbar
 
 ANGLES = np.arange(0.0, 361.0, 2.0)
 

@@ -214,7 +214,7 @@ def test_inclinometers_become_readings(lifter: str, tmp_path: Path, capsys: pyte
     found = told(capsys, "tilt-join", "lifter", test.after, test.log, "--joint", lifter, "-o", out)
     assert found["rows"] >= 11
     assert found["clock"]["offset_s"] == pytest.approx(3.2, abs=0.02)
-    from kilter_files.rig.readings import read_readings
+    from kilter_files.rig.tilt_join import read_readings
 
     readings = read_readings(out)
     assert {(r["joint"], r["axis"]) for r in readings} == {(lifter, "z")}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
-from kilter_files.rig.kit.words import describe_tool_error, result_sentences
+from kilter_files.rig.kit.coverage import describe_tool_error, result_sentences
 
 JOINTS = [{"name": "pan"}, {"name": "lift"}]
 

@@ -9,7 +9,7 @@ import pytest
 from nptdms import ChannelObject, TdmsFile, TdmsWriter
 
 from kilter_client import FileError
-from kilter_files.formats.logs.inclinometer import read_inclinometer
+from kilter_files.formats.instrument_logs import read_inclinometer
 from kilter_files.formats.tables.tdms import Calibration, channels, read_channel
 
 

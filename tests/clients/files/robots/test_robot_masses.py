@@ -14,7 +14,7 @@ from openpyxl import Workbook
 
 from kilter_client.errors import FileError
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.loads.wrenches import joint_loads
+from kilter_core.arm.load_wrenches import joint_loads
 from kilter_core.arm.presets import preset_document
 from kilter_files.robots import Described, read_robot
 from kilter_service.robots.exporters.registry import export

@@ -10,7 +10,7 @@ import yaml
 from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.model.directions import missing_directions
+from kilter_core.model.geometry import missing_directions
 from kilter_files.robots import Described, read_robot
 
 from .test_robot_files import DEFAULTS, poses, refused, ur_file, write

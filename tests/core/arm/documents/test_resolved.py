@@ -8,7 +8,7 @@ import pytest
 
 from kilter_core.arm.conversions import robot_document
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.arm.documents.resolved import resolved_document, robot_from_resolved
+from kilter_core.arm.documents.parts import resolved_document, robot_from_resolved
 from kilter_core.arm.presets import preset_document, preset_names
 from kilter_core.arm.robot import Robot
 from kilter_core.model import Calibration

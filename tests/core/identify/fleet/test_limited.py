@@ -10,8 +10,8 @@ import pytest
 from benchmarks.fleet_linear import FRAMES, NOISE, SPREAD, WIDE, Prior, Station, derivatives
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.identify import IdentifyOptions, identify
-from kilter_core.identify.fleet.said import MOST
-from kilter_core.identify.fleet.versions import FleetVersion
+from kilter_core.identify.fleet_prior import FleetVersion
+from kilter_core.identify.fleet_report import MOST
 from kilter_core.observations import Observations
 from tests.core.identify.fleet.simulated import Arm, Type, document, poses
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.errors import CoreError, OptionError
 from kilter_core.identify import Folds, Identification, IdentifyOptions, identify
-from kilter_core.identify.fleet.versions import FleetVersion, same_type
+from kilter_core.identify.fleet_prior import FleetVersion, same_type
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.plan.d_optimal import d_optimal_poses

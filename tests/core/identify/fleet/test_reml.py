@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from kilter_core.identify.fleet.prior import population
+from kilter_core.identify.fleet_prior import population
 
 Floats = NDArray[np.float64]
 ONE = np.zeros(1, dtype=np.int64)

@@ -7,12 +7,12 @@ from bisect import bisect_right
 from dataclasses import dataclass
 from functools import lru_cache
 
-from kilter_files.formats.programs import krl, rapid, table, urscript
+from kilter_files.formats.programs import found as table
+from kilter_files.formats.programs import krl, rapid, urscript
 from kilter_files.formats.programs.found import DATA, EXTERNAL_AXES, NUMBER, Dialect, Mark, Program, line_number, sign
 from kilter_files.formats.programs.notations import FANUC, Frame
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
-from kilter_files.formats.programs.poses.postures import Config
-from kilter_files.formats.programs.poses.track import frame_on_track
+from kilter_files.formats.programs.poses.postures import Config, frame_on_track
 
 LINE = re.compile(r"^[ \t]*+\d{0,9}+[ \t]*+:\s*+(?!!|//|--)([^;\n]*)", re.M)
 ELEMENT = re.compile(

@@ -17,10 +17,15 @@ from kilter_files.formats.programs.found import (
     line_number,
     sign,
 )
-from kilter_files.formats.programs.keyed import Tailed
-from kilter_files.formats.programs.krl_lines import MOTIONS, not_kept, reassigned_or_passed_variables, used_as_data
+from kilter_files.formats.programs.krl_lines import (
+    MOTIONS,
+    Tailed,
+    not_kept,
+    reassigned_or_passed_variables,
+    used_as_data,
+)
+from kilter_files.formats.programs.notations import Variable
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use, Ways, note_use
-from kilter_files.formats.programs.poses.in_force import Variable
 from kilter_files.formats.programs.poses.krl import (
     COMPUTED_INDEX,
     NAME,
@@ -287,7 +292,7 @@ def _use(
 def _joints_assigned_before_place(known: _Known, name: str, at: int) -> JointTarget | None:
     """The joints that a name was given last before a place, by the text."""
     values = known.variables.get(name)
-    return None if values is None else values.last_before(at)
+    return None if values is None else values.setting_in_force(at)
 
 
 def _is_sure(known: _Known, name: str, at: int) -> bool:
@@ -295,7 +300,7 @@ def _is_sure(known: _Known, name: str, at: int) -> bool:
     values = known.variables.get(name)
     if name.partition("[")[0] in known.given:
         return False
-    return values is None or values.chosen(at) == values.last_before(at)
+    return values is None or values.chosen(at) == values.setting_in_force(at)
 
 
 def _add_axis_target(program: Program, match: re.Match[str], count: int) -> JointTarget | None:

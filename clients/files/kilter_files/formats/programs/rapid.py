@@ -13,12 +13,22 @@ from kilter_files.formats.programs.found import (
     line_number,
     sign,
 )
-from kilter_files.formats.programs.keyed import Keyed, has_word
+from kilter_files.formats.programs.krl_lines import Keyed, has_word
 from kilter_files.formats.programs.one_target import UNUSED, Spans
-from kilter_files.formats.programs.poses.rapid import AXIS_LOCKED, DISPLACED, TARGET, UNUSED_AXIS, parse_pose_target
-from kilter_files.formats.programs.poses.rapid import DECLARED as POSE
 from kilter_files.formats.programs.rapid_moves import MOVE, PAIR, TO_POSES, Known, Poses, RapidMoves, take_joints
-from kilter_files.formats.programs.rapid_uses import declared_again, elements, is_assigned, other_uses, variable_changes
+from kilter_files.formats.programs.rapid_uses import (
+    AXIS_LOCKED,
+    DISPLACED,
+    TARGET,
+    UNUSED_AXIS,
+    declared_again,
+    elements,
+    is_assigned,
+    other_uses,
+    parse_pose_target,
+    variable_changes,
+)
+from kilter_files.formats.programs.rapid_uses import DECLARED as POSE
 
 DECLARED = Keyed(
     "jointtarget", r"\bjointtarget\s+(\w+)\s*+(\{[\w,\s]*\})?\s*+:=((?:[^;:]|:(?!=)){0,200000}+)(;|(?=:=)|\Z)"

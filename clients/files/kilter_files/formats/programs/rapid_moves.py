@@ -9,12 +9,11 @@ from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 
 from kilter_files.formats.programs.found import EXTERNAL_AXES, NUMBER, Program, line_number
-from kilter_files.formats.programs.keyed import Keyed, arguments
-from kilter_files.formats.programs.notations import RAPID, Rigid
+from kilter_files.formats.programs.krl_lines import Keyed, arguments
+from kilter_files.formats.programs.notations import RAPID, Flow, InForce, Place, Rigid, find_callers
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Use, Ways, WrittenOut, note_use
-from kilter_files.formats.programs.poses.in_force import Flow, InForce, Place, find_callers
-from kilter_files.formats.programs.poses.rapid import TARGET, UNUSED_AXIS, RapidFrames, parse_pose_target
-from kilter_files.ground.orientation import from_euler
+from kilter_files.formats.programs.rapid_uses import TARGET, UNUSED_AXIS, RapidFrames, parse_pose_target
+from kilter_files.ground.units import from_euler
 
 SWITCHED = Keyed("conf", r"\bConf([JL])\s*+\\\s*+(On|Off)\b")
 ROUTINE = Keyed("proc func trap", r"\b(?:PROC|FUNC\s+\w{1,64}|TRAP)\s+(\w{1,64})")

@@ -109,14 +109,14 @@ def _parse_program(path: Path, dialect: Dialect, stated: Stated, beside: Program
         raise fault(path, what, "Part it into several programs, and leave empty lines out.", line=MOST_LINES + 1)
     program = Program(path, content.decode("latin-1"), dialect.name, beside=beside, stated=stated)
     dialect.refuse_cut(program)
-    with uncollected():
+    with pause_garbage_collection():
         dialect.find(program)
     program.left = sorted(set(program.left))
     return program
 
 
 @contextmanager
-def uncollected() -> Iterator[None]:
+def pause_garbage_collection() -> Iterator[None]:
     """Make many things that all stay, without Python looking through them again and again for ones that do not."""
     collects = gc.isenabled()
     gc.disable()

@@ -15,7 +15,7 @@ from kilter_files.formats.programs.found import (
     line_number,
     sign,
 )
-from kilter_files.formats.programs.keyed import Keyed
+from kilter_files.formats.programs.krl_lines import Keyed
 from kilter_files.formats.programs.one_target import JointTarget, Span
 from kilter_files.formats.programs.poses.urscript import (
     BY_FORCE,

@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kilter_files.formats.joints.described import describe_bag
-from kilter_files.formats.joints.joint_log import log_of_bag
+from kilter_files.formats.joints.joint_log import describe_bag, log_of_bag
 from kilter_files.formats.reader import MATCH, NO_HINTS, Document, Head, Hints, Reader
 
 if TYPE_CHECKING:
-    from kilter_files.tables.joint_log import JointLog
+    from kilter_files.tables.table import JointLog
 
 METADATA = "metadata.yaml"
 MAGIC = (b"\x89MCAP0\r\n", b"SQLite format 3\0")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kilter_files.formats.logs.ballbar import ballbar_table, is_ballbar
-from kilter_files.formats.logs.described import describe_ballbar
+from kilter_files.formats.instrument_logs import ballbar_table, describe_ballbar, is_ballbar
 from kilter_files.formats.reader import DEVICE, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.tables.table import Table
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from kilter_files.formats.joints.described import describe_log
-from kilter_files.formats.joints.joint_log import read_joint_log
+from kilter_files.formats.joints.joint_log import describe_log, read_joint_log
 from kilter_files.formats.reader import NO_HINTS, UPLOAD, Document, Head, Hints, Reader
 from kilter_files.ground.text_layout import TextLayout
 from kilter_files.ground.units import JOINT, column_unit

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kilter_files.formats.logs.described import describe_inclinometer
-from kilter_files.formats.logs.inclinometer import tilt_column_indices
+from kilter_files.formats.instrument_logs import describe_inclinometer, tilt_column_indices
+from kilter_files.formats.marker_header import understand
 from kilter_files.formats.reader import DEVICE, NO_HINTS, Document, Head, Hints, Reader
-from kilter_files.formats.recordings.marker_header import understand
 from kilter_files.ground.errors import FileError
 from kilter_files.tables.table import Table
 

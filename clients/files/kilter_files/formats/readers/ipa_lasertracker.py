@@ -9,12 +9,11 @@ from pathlib import Path
 
 from kilter_files.formats.reader import DEVICE, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.formats.tables.text import read_text
-from kilter_files.formats.unknown.described import describe_table
+from kilter_files.formats.unknown.understood import describe_table
 from kilter_files.ground.errors import FileError
-from kilter_files.ground.orientation import from_euler
-from kilter_files.tables.source import Layout
+from kilter_files.ground.units import from_euler
+from kilter_files.tables.source import Layout, TextSource
 from kilter_files.tables.table import Table
-from kilter_files.tables.text_source import TextSource
 
 # Fraunhofer IPA robot accuracy data: UR10 and Leica laser tracker with T-Mac, one CSV per series.
 #

@@ -6,8 +6,8 @@ import json
 from pathlib import Path
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
-from kilter_files.formats.tables.records import find_records, read_json_records
-from kilter_files.formats.unknown.described import describe_table
+from kilter_files.formats.tables.text import find_records, read_json_records
+from kilter_files.formats.unknown.understood import describe_table
 from kilter_files.tables.source import Source
 
 MOST_BYTES = 64 << 20

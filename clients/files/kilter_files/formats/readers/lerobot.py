@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kilter_files.formats.joints.described import describe_dataset
+from kilter_files.formats.joints.joint_log import describe_dataset
 from kilter_files.formats.joints.lerobot.log import log_of_dataset
 from kilter_files.formats.reader import MATCH, NO_HINTS, Document, Head, Hints, Reader
 
 if TYPE_CHECKING:
-    from kilter_files.tables.joint_log import JointLog
+    from kilter_files.tables.table import JointLog
 
 INFO = Path("meta") / "info.json"
 VERSION = b'"codebase_version"'

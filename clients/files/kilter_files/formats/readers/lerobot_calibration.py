@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kilter_files.formats.joints.described import describe_calibration
+from kilter_files.formats.joints.joint_log import describe_calibration
 from kilter_files.formats.joints.lerobot.calibration import looks_like_one, read_calibration
 from kilter_files.formats.reader import MATCH, NO_HINTS, Document, Head, Hints, Reader
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.formats.tables.mat import read_mat
-from kilter_files.formats.unknown.described import describe_table
-from kilter_files.formats.unknown.understood import cached_understanding
+from kilter_files.formats.unknown.understood import cached_understanding, describe_table
 from kilter_files.ground.later import np
 from kilter_files.tables.source import Source
 

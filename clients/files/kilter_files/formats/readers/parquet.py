@@ -9,10 +9,9 @@ from typing import Any
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.ground.cell_numbers import parse_element_name
-from kilter_files.ground.errors import FileError, fault
+from kilter_files.ground.errors import FileError, did_you_mean, fault
 from kilter_files.ground.later import need, pa
 from kilter_files.ground.later import parquet as arrow
-from kilter_files.ground.names import did_you_mean
 from kilter_files.ground.units import column_unit
 from kilter_files.tables.source import Source
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from kilter_files.formats.joints.described import describe_log
-from kilter_files.formats.joints.joint_log import log_of_targets
-from kilter_files.formats.programs.targets import detect_dialect, read_targets
+from kilter_files.formats.joints.joint_log import describe_log, log_of_targets
+from kilter_files.formats.programs.marks import detect_dialect, read_targets
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
-from kilter_files.tables.source import Layout, Source
-from kilter_files.tables.text_source import TextSource
+from kilter_files.tables.source import Layout, Source, TextSource
 
 
 def read_program(path: Path, layout: Layout) -> TextSource:

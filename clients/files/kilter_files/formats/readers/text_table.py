@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kilter_files.formats.marker_header import PRESETS, meaning
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.formats.tables.text import read_text
-from kilter_files.formats.tracker_header import PRESETS, meaning
-from kilter_files.formats.unknown.described import describe_table
-from kilter_files.formats.unknown.understood import cached_understanding
+from kilter_files.formats.unknown.understood import cached_understanding, describe_table
 from kilter_files.tables.source import Source
 
 

@@ -9,19 +9,16 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kilter_files.formats.column import column
-from kilter_files.formats.reader import NO_HINTS, PRESET, Document, Head, Hints, Reader
-from kilter_files.formats.recordings.marker_header import unit_above
-from kilter_files.formats.tracker_header import PRESETS, Preset, meaning
+from kilter_files.formats.marker_header import PRESETS, Preset, meaning, unit_above
+from kilter_files.formats.reader import NO_HINTS, PRESET, Document, Head, Hints, Reader, column
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import fault
 from kilter_files.ground.later import np
-from kilter_files.ground.orientation import from_euler, is_sequence
 from kilter_files.ground.text_blocks import blocks, count_rows, line_number_of_row, numbered_lines
 from kilter_files.ground.text_layout import TextLayout, sniff
 from kilter_files.ground.time_stamps import continuous_seconds, parse_stamp, parse_stamp_column, times_of_rows
-from kilter_files.ground.units import SIZES, column_unit, converter
+from kilter_files.ground.units import SIZES, column_unit, converter, from_euler, is_sequence
 from kilter_files.tables.table import Table
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
 from kilter_files.formats.tables.workbook import read_xlsx
-from kilter_files.formats.unknown.described import describe_table
+from kilter_files.formats.unknown.understood import describe_table
 from kilter_files.ground.errors import FileError
 from kilter_files.ground.units import column_unit
 from kilter_files.tables.source import Layout, Source

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from kilter_files.formats.reader import MAP, NO_HINTS, Document, Head, Hints, Reader
-from kilter_files.formats.tables.records import read_yaml_records
-from kilter_files.formats.unknown.described import describe_table
+from kilter_files.formats.tables.text import read_yaml_records
+from kilter_files.formats.unknown.understood import describe_table
 from kilter_files.tables.source import Source
 
 

@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.ground.errors import fault
+from kilter_files.ground.errors import did_you_mean, fault
 from kilter_files.ground.later import need, np
-from kilter_files.ground.names import did_you_mean
 
 LEAD_IN = struct.Struct("<4sIIQQ")
 INCOMPLETE = 0xFFFF_FFFF_FFFF_FFFF

@@ -8,14 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from kilter_files.ground.archives import unpacked_bytes
 from kilter_files.ground.cell_numbers import parse_number
-from kilter_files.ground.errors import FileError, fault
+from kilter_files.ground.errors import FileError, did_you_mean, fault
 from kilter_files.ground.later import need
-from kilter_files.ground.names import did_you_mean
-from kilter_files.ground.workbook_formulas import REMEDY, Cell, describe_cells, formulas_without_value, letters
-from kilter_files.tables.source import Layout
-from kilter_files.tables.text_source import TextSource, header_names
+from kilter_files.ground.workbook_formulas import (
+    REMEDY,
+    Cell,
+    describe_cells,
+    formulas_without_value,
+    letters,
+    unpacked_bytes,
+)
+from kilter_files.tables.source import Layout, TextSource, header_names
 
 MOST_BYTES = 400_000_000  # unpacked
 MOST_CELLS = 3_000_000

@@ -15,8 +15,7 @@ from kilter_files.ground.cell_numbers import parse_list, parse_number
 from kilter_files.ground.errors import FileError, fault, read_head
 from kilter_files.ground.text_layout import COMMENTS, UNITS, detect_encoding, name_and_unit, unknown_unit
 from kilter_files.ground.time_stamps import parse_stamp
-from kilter_files.tables.source import Layout, Source
-from kilter_files.tables.text_source import header_names
+from kilter_files.tables.source import Layout, Source, header_names
 
 SAMPLE_BYTES = 1 << 20
 SAMPLE_ROWS = 400

@@ -1,4 +1,7 @@
-"""What names and ranges tell of an unknown table: joints, position, orientation, time and conditions."""
+"""What names and ranges tell of an unknown table: joints, position, orientation, time and conditions.
+
+How an unknown table is read: its columns with ranges, what a draft takes them for, and how to send it.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from shlex import quote
 
-from kilter_files.formats.reader import Head
+from kilter_files.formats.reader import Document, Head
 from kilter_files.formats.unknown.guess import (
     COMMANDED,
     OTHER,
@@ -266,3 +270,27 @@ def _pose(columns: Columns, name: str) -> Entry | None:
 def joined_names(names: Sequence[str]) -> str:
     """Return the first names in one line."""
     return ", ".join(" ".join(name.split()) for name in names[:20]) + (" ..." if len(names) > 20 else "")
+
+
+def describe_table(head: Head) -> Document:
+    """Describe a table that no reader of a device knows.
+
+    Raises:
+        FileError: no table of numbers.
+
+    """
+    found = cached_understanding(head) or understand(head.path, head.hints.robot)
+    shape, columns = found.shape, found.columns
+    out = []
+    for name in columns.names:
+        values = columns.numbers(name)
+        low, high = (min(values), max(values)) if values else (None, None)
+        empty = len(shape.source.lines) - len(values) if values is not None and shape.source.lines else None
+        out.append({"name": name, "unit": columns.unit(name), "low": low, "high": high, "empty": empty})
+    sheet = [] if shape.layout.sheet is None else [f"sheet {shape.layout.sheet!r}"]
+    read = [f"check {text}" for text in found.guess_remarks] + [f"not told: {text}" for text in found.open]
+    read += [f"not used: {', '.join(found.unused_columns)}"] if found.unused_columns else []
+    note = (
+        f"comes in with a column map; a first one: kilter measure inspect {quote(str(head.path))} --draft columns.toml"
+    )
+    return {"kind": "table", "rows": len(shape.source.lines), "columns": out, "notes": [*sheet, *read, note]}

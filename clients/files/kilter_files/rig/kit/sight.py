@@ -12,7 +12,7 @@ from typing import Any
 
 from kilter_files.ground.arrays import Bools, Floats
 from kilter_files.ground.later import np
-from kilter_files.match.arm import rotations
+from kilter_files.match.rigid_body import rotations
 from kilter_files.rig.see.optics.camera import project_points
 from kilter_files.rig.see.optics.homography import nearest_rotation, pose_from_homography
 

@@ -13,7 +13,7 @@ from threading import Condition, Event, Thread
 from typing import Any, BinaryIO, Protocol
 
 from kilter_files.ground.errors import FileError, UsageError
-from kilter_files.rig.board.opencv import opencv
+from kilter_files.rig.board_layout import opencv
 from kilter_files.rig.see.pictures import ENDINGS, MOST_BYTES, Grey, Refusal, RefusedError, read_grey, read_grey_stream
 
 POLL_S = 0.1

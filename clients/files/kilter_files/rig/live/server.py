@@ -19,9 +19,9 @@ import numpy as np
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.ground.units import column_unit
-from kilter_files.rig.board.opencv import opencv
+from kilter_files.rig.board_layout import opencv
 from kilter_files.rig.live.feeds import Shot
-from kilter_files.rig.see.optics.coverage import CELLS, evaluate_gates
+from kilter_files.rig.see.intrinsics import CELLS, evaluate_gates
 from kilter_files.rig.see.optics.intrinsics_fit import fit_intrinsics
 from kilter_files.rig.see.pictures import Grey, Refusal
 from kilter_files.rig.see.run import Looker

@@ -15,11 +15,10 @@ import numpy as np
 from kilter_files.formats.joints.bag import METADATA, bag_messages
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import fault
-from kilter_files.rig.board.opencv import opencv
+from kilter_files.rig.board_layout import opencv
 from kilter_files.rig.see.pictures import Grey, Refusal, RefusedError, check_size, read_grey_stream
-from kilter_files.rig.see.poses import Poses
-from kilter_files.rig.see.sources import Frame
-from kilter_files.tables.joint_log import JointLog
+from kilter_files.rig.see.sources import Frame, Poses
+from kilter_files.tables.table import JointLog
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 ENDINGS = (".mcap", ".db3", ".bag")

@@ -14,16 +14,14 @@ import numpy as np
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError, UsageError
 from kilter_files.ground.later import need
-from kilter_files.rig.board.layout import DICTIONARIES, marker_family
+from kilter_files.rig.board_layout import DICTIONARIES, marker_family
 from kilter_files.rig.see.intrinsics import Kept, check_known, fit_camera_with_report
 from kilter_files.rig.see.optics.camera import Camera
 from kilter_files.rig.see.pictures import REMEDIES, Grey, Refusal
-from kilter_files.rig.see.poses import Poses
-from kilter_files.rig.see.sources import Frame, Pictures
+from kilter_files.rig.see.sources import Frame, Pictures, Poses
 from kilter_files.rig.see.target import Target
 from kilter_files.rig.see.views import FEW_CORNERS, LARGE, Finder, Markers, View, detect_view, differing
-from kilter_files.tables.joint_log import JointLog
-from kilter_files.tables.table import cells
+from kilter_files.tables.table import JointLog, cells
 
 FAMILIES = {"apriltag_36h11": "tag36h11", "apriltag_25h9": "tag25h9", "apriltag_16h5": "tag16h5"}
 CENTRE = 0.5  # where it puts the centre of the upper left pixel

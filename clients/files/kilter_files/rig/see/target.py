@@ -1,7 +1,11 @@
-"""A board, or a cube of them, as its JSON file describes it: what a detector must know, and the corners in their order."""
+"""A board, or a cube of them, as its JSON file describes it: what a detector must know, and the corners in their order.
+
+Views as Parquet: the columns of their CSV file, numbers as numbers, some rows in memory at a time.
+"""
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from dataclasses import dataclass, replace
@@ -12,7 +16,10 @@ import numpy as np
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import UsageError, fault
-from kilter_files.rig.board.layout import Board, Point, check_board, marker_family
+from kilter_files.ground.later import csv as reading
+from kilter_files.ground.later import need, pa, parquet
+from kilter_files.ground.units import NAMES
+from kilter_files.rig.board_layout import Board, Point, check_board, marker_family
 
 MOST_BYTES = 1 << 24
 REMEDY = "Take the JSON that kilter measure board wrote, or write one anew with the board's sizes."
@@ -175,3 +182,29 @@ def _corners(path: Path, document: dict[str, Any]) -> tuple[tuple[int, ...], Flo
     if not numbers or not np.isfinite(corners).all() or len(set(numbers)) != len(numbers):
         raise fault(path, "its corners are missing, twice there or not finite", REMEDY)
     return numbers, corners
+
+
+BLOCK_BYTES = 1 << 24  # of the CSV file, read at once
+
+
+def check_pyarrow(output: Path) -> None:
+    """Refuse before any picture is read.
+
+    Raises:
+        MissingPackageError: pyarrow is not installed.
+
+    """
+    need(f"{output}: Parquet files need", "pyarrow")
+
+
+def write_parquet(views: Path, output: Path) -> None:
+    """Write the rows of a CSV file of views; empty cells are null."""
+    with views.open(encoding="utf-8", newline="") as stream:
+        names = next(csv.reader(stream))
+    convert = reading.ConvertOptions(
+        column_types={name: pa.string() if name in NAMES else pa.float64() for name in names}, null_values=[""]
+    )
+    rows = reading.open_csv(views, reading.ReadOptions(block_size=BLOCK_BYTES), convert_options=convert)
+    with parquet.ParquetWriter(output, rows.schema, compression="zstd") as writer:
+        for batch in rows:
+            writer.write_batch(batch)

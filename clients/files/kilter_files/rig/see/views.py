@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.rig.board.layout import DICTIONARIES, Board
-from kilter_files.rig.board.opencv import dictionary, opencv
-from kilter_files.rig.see import chess_corners
+from kilter_files.rig.board_layout import DICTIONARIES, Board, dictionary, opencv
+from kilter_files.rig.see import edges
 from kilter_files.rig.see.edges import (
     Noise,
     Pieces,
@@ -162,7 +161,7 @@ def _face(
     if len(start) < LEAST_CORNERS or _on_a_line(mm):
         nothing = np.full((len(start), 2, 2), np.nan)
         return [first + number for number in numbers], start, nothing, np.full((len(start), 2), np.nan)
-    places, covariances, blur = chess_corners.refine_corners(
+    places, covariances, blur = edges.refine_corners(
         grey, start, mm, board.square_mm, board.marker_mm, estimate_noise(grey, start)
     )
     covariances[~(np.abs(places - start).max(axis=1) < MOST_MOVED_PX)] = np.nan

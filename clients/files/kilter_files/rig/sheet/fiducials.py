@@ -10,10 +10,8 @@ import numpy as np
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import fault
-from kilter_files.rig.sheet.camera import Camera, fit_camera
-from kilter_files.rig.sheet.layout import CORNER_IDS, TARGET_MM, Sheet, radius_from_marker
-from kilter_files.rig.sheet.picture import Picture, Pixels
-from kilter_files.rig.sheet.shapes import aruco
+from kilter_files.rig.sheet.camera import Camera, Picture, Pixels, fit_camera
+from kilter_files.rig.sheet.layout import CORNER_IDS, TARGET_MM, Sheet, aruco, radius_from_marker
 
 SEARCHED_SIDE = 2400  # markers are looked for in a picture made this small, and refined in the whole one
 MOST_OFF_MM = 0.3  # prints, scanners and flat paper stay below 0.05

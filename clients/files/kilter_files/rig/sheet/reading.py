@@ -12,10 +12,9 @@ import numpy as np
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import fault
-from kilter_files.rig.sheet.camera import Camera, fit_camera
+from kilter_files.rig.sheet.camera import INCH_MM, Camera, Picture, fit_camera, read_picture
 from kilter_files.rig.sheet.fiducials import Marks, find_marks, place_sheet
 from kilter_files.rig.sheet.layout import Sheet
-from kilter_files.rig.sheet.picture import INCH_MM, Picture, read_picture
 from kilter_files.rig.sheet.trace import REACH_MM, Line, Ring, Strokes, printed_circle, strokes, trace, unroll
 
 LEAST_DPI = 120.0

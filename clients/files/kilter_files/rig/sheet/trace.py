@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, median_filter
 
 from kilter_files.ground.arrays import Floats
-from kilter_files.rig.sheet.camera import Camera
-from kilter_files.rig.sheet.layout import Sheet
-from kilter_files.rig.sheet.picture import Pixels
-from kilter_files.rig.sheet.shapes import aruco
+from kilter_files.rig.sheet.camera import Camera, Pixels
+from kilter_files.rig.sheet.layout import Sheet, aruco
 
 STIFFNESS = 0.35  # price of a step of 1 mm from gap to gap, in the darkness of a line
 WINDOW_MM = 0.9  # the line's middle is sought this far around its ridge

@@ -15,8 +15,8 @@ from operator import add
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from kilter_client.bridges.correction import Line
 from kilter_client.bridges.loop import without_collections
-from kilter_client.bridges.news import Line
 from kilter_client.bridges.plan import Setpoints, smooth
 from kilter_client.errors import KilterError
 

@@ -14,7 +14,7 @@ from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from kilter_client.bridges.news import TELL_S, Line
+from kilter_client.bridges.correction import TELL_S, Line
 
 if TYPE_CHECKING:
     from kilter_client.bridges.correction import Correction

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from kilter_client.bridges.versions import Limits
+from kilter_client.bridges.correction import Limits
 from kilter_client.errors import FileError, UsageError
 from kilter_client.streaming.frames import HEADER, MAGIC, POINT
 
@@ -124,12 +124,7 @@ def beyond(angles_deg: Iterable[float], limits_deg: Sequence[Limits]) -> int | N
 
 
 def _number(row: Mapping[str, str | None], name: str, place: str, names: Sequence[str], line: int) -> float:
-    """A cell as a number.
-
-    Raises:
-        FileError: the column is not there, the row ends before it, or it is not a number.
-
-    """
+    """A cell as a number."""
     said = row.get(name)
     try:
         return float(said or "")

@@ -21,13 +21,11 @@ from dataclasses import asdict, dataclass
 from ipaddress import IPv4Address
 from typing import Any
 
-from kilter_client.bridges import versions
-from kilter_client.bridges.correction import Correction, Guard
+from kilter_client.bridges import correction as versions
+from kilter_client.bridges.correction import Correction, Followed, Guard, Kind, Line, pair, poll_server
 from kilter_client.bridges.fci import JOINTS, Fci
 from kilter_client.bridges.loop import Address, Loop, Wire
-from kilter_client.bridges.news import Kind, Line, pair
 from kilter_client.bridges.plan import Setpoints
-from kilter_client.bridges.versions import Followed, poll_server
 from kilter_client.client import Kilter
 from kilter_client.errors import (
     FileError,
@@ -37,7 +35,7 @@ from kilter_client.errors import (
     NotFoundError,
     UsageError,
 )
-from kilter_client.streaming.corrector import StreamError, find_corrector, robot_key_prefix, session_config
+from kilter_client.streaming.certificates import StreamError, find_corrector, robot_key_prefix, session_config
 from kilter_client.verbs.inputs import parse_signs
 from kilter_core.correct import from_bytes
 from kilter_core.errors import OptionError

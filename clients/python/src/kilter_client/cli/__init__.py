@@ -10,8 +10,8 @@ import typer
 
 from kilter_client.cli.groups import FirstLevel, find_new_spelling, join_version_words
 from kilter_client.cli.quick_start import with_quick_values, without_httpx_command
-from kilter_client.cli.terminal.interrupt import CODE, UNKNOWN, InterruptedCommandError
 from kilter_client.cli.terminal.output import begin_command, name_ids, note, report_error, report_usage
+from kilter_client.cli.terminal.references import CODE, UNKNOWN, InterruptedCommandError
 from kilter_client.errors import KilterError, UsageError
 
 CALLED_ALIKE = ("reference_ambiguous", "retired")  # errors about what may be called as something else is
@@ -41,7 +41,7 @@ def show_version_or_help(
 ) -> None:
     """Show the version, or the help where no command is given."""
     if version:
-        from kilter_client.cli.release import show_releases
+        from kilter_client.cli.quick_start import show_releases
 
         show_releases(as_json)
         raise typer.Exit
@@ -83,7 +83,7 @@ def run(arguments: Sequence[str]) -> int:
         report_error(error, as_json)
         return CODE
     except KilterError as error:
-        from kilter_client.cli.terminal.wording import rephrase_error
+        from kilter_client.cli.terminal.references import rephrase_error
 
         error = rephrase_error(error, arguments)
         if not as_json:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.reports.next_step import suggest_after_job
+from kilter_client.cli.reports.answer import suggest_after_job
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.simulator import ModelSearch, search_models
 from kilter_client.cli.stored.versions import write
@@ -27,11 +27,10 @@ from kilter_client.cli.terminal.arguments import (
     NoWait,
     Robot,
     ValidationText,
+    with_flags,
 )
-from kilter_client.cli.terminal.flags import with_flags
-from kilter_client.cli.terminal.interrupt import job_goes_on, job_name, on_interrupt
 from kilter_client.cli.terminal.output import emit, job_bar, note, number, print_line, show_rows
-from kilter_client.cli.terminal.references import resolved_all, resolved_options
+from kilter_client.cli.terminal.references import job_goes_on, job_name, on_interrupt, resolved_all, resolved_options
 from kilter_client.errors import UsageError
 from kilter_client.results.plots import can_draw, save_figures
 from kilter_client.typed.option_texts import GAP, IDENTIFY

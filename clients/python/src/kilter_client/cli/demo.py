@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from kilter_client import Kilter
-from kilter_client.requests.local_server import LocalServer, local_server
+from kilter_client.requests.connection import LocalServer, local_server
 from kilter_client.stream import Setpoint, Statistics, corrected
 from kilter_core.arm import Robot
 from kilter_core.model import RobotModel

@@ -11,7 +11,7 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.analyse import run_job
 from kilter_client.cli.files.upload import Device, InstrumentName, MeasuredAt, build_conditions, sent_file
-from kilter_client.cli.reports.next_step import suggest_after_job
+from kilter_client.cli.reports.answer import suggest_after_job
 from kilter_client.cli.reports.results import EXIT_CODES, show_history, show_job, show_robots
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import (
@@ -23,11 +23,16 @@ from kilter_client.cli.terminal.arguments import (
     NoWait,
     PayloadCentre,
     Robot,
+    with_flags,
 )
-from kilter_client.cli.terminal.flags import with_flags
-from kilter_client.cli.terminal.interrupt import job_goes_on, job_name, on_interrupt
 from kilter_client.cli.terminal.output import emit, job_bar, note, print_line
-from kilter_client.cli.terminal.references import resolve_reference, resolved_options
+from kilter_client.cli.terminal.references import (
+    job_goes_on,
+    job_name,
+    on_interrupt,
+    resolve_reference,
+    resolved_options,
+)
 from kilter_client.errors import UsageError
 from kilter_client.requests.calls import robots as calls
 from kilter_client.typed.option_texts import REZERO

@@ -10,8 +10,8 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
 from kilter_client.cli.terminal.arguments import Json, MoreOptions, NoWait, effects, options, split_names
-from kilter_client.cli.terminal.interrupt import fleet_goes_on, on_interrupt
 from kilter_client.cli.terminal.output import emit, job_bar, note, print_line, show_rows
+from kilter_client.cli.terminal.references import fleet_goes_on, on_interrupt
 from kilter_client.errors import UsageError
 
 fleet = typer.Typer(help="Identify many robots anew, and show what came out.", rich_markup_mode=None, cls=Group)

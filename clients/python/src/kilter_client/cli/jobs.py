@@ -9,12 +9,18 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
-from kilter_client.cli.reports.next_step import suggest_after_job
+from kilter_client.cli.reports.answer import suggest_after_job
 from kilter_client.cli.reports.results import show_job
 from kilter_client.cli.terminal.arguments import Details, Json
-from kilter_client.cli.terminal.interrupt import job_goes_on, job_name, on_interrupt
 from kilter_client.cli.terminal.output import emit, job_bar, note, show_list
-from kilter_client.cli.terminal.references import OfRobot, looked_up, resolve_reference
+from kilter_client.cli.terminal.references import (
+    OfRobot,
+    job_goes_on,
+    job_name,
+    looked_up,
+    on_interrupt,
+    resolve_reference,
+)
 
 jobs = typer.Typer(help="List, show, watch and cancel jobs.", rich_markup_mode=None, cls=Group)
 

@@ -18,8 +18,8 @@ from kilter_client.cli.terminal.arguments import (
     PayloadCentre,
     Robot,
     ValidationText,
+    with_flags,
 )
-from kilter_client.cli.terminal.flags import with_flags
 from kilter_client.errors import UsageError
 from kilter_client.typed.option_texts import JOINT_PARAMETERS
 from kilter_files.rig import read_readings

@@ -18,8 +18,8 @@ from kilter_client.cli.terminal.arguments import (
     NoWait,
     Robot,
     ValidationText,
+    with_flags,
 )
-from kilter_client.cli.terminal.flags import with_flags
 from kilter_client.typed.option_texts import KINDS
 
 

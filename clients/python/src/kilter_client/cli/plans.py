@@ -19,8 +19,16 @@ from kilter_client.cli.analyse import AT_JOINTS, needs_result, run_job, write_po
 from kilter_client.cli.groups import WithDefault
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal import arguments
-from kilter_client.cli.terminal.arguments import CampaignIds, JobName, Json, MoreOptions, NoWait, PayloadCentre, Robot
-from kilter_client.cli.terminal.flags import with_flags
+from kilter_client.cli.terminal.arguments import (
+    CampaignIds,
+    JobName,
+    Json,
+    MoreOptions,
+    NoWait,
+    PayloadCentre,
+    Robot,
+    with_flags,
+)
 from kilter_client.cli.terminal.output import note
 from kilter_client.errors import UsageError
 from kilter_client.typed.option_texts import PLAN

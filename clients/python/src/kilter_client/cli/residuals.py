@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.reports.next_step import format_next
+from kilter_client.cli.reports.answer import format_next
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import CampaignIds, Json, VersionId, split_names
 from kilter_client.cli.terminal.output import emit, print_line, print_lines

@@ -21,7 +21,7 @@ from kilter_client.cli.terminal.arguments import ColumnMap, Json
 from kilter_client.cli.terminal.output import emit, note, print_line
 from kilter_client.errors import UsageError
 from kilter_client.requests.calls.jobs import report_page
-from kilter_client.requests.local_server import local_server
+from kilter_client.requests.connection import local_server
 from kilter_client.results.rows import write_file
 
 ROBOT = "arm"

@@ -1,16 +1,24 @@
-"""Calls sent to a server over connections that stay open: with threads, or under asyncio."""
+"""Calls sent to a server over connections that stay open: with threads, or under asyncio.
+
+Verbs as methods: of a client that waits for the answer, and of one whose answers are awaited.
+
+A server for a while: `kilterd serve` as a child process with its own data folder and free ports on loopback.
+"""
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
+import subprocess
+import sys
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 from urllib.parse import urlsplit
 
 from kilter_client.errors import KilterError, ServerUnreachableError, UsageError
@@ -19,6 +27,54 @@ from kilter_files.ground.later import later
 
 with later(__name__):
     import httpx  # 0.2 s: not when the package is imported
+
+
+P = ParamSpec("P")
+M = TypeVar("M")
+
+
+def waiting(verb: Callable[P, Steps[T]]) -> Callable[Concatenate[Any, P], T]:
+    """Return the method of a verb that returns when it is done."""
+
+    def method(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        found: T = self.run(verb(*args, **kwargs))
+        return found
+
+    return _copy_verb_signature(method, verb)
+
+
+def make_document_method(call: Callable[P, Steps[T]]) -> Callable[Concatenate[Any, P], T]:
+    """Return the method of a call that returns what the server answered, as it is."""
+
+    def method(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        found: T = self._run(call(*args, **kwargs))
+        return found
+
+    return _copy_verb_signature(method, call)
+
+
+def make_async_method(verb: Callable[P, Steps[T]]) -> Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]:
+    """Return the method of a verb that is awaited."""
+
+    async def method(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        found: T = await self.run(verb(*args, **kwargs))
+        return found
+
+    return _copy_verb_signature(method, verb)
+
+
+def _copy_verb_signature(like: M, verb: Callable[..., Any]) -> M:
+    """Give a method the name, the words and the signature of its verb; it returns what the steps end with."""
+    method: Any = like
+    method.__name__, method.__doc__, method.__module__ = verb.__name__, verb.__doc__, verb.__module__
+    method.__qualname__ = f"Kilter.{verb.__name__}"
+    signature = inspect.signature(verb)
+    returns = str(signature.return_annotation).removeprefix("Steps[").removesuffix("]")
+    own = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    method.__signature__ = inspect.Signature([own, *signature.parameters.values()], return_annotation=returns)
+    method.__annotations__ = {**verb.__annotations__, "return": returns}
+    return like
+
 
 T = TypeVar("T")
 Reword = Callable[[KilterError], None]
@@ -160,12 +216,7 @@ def _settings(place: Place) -> dict[str, Any]:
 
 
 def _trusted_authorities() -> Any:
-    """Return whom to trust: the authority of KILTER_CA, else those that this machine trusts.
-
-    Raises:
-        UsageError: the file of KILTER_CA cannot be read as certificates.
-
-    """
+    """Return whom to trust: the authority of KILTER_CA, else those that this machine trusts."""
     file = os.environ.get("KILTER_CA")
     if not file:
         return True
@@ -308,3 +359,69 @@ def _is_this_machine(url: str) -> bool:
         return ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+START_DEADLINE_S = 150.0  # the first start after a change compiles the kernels
+STOP_DEADLINE_S = 20.0
+POLL_S = 0.05
+
+Start = Callable[..., subprocess.Popen[bytes]]
+
+
+@dataclass(frozen=True)
+class LocalServer:
+    """Where a started server is: its URL, its zenoh endpoint and its data folder."""
+
+    url: str
+    zenoh: str
+    data: Path
+
+    def environment(self) -> dict[str, str]:
+        """Return this process's environment with what a client needs to find the server and this program's commands."""
+        commands = str(Path(sys.executable).parent)
+        return os.environ | {
+            "KILTER_DATA": str(self.data),
+            "KILTER_URL": self.url,
+            "PATH": commands + os.pathsep + os.environ.get("PATH", ""),
+        }
+
+
+@contextmanager
+def local_server(data: Path, start: Start = subprocess.Popen) -> Iterator[LocalServer]:
+    """Start a server on free loopback ports and stop it by its handle afterwards; its log is ``data/server.log``."""
+    command = [sys.executable, "-m", "kilter_service", "serve", "--port", "0"]
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
+    environment = plain | {"KILTER_DATA": str(data), "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
+    data.mkdir(parents=True, exist_ok=True)
+    with (data / "server.log").open("wb") as log:
+        process = start(command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        try:
+            yield _wait_until_ready(process, data)
+        finally:
+            _stop(process)
+
+
+def _wait_until_ready(process: subprocess.Popen[bytes], data: Path) -> LocalServer:
+    deadline = time.monotonic() + START_DEADLINE_S
+    file = data / "server.json"
+    while time.monotonic() < deadline:
+        if process.poll() is not None:
+            raise RuntimeError(f"kilterd ended with {process.returncode}; its log:\n{_log(data)}")
+        if file.exists():
+            document = json.loads(file.read_text())
+            return LocalServer(document["url"], document["zenoh"], data)
+        time.sleep(POLL_S)
+    raise RuntimeError(f"kilterd was not ready after {START_DEADLINE_S:.0f} s; its log:\n{_log(data)}")
+
+
+def _log(data: Path) -> str:
+    return (data / "server.log").read_text(errors="replace")[-4000:]
+
+
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
+    try:
+        process.wait(STOP_DEADLINE_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

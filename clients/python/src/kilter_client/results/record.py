@@ -1,4 +1,7 @@
-"""Answers of the server as typed values, which keep the document that they were read from."""
+"""Answers of the server as typed values, which keep the document that they were read from.
+
+What a command must know of a kind of job.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ from typing import (
     Any,
     ClassVar,
     Generic,
+    NamedTuple,
     Self,
     TypeVar,
     dataclass_transform,
@@ -223,3 +227,15 @@ def ends(value: float | None, sigma: float | None, lower: float | None, upper: f
             return ""
         lower, upper = value - Z95 * sigma, value + Z95 * sigma
     return f"{estimate(lower, places)} to {estimate(upper, places)}"
+
+
+class Kind(NamedTuple):
+    """A kind of job: what it does, whether it needs campaigns, and of each option its help and what it takes.
+
+    Forms are `flag`, `integer`, `number`, `text`, `names`, `json`, or choices with bars between.
+    """
+
+    summary: str
+    needs_campaigns: bool
+    help: Mapping[str, str]
+    forms: Mapping[str, str]

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from operator import add, sub
 
 from kilter_client.streaming.accepted_versions import InUse
-from kilter_client.streaming.frames import Answer
-from kilter_client.streaming.setpoint import Setpoint, Statistics
+from kilter_client.streaming.frames import Answer, Setpoint, Statistics
 
 LEAST_PAUSE_S, MOST_PAUSE_S = 0.001, 0.1  # the corrector takes less for jitter
 ROUNDING = 1e-9

@@ -19,11 +19,9 @@ from typing import Any
 from kilter_client.client import Kilter
 from kilter_client.errors import ConflictError, KilterError
 from kilter_client.signing import LIFETIME_S, SESSION_EXPIRED, Session, Signer, from_document, on_this_machine
-from kilter_client.streaming.acceptance import Acceptance
-from kilter_client.streaming.accepted_versions import MOST_REPLIES, InUse
-from kilter_client.streaming.certificates import why_not
-from kilter_client.streaming.corrector import StreamError, robot_key_prefix, session_config
-from kilter_client.streaming.setpoint import Statistics
+from kilter_client.streaming.accepted_versions import MOST_REPLIES, Acceptance, InUse
+from kilter_client.streaming.certificates import StreamError, robot_key_prefix, session_config, why_not
+from kilter_client.streaming.frames import Statistics
 
 GONE = b""  # put into the queue when the corrector is gone, to end a wait
 AGAIN = b"again"  # put there when the setpoint was not corrected, but the corrector has given its nonce

@@ -119,12 +119,7 @@ def _in_stage(cache: Any, prim: Any) -> Floats:
 
 
 def _open_stage(source: Path) -> Any:
-    """Open the source.
-
-    Raises:
-        FileError: USD cannot read it, a file that it names is missing or names itself, or it has no articulation.
-
-    """
+    """Open the source."""
     pxr = usd_package()
     try:
         stage = pxr.Usd.Stage.Open(str(source))

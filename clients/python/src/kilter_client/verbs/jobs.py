@@ -14,8 +14,8 @@ from kilter_client.requests.calls import jobs as calls
 from kilter_client.requests.steps import Document, Steps
 from kilter_client.results.record import Record, Records
 from kilter_client.typed.names import JOBS, MODULE_OF
+from kilter_client.verbs.inputs import ResourceReference, reference, references
 from kilter_client.verbs.progress import Watching, show_progress
-from kilter_client.verbs.references import ResourceReference, reference, references
 
 # A share of the poses, campaigns, or {"folds": 5}.
 HeldOut: TypeAlias = "float | ResourceReference | Sequence[ResourceReference] | Mapping[str, int] | None"

@@ -14,14 +14,13 @@ from kilter_client.errors import FileError, UsageError
 from kilter_client.files import files_formats
 from kilter_client.requests.calls import robots, versions
 from kilter_client.requests.steps import Document, Steps
-from kilter_client.results.program import FilteredProgram
-from kilter_client.verbs.inputs import parse_signs
+from kilter_client.results.corrected import FilteredProgram
+from kilter_client.verbs.inputs import ResourceReference, parse_signs, reference
 from kilter_client.verbs.program_poses import ProgramJoints, Understood, not_kept, rewritten, understand
-from kilter_client.verbs.references import ResourceReference, reference
 from kilter_client.verbs.versions import correct
 
 if TYPE_CHECKING:
-    from kilter_client.results.program import FilteredProgram
+    from kilter_client.results.corrected import FilteredProgram
     from kilter_files.formats import JointTarget, PoseTarget, Program, Stated, Track
 
 AT_LIMIT_DEG = 1e-6  # what is held stands at the limit, but for the last digits
@@ -120,12 +119,7 @@ def _stated_frames(bases: Frames | None, tools: Frames | None, tracks: Mapping[s
 
 
 def _tracks(given: Mapping[str, str]) -> dict[str, Track]:
-    """Read external axes that carry the arm.
-
-    Raises:
-        UsageError: one is not stated as an axis.
-
-    """
+    """Read external axes that carry the arm."""
     out = {}
     for name, said in given.items():
         track = files_formats.parse_track(said)
@@ -169,12 +163,7 @@ def _is_j3_coupled(found: Program, fanuc_j3: str | None) -> bool:
 
 
 def _frames(given: Frames | None, option: str) -> dict[str, tuple[float, ...]]:
-    """Read frames as they are stated: by name, or one alone, each as numbers or as a text of numbers.
-
-    Raises:
-        UsageError: one has not six or seven numbers.
-
-    """
+    """Read frames as they are stated: by name, or one alone, each as numbers or as a text of numbers."""
     if given is None:
         return {}
     named = given if isinstance(given, Mapping) else {"": given}
@@ -341,12 +330,7 @@ def _refuse(
     strict: bool,
     suspicion: str = "",
 ) -> None:
-    """Refuse a program for these places: to leave ``strict`` out helps only where it was given.
-
-    Raises:
-        FileError: there is one.
-
-    """
+    """Refuse a program for these places: to leave ``strict`` out helps only where it was given."""
     if places:
         several = len(programs) > 1
         named = "; ".join(

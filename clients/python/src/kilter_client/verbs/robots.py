@@ -13,8 +13,7 @@ from kilter_client.files import files_robots
 from kilter_client.requests.calls import robots as calls
 from kilter_client.requests.steps import Steps
 from kilter_client.results.record import Records
-from kilter_client.verbs.inputs import Data, parse_time, prepare_rows
-from kilter_client.verbs.references import ResourceReference, reference
+from kilter_client.verbs.inputs import Data, ResourceReference, parse_time, prepare_rows, reference
 
 if TYPE_CHECKING:
     from datetime import date, datetime

@@ -11,8 +11,8 @@ from scipy.stats import t
 from kilter_core.gap.evidence.fits.final_fit import final_effect_amounts, inflation
 from kilter_core.gap.search.forward_selection import SearchResult
 from kilter_core.gap.search.linear.linearized import estimate_linear_parameters, fit_nonlinear_values, loss
-from kilter_core.gap.search.linear.tails import tail
-from kilter_core.identify.uncertainty.intervals import profile_end
+from kilter_core.gap.search.linear.settings import tail
+from kilter_core.identify.uncertainty.stated_noise import profile_end
 
 LEVEL = 0.95
 MOST_ROWS = 3000  # scalars above which the likelihood is so narrow that its own curvature cannot matter

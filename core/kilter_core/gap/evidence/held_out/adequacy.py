@@ -10,8 +10,8 @@ import numpy as np
 from scipy.stats import chi2, f
 
 from kilter_core.gap.noise.from_repeats import WITHIN
+from kilter_core.gap.search.events import fitted_away
 from kilter_core.gap.search.linear.linearized import LinearizedProblem
-from kilter_core.gap.search.re_evaluation import fitted_away
 from kilter_core.gap.search.scan import residual_given
 from kilter_core.observations.groups import subtract_group_means
 from kilter_core.types import Bools, Floats, Ints

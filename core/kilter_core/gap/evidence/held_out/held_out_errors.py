@@ -13,15 +13,19 @@ from scipy.stats import binom, norm, t
 from kilter_core.gap.evidence.fits.final_fit import Posterior, inflation, widening
 from kilter_core.gap.evidence.fits.intervals import interval_width
 from kilter_core.gap.evidence.held_out.adequacy import gain, left_out_errors, left_out_floor
-from kilter_core.gap.noise.motion import blocks, motion_blocks
+from kilter_core.gap.noise.visits import blocks, motion_blocks
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.in_space import cholesky_root, fit_rms, noise_rms, rms_error_at_values
-from kilter_core.gap.search.linear.linearized import fit_nonlinear_values
+from kilter_core.gap.search.linear.linearized import (
+    cholesky_root,
+    fit_nonlinear_values,
+    fit_rms,
+    noise_rms,
+    rms_error_at_values,
+)
 from kilter_core.gap.search.linear.settings import ProblemSettings
+from kilter_core.gap.search.outliers import along_one_motion
 from kilter_core.gap.search.prepare import Prepared, average_motion_rows
-from kilter_core.gap.search.rows.wrong_rows import along_one_motion
-from kilter_core.gap.search.sources.rounding import rounding_document
-from kilter_core.gap.search.sources.source import Source
+from kilter_core.gap.search.sources.source import Source, rounding_document
 from kilter_core.observations import Observations
 from kilter_core.observations.groups import is_trajectory
 from kilter_core.parameters import DEG, display_unit_and_scale

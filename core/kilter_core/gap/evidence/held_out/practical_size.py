@@ -15,7 +15,7 @@ from kilter_core.gap.evidence.fits.final_fit import final_effect_amounts
 from kilter_core.gap.evidence.held_out.adequacy import Adequacy
 from kilter_core.gap.options import GapOptions
 from kilter_core.gap.search.forward_selection import SearchResult
-from kilter_core.gap.search.linear.in_space import displacement_by_columns, displacement_derivatives, noise_rms
+from kilter_core.gap.search.linear.linearized import displacement_by_columns, displacement_derivatives, noise_rms
 from kilter_core.observations import Observations
 from kilter_core.parameters import mm
 from kilter_core.types import QUANTILE

@@ -16,9 +16,8 @@ from scipy.stats import chi2, f
 from kilter_core.gap.evidence.fits.final_fit import Posterior
 from kilter_core.gap.evidence.held_out.held_out_errors import HoldoutEvaluator, on_rows
 from kilter_core.gap.noise.visits import average_visits
-from kilter_core.gap.search.linear.in_space import cholesky_root
-from kilter_core.gap.search.sources.rounding import number_readings
-from kilter_core.gap.search.sources.source import Source
+from kilter_core.gap.search.linear.linearized import cholesky_root
+from kilter_core.gap.search.sources.source import Source, number_readings
 from kilter_core.observations import Observations
 from kilter_core.parameters import metres, mm
 from kilter_core.types import Bools, Floats, Ints

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import norm
 
-from kilter_core.effects.unknown_smooth_curve import UnknownSmoothCurve
+from kilter_core.effects.unknown import UnknownSmoothCurve
 from kilter_core.gap.evidence.similarity.similarity import HELD, SAME, Alias, correlation
 from kilter_core.gap.evidence.similarity.smooth import EVEN, is_curve, own_curve, smooth_members
 from kilter_core.gap.search.candidates import FAMILY, Candidate

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.stats import chi2
 
-from kilter_core.effects.local_bump import LocalBump
 from kilter_core.effects.physical import joint_numbers
-from kilter_core.effects.unknown_smooth_curve import UnknownSmoothCurve
+from kilter_core.effects.readings import LocalBump
+from kilter_core.effects.unknown import UnknownSmoothCurve
 from kilter_core.gap.evidence.similarity.similarity import Alias, correlation
 from kilter_core.gap.search.candidates import FAMILY, JOINT, Candidate
 from kilter_core.gap.search.forward_selection import SearchResult

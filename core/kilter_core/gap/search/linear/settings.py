@@ -1,4 +1,4 @@
-"""What stays the same through a search: rows, noise and what whitens; and the whitened derivatives at a fit."""
+"""What stays the same through a search: rows, noise, whitening, ranges and tail probabilities."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import fdtrc, gammaincc
 
 from kilter_core.gap.noise.from_repeats import Noise
-from kilter_core.gap.search.linear.projection import lengths
-from kilter_core.gap.search.sources.rounding import Rounding
-from kilter_core.gap.search.sources.source import Source
+from kilter_core.gap.search.linear.gram import lengths
+from kilter_core.gap.search.sources.source import Rounding, Source
 from kilter_core.identify.fit.problem import ByCovariance, SharedErrors
+from kilter_core.parameters import Parameter
 from kilter_core.types import Bools, Floats, Ints
 
 MOST_BYTES = 16 << 20  # of derivatives that are kept in any case
@@ -140,3 +142,53 @@ class Derivatives:
         W /= np.where(norm > 0.0, norm, 1.0)
         self.kept = (G, W)
         return r, norm
+
+
+def tail(taken: ArrayLike, d: ArrayLike, freedom: ArrayLike = np.inf) -> Floats:
+    """Chance of chi-square ``taken`` of ``d`` directions over a variance that rests on ``freedom`` numbers.
+
+    F where those are finite: a variance from thirty numbers is off by a quarter, and a chi-square tail would call what
+    that makes large certain.
+    """
+    size = np.maximum(np.asarray(taken, dtype=np.float64), 0.0)
+    known, count = np.asarray(freedom, dtype=np.float64), np.maximum(np.asarray(d, dtype=np.float64), 1.0)
+    finite = np.isfinite(known)
+    if not finite.any():  # a selection asks tens of thousands of times, of a noise of one kind
+        return np.asarray(gammaincc(count / 2.0, size / 2.0))
+    if finite.all():
+        return np.asarray(fdtrc(count, np.maximum(known, 1.0), size / count))
+    estimated = fdtrc(count, np.where(finite, np.maximum(known, 1.0), 1.0), size / count)
+    return np.where(finite, estimated, gammaincc(count / 2.0, size / 2.0))
+
+
+def ends(source: Source, free: Sequence[int]) -> tuple[Floats, Floats]:
+    """Lowest and highest values (P + F,) of the geometry, counted from its priors, and of the library columns ``free``; SI.
+
+    Only amplitudes of effects have ends: what is known of a geometry is in its priors, as what is known of the loads is.
+    """
+    model, library = source.model, library_parameters(source)
+    effects = {p.name: p for p in model.parameters[model.n_geometric :]}
+    size = len(source.prior_mean)
+    out = np.full((size + len(free), 2), (-np.inf, np.inf))
+    for k, (name, soft) in enumerate(zip(source.fitted_names(), source.soft, strict=True)):
+        if name in effects and not soft:
+            p, mean = effects[name], source.prior_mean[k]
+            out[k] = p.lower - mean, p.upper - mean
+    for n, k in enumerate(free, size):
+        out[n] = library[k].lower, library[k].upper
+    low, high = out.T
+    return low, high
+
+
+def exactly_within(source: Source, values: Floats, free: Sequence[int]) -> Floats:
+    """Values whose library columns ``free`` end exactly where their ranges do: rounding left a compliance of -1e-22."""
+    library, known = source.library(values).copy(), library_parameters(source)
+    for k in free:
+        library[k] = min(max(library[k], known[k].lower), known[k].upper)
+    return source.apply_step(values, np.zeros(len(source.prior_mean)), library)
+
+
+def library_parameters(source: Source) -> tuple[Parameter, ...]:
+    """The parameters of the library's columns, in their order: the last of the model's."""
+    parameters = source.model.parameters
+    return tuple(parameters[len(parameters) - source.n_library :])

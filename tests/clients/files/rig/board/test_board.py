@@ -14,7 +14,7 @@ import pytest
 
 from kilter_client.cli import run
 from kilter_files.ground.errors import MissingPackageError
-from kilter_files.rig.board.opencv import check_release
+from kilter_files.rig.board_layout import check_release
 
 # pdfium puts edges on whole pixels: a page is drawn finer, and cells of 4 x 4 pixels are averaged.
 DPI, FINER = 200, 4

@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from kilter_client.cli import run
 from kilter_files.rig.see.bag_pictures import BagPictures, _decode_raw
 from kilter_files.rig.see.pictures import RefusedError
-from kilter_files.tables.joint_log import JointLog
+from kilter_files.tables.table import JointLog
 from tests.clients.files.rig.see.boards import CHARUCO, board, small, taken
 
 STATE, IMAGE, PACKED = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"

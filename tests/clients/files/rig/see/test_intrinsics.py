@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from kilter_client.cli import run
 from kilter_files.ground.errors import FileError
-from kilter_files.rig.see.optics.coverage import evaluate_gates
-from kilter_files.rig.see.optics.intrinsics_file import read_camera
+from kilter_files.rig.see.intrinsics import evaluate_gates
+from kilter_files.rig.see.optics.camera import read_camera
 from kilter_files.rig.see.optics.intrinsics_fit import Seen, fit_intrinsics, median_view_rms
 from tests.clients.files.rig.see.boards import board
 from tests.clients.files.rig.see.raycaster import Lens

@@ -20,8 +20,7 @@ from PIL import Image, ImageFilter
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from kilter_files.rig.printed import page_pdf
-from kilter_files.rig.sheet.layout import PAGES_MM, Sheet
-from kilter_files.rig.sheet.shapes import sheet_page
+from kilter_files.rig.sheet.layout import PAGES_MM, Sheet, sheet_page
 
 Floats = NDArray[np.float64]
 Along = Callable[[Floats], Floats]

@@ -24,10 +24,9 @@ from reportlab.pdfgen.canvas import Canvas
 from kilter_client.cli import run
 from kilter_client.errors import FileError
 from kilter_files.rig.printed import page_pdf
-from kilter_files.rig.sheet import picture
-from kilter_files.rig.sheet.layout import sheet_for
+from kilter_files.rig.sheet import camera
+from kilter_files.rig.sheet.layout import aruco, sheet_for, sheet_page
 from kilter_files.rig.sheet.reading import Options, read_sheet
-from kilter_files.rig.sheet.shapes import aruco, sheet_page
 
 Paper = tuple[NDArray[np.float64], float]
 DPI = 160.0
@@ -187,7 +186,7 @@ def small(form: str) -> bytes:
 def test_damaged_pictures_are_refused_or_read_never_worse(
     form: str, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(picture, "PDF_DPI", 40.0)
+    monkeypatch.setattr(camera, "PDF_DPI", 40.0)
     whole = small(form)
     folder = tmp_path_factory.mktemp("fuzz")
     read: Callable[[Path], object] = read_sheet

@@ -32,7 +32,7 @@ from kilter_files.rig.drawn_circle import (
     register,
 )
 from kilter_files.rig.sheet.layout import sheet_for
-from kilter_files.tables.joint_log import JointLog
+from kilter_files.tables.table import JointLog
 
 Floats = NDArray[np.float64]
 

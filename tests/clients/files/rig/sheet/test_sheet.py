@@ -13,8 +13,7 @@ from scipy.ndimage import center_of_mass, label
 from kilter_client.cli import run
 from kilter_client.errors import UsageError
 from kilter_files.rig.printed import page_pdf, page_svg
-from kilter_files.rig.sheet.layout import PAGES_MM, Sheet, largest_radius, sheet_for
-from kilter_files.rig.sheet.shapes import save_sheet, sheet_page
+from kilter_files.rig.sheet.layout import PAGES_MM, Sheet, largest_radius, save_sheet, sheet_for, sheet_page
 
 SVG = "{http://www.w3.org/2000/svg}"
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from kilter_files.formats.zipped import ZIP, of_zip
+from kilter_files.formats.reader import ZIP, of_zip
 from kilter_files.ground.errors import fault, read_head
 from kilter_files.ground.later import need, pa, parquet
 

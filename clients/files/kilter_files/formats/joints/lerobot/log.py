@@ -28,7 +28,7 @@ from kilter_files.formats.reader import LogHints
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import fault
 from kilter_files.ground.later import np
-from kilter_files.tables.joint_log import JointLog, checked_log
+from kilter_files.tables.table import JointLog, checked_log
 
 BLOCK = 65_536  # rows
 BETWEEN_S = 1.0  # by which episodes follow one another in a log

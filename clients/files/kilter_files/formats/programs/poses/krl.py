@@ -7,20 +7,20 @@ from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 
 from kilter_files.formats.programs.found import NUMBER, Program, blank_strings_and_comments, line_number
-from kilter_files.formats.programs.keyed import Keyed, Tailed, has_word
 from kilter_files.formats.programs.krl_lines import (
     EXTERNAL_PART,
     GIVEN,
+    Keyed,
+    Tailed,
+    has_word,
     parts_handed,
     reassigned_or_passed_variables,
     subprograms,
     variables_passed_to_calls,
 )
-from kilter_files.formats.programs.notations import KRL, Frame
+from kilter_files.formats.programs.notations import KRL, Flow, Frame, InForce, calls_of_own, calls_that_set
 from kilter_files.formats.programs.one_target import PoseTarget, Span
-from kilter_files.formats.programs.poses.in_force import Flow, InForce, calls_of_own, calls_that_set
-from kilter_files.formats.programs.poses.postures import StatusTurn
-from kilter_files.formats.programs.poses.track import AT_ZERO, frame_on_track
+from kilter_files.formats.programs.poses.postures import AT_ZERO, StatusTurn, frame_on_track
 
 INDEX = r"\[\s{0,9}\d{1,4}\s{0,9}(?:,\s{0,9}\d{1,4}\s{0,9}){0,2}\]"  # constants, of an array of up to three dimensions
 NAME = rf"\w{{1,64}}(?:{INDEX})?"

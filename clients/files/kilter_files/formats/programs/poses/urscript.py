@@ -8,10 +8,17 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 from kilter_files.formats.programs.found import NUMBER, Program, line_number
-from kilter_files.formats.programs.keyed import Keyed, arguments, nested
-from kilter_files.formats.programs.notations import URSCRIPT, Frame
+from kilter_files.formats.programs.krl_lines import Keyed, arguments, nested
+from kilter_files.formats.programs.notations import (
+    URSCRIPT,
+    Flow,
+    Frame,
+    InForce,
+    Variable,
+    calls_of_own,
+    calls_that_set,
+)
 from kilter_files.formats.programs.one_target import JointTarget, PoseTarget, Span, Spans, Use
-from kilter_files.formats.programs.poses.in_force import Flow, InForce, Variable, calls_of_own, calls_that_set
 
 NULL = Frame(URSCRIPT, (0.0,) * 6)
 SIX = re.compile(r"p\s?\[\s*+" + r"\s*+,\s*+".join([f"({NUMBER})"] * 6) + r"\s*+\]")
@@ -117,7 +124,7 @@ class Poses:
     def is_sure(self, name: str, at: int) -> bool:
         """Say whether a variable surely has the last of its values before a place there."""
         known = self._variable(name)
-        return name not in self._changed and known.chosen(at) == known.last_before(at)
+        return name not in self._changed and known.chosen(at) == known.setting_in_force(at)
 
     def assignment_before(self, name: str, at: int) -> tuple[int, str]:
         """Return the last assignment to a variable before a place, and what it says; the last of all where none is before."""

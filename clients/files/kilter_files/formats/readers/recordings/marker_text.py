@@ -9,25 +9,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kilter_files.formats.reader import NO_HINTS, Document, Head, Hints, RecordingReader
-from kilter_files.formats.recordings.marker_header import (
+from kilter_files.formats.marker_header import (
     FRAMES,
     RATE,
     MarkerColumns,
+    canonical_column_name,
     is_recording,
     number_above_table,
     understand,
     unit_above,
 )
-from kilter_files.formats.tracker_header import canonical_column_name
+from kilter_files.formats.reader import NO_HINTS, Document, Head, Hints, RecordingReader
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.cell_numbers import parse_number
 from kilter_files.ground.errors import CUT, FileError, fault
 from kilter_files.ground.later import np
-from kilter_files.ground.orientation import quaternions_from_matrices
 from kilter_files.ground.text_blocks import MISSING, blocks, count_rows, line_number_of_row, numbered_lines
 from kilter_files.ground.text_layout import TextLayout, sniff
-from kilter_files.ground.units import SIZES
+from kilter_files.ground.units import SIZES, quaternions_from_matrices
 from kilter_files.tables.recording import Block, Recording, in_stated_unit, unit_quaternions, without_gaps
 
 if TYPE_CHECKING:

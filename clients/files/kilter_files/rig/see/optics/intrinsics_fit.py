@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from kilter_files.ground.arrays import Floats
 from kilter_files.ground.errors import FileError
-from kilter_files.match.arm import rotations
-from kilter_files.rig.board.opencv import opencv
+from kilter_files.match.rigid_body import rotations
+from kilter_files.rig.board_layout import opencv
 from kilter_files.rig.see.optics.camera import FREE, Camera, project_points
 from kilter_files.rig.see.optics.homography import pose_from_homography
 

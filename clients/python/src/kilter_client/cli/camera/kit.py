@@ -12,11 +12,16 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.files.calibrated_rows import refuse_other_servos, refuse_readings_outside, servo_conditions
-from kilter_client.cli.files.sending import rig_conditions, send
+from kilter_client.cli.files.sending import (
+    refuse_other_servos,
+    refuse_readings_outside,
+    rig_conditions,
+    send,
+    servo_conditions,
+)
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.terminal.output import emit, job_bar, note, print_line
+from kilter_client.cli.terminal.references import job_goes_on, on_interrupt
 from kilter_client.errors import NotFoundError, UsageError
 from kilter_client.files import files_rig
 from kilter_files import prepare

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from kilter_client.bridges.egm import AXES, EgmWire, From, RsiWire
 from kilter_client.bridges.egm import AXES as EGM_AXES
-from kilter_client.bridges.egm import EgmWire
 from kilter_client.bridges.fci import CYCLE_S as FCI_CYCLE_S
 from kilter_client.bridges.plan import Setpoints, open_plan
-from kilter_client.bridges.rsi import AXES, From, RsiWire
 from kilter_client.cli.groups import Group
 from kilter_client.cli.terminal.arguments import Json, Robot
 from kilter_client.cli.terminal.output import emit, print_line
@@ -181,12 +180,7 @@ def fci(
 
 
 def _import_bridge_runtime() -> Any:
-    """Import what a bridge needs.
-
-    Raises:
-        MissingPackageError: the core is not installed.
-
-    """
+    """Import what a bridge needs."""
     try:
         from kilter_client.bridges import running
     except ImportError as error:

@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.reports.activation_report import show_today
-from kilter_client.cli.reports.next_step import format_next
+from kilter_client.cli.reports.answer import format_next
+from kilter_client.cli.reports.results import show_today
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import ColumnMap, File, Json, PayloadCentre, PayloadOnPath, Robot
-from kilter_client.cli.terminal.interrupt import on_interrupt
-from kilter_client.cli.terminal.output import emit, note, print_line, print_lines
-from kilter_client.cli.terminal.session_notes import is_note_due
+from kilter_client.cli.terminal.output import emit, is_note_due, note, print_line, print_lines
+from kilter_client.cli.terminal.references import on_interrupt
 from kilter_client.errors import UsageError
 from kilter_files import prepare
 from kilter_files.tables import CSV_TYPE, JSON_TYPE

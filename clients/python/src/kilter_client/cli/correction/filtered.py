@@ -16,7 +16,7 @@ from kilter_client.errors import UsageError
 from kilter_client.files import files_formats
 
 if TYPE_CHECKING:
-    from kilter_client.results.program import FilteredProgram
+    from kilter_client.results.corrected import FilteredProgram
 
 MOST_LINES = 6  # lines of a program that are named
 

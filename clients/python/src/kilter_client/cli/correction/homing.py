@@ -104,12 +104,7 @@ def homing(
 
 
 def _refuse_other(kilter: Kilter, version: str, calibration: Calibration) -> bool:
-    """Compare the calibration with that of the version's campaigns; False where none states one.
-
-    Raises:
-        ConflictError: a campaign was measured with another one: its zeros are those of another arm.
-
-    """
+    """Compare the calibration with that of the version's campaigns; False where none states one."""
     compared = False
     for campaign in kilter.versions.get(version)["campaigns"]:
         try:

@@ -13,11 +13,16 @@ import typer
 from kilter_client import Kilter
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import Json, VersionId, split_names
-from kilter_client.cli.terminal.interrupt import job_goes_on, on_interrupt
 from kilter_client.cli.terminal.output import emit, job_bar, print_line, show_rows
-from kilter_client.cli.terminal.references import OfRobot, resolve_reference, resolved_options
+from kilter_client.cli.terminal.references import (
+    OfRobot,
+    job_goes_on,
+    on_interrupt,
+    resolve_reference,
+    resolved_options,
+)
 from kilter_client.errors import UsageError
-from kilter_client.results.shown import MODELS as STAGES
+from kilter_client.results.shown_jobs import MODELS as STAGES
 from kilter_client.twin.drives import read_drives
 from kilter_client.twin.onto import lay_onto
 from kilter_client.twin.settled import Settings, ViewErrors, load_model, model_errors, read_measured_rows

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.files.calibrated_rows import calibration_conditions
 from kilter_client.cli.files.inspect import (
     AllowCut,
     Calibration,
@@ -22,10 +21,11 @@ from kilter_client.cli.files.inspect import (
     check_numpy,
     fetch_joint_names,
 )
+from kilter_client.cli.files.sending import calibration_conditions
 from kilter_client.cli.terminal import arguments
 from kilter_client.cli.terminal.arguments import Json
-from kilter_client.cli.terminal.interrupt import on_interrupt
 from kilter_client.cli.terminal.output import emit, note, print_line, upload_bar
+from kilter_client.cli.terminal.references import on_interrupt
 from kilter_client.errors import UsageError
 from kilter_client.files import files_match, files_tables
 from kilter_files import read_joints

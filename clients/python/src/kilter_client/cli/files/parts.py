@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kilter_client.errors import ApiError, KilterError, ObservationError, ServerUnreachableError
-from kilter_client.resources.name_match import is_same_campaign
+from kilter_client.resources import is_same_campaign
 from kilter_files.ground.later import pa, parquet
 from kilter_files.match import Columns
 from kilter_files.tables import PARQUET_TYPE, Prepared

@@ -16,15 +16,22 @@ import typer
 
 from kilter_client import Kilter
 from kilter_client.cli.groups import Group
-from kilter_client.cli.reports.answer import DETAILS, fit_messages
-from kilter_client.cli.reports.next_step import PLACEHOLDER, format_next
+from kilter_client.cli.reports.answer import DETAILS, PLACEHOLDER, fit_messages, format_next
 from kilter_client.cli.robot import circles
 from kilter_client.cli.robot.arm_figure import save_arm
 from kilter_client.cli.stored import keeping
 from kilter_client.cli.stored.versions import write
 from kilter_client.cli.terminal.arguments import Details, Json, PayloadCentre, Retired, Robot, three
-from kilter_client.cli.terminal.output import emit, note, print_line, print_lines, screen_columns, show_list, show_rows
-from kilter_client.cli.terminal.session_notes import is_note_due
+from kilter_client.cli.terminal.output import (
+    emit,
+    is_note_due,
+    note,
+    print_line,
+    print_lines,
+    screen_columns,
+    show_list,
+    show_rows,
+)
 from kilter_client.errors import UsageError
 from kilter_files.robots import Described, checked_name, plain_name, read_robot
 
@@ -134,12 +141,7 @@ def _words(given: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _load(payload_kg: float | None, payload_com_mm: str | None) -> dict[str, Any] | None:
-    """Return the default load that the options state.
-
-    Raises:
-        UsageError: a place without a mass, or no three numbers.
-
-    """
+    """Return the default load that the options state."""
     centre = three("--payload-com-mm", payload_com_mm)
     if payload_kg is None:
         if centre is not None:

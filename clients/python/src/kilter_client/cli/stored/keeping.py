@@ -12,7 +12,7 @@ from kilter_client.cli.terminal.arguments import Json, Robot
 from kilter_client.cli.terminal.output import emit, print_line
 from kilter_client.cli.terminal.references import OfRobot, resolve_reference
 from kilter_client.errors import ApiError, UsageError
-from kilter_client.resources.references import Kind, is_full
+from kilter_client.resources import Kind, is_full
 
 ResourceReference = Annotated[
     str, typer.Argument(metavar="ID", help="Its id or the beginning of it, its name, or `latest`.", show_default=False)

@@ -9,8 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from kilter_client import Kilter
-from kilter_client.cli.reports.activation_report import show_activations, show_active, show_today
-from kilter_client.cli.reports.results import MASSES, show_version
+from kilter_client.cli.reports.results import MASSES, show_activations, show_active, show_today, show_version
 from kilter_client.cli.stored import keeping
 from kilter_client.cli.terminal.arguments import Details, Json, Retired, Robot, VersionId
 from kilter_client.cli.terminal.output import emit, note, number, print_line, show_list, show_rows

@@ -1,13 +1,19 @@
-"""Calls that find what a reference stands for, and those that campaigns and versions have in common."""
+"""Calls that find what a reference stands for, and those that campaigns and versions have in common.
+
+Calls about tokens, who one is, and the audit.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from kilter_client.requests.steps import Document, Steps, address, get, patch, post
+from kilter_client.errors import ConflictError
+from kilter_client.requests.steps import Document, Request, Steps, address, get, patch, post, read
 
 Kind = Literal["campaign", "version", "job"]
 
@@ -90,3 +96,116 @@ def do(kind: Kind, reference: str, what: str, robot: str | None) -> Steps[Docume
 def purge(kind: Kind, full_id: str) -> Steps[Document]:
     """Delete it for good."""
     return post(address(f"{kind}s", full_id, "purge"))
+
+
+PAGE = 1000
+
+
+def whoami() -> Steps[Document]:
+    """Return who sends requests: name and id of the token, its role, and its robots (None: all)."""
+    return get("/v1/whoami")
+
+
+def login_link(minutes: int = 5) -> Steps[Document]:
+    """Make a link that logs a browser in once, in the role of your token; ``path`` follows the server's address.
+
+    ``minutes``: for how long it can be used, at most 60.
+    """
+    return post("/v1/login-links", {"minutes": minutes})
+
+
+def add_token(
+    name: str, role: str = "viewer", *, robots: Sequence[str] | None = None, days: int | None = 365
+) -> Steps[Document]:
+    """Make a token; what to send with requests is in ``token``, this once only.
+
+    ``role`` is "viewer", "operator" or "admin"; ``robots`` None: of all robots; ``days`` None: it never expires.
+
+    Raises:
+        ConflictError: another token has the name.
+
+    """
+    body = {"name": name, "role": role, "robots": None if robots is None else [*robots], "days": days}
+    return post("/v1/tokens", body)
+
+
+def tokens() -> Steps[list[Document]]:
+    """Return the tokens, newest first; also those that expired or were revoked."""
+    found = yield from get("/v1/tokens")
+    return list(found["tokens"])
+
+
+def revoke_token(token: str) -> Steps[Document]:
+    """End a token at once, by its id or by the name of one that was not revoked yet.
+
+    Raises:
+        NotFoundError: there is none.
+
+    """
+    if not token.startswith("tok_"):
+        named = [one for one in (yield from tokens()) if one["name"] == token and one["revoked_at"] is None]
+        token = named[0]["id"] if named else token
+    return (yield from read(Request("DELETE", address("tokens", token))))
+
+
+def audit() -> Steps[list[Document]]:
+    """Return the audit, oldest entry first: who changed what, from where, before and after."""
+    found: list[Document] = []
+    after: str | None = None
+    while True:
+        page = yield from get("/v1/audit", limit=PAGE, after=after)
+        found += page["entries"]
+        after = page["next"]
+        if after is None:
+            return found
+
+
+def verify_audit(head: str | None = None) -> Steps[Document]:
+    """Compute all hashes of the audit anew on this side; return the number and the hash of its last entry.
+
+    ``head`` is what an earlier call returned, as "NUMBER:SHA256": that entry must still be there.
+
+    Raises:
+        ConflictError: an entry was changed, left out or put in, or the noted one is not there any more.
+
+    """
+    number, sha256 = verify_entries((yield from audit()), head)
+    return {"entries": number, "sha256": sha256, "head": f"{number}:{sha256}"}
+
+
+def verify_entries(entries: Iterable[Document], head: str | None = None) -> tuple[int, str]:
+    """Return number and hash of the last of entries that continue each other; raises as ``verify_audit`` does."""
+    number, before, seen = 0, "", head in (None, "0:")
+    for entry in entries:
+        told = {key: value for key, value in entry.items() if key not in ("content", "previous", "sha256")}
+        now = hashlib.sha256(f"{before}\n{entry['content']}".encode()).hexdigest()
+        same_time = {"at": entry["at"]}  # the answer writes the moment otherwise than the stored text
+        if (entry["number"], entry["previous"], entry["sha256"]) != (number + 1, before, now) or told != (
+            json.loads(entry["content"]) | same_time
+        ):
+            raise _broken(f"Entry {number + 1} of the audit is not what was written, or is missing", number)
+        number, before = number + 1, now
+        seen = seen or head == f"{number}:{now}"
+    if not seen:
+        raise _broken(f"The audit does not hold entry {head}", number)
+    return number, before
+
+
+def _broken(what: str, whole: int) -> ConflictError:
+    return ConflictError(
+        f"{what}: somebody changed the database past Kilter, or it is damaged. Entries up to {whole} are whole; compare with "
+        "a backup.",
+        code="audit_broken",
+        whole_up_to=whole,
+    )
+
+
+def health() -> Steps[Document]:
+    """Return whether the server is ready."""
+    return get("/v1/health")
+
+
+def tombstones(robot: str | None = None) -> Steps[list[Document]]:
+    """Return what was purged, newest first."""
+    found = yield from get("/v1/tombstones", **({"robot": robot} if robot else {}))
+    return list(found["tombstones"])

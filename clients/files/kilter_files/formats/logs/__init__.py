@@ -1,1 +1,0 @@
-"""Logs of single instruments: ball bars and inclinometers."""

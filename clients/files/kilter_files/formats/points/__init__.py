@@ -1,1 +1,0 @@
-"""Points and poses of trackers and measuring machines."""

@@ -1,1 +1,0 @@
-"""Recordings of markers: C3D, NDI floating point, and text."""

@@ -1,1 +1,0 @@
-"""Boards that a camera sees: printed in true mm."""

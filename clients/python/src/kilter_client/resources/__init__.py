@@ -1,1 +1,0 @@
-"""Robots, campaigns, versions and jobs as the documents that a server sends, found by what stands for their ids."""

@@ -1,1 +1,0 @@
-"""Rows that are wrong, and what a search warns of in rows."""

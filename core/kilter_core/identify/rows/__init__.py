@@ -1,1 +1,0 @@
-"""What rows say of themselves: noise, errors by kind, influence, measured tilt."""

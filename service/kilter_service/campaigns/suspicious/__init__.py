@@ -1,1 +1,0 @@
-"""Rows that look wrong, and who says so: the one list that every surface shows."""

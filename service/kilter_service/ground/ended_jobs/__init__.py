@@ -1,1 +1,0 @@
-"""How many jobs have ended, and how long they took: counted when they end, for no purge to change it."""

@@ -1,1 +1,0 @@
-"""Files of the server: private, hashed, beside it, and the folder of backups."""

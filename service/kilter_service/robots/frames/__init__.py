@@ -1,1 +1,0 @@
-"""Frames from digitised points."""

@@ -1,1 +1,0 @@
-"""Instruments, their permissible errors and certificates."""

@@ -1,1 +1,0 @@
-"""`kilterd zenoh-config`: certificates and access control of the stream beyond one machine."""

@@ -1,1 +1,0 @@
-"""Bridges: processes between a controller and its arm, which announce themselves."""

@@ -1,1 +1,0 @@
-"""Answers and rules that were kept with activations."""

@@ -1,1 +1,0 @@
-"""The audit: reading it, and whether it is whole."""

@@ -1,1 +1,0 @@
-"""Requests that are done once, however often they are sent."""

@@ -1,1 +1,0 @@
-"""What the processes say about themselves: logs, metrics and traces."""

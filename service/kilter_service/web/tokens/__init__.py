@@ -1,1 +1,0 @@
-"""Tokens: who may do what, with which robots, until when."""
