@@ -10,7 +10,7 @@ import pytest
 from kilter_core.twin import thesis_katana
 from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow
-from kilter_service.ground.ended_jobs.store import list_searches_in_torques
+from kilter_service.ground.store import list_searches_in_torques
 from kilter_service.jobs import store as jobs
 from kilter_service.jobs.kind import VersionContent
 from kilter_service.versions import store as versions

@@ -3,7 +3,7 @@
 The sign is that of the *load*: what gravity and inertia of the outboard links do to the joint, so a positive
 compliance makes a horizontal arm droop. Moments are taken on the chain of the robot that is given: the nominal one, or one
 with constants that an earlier fit found (:class:`LoadChain`); at the joint readings, or where a
-:class:`~kilter_core.arm.loads.wrenches.Deflection` says that the arm hangs.
+:class:`~kilter_core.arm.load_wrenches.Deflection` says that the arm hangs.
 """
 
 from __future__ import annotations

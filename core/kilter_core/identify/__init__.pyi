@@ -15,7 +15,7 @@ from .fit.robust import RowErrors as RowErrors
 from .fit.robust import mean_marker_error as mean_marker_error
 from .fit.robust import whitened_row_sizes as whitened_row_sizes
 from .fleet_prior import FleetVersion as FleetVersion
-from .fleet_prior import fleet_prior as fleet_prior
+from .fleet_prior import fit_fleet_prior as fit_fleet_prior
 from .fleet_prior import same_type as same_type
 from .holdout import Folds as Folds
 from .holdout import fold_splits as fold_splits

@@ -146,7 +146,7 @@ class FleetPrior:
         }
 
 
-def fleet_prior(model: RobotModel, free: Sequence[str], versions: Sequence[FleetVersion]) -> FleetPrior:
+def fit_fleet_prior(model: RobotModel, free: Sequence[str], versions: Sequence[FleetVersion]) -> FleetPrior:
     """The prior of a fit of the parameters ``free`` of a ``model`` from ``versions`` of other robots, one of each.
 
     Raises:
@@ -253,7 +253,7 @@ def of_its_type(
     """
     if options.prior is None:
         return begin, None
-    found = fleet_prior(begin.model, free_parameter_names(begin, train, options), versions or ())
+    found = fit_fleet_prior(begin.model, free_parameter_names(begin, train, options), versions or ())
     found = replace(found, left_one_out=left_one_out(begin.model, found.versions))
     return replace(begin, model=replace(begin.model, of_type=found.prior)), found
 

@@ -17,7 +17,7 @@ from kilter_core.arm.driving_order import driving_order, joint_ranges
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import Effect
 from kilter_core.errors import RobotError
-from kilter_core.identify.fleet_prior import FleetVersion, fleet_prior
+from kilter_core.identify.fleet_prior import FleetVersion, fit_fleet_prior
 from kilter_core.identify.options import IdentifyOptions
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.model.general_inverse import reach
@@ -74,7 +74,7 @@ def _prior_widths_and_correlation(
 ) -> tuple[Floats, Floats | None]:
     """Widths (P,) of the priors, and their covariance (P, P) in these where other robots of the type say it."""
     parameters = [model.parameters[k] for k in free]
-    of_type = None if fleet is None else fleet_prior(model, [p.name for p in parameters], fleet).prior
+    of_type = None if fleet is None else fit_fleet_prior(model, [p.name for p in parameters], fleet).prior
     prior = Prior.from_parameters(parameters, of_type, model.robot.told_loads)
     return prior.sigma, prior.correlation
 

@@ -13,7 +13,7 @@ from kilter_core.arm.robot import Robot
 from kilter_core.gap import GapOptions, GapReport, find_gap
 from kilter_core.motion import find_missing_torque, with_torques_told
 from kilter_core.observations import Observations
-from kilter_service.jobs.inputs.plain import to_json_types
+from kilter_service.jobs.setups import to_json_types
 from tests.core.motion.moving_arm import Logger
 from tests.core.motion.test_loads import solid
 from tests.core.truth import Floats

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from kilter_core.errors import CoreError
-from kilter_core.identify import Predictive, fleet_prior, restrict_to_what_moves_the_tool
+from kilter_core.identify import Predictive, fit_fleet_prior, restrict_to_what_moves_the_tool
 from kilter_core.parameters import FittedNumber, draw_ranges, indices, write_json_for_yaml
 from kilter_service.ground.errors import ServiceError
 from kilter_service.robots.exporters.exportable import Exportable, Written
@@ -55,7 +55,7 @@ def ranges(version: Exportable) -> Written:
         "model_draws have the numbers of --format mjcf that a draw changes; all others are those of that file.",
     ]
     try:
-        prior = fleet_prior(calibration.model, known.names, version.fleet).prior
+        prior = fit_fleet_prior(calibration.model, known.names, version.fleet).prior
     except CoreError:  # too few, or fitted otherwise
         notes.append(
             "No ranges of other arms of the type: they take versions of five other robots with the same effects and free "
