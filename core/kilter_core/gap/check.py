@@ -32,6 +32,7 @@ from kilter_core.gap.search.select import HIDING, Selector
 from kilter_core.gap.study import beginning, refuse_other_confirmation, split_held_out_rows
 from kilter_core.identify.comparison import count_poses, thin_poses
 from kilter_core.identify.plausibility.belonging import refuse_mixed_up
+from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.model import Calibration
 from kilter_core.observations import Observations
 from kilter_core.observations.groups import is_trajectory
@@ -162,14 +163,11 @@ def check_gap(
     begin = beginning(robot, start, observations, options)
     given = (one for one in (observations, validation) if isinstance(one, Observations))
     refuse_other_confirmation(robot, begin, given, confirmation)
-    searched, held = split_held_out_rows(observations, validation, options.seed)
+    refuse_mixed_up(begin, observations)
+    ((seen_rows, unseen_rows), _, _), looking = run_and_time(lambda: seen_poses(begin, observations, validation))
+    searched, held = split_held_out_rows(seen_rows, unseen_rows, options.seed)
     rows = _fewer(searched)
-
-    def begun() -> Prepared:
-        refuse_mixed_up(begin, observations)
-        return prepare_data(begin, rows, options, unheard)
-
-    prepared, took = run_and_time(begun)
+    prepared, preparing = run_and_time(lambda: prepare_data(begin, rows, options, unheard))
     unseen = held is not None or confirmation is not None
     seen = testability(prepared.problem, prepared.library)
     judged = _extrapolate_to_all_rows(seen, prepared.library, len(rows) / len(searched))
@@ -178,7 +176,7 @@ def check_gap(
         untestable(prepared.library, judged, prepared.problem, prepared.visits.observations),
         count_poses(rows),
         count_poses(searched),
-        probe(prepared, seen, options, took, unseen).search(len(searched) / len(rows)),
+        looking + probe(prepared, seen, options, preparing, unseen).search(len(searched) / len(rows)),
     )
 
 

@@ -10,8 +10,9 @@ import pinocchio as pin
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
-from kilter_core.gap import GapReport, find_gap
+from kilter_core.gap import GapReport, check, find_gap
 from kilter_core.gap.options import GapOptions
+from kilter_core.gap.search.prepare import prepare_data
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.identify.seen_poses import seen_poses
 from kilter_core.measurement.poses import typical_deviations, weights
@@ -61,6 +62,20 @@ def seen_by(scene: Scene, seed: int) -> Observations:
 def search(scene: Scene, rows: Observations) -> GapReport:
     quick = GapOptions(permutations=3, resamples=10, bootstraps=199, effects=LOOKED_FOR, next_poses=0)
     return find_gap(robot_from_document(scene.drawn.document()), rows, quick)
+
+
+def test_a_check_looks_at_the_poses_that_a_search_looks_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It had fitted cameras and boards anew for every step of the arm, and did not end."""
+    looked: list[Observations] = []
+    monkeypatch.setattr(
+        check, "prepare_data", lambda begin, rows, *rest: looked.append(rows) or prepare_data(begin, rows, *rest)
+    )
+    scene = eye_to_hand({}, STIFF)
+    rows = seen_by(scene, 3)
+    said = check.check_gap(robot_from_document(scene.drawn.document()), rows, GapOptions(effects=LOOKED_FOR))
+    assert all(one.pixels is None and one.position is not None for one in looked)
+    assert said.poses == 50
+    assert {one.id for one in said.testable} >= {"axial_compliance", "backlash", "eccentricity"}
 
 
 @pytest.mark.parametrize("scene", [eye_to_hand({}, STIFF), eye_in_hand({}, STIFF)], ids=["to_hand", "in_hand"])
