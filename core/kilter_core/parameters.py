@@ -12,10 +12,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property
+from statistics import NormalDist
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.special import ndtri
 
 from kilter_core.errors import OptionError
 from kilter_core.types import Bools, Floats, Ints
@@ -263,7 +263,7 @@ def draw_ranges(
         )
     centre = np.array([math.log(max(one.value, 1e-300)) if one.log else one.value for one in numbers])
     sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    half = float(ndtri(0.5 + 0.5 * level)) * sigma
+    half = NormalDist().inv_cdf(0.5 + 0.5 * level) * sigma
     scale = np.where(sigma > 0.0, sigma, 1.0)  # metres beside radians per newton metre: correlations keep their digits
     sizes, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
     normal = np.random.default_rng(seed).normal(size=(draws, len(numbers)))

@@ -408,6 +408,8 @@ def _version(
     session: Session, row: JobRow, content: VersionContent | None, result: Mapping[str, Any], used: Sequence[UsedRecord]
 ) -> NewVersion | None:
     """Return the version that a job makes; one of a log of torques makes that which it starts from, with the torques found."""
+    if content is None and not result.get(MOTION):
+        return None
     request, kind = JobRequest.from_document(row.request), get_job_kind(row.kind)
     named = request.options.get(kind.contract.version_option) if kind.contract.version_option else None
     named = (content.parent_id if content is not None else None) or named

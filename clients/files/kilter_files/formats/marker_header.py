@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
+from kilter_files.ground.later import np
 from kilter_files.ground.text_layout import TextLayout, name_and_unit
 from kilter_files.ground.units import SIZES
 from kilter_files.tables.recording import Recording

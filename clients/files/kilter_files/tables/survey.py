@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-from kilter_files.ground.arrays import Bools, Floats, Ints
+from kilter_files.ground.later import np
 from kilter_files.ground.units import SIZES
 from kilter_files.tables.recording import Block, Recording
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from kilter_files.ground.arrays import Bools, Floats, Ints
 
 FAR_MM = 30_000.0  # no optical tracker sees markers 30 m away
 NEAR_MM = 50.0  # a tracker stands farther away

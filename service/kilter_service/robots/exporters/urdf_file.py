@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from kilter_core.errors import RobotError
-from kilter_core.model import FlangeFrames, flange_frames
-from kilter_core.transforms import inverse
+from kilter_core.transforms import inverse, rotation_exp
 from kilter_core.types import Floats
 from kilter_service.ground.core import core_arm, core_model
 from kilter_service.robots.exporters.exportable import Exportable, Written, numbers, omissions, set_origin
@@ -24,7 +22,7 @@ from kilter_service.robots.importers.urdf_tree import UrdfJoint, parse, read_xml
 
 if TYPE_CHECKING:
     from kilter_core.arm import Joint, JointFrames, Link, Robot, Screws
-    from kilter_core.model import Calibration
+    from kilter_core.model import Calibration, FlangeFrames
 
 
 SAME = 1e-12
@@ -35,7 +33,7 @@ def urdf_file(version: Exportable) -> Written:
     notes = omissions(version.calibration)
     if version.robot["convention"] == "urdf":
         root = _correct_original_urdf(
-            version.robot, flange_frames(version.calibration), version.calibration.robot.chain.driven
+            version.robot, core_model.flange_frames(version.calibration), version.calibration.robot.chain.driven
         )
     else:
         root = new_urdf(version.version.robot, version.calibration)
@@ -79,7 +77,7 @@ def _at_zero(joint: UrdfJoint) -> Floats:
     if joint.kind == "prismatic":
         T[:3, 3] = joint.axis * joint.mimic.offset
         return T
-    T[:3, :3] = Rotation.from_rotvec(joint.axis * joint.mimic.offset).as_matrix()
+    T[:3, :3] = rotation_exp(joint.axis * joint.mimic.offset)
     return T
 
 

@@ -14,15 +14,15 @@ from kilter_client.cli.terminal.arguments import split_names
 from kilter_client.cli.terminal.output import emit, job_bar, print_line, show_rows
 from kilter_client.errors import MissingPackageError, UsageError
 from kilter_client.files import files_formats
-from kilter_client.twin.simulators import Rendered
 from kilter_files.formats import LogHints
 from kilter_files.ground.later import later
 
 with later(__name__):  # it has the core, which a client alone does without
-    from kilter_client.twin import servo_gap
+    from kilter_client.twin import servo_gap, simulators
 
 if TYPE_CHECKING:
     from kilter_client.twin.servo_gap import Patched
+    from kilter_client.twin.simulators import Rendered
 
 ERRORS = {"stated": "your model", "servo_fitted": "its servos fitted", "found": "with what was found"}
 
@@ -107,7 +107,7 @@ def _render(asked: ModelSearch, document: Mapping[str, Any], copy: Patched) -> R
     text, _ = files_formats.with_zero_offsets(calibration, zeros, asked.norm_mode or "RANGE_M100_100", asked.servos)
     listed = ", ".join(f"{joint} by {degrees:.2f} deg" for joint, degrees in zeros.items())
     notes = f"LeRobot: homing offsets of {listed}. Friction, gains and delays have no place in its files."
-    return Rendered(text, (notes,))
+    return simulators.Rendered(text, (notes,))
 
 
 def _search(model: Path, logs: Sequence[str], asked: ModelSearch, as_json: bool) -> tuple[dict[str, Any], Patched]:

@@ -115,7 +115,7 @@ def _write_joint(
     name, kind = model.joint(joint).name, int(model.jnt_type[joint])
     if kind not in (HINGE, SLIDE):
         raise FileError(
-            f"{name} is a free or ball joint, and SDF is written for hinges and slides.", code="model_joint"
+            f"{name} is a ball joint or free, and SDF is written for revolute and prismatic joints.", code="model_joint"
         )
     own = SubElement(tree, "joint", name=name, type="revolute" if kind == HINGE else "prismatic")
     SubElement(own, "parent").text, SubElement(own, "child").text = parent, child
