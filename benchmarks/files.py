@@ -29,7 +29,7 @@ from pathlib import Path
 from kilter_files.formats.registry import open_recording
 from kilter_files.match.dwells import RestOptions, find_dwells
 from kilter_files.match.matching import marker_columns
-from kilter_client.cli.files.match import cut_parquet_parts
+from kilter_client.cli.files.parts import cut_parquet_parts
 start, busy = time.perf_counter(), time.process_time()
 recording = open_recording(Path(sys.argv[1]))
 frames = sum(len(block) for block in recording.blocks())

@@ -16,7 +16,7 @@ import pytest
 
 from kilter_client import ConflictError, Kilter, ObservationError, ServerUnreachableError
 from kilter_client.cli import run
-from kilter_client.cli.files.match import cut_parquet_parts, send_whole
+from kilter_client.cli.files.parts import cut_parquet_parts, send_whole
 from tests.clients.answered import document
 from tests.clients.files.simulated import arm, stops, wander, write_log, write_n3d
 from tests.service.forked import ForkedPopen
@@ -146,7 +146,7 @@ def test_a_killed_client_leaves_nothing_to_see(kilter: Kilter, server: Path) -> 
     robot = three_joints(kilter, "killed-robot")
     code = (
         "import os, signal\nfrom kilter_client import Kilter\n"
-        "from kilter_client.cli.files.match import cut_parquet_parts, send_whole\n"
+        "from kilter_client.cli.files.parts import cut_parquet_parts, send_whole\n"
         "from tests.clients.files.test_sending import WANTED, blocks\n"
         "def stop(rows, there, seen=[]):\n    seen.append(rows)\n    len(seen) == 3 and os.kill(os.getpid(), signal.SIGKILL)\n"
         f"send_whole(Kilter(), {robot!r}, WANTED, lambda: cut_parquet_parts(blocks(), 200), stop)\n"
