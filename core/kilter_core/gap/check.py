@@ -163,12 +163,16 @@ def check_gap(
     begin = beginning(robot, start, observations, options)
     given = (one for one in (observations, validation) if isinstance(one, Observations))
     refuse_other_confirmation(robot, begin, given, confirmation)
-    refuse_mixed_up(begin, observations)
-    ((seen_rows, unseen_rows), _, _), looking = run_and_time(lambda: seen_poses(begin, observations, validation))
-    searched, held = split_held_out_rows(seen_rows, unseen_rows, options.seed)
-    rows = _fewer(searched)
-    prepared, preparing = run_and_time(lambda: prepare_data(begin, rows, options, unheard))
-    unseen = held is not None or confirmation is not None
+
+    def begun() -> tuple[Observations, Observations, bool, Prepared]:
+        refuse_mixed_up(begin, observations)
+        (seen_rows, unseen_rows), _, _ = seen_poses(begin, observations, validation)
+        searched, held = split_held_out_rows(seen_rows, unseen_rows, options.seed)
+        rows = _fewer(searched)
+        return searched, rows, held is not None, prepare_data(begin, rows, options, unheard)
+
+    (searched, rows, held_out, prepared), took = run_and_time(begun)
+    unseen = held_out or confirmation is not None
     seen = testability(prepared.problem, prepared.library)
     judged = _extrapolate_to_all_rows(seen, prepared.library, len(rows) / len(searched))
     return GapCheck(
@@ -176,7 +180,7 @@ def check_gap(
         untestable(prepared.library, judged, prepared.problem, prepared.visits.observations),
         count_poses(rows),
         count_poses(searched),
-        looking + probe(prepared, seen, options, preparing, unseen).search(len(searched) / len(rows)),
+        probe(prepared, seen, options, took, unseen).search(len(searched) / len(rows)),
     )
 
 

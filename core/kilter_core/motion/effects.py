@@ -45,12 +45,12 @@ class JointSignals:
     fade: float
 
     @property
-    def breaking_loose(self) -> Floats:
+    def fading_column(self) -> Floats:
         """The friction of breaking loose of one newton metre."""
         return np.asarray(self.sign * np.exp(-((self.qd / self.fade) ** 2)))
 
     @property
-    def late(self) -> Floats:
+    def delay_column(self) -> Floats:
         """What a delay of one second adds: the secant between the model and the model as late as it looks."""
         return (np.interp(self.t - self.delay_s, self.t, self.in_time) - self.in_time) / self.delay_s
 
@@ -138,7 +138,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "friction of breaking loose (Stribeck)",
         SPEED,
         (("friction", "N m"),),
-        _single_column(lambda s: s.breaking_loose),
+        _single_column(lambda s: s.fading_column),
         remedy="slow motions, below a tenth of the usual speed, in both directions",
     ),
     MotionEffect(
@@ -199,7 +199,7 @@ MOTION_EFFECTS: tuple[MotionEffect, ...] = (
         "delay of the torque",
         TIME_SHIFT,
         (("delay", "s"),),
-        _single_column(lambda s: s.late),
+        _single_column(lambda s: s.delay_column),
         within=(-0.25, 0.25),
         follows_model=True,
         remedy="fast reversals, and both signals on one clock",

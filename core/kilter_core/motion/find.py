@@ -39,7 +39,7 @@ FEWEST_RIPPLE_ROWS = 50
 FEWEST_PERIODS = 4.0  # of a ripple that a joint must have passed
 LOWEST, HIGHEST = 3, 400  # per turn; slower ones are curves of the joint
 LATEST_S = 0.2  # that a delay is looked for
-FADE_SHARES = tuple(np.geomspace(0.06, 0.6, 9).tolist())  # of the usual speed, at which breaking loose may have faded
+FADE_SHARES = tuple(np.geomspace(0.06, 0.4, 8).tolist())  # of the usual speed, at which breaking loose may have faded
 BAND_SHARE = 0.8  # of the cut-off: faster ripples are filtered away at the joint's usual speed
 
 
@@ -360,9 +360,9 @@ def find_delays_and_fades(log: Log, equations: Equations) -> tuple[list[float], 
         at = part.t[part.rows, None] + np.append(late, 0.0)
         for j, own in enumerate(fades.tolist()):
             signals = layout.signals(part, bodies, j, None)
-            loose = [replace(signals, fade=fade).breaking_loose for fade in own]
+            loose = [replace(signals, fade=fade).fading_column for fade in own]
             model = part.smooth(np.column_stack([layout.joint_columns(part, bodies, j, None), *loose]))
-            tau = part.filtered(part.tau[:, j] - bodies.stated[:, j])
+            tau = part.filter_columns(part.tau[:, j] - bodies.stated[:, j])
             both = np.concatenate([model, np.interp(at, part.t, tau)], axis=1)[use[:, j]]
             sums[j] = sums[j] + both.T @ both
         rows += len(use)

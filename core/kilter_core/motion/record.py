@@ -69,9 +69,9 @@ class Part(Path):
 
     def smooth(self, columns: Floats) -> Floats:
         """Return columns (N, ...) filtered as the torques are, at the :attr:`rows` that are compared."""
-        return self.filtered(columns)[self.rows]
+        return self.filter_columns(columns)[self.rows]
 
-    def filtered(self, columns: Floats) -> Floats:
+    def filter_columns(self, columns: Floats) -> Floats:
         """Return columns (N, ...) filtered as the torques are."""
         return _filter_columns(columns, self.cut_off_hz, self.step_s)
 
