@@ -186,6 +186,7 @@ def test_a_version_holds_the_torques_of_a_log_that_started_from_it(
         assert refused.value.code == "no_torque_model"
         kilter.versions.activate(first, force=True, reason="a test of torques")
         found = kilter.identify("holding", "log", start=first, name="by log")
+        assert not any(one["code"] == "options_unused" for one in found["warnings"])
         second = found["version_id"]
         held, before = (json.loads(kilter.versions.export(one, "json")) for one in (second, first))
         model = held["calibration_si"].pop("torques")

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from kilter_core.observations import Observations
 
 
-READ = ("effects", "seed")
+READ = ("effects", "seed", "start")  # with a start, a version is made of it and the torques
 
 
 def as_session(rows: Observations) -> Observations:
@@ -95,7 +95,9 @@ def _unused_options(job: JobInput) -> list[dict[str, Any]]:
     unused = [n for n, field in fields if n not in READ and asked[n] != field.get_default(call_default_factory=True)]
     if not unused:
         return []
-    message = f"{', '.join(unused)} did nothing: logs of torques are told by effects and seed alone. Leave them out."
+    message = (
+        f"{', '.join(unused)} did nothing: logs of torques are told by effects, seed and start alone. Leave them out."
+    )
     return [{"code": "options_unused", "message": message}]
 
 
