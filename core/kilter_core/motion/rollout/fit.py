@@ -23,6 +23,7 @@ LEAST_FRICTION, LEAST_DAMPING = 0.02, 0.02  # of the usual torque (and per usual
 GEAR_DAMPING_S = 0.002  # damping of a gear over its stiffness, to begin with
 SLIP_SHARE = 0.05  # of the usual speed, at which breaking loose has faded
 STARTS = ((0.0, 0.0), (1e-3, 0.0), (0.0, 2e-2))  # rad and rad/s, by which a start is moved to find its best
+DIVERGED_RAD = 3e4  # what a simulation that ran away counts as
 BASE = (
     Number("armature", place.ARMATURE, "kg m2", "log", (0.3, 1.0, 3.0)),
     Number("friction", place.FRICTION, "N m", "log", (1.0,)),
@@ -264,4 +265,4 @@ def _mean_square(record: JointRecord, p: Floats, rows: Bools) -> float:
     """Mean square (rad2) that a joint with these numbers leaves on some rows; large where it diverges."""
     rows = rows & record.used
     left = (record.reading - simulate(record, p, np.unique(record.episode[rows]).tolist()))[rows]
-    return float(np.nan_to_num(np.mean(left**2), nan=1e9))
+    return float(np.mean(np.nan_to_num(np.clip(left, -DIVERGED_RAD, DIVERGED_RAD), nan=DIVERGED_RAD) ** 2))
