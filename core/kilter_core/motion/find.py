@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,10 +19,10 @@ from kilter_core.motion.fit import (
     fit_terms,
     joint_weights,
 )
-from kilter_core.motion.layout import DELAY_STEP_S, Known, Layout, Term
+from kilter_core.motion.layout import DELAY_STEP_S, Bodies, Known, Layout, Term
 from kilter_core.motion.model import TorqueModel
 from kilter_core.motion.normal import Equations, form_equations
-from kilter_core.motion.record import Log, clipped_rows
+from kilter_core.motion.record import Log, Part, clipped_rows
 from kilter_core.motion.search import Judged, Split, judge_terms, search_terms, split_motions
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Progress, unheard
@@ -330,19 +330,26 @@ def _measure_ripple(order: float, q: Floats, r: Floats) -> float:
     return float(along @ np.linalg.pinv(waves.T @ waves) @ along)
 
 
+def _first_parts(log: Log, layout: Layout) -> Iterator[tuple[Part, Bodies, Bools]]:
+    """Parts of a log, until they have :data:`RIPPLE_ROWS` rows; what all joints share, and which rows of each joint count."""
+    rows = 0
+    for part in log.parts():
+        use = (part.moving & part.usable)[part.rows]
+        yield part, layout.bodies(part), use
+        rows += len(use)
+        if rows > RIPPLE_ROWS:
+            return
+
+
 def _list_residuals(log: Log, equations: Equations, fit: Fit) -> list[Floats]:
     """Angles and what is left of the torques (2, N) of each joint where it moves."""
-    layout, rows = equations.layout, 0
+    layout = equations.layout
     found: list[list[Floats]] = [[] for _ in equations.products]
-    for part in log.parts():
-        bodies, use = layout.bodies(part), (part.moving & part.usable)[part.rows]
+    for part, bodies, use in _first_parts(log, layout):
         for j, one in enumerate(found):
             model = layout.joint_columns(part, bodies, j, None) @ fit.theta[equations.places[j]]
             left = part.smooth(part.tau[:, j] - bodies.stated[:, j] - model)
             one.append(np.stack([part.q[part.rows, j], left])[:, use[:, j]])
-        rows += len(use)
-        if rows > RIPPLE_ROWS:
-            break
     return [np.concatenate(one, axis=1) for one in found]
 
 
@@ -350,13 +357,12 @@ def find_delays_and_fades(log: Log, equations: Equations) -> tuple[list[float], 
     """Return by how much the torque of each joint (n,) looks late, s, never zero; and the speed, rad/s or m/s, at which the
     friction of breaking loose looks faded. Each is what the joint's own columns leave least with.
     """
-    layout, rows = equations.layout, 0
+    layout = equations.layout
     late = np.arange(-LATEST_S, LATEST_S + 0.5 * DELAY_STEP_S, DELAY_STEP_S)
     late = late[np.abs(late) > 0.5 * DELAY_STEP_S]
     fades = np.outer(layout.speeds, FADE_SHARES)
     sums: list[Floats | float] = [0.0] * len(equations.places)
-    for part in log.parts():
-        bodies, use = layout.bodies(part), (part.moving & part.usable)[part.rows]
+    for part, bodies, use in _first_parts(log, layout):
         at = part.t[part.rows, None] + np.append(late, 0.0)
         for j, own in enumerate(fades.tolist()):
             signals = layout.signals(part, bodies, j, None)
@@ -365,9 +371,6 @@ def find_delays_and_fades(log: Log, equations: Equations) -> tuple[list[float], 
             tau = part.filter_columns(part.tau[:, j] - bodies.stated[:, j])
             both = np.concatenate([model, np.interp(at, part.t, tau)], axis=1)[use[:, j]]
             sums[j] = sums[j] + both.T @ both
-        rows += len(use)
-        if rows > RIPPLE_ROWS:
-            break
     left = [_remove_columns(np.asarray(one), len(k)) for one, k in zip(sums, equations.places, strict=True)]
     loose_at = [_best_column(one[: len(FADE_SHARES), : len(FADE_SHARES)], one[: len(FADE_SHARES), -1]) for one in left]
     late_at = [int(np.argmin(np.diag(one)[len(FADE_SHARES) : -1])) for one in left]
