@@ -57,11 +57,17 @@ def of_kilter(data: Campaign) -> dict[str, Any]:
     train = Observations(data.q, position=data.position * 1e-3)
     held = Observations(data.q_held, position=data.position_held * 1e-3)
     result = identify(arm, train, held, options)
+    draw = np.random.default_rng(0)
+
+    def identify_new_rows() -> None:  # what is kept of rows seen before helps nobody who has new ones
+        rows = Observations(data.q, position=data.position * 1e-3 + draw.normal(scale=1e-9, size=data.position.shape))
+        identify(arm, rows, None, options)
+
     return {
         "seconds": best_of(
             lambda: estimate(Calibration.nominal(arm), Measurement.from_observations(train), options), ROUNDS
         ),
-        "whole_seconds": best_of(lambda: identify(arm, train, None, options), ROUNDS),
+        "whole_seconds": best_of(identify_new_rows, ROUNDS),
         "parameters": len(result.free_names),
         "held_out_mm": result.metrics["validation"]["identified"]["mean_mm"],
     }

@@ -85,6 +85,7 @@ RIDGE = 1e-4  # of a row's weight: poses that share an orientation cannot tell t
 WALKED = 6  # of the places looked at, the best, from which a walk begins
 TOGETHER, STEPS = 6, 20  # steps of all walks, then of the best one
 DAMPING, LEAST_DAMPING = 2e-3, 1e-13
+SMALLEST_RAD = 1e-12  # of a rotation, below which its formula divides by it all the same
 SETTLED = 1e-9  # share of the loss that another step must gain
 AXES = skew(np.eye(3))
 LEVER = 0.1  # of the spread of the points, m that a radian of orientation counts for: positions decide where they can
@@ -174,9 +175,9 @@ def _refine_rotations(loss: _Loss, turns: Floats, steps: int) -> Floats:
 
 def _rotations(w: Floats) -> Floats:
     """Rotations (K, 3, 3) by rotation vectors (K, 3): Rodrigues' formula."""
-    angle = np.linalg.norm(w, axis=1)[:, None, None]
+    angle = np.maximum(np.sqrt(np.sum(w * w, axis=1)), SMALLEST_RAD)[:, None, None]
     W = skew(w)
-    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * W + 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * (W @ W))
+    return np.asarray(np.eye(3) + np.sin(angle) / angle * W + 2.0 * (np.sin(0.5 * angle) / angle) ** 2 * (W @ W))
 
 
 @cache

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.special import fdtrc
@@ -148,6 +148,13 @@ def place(flange: Floats, points: Floats, limit: float = np.inf) -> Placed:
 
     What leaves more than ``limit`` m with all rows is not placed again without the farthest.
     """
+    flange, points = np.ascontiguousarray(flange), np.ascontiguousarray(points)
+    return _place_once(flange.tobytes(), points.tobytes(), limit)
+
+
+@lru_cache(maxsize=4)  # several checks look at the same rows
+def _place_once(flange_bytes: bytes, point_bytes: bytes, limit: float) -> Placed:
+    flange, points = np.frombuffer(flange_bytes).reshape(-1, 4, 4), np.frombuffer(point_bytes).reshape(-1, 3)
     near = np.ones(len(points), dtype=bool)
     placed = _fit_placement(flange, points, near, None)
     for _ in range(STEPS if placed.size <= limit else 0):

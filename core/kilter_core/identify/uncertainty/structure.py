@@ -70,11 +70,13 @@ class Structure:
         if freedom < EQUATIONS_PER_JOINT * L.shape[2] or not np.any(left):
             return None
         sliding = np.array([joint.kind == "prismatic" for joint in problem.model.robot.joints])
-        columns, weights = _over_joints(L, rows.q[poses.first], sliding)
-        parts = (columns, _over_time(L, poses.when, of_points))
-        smooth, drifting = (_remove_fitted_part(basis, one.reshape(len(said), -1)[said]) for one in parts)
-        found = _read([*(smooth * weight for weight in weights), drifting], left, freedom, points)
-        without = _without_pose(basis, left, np.nonzero(said)[0] // r.shape[1])[points]
+        shapes, kind = _shapes(rows.q[poses.first], sliding)
+        levers = L.reshape(len(said), -1)[said]
+        of_pose = np.nonzero(said)[0] // r.shape[1]
+        drifting = _over_time(L, poses.when, of_points).reshape(len(said), -1)[said]
+        smooth = [_Kernel.of_shapes(levers, shapes * _weights(bend)[kind], of_pose, basis, left) for bend in BENDS]
+        found = _read([*smooth, _Kernel.of_columns(_remove_fitted_part(basis, drifting), left)], left, freedom, points)
+        without = _without_pose(basis, left, of_pose)[points]
         return replace(found, reach=_reach(without / np.sqrt(left @ left / freedom)))
 
 
@@ -106,16 +108,58 @@ class _Poses:
         return np.asarray(total * (self.root / count).reshape(-1, *[1] * (values.ndim - 1)))
 
 
-def _read(kernels: list[Floats], left: Floats, freedom: int, points: Bools) -> Structure:
-    """Average over kernels and shares; the ``columns (R, K)`` of a kernel are what the fit did not follow."""
+@dataclass(frozen=True)
+class _Kernel:
+    """A covariance K (R, R) of what the fit did not follow, by the smaller of itself and X'X where K = XX'.
+
+    ``gram`` is that, ``start`` the residuals r or X'r, ``of_rows (R,)`` the diagonal of K.
+    """
+
+    gram: Floats
+    start: Floats
+    of_rows: Floats
+
+    @staticmethod
+    def of_columns(columns: Floats, left: Floats) -> _Kernel:
+        """From columns X (R, K) and residuals ``left (R,)``."""
+        wide = columns.shape[1] > columns.shape[0]
+        gram, start = (columns @ columns.T, left) if wide else (columns.T @ columns, columns.T @ left)
+        return _Kernel(gram, start, np.sum(columns**2, axis=1))
+
+    @staticmethod
+    def of_shapes(levers: Floats, shapes: Floats, of_pose: Ints, basis: Floats, left: Floats) -> _Kernel:
+        """From levers (R, n) times shapes (G, K) of each row's pose, without the fitted directions ``basis (R, k)``.
+
+        Every joint has the same shapes: their covariance is that of the levers times that of the shapes, entry by entry.
+        """
+        if levers.shape[1] * shapes.shape[1] <= len(levers):
+            return _Kernel.of_columns(_remove_fitted_part(basis, _products(levers, shapes[of_pose])), left)
+        whole = (levers @ levers.T) * (shapes @ shapes.T)[np.ix_(of_pose, of_pose)]
+        seen = whole @ basis
+        seen -= basis @ (0.5 * basis.T @ seen)
+        both = seen @ basis.T
+        whole -= both
+        whole -= both.T
+        return _Kernel(whole, left, np.diagonal(whole).copy())
+
+    def log_likelihoods(self, left: Floats, freedom: int, ratios: Floats) -> Floats:
+        """Logarithms of the restricted likelihoods of variance ratios, against that of noise alone."""
+        whole = float(left @ left)
+        log_det, part = _solve_shifted(self.gram, self.start, ratios)
+        rest = part + SMALL * whole if self.start is left else whole - ratios * part
+        return np.asarray(-0.5 * (log_det + freedom * np.log(np.maximum(rest / whole, SMALL))))
+
+
+def _read(kernels: list[_Kernel], left: Floats, freedom: int, points: Bools) -> Structure:
+    """Average over kernels and shares."""
     likelihood, shares = [], []
-    for columns in kernels:
-        size = float(np.sum(columns**2)) / freedom
+    for kernel in kernels:
+        size = float(np.sum(kernel.of_rows)) / freedom
         if size <= 0.0:
             continue
-        here = float(np.sum(columns[points] ** 2)) / points.sum() * len(points) / freedom / size
+        here = float(np.mean(kernel.of_rows[points])) * len(points) / freedom / size
         ratio = SHARES / (1.0 - SHARES)
-        likelihood.append(_likelihoods(columns, left, freedom, ratio / size))
+        likelihood.append(kernel.log_likelihoods(left, freedom, ratio / size))
         shares.append(ratio * here / (1.0 + ratio * here))
     if not likelihood:
         return Structure(0.0, 0.0)
@@ -138,18 +182,6 @@ def _without_pose(basis: Floats, left: Floats, pose: Ints) -> Floats:
 
 def _reach(z: Floats) -> float:
     return max(1.0, float(np.quantile(np.abs(z), 0.95)) / QUANTILE)
-
-
-def _likelihoods(columns: Floats, left: Floats, freedom: int, ratios: Floats) -> Floats:
-    """Logarithms of the restricted likelihoods of variance ratios, against that of noise alone."""
-    whole = float(left @ left)
-    if columns.shape[1] > columns.shape[0]:
-        log_det, rest = _solve_shifted(columns @ columns.T, left, ratios)
-        rest = rest + SMALL * whole
-    else:
-        log_det, part = _solve_shifted(columns.T @ columns, columns.T @ left, ratios)
-        rest = whole - ratios * part
-    return np.asarray(-0.5 * (log_det + freedom * np.log(np.maximum(rest / whole, SMALL))))
 
 
 def _solve_shifted(gram: Floats, start: Floats, ratios: Floats) -> tuple[Floats, Floats]:
@@ -184,27 +216,22 @@ def _remove_fitted_part(basis: Floats, columns: Floats) -> Floats:
     return np.asarray(columns - basis @ (basis.T @ columns))
 
 
-def _over_joints(levers: Floats, q: Floats, sliding: Bools) -> tuple[Floats, list[Floats]]:
-    """What smooth joint errors move of the numbers (G, R) of each pose, (G, R, K), and the weights (K,) of each kernel."""
-    shapes, kind = _shapes(q, sliding)
-    return _products(levers, shapes), [np.tile(_weights(bend)[kind], levers.shape[2]) for bend in BENDS]
-
-
 def _over_time(levers: Floats, when: Floats, points: Bools) -> Floats:
-    """The same (G, R, K) of joints and instrument that drift over the rows; ``when (G,)`` runs from 0 to 1."""
-    waves = np.cos(np.pi * np.outer(when, np.arange(1, OVER_TIME + 1)))
+    """What joints and instrument that drift move of the numbers (G, R) of each pose, (G, R, K); ``when (G,)`` is 0 to 1."""
+    waves = np.cos(np.pi * np.outer(when, np.arange(1, OVER_TIME + 1)))[:, None]
     out = _products(levers, waves)
     count = int(points[0].sum())
     if count % 3:
         return out
     along = np.zeros((levers.shape[1], 3))
     along[:count] = np.tile(np.eye(3), (count // 3, 1)) * np.sqrt(np.mean(levers[points] ** 2) * 3.0)
-    return np.concatenate([out, _products(np.broadcast_to(along, (len(when), *along.shape)), waves)], axis=2)
+    return np.concatenate([out, _products(along, waves)], axis=2)
 
 
 def _products(levers: Floats, shapes: Floats) -> Floats:
-    """Levers (G, R, n) times shapes (G, K): (G, R, n K)."""
-    return np.asarray((levers[:, :, :, None] * shapes[:, None, None, :]).reshape(*levers.shape[:2], -1))
+    """Levers (..., n) times shapes (..., K): (..., n K)."""
+    out = levers[..., :, None] * shapes[..., None, :]
+    return np.asarray(out.reshape(*out.shape[:-2], -1))
 
 
 def _shapes(q: Floats, sliding: Bools) -> tuple[Floats, Ints]:
