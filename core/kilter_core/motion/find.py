@@ -23,7 +23,7 @@ from kilter_core.motion.layout import DELAY_STEP_S, Bodies, Known, Layout, Term
 from kilter_core.motion.model import TorqueModel
 from kilter_core.motion.normal import Equations, form_equations
 from kilter_core.motion.record import Log, Part, clipped_rows
-from kilter_core.motion.search import Judged, Split, judge_terms, search_terms, split_motions
+from kilter_core.motion.search import Judged, Split, Tests, judge_terms, search_terms, split_motions
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Progress, unheard
 
@@ -136,7 +136,7 @@ def find_missing_torque(
     known, earlier = in_time, frozenset[Term]()
     for k in range(PASSES):
         equations = form_equations(layout, log, known)
-        tests = tried + len(equations.terms) + len(FADE_SHARES) * len(fades)
+        tests = Tests(tried, len(equations.terms) + len(FADE_SHARES) * len(fades))
         share = _scale_progress(progress, 0.6 + 0.1 * k, 0.6 + 0.1 * (k + 1), "which effects explain it")
         terms = choose(equations, split, weights, tests, share)
         if frozenset(terms) == earlier or not any(term.effect.follows_model for term in terms):
@@ -159,7 +159,7 @@ def find_missing_torque(
 
 
 def _list_asked_terms(
-    equations: Equations, split: Split, weights: Floats, tests: int, progress: Callable[[float], None]
+    equations: Equations, split: Split, weights: Floats, tests: Tests, progress: Callable[[float], None]
 ) -> list[Term]:
     """All terms of joints that move, chosen by whoever asked for them."""
     del split, tests, progress

@@ -104,11 +104,15 @@ def score_terms(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[T
     found.sort(key=lambda one: -one.gain)
     best, rest = found[:JUDGED], found[JUDGED:]
     left_out = values_without_blocks(equations, fit, blocks, [one.term for one in best])
-    return [*(replace(one, p=_p_value(one.value, values)) for one, values in zip(best, left_out, strict=True)), *rest]
+    return [*(replace(one, p=_p_value(one.value, *of)) for one, of in zip(best, left_out, strict=True)), *rest]
 
 
-def values_without_blocks(equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[Term]) -> list[Floats]:
-    """Return the values (b, k) of each of some terms beside the model when each of the blocks is left out of the fit."""
+def values_without_blocks(
+    equations: Equations, fit: Fit, blocks: Bools, terms: Sequence[Term]
+) -> list[tuple[Floats, Floats]]:
+    """Return the values (b, k) of each of some terms beside the model when each of the blocks is left out of the fit, and
+    which share (b,) of the term's own torque the block holds.
+    """
     columns, m = np.concatenate([fit.columns, *(term.columns for term in terms)]), len(fit.columns)
     A, b = equations.block_sums(columns, blocks, fit.weights)
     ridge = _ridge(equations, A.sum(axis=0), fit.weights, blocks)
@@ -120,21 +124,24 @@ def values_without_blocks(equations: Equations, fit: Fit, blocks: Bools, terms: 
     for term in terms:
         c = slice(at, at + len(term.columns))
         inverse = np.linalg.pinv(own[:, c, c], rcond=ALIKE_COLUMNS, hermitian=True)
-        out.append(np.einsum("bij,bj->bi", inverse, along[:, c]))
+        kept = np.trace(own[:, c, c], axis1=1, axis2=2)
+        out.append((np.einsum("bij,bj->bi", inverse, along[:, c]), 1.0 - kept / kept.max()))
         at += len(term.columns)
     return out
 
 
-def _p_value(value: Floats, left_out: Floats) -> float:
+def _p_value(value: Floats, left_out: Floats, shown: Floats) -> float:
     """Wald's test of values (k,) by how they change when each block (b,) is left out: the jackknife, which knows how much
-    the model has taken of what is left (Bell and McCaffrey 2002).
+    the model has taken of what is left. Where few blocks hold most of a term (``shown``), they are its degrees of freedom
+    (Bell and McCaffrey 2002).
     """
     count, k = left_out.shape
-    if count <= k + 1:
+    freedom = min(float(shown.sum()) ** 2 / max(float(shown @ shown), 1e-12), float(count)) - k
+    if freedom <= 1.0:
         return 1.0
     apart = left_out - left_out.mean(axis=0)
     spread = np.linalg.pinv(apart.T @ apart * ((count - 1) / count))
-    return float(fdtrc(k, count - k, float(value @ spread @ value) / k))
+    return float(fdtrc(k, freedom, float(value @ spread @ value) / k))
 
 
 @dataclass(frozen=True)

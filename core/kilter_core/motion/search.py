@@ -51,6 +51,18 @@ class Split:
 
 
 @dataclass(frozen=True)
+class Tests:
+    """How many tests share a chance: ``orders`` of ripples, of which there are many, one half of it, and all ``others``."""
+
+    orders: int
+    others: int
+
+    def of(self, term: Term) -> int:
+        """Return by how much the chance of a term is multiplied."""
+        return 2 * (self.orders if "order" in term.effect.needs else self.others)
+
+
+@dataclass(frozen=True)
 class Rival:
     """A term that does as well in place of one that was chosen: by how many standard errors it is behind."""
 
@@ -74,11 +86,11 @@ class Judged:
     rivals: tuple[Rival, ...]
     verdict: str
 
-    def is_shown(self, tests: int) -> bool:
+    def is_shown(self, tests: Tests) -> bool:
         """Whether any of its values is above zero by more than the largest of so many is by chance, and blocks that no choice
         saw say so too.
         """
-        least = -float(ndtri(0.5 * ALPHA / tests))
+        least = -float(ndtri(0.5 * ALPHA / tests.of(self.term)))
         return bool(np.any(np.abs(self.value) > least * self.sigma) and self.unseen > DEVIATIONS * self.unseen_sigma)
 
 
@@ -143,7 +155,7 @@ def deviations(gain: Floats) -> float:
 
 
 def search_terms(
-    equations: Equations, split: Split, weights: Floats, tests: int, progress: Callable[[float], None]
+    equations: Equations, split: Split, weights: Floats, tests: Tests, progress: Callable[[float], None]
 ) -> list[Term]:
     """Return the terms that enter the model, common ones first."""
     model = [term for term in equations.terms if term.effect.common]
@@ -162,10 +174,12 @@ def search_terms(
 
 
 def _list_significant_terms(
-    equations: Equations, fit: Fit, split: Split, rest: Sequence[Term], tests: int
+    equations: Equations, fit: Fit, split: Split, rest: Sequence[Term], tests: Tests
 ) -> list[Seen]:
     seen = score_terms(equations, fit, split.train, rest)
-    return [one for one in seen if one.p * tests < ALPHA and one.share > LEAST_SHARE and is_plausible(one)][:TRIED]
+    return [
+        one for one in seen if one.p * tests.of(one.term) < ALPHA and one.share > LEAST_SHARE and is_plausible(one)
+    ][:TRIED]
 
 
 def is_plausible(seen: Seen) -> bool:

@@ -4,6 +4,9 @@
 bodies, offsets, Coulomb and viscous friction cannot imitate of it is as large (rms) as what the search leaves of that joint's
 torque, times the share; where that is less than a tenth of it, it is not hidden. What the log shows by itself is told first; an
 effect that it shows already at that joint is not counted. Nothing here shares code with the search.
+
+``--control 30`` hides nothing: what bodies and friction leave of each joint is moved to another time and perhaps turned over,
+thirty times. It is as noisy, as bursty and as slow as the real rest, and knows nothing of the motion.
 """
 
 from __future__ import annotations
@@ -34,6 +37,7 @@ THINNED = 5  # rows to one by which is measured what a model can imitate
 LEAST_SEEN = 0.1  # share of an effect that a model must leave
 ALIKE = 1e-3  # of the largest singular value, below which columns count as the same
 BREAK_S = 1.0
+APART_S = 3.0  # by which what is left is moved at least
 
 Step = tuple[str, float] | str
 # Of TIAGo's description (Apache-2.0): x, y, z in mm and angles in degrees before each joint, which turns or lifts about z.
@@ -142,9 +146,9 @@ def gravity_like(log: RealLog) -> Floats:
     return np.array([pin.computeGeneralizedGravity(model, data, row) for row in log.q])
 
 
-def seen_share(log: RealLog, weights: Floats) -> Callable[[Floats, int], float]:
-    """How much (rms, of one) of a torque at a joint bodies, offsets and friction by speed cannot imitate; ``weights (n,)``."""
-    q, qd, qdd = (log.smooth(order)[::THINNED] for order in range(3))
+def columns(log: RealLog, thin: int) -> Floats:
+    """Torques (N, n, p) of bodies, offsets and friction by speed, of every ``thin``-th row."""
+    q, qd, qdd = (log.smooth(order)[::thin] for order in range(3))
     model, n = as_pinocchio(log), q.shape[1]
     data = model.createData()
     bodies = np.array(
@@ -152,13 +156,20 @@ def seen_share(log: RealLog, weights: Floats) -> Callable[[Floats, int], float]:
     )
     own = np.stack([np.ones_like(qd), reversed_softly(qd, SOFT_RAD_S), qd], axis=2)
     friction = (np.eye(n)[:, :, None] * own[:, :, None, :]).reshape(len(q), n, -1)
-    X = (np.concatenate([bodies, friction], axis=2) * weights[:, None]).reshape(len(q) * n, -1)
+    return np.concatenate([bodies, friction], axis=2)
+
+
+def seen_share(log: RealLog, weights: Floats) -> Callable[[Floats, int], float]:
+    """How much (rms, of one) of a torque at a joint bodies, offsets and friction by speed cannot imitate; ``weights (n,)``."""
+    X = columns(log, THINNED) * weights[:, None]
+    rows, n = X.shape[:2]
+    X = X.reshape(rows * n, -1)
     size = np.linalg.norm(X, axis=0)
     u, s, _ = np.linalg.svd(X[:, size > 0.0] / size[size > 0.0], full_matrices=False)
     known = u[:, s > ALIKE * s[0]]
 
     def share(torque: Floats, j: int) -> float:
-        y = np.zeros((len(q), n))
+        y = np.zeros((rows, n))
         y[:, j] = torque[::THINNED] - torque[::THINNED].mean()
         flat = y.reshape(-1)
         return float(np.linalg.norm(flat - known @ (known.T @ flat)) / np.linalg.norm(flat))
@@ -244,15 +255,38 @@ def score(log: RealLog, share: float) -> Counter[tuple[str, str]]:
     return counts
 
 
+def control(log: RealLog, times: int) -> Counter[str]:
+    """Count logs in which nothing is hidden but the log's own rest at another time: named in them, and sure."""
+    X, weights = columns(log, 1), 1.0 / log.tau.std(axis=0)
+    for _ in range(3):
+        flat = (X * weights[:, None]).reshape(log.tau.size, -1)
+        size = np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
+        theta = np.linalg.lstsq(flat / size, (log.tau * weights).reshape(-1), rcond=1e-6)[0] / size
+        left = log.tau - X @ theta
+        weights = 1.0 / left.std(axis=0)
+    draw, apart = np.random.default_rng(0), int(APART_S / np.median(np.diff(log.t)))
+    counts: Counter[str] = Counter()
+    for _ in range(times):
+        moved = [np.roll(one, draw.integers(apart, len(one) - apart)) * draw.choice([-1.0, 1.0]) for one in left.T]
+        document = search(log, X @ theta + np.column_stack(moved))
+        sure = [one for one in document["effects"] if one["verdict"] not in ("provisional", "contradicted")]
+        counts += Counter({"logs": 1, "named": bool(named_in(document)), "sure": bool(sure)})
+    return counts
+
+
 def main() -> None:
     """Print how often names are right, by log and effect."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--log", choices=("tiago", "kuka"), action="append", help="default: both")
     parser.add_argument("--share", type=float, default=1.0, help="size of the effect as a share of what is left")
+    parser.add_argument("--control", type=int, metavar="N", help="hide nothing, N times")
     asked = parser.parse_args()
     for name in asked.log or ("tiago", "kuka"):
-        began = time.monotonic()
-        counts = score({"tiago": tiago, "kuka": kuka}[name](), asked.share)
+        began, log = time.monotonic(), {"tiago": tiago, "kuka": kuka}[name]()
+        if asked.control:
+            print(f"{name:6} nothing hidden", dict(control(log, asked.control)), flush=True)
+            continue
+        counts = score(log, asked.share)
         for effect in dict.fromkeys(effect for effect, _ in counts):
             print(f"{name:6} {effect:20}", {what: n for (one, what), n in counts.items() if one == effect})
         total = {what: sum(n for (_, one), n in counts.items() if one == what) for _, what in counts}
