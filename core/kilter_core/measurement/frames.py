@@ -85,7 +85,7 @@ RIDGE = 1e-4  # of a row's weight: poses that share an orientation cannot tell t
 WALKED = 6  # of the places looked at, the best, from which a walk begins
 TOGETHER, STEPS = 6, 20  # steps of all walks, then of the best one
 DAMPING, LEAST_DAMPING = 2e-3, 1e-13
-SETTLED, ROUNDING = 1e-9, 1e-29  # shares of the loss and of all squares that another step must gain
+SETTLED, ROUNDING = 1e-9, 1e-29  # shares of the loss and of all squares: a step that changes less is the last
 IDENTITY = np.eye(3)
 AXES = skew(IDENTITY)
 LEVER = 0.1  # of the spread of the points, m that a radian of orientation counts for: positions decide where they can
@@ -143,7 +143,7 @@ class _Loss:
 
     def slopes(self, turns: Floats) -> Floats:
         """Derivatives (K, 3, m) of the residuals by turns about the axes."""
-        return (turns.reshape(-1, 9) @ self._turned).reshape(len(turns), 3, -1)
+        return np.asarray((turns.reshape(-1, 9) @ self._turned).reshape(len(turns), 3, -1))
 
     def linear(self, turn: Floats) -> tuple[Floats, Floats]:
         """Place (3,) of the base from the middle of the points, in the base's axes, and tool point (3,) for one rotation R'."""
@@ -168,15 +168,16 @@ def _refine_rotations(loss: _Loss, turns: Floats, steps: int) -> Floats:
     for _ in range(steps):
         J = loss.slopes(turns)
         H = J @ J.transpose(0, 2, 1) + damping[:, None, None] * IDENTITY
-        there = turns @ _rotations(-np.linalg.solve(H, J @ left[:, :, None])[:, :, 0])
+        step = -np.linalg.solve(H, J @ left[:, :, None])[:, :, 0]
+        there = np.asarray(turns @ _rotations(np.asarray(step, dtype=np.float64)))
         then_left = loss.residual(there)
         then = (then_left * then_left).sum(axis=1)
         better = then < now
-        gain = float((now - then).max())
+        change = float(np.abs(now - then).max())  # a walk that got worse goes on, with more damping
         turns, left = np.where(better[:, None, None], there, turns), np.where(better[:, None], then_left, left)
         now = np.where(better, then, now)
         damping = np.maximum(np.where(better, damping / 10.0, damping * 10.0), LEAST_DAMPING * size)
-        if abs(gain) <= SETTLED * now.min() + rounding:
+        if change <= SETTLED * now.min() + rounding:
             break
     return turns
 
