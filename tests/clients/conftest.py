@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,16 +19,14 @@ from tests.clients.test_cli import Command
 from tests.service.forked import ForkedPopen
 
 READY_S = 120
-STOP_S = 20
 
 
-@pytest.fixture(scope="session")
-def server_data(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Data folder of a running server."""
-    data = tmp_path_factory.mktemp("kilter")
+@contextmanager
+def server_in(data: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Run `kilterd serve` on free ports until the block ends."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
     environment |= {"KILTER_DATA": str(data), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
-    with (data / "log").open("wb") as log:
+    with (data / "log").open("ab") as log:
         process = ForkedPopen(
             [sys.executable, "-m", "kilter_service", "serve"],
             env=environment,
@@ -36,14 +36,29 @@ def server_data(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         )
         try:
             deadline = time.monotonic() + READY_S
-            while not (data / "server.json").exists():
+            while not (data / "server.json").exists() or _pid(data) != process.pid:
                 assert process.poll() is None, (data / "log").read_text()
                 assert time.monotonic() < deadline, (data / "log").read_text()
                 time.sleep(0.05)
-            yield data
+            yield process
         finally:
             process.terminate()
-            process.wait(STOP_S)
+            process.wait(30)
+
+
+def _pid(data: Path) -> int:
+    try:
+        return int(json.loads((data / "server.json").read_text())["pid"])
+    except (OSError, ValueError):
+        return 0
+
+
+@pytest.fixture(scope="session")
+def server_data(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Data folder of a running server."""
+    data = tmp_path_factory.mktemp("kilter")
+    with server_in(data):
+        yield data
 
 
 @pytest.fixture

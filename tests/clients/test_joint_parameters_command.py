@@ -4,49 +4,30 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from kilter_client.cli import run
 from kilter_client.errors import FileError
 from kilter_files.rig.tilt_join import read_readings
+from tests.clients.test_cli import Command
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "clients/python/examples"
 HEAD = "joint,axis,q1_deg,q2_deg,payload_kg,series,reading_deg\n"
 
 
-class Shell:
-    """Runs ``kilter`` in this process."""
-
-    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
-        self._capsys = capsys
-
-    def text(self, *arguments: object, code: int = 0) -> str:
-        self._capsys.readouterr()
-        found = run([str(argument) for argument in arguments])
-        printed = self._capsys.readouterr()
-        assert found == code, printed.out + printed.err
-        return printed.out + printed.err
-
-    def json(self, *arguments: object) -> dict[str, Any]:
-        return dict(json.loads(self.text(*arguments, "--json")))
-
-
 @pytest.fixture
-def shell(server: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
-    return Shell(capsys)
+def shell(server: Path, command: Command) -> Command:
+    return command
 
 
-def test_a_proposal_is_filled_in_and_gives_the_joint(shell: Shell, tmp_path: Path) -> None:
-    shell.text("robot", "add", "--preset", "katana450-chapter5", "--name", "inclined")
+def test_a_proposal_is_filled_in_and_gives_the_joint(shell: Command, tmp_path: Path) -> None:
+    shell("robot", "add", "--preset", "katana450-chapter5", "--name", "inclined")
     asked, filled = tmp_path / "asked.csv", tmp_path / "filled.csv"
     plan = ("--propose", "j3", "--count", 12, "--payload-kg", 0, "--payload-kg", 0.5)
-    assert "joint values" in shell.text("joint-parameters", "inclined", *plan, "-o", asked)
+    assert "joint values" in shell("joint-parameters", "inclined", *plan, "-o", asked)
     rows = list(csv.DictReader(io.StringIO(asked.read_text())))
     assert len(rows) == 12
     assert {row["payload_kg"] for row in rows} == {"0", "0.5"}
@@ -60,16 +41,16 @@ def test_a_proposal_is_filled_in_and_gives_the_joint(shell: Shell, tmp_path: Pat
     assert job["result"]["measured_by"] == "inclinometer"
     assert {p["name"] for p in job["result"]["parameters"]} == {"clearance_3", "backlash_load_3", "compliance_3"}
     assert all(abs(p["value"]) < 3 * p["sigma"] for p in job["result"]["parameters"])
-    printed = shell.text("jobs", "show", job["id"])
+    printed = shell("jobs", "show", job["id"])
     assert "clearance_3" in printed
     assert "measure tool positions" in printed  # what to do about joint 1
-    assert "not --readings and --propose" in shell.text(
+    assert "not --readings and --propose" in shell(
         "joint-parameters", "inclined", "--readings", filled, "--propose", "j3", code=2
     )
 
 
-def test_payloads_of_a_proposal_hang_where_they_were_said_to(shell: Shell, tmp_path: Path) -> None:
-    shell.text("robot", "add", "--preset", "katana450-chapter5", "--name", "off-the-tool")
+def test_payloads_of_a_proposal_hang_where_they_were_said_to(shell: Command, tmp_path: Path) -> None:
+    shell("robot", "add", "--preset", "katana450-chapter5", "--name", "off-the-tool")
     asked, filled = tmp_path / "asked.csv", tmp_path / "filled.csv"
     plan = ("--propose", "j3", "--count", 12, "--payload-kg", 0.5, "--payload-com-mm", "10,0,40")
     result = shell.json("joint-parameters", "off-the-tool", *plan, "-o", asked)["result"]
@@ -108,9 +89,9 @@ def test_units_of_readings(tmp_path: Path) -> None:
         assert row == {"joint": "j1", "axis": "x", "q_deg": [1.0, 2.0], "payload_kg": 0.5, "series": 3}
 
 
-def test_the_kr300_by_its_second_encoders(shell: Shell, shared_data: Path) -> None:
+def test_the_kr300_by_its_second_encoders(shell: Command, shared_data: Path) -> None:
     folder = shared_data / "kuka-kr300-secondary-encoder"
-    shell.text("robot", "add", EXAMPLES / "kr300.json", "--name", "two-encoders")
+    shell("robot", "add", EXAMPLES / "kr300.json", "--name", "two-encoders")
     ids = {
         k: shell.json("upload", "two-encoders", folder / f"traj_{k}.mat", "--map", EXAMPLES / "kr300.toml")[
             "campaign_id"
@@ -129,8 +110,8 @@ def test_the_kr300_by_its_second_encoders(shell: Shell, shared_data: Path) -> No
     assert np.all([found[f"backlash_{k}"]["identifiable"] is False for k in (4, 5, 6)])
     dead = [w["joint"] for w in job["result"]["warnings"] if w["code"] == "dead_encoder"]
     assert dead == ["a4", "a5", "a6"]
-    printed = shell.text("jobs", "show", job["id"])
+    printed = shell("jobs", "show", job["id"])
     assert "left of it" in printed
     assert "dead channel" in printed
-    refused = shell.text("joint-parameters", "two-encoders", "-c", ids["A"], "-v", "0.3", code=1)
+    refused = shell("joint-parameters", "two-encoders", "-c", ids["A"], "-v", "0.3", code=1)
     assert "held out whole" in refused

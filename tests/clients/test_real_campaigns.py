@@ -2,36 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from kilter_client.cli import run
-
-EXAMPLES = Path(__file__).resolve().parents[2] / "clients/python/examples"
-
-
-class Session:
-    """A person at the command line."""
-
-    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
-        self._capsys = capsys
-
-    def __call__(self, *arguments: object) -> dict[str, Any]:
-        """Run a command that must succeed; return its document."""
-        self._capsys.readouterr()
-        code = run([*(str(argument) for argument in arguments), "--json"])
-        printed = self._capsys.readouterr().out
-        assert code == 0, printed
-        found: dict[str, Any] = json.loads(printed)
-        return found
+from tests.clients.test_real_gaps import EXAMPLES, Session
 
 
 @pytest.fixture
 def kilter_command(server: Path, capsys: pytest.CaptureFixture[str]) -> Session:
-    return Session(capsys)
+    return Session(capsys, "")
 
 
 def held_out(job: dict[str, Any]) -> tuple[dict[str, float], dict[str, float]]:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
@@ -16,42 +13,9 @@ import pytest
 
 from kilter_client import Kilter, ServerUnreachableError
 from kilter_client.requests.calls import jobs as waiting
-from tests.service.forked import ForkedPopen
+from tests.clients.conftest import server_in
 
 Write = Callable[..., Path]
-READY_S = 120
-
-
-@contextmanager
-def server_in(data: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Run `kilterd serve` on free ports until the block ends."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
-    environment |= {"KILTER_DATA": str(data), "KILTER_PORT": "0", "KILTER_ZENOH_LISTEN": "tcp/127.0.0.1:0"}
-    with (data / "log").open("ab") as log:
-        process = ForkedPopen(
-            [sys.executable, "-m", "kilter_service", "serve"],
-            env=environment,
-            stdout=log,
-            stderr=log,
-            stdin=subprocess.DEVNULL,
-        )
-        try:
-            deadline = time.monotonic() + READY_S
-            while not (data / "server.json").exists() or _pid(data) != process.pid:
-                assert process.poll() is None, (data / "log").read_text()
-                assert time.monotonic() < deadline, (data / "log").read_text()
-                time.sleep(0.05)
-            yield process
-        finally:
-            process.terminate()
-            process.wait(30)
-
-
-def _pid(data: Path) -> int:
-    try:
-        return int(json.loads((data / "server.json").read_text())["pid"])
-    except (OSError, ValueError):
-        return 0
 
 
 @pytest.fixture

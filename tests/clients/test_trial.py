@@ -7,11 +7,16 @@ import os
 import re
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from kilter_client.cli import run, trial
+from kilter_client.requests.connection import local_server
 from tests.clients.three_joint_arm import arm, tip_mm
+from tests.service.forked import ForkedPopen
 
 OFFSET_DEG = 0.3  # of the second joint's zero, which the search has to find
 
@@ -27,22 +32,11 @@ def measured(folder: Path) -> tuple[Path, Path]:
     return rows, robot
 
 
-def run_trial(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    plain = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
-    program = Path(sys.executable).with_name("kilter")
-    return subprocess.run(
-        [program, "try", *arguments],
-        cwd=folder,
-        env=plain | {"HOME": str(folder)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
 def test_a_file_and_a_robot_become_one_page_without_a_server(tmp_path: Path) -> None:
     rows, robot = measured(tmp_path)
-    done = run_trial(tmp_path, str(rows), "--robot", str(robot), "--json", "-o", "trial.html")
+    plain = {name: value for name, value in os.environ.items() if not name.startswith("KILTER_")}
+    command = [Path(sys.executable).with_name("kilter"), "try", rows, "--robot", robot, "--json", "-o", "trial.html"]
+    done = subprocess.run(command, cwd=tmp_path, env=plain | {"HOME": str(tmp_path)}, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     found = json.loads(done.stdout)
     assert set(found) == {"report", "identify", "gap"}
@@ -54,9 +48,13 @@ def test_a_file_and_a_robot_become_one_page_without_a_server(tmp_path: Path) -> 
     assert not (tmp_path / ".kilter").exists()
 
 
-def test_a_trial_that_cannot_go_on_says_why_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_trial_that_cannot_go_on_says_why_and_leaves_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     rows, _ = measured(tmp_path)
-    done = run_trial(tmp_path, str(rows), "--robot", "nobodys-preset")
-    assert done.returncode == 1
-    assert "nobodys-preset" in done.stderr
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setattr(trial, "local_server", partial(local_server, start=ForkedPopen))
+    assert run(["try", str(rows), "--robot", "nobodys-preset"]) == 1
+    assert "nobodys-preset" in capsys.readouterr().err
     assert sorted(one.name for one in tmp_path.iterdir()) == ["arm.json", "measured.csv"]

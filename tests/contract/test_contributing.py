@@ -559,10 +559,10 @@ ADDITIONS: Mapping[str, tuple[int, Mapping[str, str], str]] = {
 
 @pytest.fixture(scope="module")
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sources, copied; the compiled kernels are used where they are, for compiling them again takes minutes."""
+    """The sources with what Python made of them, copied; the compiled kernels, which take minutes, are used where they are."""
     root = tmp_path_factory.mktemp("copy")
     for folder in COPIED:
-        shutil.copytree(REPOSITORY / folder, root / folder, ignore=shutil.ignore_patterns("__pycache__", "kernels"))
+        shutil.copytree(REPOSITORY / folder, root / folder, ignore=shutil.ignore_patterns("kernels"))
     for kernels in (REPOSITORY / "core/kilter_core").glob("*/kernels"):
         (root / kernels.relative_to(REPOSITORY)).symlink_to(kernels, target_is_directory=True)
     shutil.copy(REPOSITORY / "pyproject.toml", root / "pyproject.toml")

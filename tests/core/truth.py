@@ -138,6 +138,18 @@ class Arm:
             p[k], R[k] = pose.translation, pose.rotation
         return p, R
 
+    def joint_axes(self, q: Floats) -> tuple[Floats, Floats]:
+        """Axes and places (n, N, 3) of the joints."""
+        model, _ = self.pinocchio()
+        data = model.createData()
+        axes, places = np.empty((self.n, len(q), 3)), np.empty((self.n, len(q), 3))
+        for k, row in enumerate(q):
+            pin.forwardKinematics(model, data, self.motors(row))
+            for m, step in enumerate(self.moving):
+                axes[step.joint, k] = data.oMi[m + 1].rotation[:, "xyz".index(step.axis[1])]
+                places[step.joint, k] = data.oMi[m + 1].translation
+        return axes, places
+
     def joint_jacobians(self, q: Floats) -> Floats:
         """Derivative (N, 6, n) of tool point and tool orientation, in the axes of the outermost frame."""
         model, frame = self.pinocchio()

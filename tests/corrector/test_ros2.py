@@ -30,6 +30,7 @@ from kilter_service.ground.settings import Settings
 from kilter_service.stream import ros2_process as names
 from kilter_service.stream.corrector.session import config, with_free_port
 from kilter_service.stream.ros2_process import follow, run
+from tests.corrector.live import until
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STATE, TRAJECTORY = "sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory"
@@ -54,13 +55,6 @@ def made(kind: str, **fields: object) -> object:
 def header(sec: int = 0) -> object:
     stamp = made("builtin_interfaces/msg/Time", sec=sec, nanosec=0)
     return made("std_msgs/msg/Header", stamp=stamp, frame_id="world")
-
-
-def until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "waited too long"
-        time.sleep(0.01)
 
 
 class RosPeer:

@@ -6,14 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.robot import Robot
 from kilter_core.observations import Observations
 from tests.core.campaigns import measured
-from tests.core.truth import Arm, Floats, Step
+from tests.core.truth import Floats, Step
 from tests.mix_ups.arms import BUILDS, Pair, some_pair
 
 SEES = ("position", "pose", "markers")
@@ -76,7 +75,7 @@ def _worn(pair: Pair, q: Floats, rng: np.random.Generator, noise: float, see: st
         j = int(rng.integers(n))
         off[j] = np.radians(rng.uniform(-15.0, 15.0)) if turns[j] else rng.uniform(-0.05, 0.05)
     kg = rng.choice([0.0, 5.0], len(q)) if rng.random() < 0.5 else np.full(len(q), 5.0)
-    axes, places = _joint_axes(pair.true, q + off)
+    axes, places = pair.true.joint_axes(q + off)
     lever = pair.true.poses(q + off)[0] - places
     moment = np.cross(lever, [0.0, 0.0, -9.81]) * kg[:, None]  # (n, N, 3)
     about = np.einsum("jnk,jnk->jn", moment, axes)
@@ -91,19 +90,6 @@ def _worn(pair: Pair, q: Floats, rng: np.random.Generator, noise: float, see: st
         {"markers": rows.markers + shift[:, None]} if rows.markers is not None else {"position": rows.position + shift}
     )
     return replace(rows, q=q, session=session, payload_kg=kg if rng.random() < 0.5 else None, **moved)
-
-
-def _joint_axes(arm: Arm, q: Floats) -> tuple[Floats, Floats]:
-    """Axes and places (n, N, 3) of the joints, by Pinocchio."""
-    model, _ = arm.pinocchio()
-    data = model.createData()
-    axes, places = np.empty((arm.n, len(q), 3)), np.empty((arm.n, len(q), 3))
-    for k, row in enumerate(q):
-        pin.forwardKinematics(model, data, arm.motors(row))
-        for m, step in enumerate(arm.moving):
-            axes[step.joint, k] = data.oMi[m + 1].rotation[:, "xyz".index(step.axis[1])]
-            places[step.joint, k] = data.oMi[m + 1].translation
-    return axes, places
 
 
 def _units(robot: Robot) -> Floats:

@@ -11,12 +11,9 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 
-from kilter_service.ground.settings import Settings
-from kilter_service.run.app import create_app
-from kilter_service.web.auth.token import admin_token
-from tests.service.conftest import migrated, new_database, ready, served
+from tests.service.conftest import migrated, shared_client, shared_settings
 
-__all__ = ["migrated"]
+__all__ = ["migrated", "shared_client", "shared_settings"]
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 # Chromium draws WebGL without a graphics card only when it is told to; as root it has no sandbox.
@@ -27,14 +24,9 @@ OpenPage = Callable[..., Page]
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[httpx.Client]:
+def server(shared_client: httpx.Client) -> httpx.Client:
     """The API process, with the admin token in the client's headers."""
-    with new_database() as url:
-        settings = Settings(data=tmp_path_factory.mktemp("page"), database_url=url, host="127.0.0.1", token=None)
-        ready(settings, migrated)
-        with served(create_app(settings)) as client:
-            client.headers["Authorization"] = f"Bearer {admin_token(settings)}"
-            yield client
+    return shared_client
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
 from sqlalchemy import select
 
 from kilter_core.model import Calibration
@@ -53,6 +54,23 @@ def made(folder: Path, migrated: Path, rows: int = 60) -> Iterator[Made]:
             good = stored(database, 2, twin.truth, poor, 0.02, [0.031, 0.0007])
             yield Made(client, database, Katana.name, campaign, poor, good)
         database.close()
+
+
+def made_fixtures(rows: int = 60, active: bool = True) -> tuple[Any, Any]:
+    """Fixtures of a module, its `there` and its `server`; the good version is active or not."""
+
+    @pytest.fixture(scope="module")
+    def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
+        with made(tmp_path_factory.mktemp("made"), migrated, rows) as found:
+            if active:
+                found.client.post(f"/v1/versions/{found.good}/activate").raise_for_status()
+            yield found
+
+    @pytest.fixture(scope="module")
+    def server(there: Made) -> httpx.Client:
+        return there.client
+
+    return there, server
 
 
 def stored(

@@ -3,31 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from pathlib import Path
 
-import httpx
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
 from .conftest import opened
-from .made import Made, made
+from .made import Made, made_fixtures
 from .test_robot import words
 
 SECRET = re.compile(r"kilter_[A-Za-z0-9_-]{43}")
 LONGEST = "a" * 64
 
 
-@pytest.fixture(scope="module")
-def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
-    with made(tmp_path_factory.mktemp("access"), migrated, rows=12) as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
-def server(there: Made) -> httpx.Client:
-    return there.client
+there, server = made_fixtures(rows=12, active=False)
 
 
 def as_token(there: Made, secret: str) -> dict[str, str]:

@@ -8,10 +8,7 @@ import io
 import json
 import math
 import re
-from collections.abc import Iterator
-from pathlib import Path
 
-import httpx
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -26,19 +23,10 @@ from kilter_service.versions.predictions.differences import chance
 from tests.service.conftest import Katana
 
 from .conftest import opened
-from .made import Made, made, stored
+from .made import Made, made_fixtures, stored
 from .test_robot import words
 
-
-@pytest.fixture(scope="module")
-def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
-    with made(tmp_path_factory.mktemp("compare"), migrated) as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
-def server(there: Made) -> httpx.Client:
-    return there.client
+there, server = made_fixtures(active=False)
 
 
 def sizes(there: Made, version: str, campaign: str) -> np.ndarray:

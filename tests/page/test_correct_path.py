@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
-import httpx
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser
 
 from .conftest import opened
-from .made import Made, made
+from .made import Made, made_fixtures
 
 ROWS, REFUSED = 60, 5
 
 
-@pytest.fixture(scope="module")
-def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
-    with made(tmp_path_factory.mktemp("correct"), migrated, rows=5) as found:
-        found.client.post(f"/v1/versions/{found.good}/activate").raise_for_status()
-        yield found
-
-
-@pytest.fixture(scope="module")
-def server(there: Made) -> httpx.Client:
-    return there.client
+there, server = made_fixtures(rows=5)
 
 
 def path_of(folder: Path) -> Path:

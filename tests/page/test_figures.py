@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 
 import httpx
 import pytest
@@ -15,19 +13,9 @@ from kilter_service.page.figures import plot as room
 from kilter_service.page.figures.plot import LEFT, RIGHT, Plot, around, category_axis, days_around
 
 from .conftest import opened
-from .made import Made, made
+from .made import Made, made_fixtures
 
-
-@pytest.fixture(scope="module")
-def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
-    with made(tmp_path_factory.mktemp("figures"), migrated) as found:
-        found.client.post(f"/v1/versions/{found.good}/activate").raise_for_status()
-        yield found
-
-
-@pytest.fixture(scope="module")
-def server(there: Made) -> httpx.Client:
-    return there.client
+there, server = made_fixtures()
 
 
 def drawn(names: list[str], width: float = 760.0) -> str:

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from contextlib import closing
-from pathlib import Path
 
-import httpx
 import pytest
 from playwright.sync_api import Browser, Route, expect
 
@@ -15,19 +12,9 @@ from kilter_service.ground.db.row import utc_now
 from kilter_service.ground.db.tables import JobRow
 
 from .conftest import log_in, opened
-from .made import Made, made
+from .made import Made, made_fixtures
 
-
-@pytest.fixture(scope="module")
-def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
-    with made(tmp_path_factory.mktemp("lost"), migrated, rows=5) as found:
-        found.client.post(f"/v1/versions/{found.good}/activate").raise_for_status()
-        yield found
-
-
-@pytest.fixture(scope="module")
-def server(there: Made) -> httpx.Client:
-    return there.client
+there, server = made_fixtures(rows=5)
 
 
 @pytest.mark.short_path

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -25,7 +24,7 @@ from kilter_service.page.words import format_in_largest_unit, parameter_sigma
 from kilter_service.versions.today.standing import Known, assess
 
 from .conftest import opened
-from .made import Made, made
+from .made import Made, made_fixtures
 from .test_robot import arm_of, words
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -33,16 +32,7 @@ SOURCES = REPOSITORY / "service" / "kilter_service" / "page" / "sources"
 READY = Correcting("ready", "faint", "The corrector runs.")
 
 
-@pytest.fixture(scope="module")
-def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
-    with made(tmp_path_factory.mktemp("parts"), migrated) as found:
-        found.client.post(f"/v1/versions/{found.good}/activate").raise_for_status()
-        yield found
-
-
-@pytest.fixture(scope="module")
-def server(there: Made) -> httpx.Client:
-    return there.client
+there, server = made_fixtures()
 
 
 def test_style_sheet_picture_and_docs_have_the_colours_of_the_figures() -> None:

@@ -5,10 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator
-from pathlib import Path
 
-import httpx
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -19,20 +16,10 @@ from kilter_service.page.words import format_value_with_interval
 from tests.service.conftest import Katana
 
 from .conftest import opened
-from .made import Made, made
+from .made import Made, made_fixtures
 from .test_robot import arm_of, picture, tool, words
 
-
-@pytest.fixture(scope="module")
-def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
-    with made(tmp_path_factory.mktemp("pose"), migrated) as found:
-        found.client.post(f"/v1/versions/{found.good}/activate").raise_for_status()
-        yield found
-
-
-@pytest.fixture(scope="module")
-def server(there: Made) -> httpx.Client:
-    return there.client
+there, server = made_fixtures()
 
 
 def part(there: Made, **asked: str) -> str:

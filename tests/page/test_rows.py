@@ -5,11 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -21,20 +19,10 @@ from kilter_service.versions.predictions.places import least_motion
 from tests.service.conftest import Katana
 
 from .conftest import CHROMIUM, log_in, opened
-from .made import Made, made
+from .made import Made, made_fixtures
 from .test_robot import arm_of, words
 
-
-@pytest.fixture(scope="module")
-def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
-    with made(tmp_path_factory.mktemp("rows"), migrated) as found:
-        found.client.post(f"/v1/versions/{found.good}/activate").raise_for_status()
-        yield found
-
-
-@pytest.fixture(scope="module")
-def server(there: Made) -> httpx.Client:
-    return there.client
+there, server = made_fixtures()
 
 
 def interface(there: Made, version: str) -> list[dict[str, str]]:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
-import httpx
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -18,18 +16,9 @@ from playwright.sync_api import Browser, Page
 from tests.service.conftest import Katana
 
 from .conftest import opened
-from .made import Made, made
+from .made import Made, made_fixtures
 
-
-@pytest.fixture(scope="module")
-def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
-    with made(tmp_path_factory.mktemp("saving"), migrated) as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
-def server(there: Made) -> httpx.Client:
-    return there.client
+there, server = made_fixtures(active=False)
 
 
 def saved(page: Page, label: str) -> tuple[str, bytes]:

@@ -6,7 +6,6 @@ import csv
 import html
 import io
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
@@ -19,19 +18,10 @@ from sqlalchemy import update
 from kilter_service.ground.db.tables import ChunkRow
 
 from .conftest import opened
-from .made import SCRIPT, Made, made
+from .made import SCRIPT, Made, made, made_fixtures
 from .test_login import csrf, logged_in, token_of
 
-
-@pytest.fixture(scope="module")
-def there(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Made]:
-    with made(tmp_path_factory.mktemp("versions"), migrated) as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
-def server(there: Made) -> httpx.Client:
-    return there.client
+there, server = made_fixtures(active=False)
 
 
 def activate(there: Made, version: str, **wish: object) -> None:

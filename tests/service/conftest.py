@@ -167,14 +167,27 @@ def client(settings: Settings, database: Database, serve: Serve) -> httpx.Client
 
 
 @pytest.fixture(scope="module")
-def shared_client(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[httpx.Client]:
-    """Serve one application to all tests of a module that do not care what the others left there."""
+def shared_settings(tmp_path_factory: pytest.TempPathFactory, migrated: Path) -> Iterator[Settings]:
+    """A data folder and a migrated database for all tests of a module that do not care what the others left there."""
     with new_database() as url:
         settings = Settings(data=tmp_path_factory.mktemp("shared"), database_url=url, host="127.0.0.1", token=None)
         ready(settings, migrated)
-        with served(create_app(settings)) as client:
-            client.headers["Authorization"] = f"Bearer {admin_token(settings)}"
-            yield client
+        yield settings
+
+
+@pytest.fixture(scope="module")
+def shared_database(shared_settings: Settings) -> Iterator[Database]:
+    database = Database(shared_settings.database)
+    yield database
+    database.close()
+
+
+@pytest.fixture(scope="module")
+def shared_client(shared_settings: Settings) -> Iterator[httpx.Client]:
+    """One application for all tests of a module."""
+    with served(create_app(shared_settings)) as client:
+        client.headers["Authorization"] = f"Bearer {admin_token(shared_settings)}"
+        yield client
 
 
 class WorkerProcess:

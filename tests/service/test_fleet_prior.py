@@ -46,30 +46,30 @@ def done(client: httpx.Client, database: Database, name: str) -> dict[str, Any]:
     return found
 
 
-@pytest.fixture
-def shop(client: httpx.Client, database: Database) -> tuple[Type, np.random.Generator]:
-    """Six robots of a type with a version each, one of another chain, and one that is new."""
+@pytest.fixture(scope="module")
+def shop(shared_client: httpx.Client, shared_database: Database) -> Type:
+    """Six robots of a type with a version each, one of another chain, and one that is new: each test adds campaigns."""
     rng = np.random.default_rng(30)
     kind = Type.drawn(rng)
     for k in range(6):
-        client.post("/v1/robots", json=document(f"r{k}")).raise_for_status()
-        job(client, f"r{k}", measured(client, f"r{k}", kind.arm(rng), 40, rng))
+        shared_client.post("/v1/robots", json=document(f"r{k}")).raise_for_status()
+        job(shared_client, f"r{k}", measured(shared_client, f"r{k}", kind.arm(rng), 40, rng))
     other = document("other")
     other["rows"][1]["a_mm"] += 50.0
-    client.post("/v1/robots", json=other).raise_for_status()
-    client.post("/v1/robots", json=document("new")).raise_for_status()
-    assert work(database) == 6
-    return kind, rng
+    shared_client.post("/v1/robots", json=other).raise_for_status()
+    shared_client.post("/v1/robots", json=document("new")).raise_for_status()
+    assert work(shared_database) == 6
+    return kind
 
 
 def test_a_new_robot_is_identified_from_ten_poses(
-    client: httpx.Client, database: Database, shop: tuple[Type, np.random.Generator]
+    shared_client: httpx.Client, shared_database: Database, shop: Type
 ) -> None:
-    kind, rng = shop
-    campaign = measured(client, "new", kind.arm(rng), 10, rng)
-    plain = done(client, database, job(client, "new", campaign))
+    kind, rng = shop, np.random.default_rng(31)
+    campaign = measured(shared_client, "new", kind.arm(rng), 10, rng)
+    plain = done(shared_client, shared_database, job(shared_client, "new", campaign))
     assert plain["error"]["code"] == "too_few_poses"
-    found = done(client, database, job(client, "new", campaign, prior="fleet"))
+    found = done(shared_client, shared_database, job(shared_client, "new", campaign, prior="fleet"))
     assert found["state"] == "succeeded", found["error"]
     prior = found["result"]["prior"]
     assert [one["robot"] for one in prior["versions"]] == [f"r{k}" for k in range(6)]
@@ -77,40 +77,40 @@ def test_a_new_robot_is_identified_from_ten_poses(
     assert len(prior["left_one_out"]) == 6
     marked = [one["name"] for one in found["result"]["parameters"] if one["from_prior"]]
     assert marked == prior["parameters"]
-    version = client.get(f"/v1/versions/{found['result']['version_id']}").raise_for_status().json()
+    version = shared_client.get(f"/v1/versions/{found['result']['version_id']}").raise_for_status().json()
     assert version["details"]["prior"]["source"] == "fleet"
-    page = client.get(f"/versions/{version['id']}", follow_redirects=True)
+    page = shared_client.get(f"/versions/{version['id']}", follow_redirects=True)
     assert ("from other robots of the type" in page.text) == bool(marked)
     assert prior["sentence"].split("(")[0] in page.text
     # the next robot does not learn from a version that learned from the others
-    client.post("/v1/robots", json=document("next")).raise_for_status()
-    following = measured(client, "next", kind.arm(rng), 12, rng)
-    again = done(client, database, job(client, "next", following, prior="fleet"))
+    shared_client.post("/v1/robots", json=document("next")).raise_for_status()
+    following = measured(shared_client, "next", kind.arm(rng), 12, rng)
+    again = done(shared_client, shared_database, job(shared_client, "next", following, prior="fleet"))
     assert [one["robot"] for one in again["result"]["prior"]["versions"]] == [f"r{k}" for k in range(6)]
 
 
 def test_too_few_robots_are_refused_with_the_remedy_and_in_a_check(
-    client: httpx.Client, database: Database, shop: tuple[Type, np.random.Generator]
+    shared_client: httpx.Client, shared_database: Database, shop: Type
 ) -> None:
-    kind, rng = shop
-    campaign = measured(client, "other", kind.arm(rng), 12, rng)
-    found = done(client, database, job(client, "other", campaign, prior="fleet"))
+    kind, rng = shop, np.random.default_rng(32)
+    campaign = measured(shared_client, "other", kind.arm(rng), 12, rng)
+    found = done(shared_client, shared_database, job(shared_client, "other", campaign, prior="fleet"))
     assert found["error"]["code"] == "fleet_too_few"
     assert "identify more of them without it" in found["error"]["message"]
     asked = {"kind": "identify", "robot": "other", "campaigns": [campaign], "options": {"prior": "fleet"}}
-    check = client.post("/v1/jobs/check", json=asked).raise_for_status().json()
+    check = shared_client.post("/v1/jobs/check", json=asked).raise_for_status().json()
     assert [one["code"] for one in check["problems"]] == ["fleet_too_few"]
 
 
 def test_versions_of_another_gauge_are_named(
-    client: httpx.Client, database: Database, shop: tuple[Type, np.random.Generator]
+    shared_client: httpx.Client, shared_database: Database, shop: Type
 ) -> None:
-    kind, rng = shop
-    campaign = measured(client, "new", kind.arm(rng), 12, rng)
-    found = done(client, database, job(client, "new", campaign, prior="fleet", fix=["a_4"]))
+    kind, rng = shop, np.random.default_rng(33)
+    campaign = measured(shared_client, "new", kind.arm(rng), 12, rng)
+    found = done(shared_client, shared_database, job(shared_client, "new", campaign, prior="fleet", fix=["a_4"]))
     assert found["error"]["code"] == "fleet_gauge"
     assert "of r0 is in another gauge: a_4 was fitted there alone" in found["error"]["message"]
-    refused = client.post(
+    refused = shared_client.post(
         "/v1/jobs",
         json={
             "kind": "identify",
@@ -123,10 +123,8 @@ def test_versions_of_another_gauge_are_named(
     assert refused.json()["code"] == "option_invalid"
 
 
-def test_whoever_may_see_some_robots_learns_from_those_alone(
-    database: Database, shop: tuple[Type, np.random.Generator]
-) -> None:
-    with database.reading() as session:
+def test_whoever_may_see_some_robots_learns_from_those_alone(shared_database: Database, shop: Type) -> None:
+    with shared_database.reading() as session:
         new = robots.get(session, "new").id
         assert [one.robot for one in fleet_versions(session, new, None)] == [f"r{k}" for k in range(6)]
         assert [one.robot for one in fleet_versions(session, new, ["r2", "new"])] == ["r2"]
@@ -138,18 +136,18 @@ def test_whoever_may_see_some_robots_learns_from_those_alone(
 
 
 def test_poses_are_planned_with_what_the_type_tells(
-    client: httpx.Client, database: Database, shop: tuple[Type, np.random.Generator]
+    shared_client: httpx.Client, shared_database: Database, shop: Type
 ) -> None:
     def planned(**options: Any) -> httpx.Response:
         given = {"purpose": "identify", "count": 8, **options}
-        return client.post("/v1/jobs", json={"kind": "plan", "robot": "new", "options": given})
+        return shared_client.post("/v1/jobs", json={"kind": "plan", "robot": "new", "options": given})
 
     made = []
     for options in ({"prior": "fleet"}, {}):
         answer = planned(**options)
         assert answer.status_code == 202, answer.text
-        run_one(database, "plan")
-        made.append(client.get(f"/v1/jobs/{answer.json()['id']}").json()["result"]["poses"])
+        run_one(shared_database, "plan")
+        made.append(shared_client.get(f"/v1/jobs/{answer.json()['id']}").json()["result"]["poses"])
     assert len(made[0]) == len(made[1]) == 8
     assert made[0] != made[1]
     refused = planned(prior="fleet", purpose="check")
@@ -165,19 +163,19 @@ def run_one(database: Database, kind: str) -> None:
 
 
 def test_a_gap_search_begins_with_what_the_type_tells(
-    client: httpx.Client, database: Database, shop: tuple[Type, np.random.Generator]
+    shared_client: httpx.Client, shared_database: Database, shop: Type
 ) -> None:
-    kind, rng = shop
-    campaign = measured(client, "new", kind.arm(rng), 20, rng)
+    kind, rng = shop, np.random.default_rng(34)
+    campaign = measured(shared_client, "new", kind.arm(rng), 20, rng)
     options = {"prior": "fleet", "noise_mm": 0.05, "bootstraps": 99, "resamples": 5, "permutations": 2, "next_poses": 0}
     asked = {"kind": "gap", "robot": "new", "campaigns": [campaign], "options": options}
-    check = client.post("/v1/jobs/check", json=asked).raise_for_status().json()
+    check = shared_client.post("/v1/jobs/check", json=asked).raise_for_status().json()
     assert check["problems"] == []
-    name = client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
-    run_one(database, "gap")
-    found = client.get(f"/v1/jobs/{name}").raise_for_status().json()
+    name = shared_client.post("/v1/jobs", json=asked).raise_for_status().json()["id"]
+    run_one(shared_database, "gap")
+    found = shared_client.get(f"/v1/jobs/{name}").raise_for_status().json()
     assert found["state"] == "succeeded", found["error"]
     assert len(found["result"]["prior"]["versions"]) == 6
-    version = client.get(f"/v1/versions/{found['result']['version_id']}").raise_for_status().json()
+    version = shared_client.get(f"/v1/versions/{found['result']['version_id']}").raise_for_status().json()
     assert version["details"]["prior"]["source"] == "fleet"
     assert all(one["from_prior"] is not None for one in version["parameters"])

@@ -11,11 +11,12 @@ from pathlib import Path
 import pytest
 from sqlalchemy import func, select, text
 
-from kilter_service.ground.db import Database
 from kilter_service.ground.db.tables import JobRow, VersionRow
 from tests.service.conftest import Katana, wait_for
-from tests.service.postgresql import PostgreSql, own_postgresql, programs
-from tests.service.test_workers import Fleet
+from tests.service.postgresql import PostgreSql
+from tests.service.test_workers import Fleet, server
+
+__all__ = ["server"]  # the fixture
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
 
@@ -31,19 +32,6 @@ def fleet(server: PostgreSql, tmp_path: Path) -> Iterator[Fleet]:
         yield made
     finally:
         made.close()
-
-
-@pytest.fixture
-def server() -> Iterator[PostgreSql]:
-    from kilter_service.ground.db import revision
-
-    if programs() is None:
-        pytest.skip("no PostgreSQL server is installed: apt-get install postgresql")
-    with own_postgresql() as running:
-        database = Database(running.url)
-        revision.migrate(database)
-        database.close()
-        yield running
 
 
 def test_a_thousand_jobs_make_a_thousand_versions(fleet: Fleet) -> None:

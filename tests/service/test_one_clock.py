@@ -23,14 +23,9 @@ from kilter_service.jobs import store as jobs
 from kilter_service.jobs.registry import get_job_kind
 from kilter_service.jobs.work.runner import with_clock_warnings
 from kilter_service.robots import store as robots
+from tests.service.test_derived_directions import tool_points
 
 Floats = NDArray[np.float64]
-# A UR10, as built: theta offset, d, a, alpha.
-DH = np.array([
-    [0.0, 0.1273, 0.0, np.pi / 2], [0.0, 0.0, -0.612, 0.0], [0.0, 0.0, -0.5723, 0.0],
-    [0.0, 0.163941, 0.0, np.pi / 2], [0.0, 0.1157, 0.0, -np.pi / 2], [0.0, 0.0922, 0.0, 0.0],
-])  # fmt: skip
-TOOL = np.array([0.05, 0.03, 0.12, 1.0])
 NOISE_MM = 0.03
 STAMPS = "%Y-%m-%d %H:%M:%S.%f"
 MAP = """
@@ -41,21 +36,6 @@ y_mm = {{ from = "Y", unit = "mm" }}
 z_mm = {{ from = "Z", unit = "mm" }}
 t_s = {{ from = "Time", unit = "timestamp"{more} }}
 """
-
-
-def tool_points(q: Floats) -> Floats:
-    """Tool points (N, 3) m in the frame of the base, of joints (N, 6) rad."""
-    built = DH + np.random.default_rng(1).normal(0.0, 3e-4, DH.shape)
-    out = []
-    for row in q:
-        pose = np.eye(4)
-        for angle, (offset, d, a, alpha) in zip(row, built, strict=True):
-            c, s, ca, sa = np.cos(angle + offset), np.sin(angle + offset), np.cos(alpha), np.sin(alpha)
-            pose = pose @ np.array(
-                [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
-            )
-        out.append((pose @ TOOL)[:3])
-    return np.array(out)
 
 
 class Cell:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -24,20 +24,11 @@ from kilter_service.robots import store as robots
 from kilter_service.robots.documents import core_document, resolve
 from kilter_service.versions import store
 from kilter_service.versions.store import NewVersion
-from tests.service.postgresql import programs, running_postgresql
 
 THREADS = 24
 
 
 MOST_AT_ONCE = 12  # uploads that are checked together before the first of them is stored
-
-
-@pytest.fixture(scope="module")
-def postgresql() -> Iterator[str]:
-    if programs() is None:
-        pytest.skip("no PostgreSQL server is installed: apt-get install postgresql")
-    with running_postgresql() as url:
-        yield url
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])

@@ -85,9 +85,9 @@ RIDGE = 1e-4  # of a row's weight: poses that share an orientation cannot tell t
 WALKED = 6  # of the places looked at, the best, from which a walk begins
 TOGETHER, STEPS = 6, 20  # steps of all walks, then of the best one
 DAMPING, LEAST_DAMPING = 2e-3, 1e-13
-SMALLEST_RAD = 1e-12  # of a rotation, below which its formula divides by it all the same
-SETTLED = 1e-9  # share of the loss that another step must gain
-AXES = skew(np.eye(3))
+SETTLED, ROUNDING = 1e-9, 1e-29  # shares of the loss and of all squares: a step that changes less is the last
+IDENTITY = np.eye(3)
+AXES = skew(IDENTITY)
 LEVER = 0.1  # of the spread of the points, m that a radian of orientation counts for: positions decide where they can
 
 
@@ -131,6 +131,7 @@ class _Loss:
             left = np.concatenate([left, _of_orientation(F, turned, LEVER * float(np.sqrt(np.mean(moved**2))))])
         R = np.asarray(np.linalg.qr(left, mode="r"))
         self.B, self.d = R[:, :9], R[:, 9]
+        self._turned = np.einsum("alj,mij->ilam", AXES, self.B.reshape(-1, 3, 3)).reshape(9, -1)
 
     def sum_of_squares(self, turns: Floats) -> Floats:
         """Loss (K,) of rotations R' (K, 3, 3)."""
@@ -139,6 +140,10 @@ class _Loss:
     def residual(self, turns: Floats) -> Floats:
         """Residuals (K, m) of rotations."""
         return np.asarray(turns.reshape(-1, 9) @ self.B.T - self.d)
+
+    def slopes(self, turns: Floats) -> Floats:
+        """Derivatives (K, 3, m) of the residuals by turns about the axes."""
+        return np.asarray((turns.reshape(-1, 9) @ self._turned).reshape(len(turns), 3, -1))
 
     def linear(self, turn: Floats) -> tuple[Floats, Floats]:
         """Place (3,) of the base from the middle of the points, in the base's axes, and tool point (3,) for one rotation R'."""
@@ -158,26 +163,29 @@ def _of_orientation(F: Floats, turned: Floats, lever: float) -> Floats:
 def _refine_rotations(loss: _Loss, turns: Floats, steps: int) -> Floats:
     """Rotations R' (K, 3, 3) after damped Gauss-Newton steps on SO(3), each from its own start."""
     size = float(np.sum(loss.B**2)) or 1.0  # points that are all one tell no rotation from another
-    damping, now = np.full(len(turns), DAMPING * size), loss.sum_of_squares(turns)
+    damping, left = np.full(len(turns), DAMPING * size), loss.residual(turns)
+    now, rounding = (left * left).sum(axis=1), ROUNDING * float(loss.d @ loss.d)
     for _ in range(steps):
-        J = (turns[:, None] @ AXES).reshape(len(turns), 3, 9) @ loss.B.T
-        H = J @ J.transpose(0, 2, 1) + damping[:, None, None] * np.eye(3)
-        there = turns @ _rotations(-np.linalg.solve(H, J @ loss.residual(turns)[:, :, None])[:, :, 0])
-        then = loss.sum_of_squares(there)
+        J = loss.slopes(turns)
+        H = J @ J.transpose(0, 2, 1) + damping[:, None, None] * IDENTITY
+        step = -np.linalg.solve(H, J @ left[:, :, None])[:, :, 0]
+        there = np.asarray(turns @ _rotations(np.asarray(step, dtype=np.float64)))
+        then_left = loss.residual(there)
+        then = (then_left * then_left).sum(axis=1)
         better = then < now
-        gain = float((now - then).max())
-        turns, now = np.where(better[:, None, None], there, turns), np.where(better, then, now)
+        change = float(np.abs(now - then).max())  # a walk that got worse goes on, with more damping
+        turns, left = np.where(better[:, None, None], there, turns), np.where(better[:, None], then_left, left)
+        now = np.where(better, then, now)
         damping = np.maximum(np.where(better, damping / 10.0, damping * 10.0), LEAST_DAMPING * size)
-        if 0.0 <= gain < SETTLED * now.min():
+        if change <= SETTLED * now.min() + rounding:
             break
     return turns
 
 
 def _rotations(w: Floats) -> Floats:
-    """Rotations (K, 3, 3) by rotation vectors (K, 3): Rodrigues' formula."""
-    angle = np.maximum(np.sqrt(np.sum(w * w, axis=1)), SMALLEST_RAD)[:, None, None]
-    W = skew(w)
-    return np.asarray(np.eye(3) + np.sin(angle) / angle * W + 2.0 * (np.sin(0.5 * angle) / angle) ** 2 * (W @ W))
+    """Rotations (K, 3, 3) about w (K, 3), by 2 atan(|w| / 2): Cayley's formula, which of a small step is a turn by |w|."""
+    W = (w @ AXES.reshape(3, 9)).reshape(-1, 3, 3)
+    return np.asarray(IDENTITY + (W + 0.5 * W @ W) / (1.0 + 0.25 * (w * w).sum(axis=1))[:, None, None])
 
 
 @cache

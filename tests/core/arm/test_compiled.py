@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from kilter_core.arm.kernels import compiled
+from tests.core.arm import numba_process
 
 HELPER = """
 from kilter_core.arm.kernels.compiled import compile_kernel
@@ -36,8 +36,8 @@ print(twice({}), sum(twice.stats.cache_hits.values()))
 class Tree:
     """A package with two kernels, one of which calls the other, and the real ``compiled.py``."""
 
-    def __init__(self, root: Path) -> None:
-        self.root, self.home = root, root / "home"
+    def __init__(self, root: Path, written: Path) -> None:
+        self.root, self.home, self.written, self.started = root, root / "home", written, 0
         self.home.mkdir()
         self.kernels = root / "kilter_core/arm/kernels"
         self.kernels.mkdir(parents=True)
@@ -47,22 +47,24 @@ class Tree:
         (self.kernels / "helper.py").write_text(HELPER.format(10))
         (self.kernels / "caller.py").write_text(CALLER)
 
-    def start(self, code: str, **variables: str) -> subprocess.Popen[str]:
-        own = {"PYTHONPATH": str(self.root), "HOME": str(self.home), "PYTHONDONTWRITEBYTECODE": "1", **variables}
+    def start(self, code: str, **variables: str) -> Callable[[], tuple[str, str]]:
+        """Begin to run the code; what is returned waits for its end, and gives what it wrote to stdout and stderr."""
         kept = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG", "PYTHON"))}
-        return subprocess.Popen(
-            [sys.executable, "-c", code],
-            env={**kept, **own},
-            text=True,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
+        own = {**kept, "PYTHONPATH": str(self.root), "HOME": str(self.home), **variables}
+        self.started += 1
+        out, err = (self.written / f"{self.started}.{end}" for end in ("out", "err"))
+        process = numba_process.start(code, own, out, err)
+
+        def end() -> tuple[str, str]:
+            process.join()
+            assert process.exitcode == 0, err.read_text()
+            return out.read_text(), err.read_text()
+
+        return end
 
     def use(self, argument: str = "1", **variables: str) -> tuple[list[str], str]:
         """What ``twice`` gives in a process of its own and how often it was found compiled; what went to stderr."""
-        process = self.start(USE.format(argument), **variables)
-        out, err = process.communicate()
-        assert process.returncode == 0, err
+        out, err = self.start(USE.format(argument), **variables)()
         return out.split(), err
 
     def kept(self, place: Path | None = None) -> list[Path]:
@@ -74,8 +76,8 @@ class Tree:
 
 
 @pytest.fixture
-def tree(tmp_path: Path) -> Tree:
-    return Tree(tmp_path)
+def tree(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Tree:
+    return Tree(tmp_path, tmp_path_factory.mktemp("written"))
 
 
 def test_a_change_of_a_helper_reaches_its_caller(tree: Tree) -> None:
@@ -94,8 +96,8 @@ def test_a_change_of_a_helper_reaches_its_caller(tree: Tree) -> None:
 
 def test_nothing_is_compiled_and_no_folder_is_made_at_import(tree: Tree) -> None:
     before = sorted(tree.root.rglob("*"))
-    process = tree.start("from kilter_core.arm.kernels.caller import twice; print(twice.signatures)")
-    assert process.communicate() == ("[]\n", "")
+    end = tree.start("from kilter_core.arm.kernels.caller import twice; print(twice.signatures)")
+    assert end() == ("[]\n", "")
     assert sorted(tree.root.rglob("*")) == before
 
 
@@ -141,14 +143,13 @@ def test_without_any_place_to_write_what_lies_beside_the_sources_serves(tree: Tr
         "from numba.core.caching import FunctionCache as cache; kind = cache._impl_class; "
         "cache._impl_class = type('Nowhere', (kind,), {'_locator_classes': []})"
     )
-    process = tree.start(nowhere + USE.format("1"))
-    out, err = process.communicate()
-    assert (process.returncode, out.split()) == (0, ["20", "1"]), err
+    out, _ = tree.start(nowhere + USE.format("1"))()
+    assert out.split() == ["20", "1"]
 
 
 def test_processes_that_start_at_once_do_not_mix_what_they_compile(tree: Tree) -> None:
     started = [tree.start(USE.format(argument)) for argument in ("1", "1.5", "1", "1.5")]
-    found = [process.communicate() for process in started]
+    found = [end() for end in started]
     assert [out.split()[:1] for out, _ in found] == [["20"], ["30.0"], ["20"], ["30.0"]], found
     assert tree.use("1), twice(1.5") == (["20", "30.0", "2"], "")
 

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from kilter_core.arm.documents import robot_from_document
 from kilter_core.arm.robot import Robot
 from kilter_core.effects import make_effect
 from kilter_core.errors import OptionError
 from kilter_core.identify import IdentifyOptions, identify
 from kilter_core.model import Calibration, RobotModel
 from kilter_core.observations import Observations
+from tests.core.effects.test_link_torsion import Drawn
+from tests.core.effects.test_link_torsion import robot as drawn_robot
 
 Floats = NDArray[np.float64]
 
@@ -94,23 +95,7 @@ def settled(q: Floats) -> Floats:
 
 
 def robot(shift: float = 0.0) -> Robot:
-    """The arm as it is drawn; ``shift`` m moves the origins of elbow and forearm along the elbow's axis, to nobody's notice."""
-    elements: list[dict[str, Any]] = []
-    links = []
-    for k, (axis, place, kg) in enumerate(zip(AXES, PLACES, MASSES, strict=True)):
-        moved = np.array(place)
-        moved[1] += {2: shift, 3: -shift}.get(k, 0.0)
-        elements += [{"axis": f"T{c}", "value": 1e3 * v} for c, v in zip("xyz", moved.tolist(), strict=True)]
-        elements.append({"axis": f"R{axis}", "joint": f"j{k + 1}", "name": f"zero_{k + 1}"})
-        centre = np.array(CENTRES[k]) - [0.0, shift if k == 2 else 0.0, 0.0]
-        links.append({"joint": f"j{k + 1}", "mass_kg": kg, "com_mm": (1e3 * centre).tolist()})
-    document = {
-        "name": "beside", "convention": "chain", "elements": elements, "links": links,
-        "joints": [{"name": f"j{k + 1}", "limits_deg": [-180, 180]} for k in range(len(AXES))],
-        "base": {f"{k}_mm": 0 for k in "xyz"} | {f"r{k}_deg": 0 for k in "xyz"},
-        "tool": {f"{k}_mm": 1e3 * v for k, v in zip("xyz", TOOL, strict=True)} | {f"r{k}_deg": 0 for k in "xyz"},
-    }  # fmt: skip
-    return robot_from_document(document)
+    return drawn_robot(shift, Drawn(AXES, PLACES, MASSES, CENTRES, TOOL))
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -59,22 +61,33 @@ def settled(q: Floats) -> Floats:
     return out
 
 
-def robot(shift: float = 0.0) -> Robot:
+@dataclass(frozen=True)
+class Drawn:
+    """An arm as it is drawn: axis, place in the link before, mass and its centre of each joint; and its tool."""
+
+    axes: Sequence[str]
+    places: Sequence[tuple[float, ...]]
+    masses: Sequence[float]
+    centres: Sequence[tuple[float, ...]]
+    tool: tuple[float, ...]
+
+
+def robot(shift: float = 0.0, drawn: Drawn = Drawn(AXES, PLACES, MASSES, CENTRES, TOOL)) -> Robot:
     """The arm as it is drawn; ``shift`` m moves the origins of elbow and forearm along the elbow's axis, to nobody's notice."""
     elements: list[dict[str, Any]] = []
     links = []
-    for k, (axis, place, kg) in enumerate(zip(AXES, PLACES, MASSES, strict=True)):
+    for k, (axis, place, kg) in enumerate(zip(drawn.axes, drawn.places, drawn.masses, strict=True)):
         moved = np.array(place)
         moved[1] += {2: shift, 3: -shift}.get(k, 0.0)
         elements += [{"axis": f"T{c}", "value": 1e3 * v} for c, v in zip("xyz", moved.tolist(), strict=True)]
         elements.append({"axis": f"R{axis}", "joint": f"j{k + 1}", "name": f"zero_{k + 1}"})
-        centre = np.array(CENTRES[k]) - [0.0, shift if k == 2 else 0.0, 0.0]
+        centre = np.array(drawn.centres[k]) - [0.0, shift if k == 2 else 0.0, 0.0]
         links.append({"joint": f"j{k + 1}", "mass_kg": kg, "com_mm": (1e3 * centre).tolist()})
     document = {
         "name": "beside", "convention": "chain", "elements": elements, "links": links,
-        "joints": [{"name": f"j{k + 1}", "limits_deg": [-180, 180]} for k in range(len(AXES))],
+        "joints": [{"name": f"j{k + 1}", "limits_deg": [-180, 180]} for k in range(len(drawn.axes))],
         "base": {f"{k}_mm": 0 for k in "xyz"} | {f"r{k}_deg": 0 for k in "xyz"},
-        "tool": {f"{k}_mm": 1e3 * v for k, v in zip("xyz", TOOL, strict=True)} | {f"r{k}_deg": 0 for k in "xyz"},
+        "tool": {f"{k}_mm": 1e3 * v for k, v in zip("xyz", drawn.tool, strict=True)} | {f"r{k}_deg": 0 for k in "xyz"},
     }  # fmt: skip
     return robot_from_document(document)
 

@@ -72,7 +72,7 @@ ARMS: dict[str, Callable[[np.random.Generator], Arm]] = {
 
 
 @cache
-def campaign(arm: str, see: str = "position", poses: int = 90) -> tuple[Robot, Arm, Observations]:
+def campaign(arm: str, see: str = "position", poses: int = 60) -> tuple[Robot, Arm, Observations]:
     """A robot as drawn, as it is (errors no drawing has, an unknown place and tool), and what was seen of it."""
     rng = np.random.default_rng(3)
     drawn = ARMS[arm](rng)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
@@ -12,7 +11,7 @@ from kilter_core.identify.plausibility.sheet_order import sheet_order, sheet_ord
 from kilter_core.observations import Observations
 from tests.core.campaigns import table_errors
 from tests.core.drawing import PLANE, Drawing, drawn
-from tests.core.truth import Arm, ur10
+from tests.core.truth import ur10
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +45,7 @@ def tilting(seed: int) -> tuple[Drawing, np.random.Generator]:
     gone = np.diff(np.vstack([q, q[:1]]), axis=0)
     moved = np.einsum("nkj,nj->nk", true.joint_jacobians(q)[:, :3], -rng.uniform(5e-5, 2e-4, 6) * np.sign(gone))
     p = true.poses(q)[0]
-    for j, (axis, place) in enumerate(zip(*joint_axes(true, q), strict=True)):
+    for j, (axis, place) in enumerate(zip(*true.joint_axes(q), strict=True)):
         lever = p - place
         moment = np.cross(lever, [0.0, 0.0, -1.0])
         across = moment - np.sum(moment * axis, axis=1)[:, None] * axis
@@ -58,19 +57,6 @@ def tilting(seed: int) -> tuple[Drawing, np.random.Generator]:
     for k in (1, 2, 3, 4):
         error = error + np.sqrt(0.5) * 3e-5 * rng.normal(size=3) * np.cos(k * t + rng.uniform(0.0, 6.3))[:, None]
     return Drawing(plain.radius, plain.centre, t, q, plain.commanded, error), rng
-
-
-def joint_axes(arm: Arm, q: Floats) -> tuple[Floats, Floats]:
-    """Axes and places (joints, n, 3) of the joints, by Pinocchio."""
-    model, _ = arm.pinocchio()
-    data = model.createData()
-    axes, places = np.empty((arm.n, len(q), 3)), np.empty((arm.n, len(q), 3))
-    for k, row in enumerate(q):
-        pin.forwardKinematics(model, data, arm.motors(row))
-        for m, step in enumerate(arm.moving):
-            axes[step.joint, k] = data.oMi[m + 1].rotation[:, "xyz".index(step.axis[1])]
-            places[step.joint, k] = data.oMi[m + 1].translation
-    return axes, places
 
 
 @pytest.mark.parametrize("seed", range(8))

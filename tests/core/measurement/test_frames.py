@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from kilter_core.measurement import frames
 from kilter_core.measurement.frames import best_frames
 from tests.core.truth import some_arm, some_pose, ur10
 
@@ -43,6 +44,23 @@ def test_orientation_decides_what_positions_do_not_tell() -> None:
     (f, F), (p, R) = bare.poses(q), arm.poses(q)
     T, _ = best_frames(f, F, p, arm.tool.translation, R)
     np.testing.assert_allclose(T[:3, :3], arm.base.rotation, atol=1e-5)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, NOISE_M])
+def test_a_walk_that_has_arrived_takes_no_further_steps(noise_m: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loss there wavers by the last digit: where nothing is left a walk went on for six steps."""
+    steps, turned_by = [], frames._rotations
+    arm = ur10(base=some_pose(np.random.default_rng(1), 3.0))
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        q = rng.uniform(-2, 2, (40, 6))
+        (f, F), (p, _) = replace(arm, base=pin.SE3.Identity()).poses(q), arm.poses(q)
+        p = p + rng.normal(0.0, noise_m, p.shape)
+        there = best_frames(f, F, p, np.zeros(3))[0][:3, :3]
+        monkeypatch.setattr(frames, "_rotations", lambda w: (steps.append(1), turned_by(w))[1])
+        best_frames(f, F, p, np.zeros(3), near=there)
+        monkeypatch.undo()
+    assert len(steps) <= 36
 
 
 @pytest.mark.parametrize("rows", [1, 2, 5])

@@ -8,6 +8,7 @@ whose package is of an extra calls :func:`need` first, which says what installs 
 from __future__ import annotations
 
 import builtins
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -21,19 +22,22 @@ from kilter_files.ground.errors import MissingPackageError
 class Later:
     """Stands for a module that is imported when one of its names is asked for.
 
-    It asks the module each time and keeps nothing; unlike ``importlib.util.LazyLoader`` it never stands among the loaded
-    modules half made, where another thread could find it.
+    It asks the module each time and keeps none of its names; unlike ``importlib.util.LazyLoader`` it never stands among the
+    loaded modules half made, where another thread could find it.
     """
 
     def __init__(self, name: str) -> None:
         """Stand for the module ``name``."""
         self._name = name
+        self._module: object = self  # nothing yet
 
     def __getattr__(self, name: str) -> Any:
         """Import the module, and return what it calls so."""
         if name.startswith("__"):  # what asks whether this is a module, a class or a wrapper imports nothing
             raise AttributeError(name)
-        return getattr(import_module(self._name), name)
+        if sys.modules.get(self._name) is not self._module:  # import_module takes ten times as long to find it loaded
+            self._module = import_module(self._name)
+        return getattr(self._module, name)
 
 
 _ONE_BLOCK = RLock()
