@@ -135,13 +135,13 @@ class Log:
 
     def parts(self) -> Iterator[Part]:
         """Each stretch on an even clock, long ones in several parts; what is shorter than 2 s is passed over."""
-        for start, end in self._stretches():
+        for start, end in self.stretches():
             count = max(1, int(np.ceil((self.t[end - 1] - self.t[start]) / LONGEST_S)))
             for piece in np.array_split(np.arange(start, end), count):
                 if self.t[piece[-1]] - self.t[piece[0]] >= SHORTEST_S:
                     yield self._resample_stretch(piece)
 
-    def _stretches(self) -> Iterator[tuple[int, int]]:
+    def stretches(self) -> Iterator[tuple[int, int]]:
         """First row of each stretch without a gap, and the one behind its last."""
         return pairwise(self.starts.tolist())
 
@@ -149,7 +149,7 @@ class Log:
     def motion(self) -> Ints:
         """Number (N,) of the motion of each row. A path that is driven again is one motion with the first."""
         ends = [self.starts[1:]]
-        for start, end in self._stretches():
+        for start, end in self.stretches():
             if end - start > 2:
                 rate = np.abs(np.gradient(self.observations.q[start:end], self.t[start:end], axis=0))
                 ends.append(start + _ends_of_motions(self.t[start:end], np.all(rate < self._rest_speeds, axis=1)))
@@ -175,7 +175,7 @@ class Log:
     def _rest_speeds(self) -> Floats:
         """Speed (n,) below which each joint counts as at rest."""
         reached = np.zeros(self.observations.q.shape[1])
-        for start, end in self._stretches():
+        for start, end in self.stretches():
             if end - start > 2:
                 rate = np.abs(np.gradient(self.observations.q[start:end], self.t[start:end], axis=0))
                 reached = np.maximum(reached, np.quantile(rate, 0.95, axis=0))
