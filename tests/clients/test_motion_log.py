@@ -332,6 +332,22 @@ def test_what_is_carried_is_weighed(server: Path, logged: Path, hidden: tuple[Lo
     assert "carried mass" not in capsys.readouterr().out
 
 
+def test_a_log_in_another_unit_with_smoothed_speeds_is_told_and_searched(
+    server: Path, hidden: tuple[Logger, Path], logged: Path, capsys: Capture
+) -> None:
+    log = np.genfromtxt(logged, delimiter=",", names=True)
+    table = {name: log[name] for name in HEAD} | {f"tau{j}_nm": 1000.0 * log[f"tau{j}_nm"] for j in JOINTS}
+    late = {
+        f"qd{j}_deg_s": np.roll(np.gradient(log[f"q{j}_deg"], 0.01), 15) for j in JOINTS
+    }  # as a slow filter has them
+    with Kilter() as kilter:
+        kilter.upload("mover", table | late, name="N mm")
+    assert run(["gap", "mover", "-c", "N mm"]) == 0
+    printed = "".join(capsys.readouterr())
+    assert printed.startswith("Found: gear ripple of joint 3")
+    assert "Torques are 1000 times what the described masses need: joints 1, 2, 3, 4, 5, 6. Compare unit" in printed
+
+
 def test_a_sensor_at_the_wrist_weighs_what_it_carries(server: Path, tmp_path: Path, capsys: Capture) -> None:
     wrist, names = Wrist(8, MOUNTING), ("fx_n", "fy_n", "fz_n", "mx_nm", "my_nm", "mz_nm")
 

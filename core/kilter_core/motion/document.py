@@ -15,6 +15,7 @@ from kilter_core.motion.search import Judged
 from kilter_core.types import QUANTILE, Floats
 
 SCRAMBLED_SHARE = 0.25  # of all torque; joints without a signal have little
+ALIKE = 1.5  # times the least of some factors: they are one
 FAR, ALL_FAR = (
     10.0,
     3.0,
@@ -151,9 +152,12 @@ def _describe_scale(report: MotionReport) -> Iterator[dict[str, Any]]:
     far = known[off > np.log(ALL_FAR if many else FAR)]
     if not len(far):
         return
-    times = ", ".join(f"{report.scale[j]:.2g} (joint {j + 1})" for j in far.tolist())
+    found = [float(f"{report.scale[j]:.2g}") for j in far.tolist()]
+    each = ", ".join(f"{times:g} (joint {j + 1})" for times, j in zip(found, far.tolist(), strict=True))
+    alike = max(found) < ALIKE * min(found)
     message = (
-        f"Torques are so many times what the described masses need: {times}. Compare unit (N m), torque constant and side of "
+        f"Torques are {f'{np.median(found):g}' if alike else 'so many'} times what the described masses need: "
+        f"{joint_numbers(far.tolist()) if alike else each}. Compare unit (N m), torque constant and side of "
         "the gear, and give a scale in a column map; or correct the masses. Until then kg and N m are in the log's unit."
     )
     yield {"code": "torque_unit", "message": message, "joints": [j + 1 for j in far.tolist()]}

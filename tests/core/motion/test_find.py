@@ -206,7 +206,7 @@ def test_torques_in_another_unit_are_compared_with_the_described_masses(factor: 
 
     said = changed(scale)["torque_unit"]
     assert joints <= set(said["joints"]) <= {j + 1 for j in range(6) if factor[j] != 1.0}
-    assert f"{factor[3]:.2g} (joint 4)" in said["message"]
+    assert f"are {float(f'{factor[3]:.2g}'):g} times" in said["message"]
 
 
 def test_masses_that_are_half_wrong_are_no_other_unit() -> None:
