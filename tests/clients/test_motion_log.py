@@ -16,11 +16,13 @@ import pytest
 from kilter_client import Kilter
 from kilter_client.cli import run
 from kilter_client.errors import ConflictError, JobFailedError, NotFoundError, ObservationError
+from kilter_core.observations import Observations
 from tests.core.identify.test_carried_masses import ASKED, SOFT, measured, standing
 from tests.core.motion.moving_arm import Logger, State, ur_like
 from tests.core.motion.test_find import HIDDEN, at_joint
 from tests.core.motion.test_loads import solid
-from tests.core.truth import Body
+from tests.core.motion.test_wrist import BIAS, CENTRE, MASS, MOUNTING, ORIGIN, Wrist
+from tests.core.truth import Body, Floats
 
 Capture = pytest.CaptureFixture[str]
 JOINTS = range(1, 7)
@@ -328,6 +330,65 @@ def test_what_is_carried_is_weighed(server: Path, logged: Path, hidden: tuple[Lo
     capsys.readouterr()
     assert run(["gap", "mover", "-c", "without", "-c", "stated"]) == 0
     assert "carried mass" not in capsys.readouterr().out
+
+
+def test_a_log_in_another_unit_with_smoothed_speeds_is_told_and_searched(
+    server: Path, hidden: tuple[Logger, Path], logged: Path, capsys: Capture
+) -> None:
+    log = np.genfromtxt(logged, delimiter=",", names=True)
+    table = {name: log[name] for name in HEAD} | {f"tau{j}_nm": 1000.0 * log[f"tau{j}_nm"] for j in JOINTS}
+    late = {
+        f"qd{j}_deg_s": np.roll(np.gradient(log[f"q{j}_deg"], 0.01), 15) for j in JOINTS
+    }  # as a slow filter has them
+    with Kilter() as kilter:
+        kilter.upload("mover", table | late, name="N mm")
+    assert run(["gap", "mover", "-c", "N mm"]) == 0
+    printed = "".join(capsys.readouterr())
+    assert printed.startswith("Found: gear ripple of joint 3")
+    assert "Torques are 1000 times what the described masses need: joints 1, 2, 3, 4, 5, 6. Compare unit" in printed
+
+
+def test_a_sensor_at_the_wrist_weighs_what_it_carries(server: Path, tmp_path: Path, capsys: Capture) -> None:
+    wrist, names = Wrist(8, MOUNTING), ("fx_n", "fy_n", "fz_n", "mx_nm", "my_nm", "mz_nm")
+
+    def table(rows: Observations) -> dict[str, Floats]:
+        assert rows.wrench is not None
+        read = {f"q{j}_deg": np.degrees(rows.q[:, j - 1]) for j in JOINTS} | dict(
+            zip(names, rows.wrench.T, strict=True)
+        )
+        return read if rows.t is None else read | {"t_s": rows.t}
+
+    poses, log = table(wrist.poses(30)), table(wrist.log(push=25.0))
+    with Kilter() as kilter:
+        kilter.robots.add(wrist.arm.document() | {"name": "felt"})
+        kilter.upload("felt", poses, name="poses")
+        kilter.upload("felt", log, name="log")
+        kilter.upload("felt", log | {f"tau{j}_nm": np.sin(log["t_s"] + j) for j in JOINTS}, name="both")
+        asked = {"sensor_mm": (1e3 * ORIGIN).tolist()}
+        bodies = {c: kilter.jobs.run("payload", "felt", [c], options=asked)["result"] for c in ("poses", "log")}
+    for one in bodies.values():
+        assert abs(one["mass_kg"] - MASS) < one["mass_u95_kg"] * 2.0 < 0.04 * MASS
+        assert np.linalg.norm(np.array(one["centre_mm"]) - 1e3 * CENTRE) < 5.0
+        assert np.abs(np.array([*one["sensor"]["bias_n"], *one["sensor"]["bias_nm"]]) - BIAS).max() < 0.3
+        assert one.get("joints") is None
+    assert bodies["poses"].get("inertia_kg_m2") is None
+    assert [one["code"] for one in bodies["log"]["warnings"]] == ["tool_touched"]
+    out = tmp_path / "contact.csv"
+    assert run(["measure", "payload", "felt", "-c", "log", "--sensor-mm", "[0,0,20]", "-o", str(out)]) == 0
+    printed = capsys.readouterr()
+    assert re.match(r"It carries 1\.[67]\d? kg", printed.out)
+    assert "Bias of the sensor: 4" in printed.out
+    rows = np.genfromtxt(out, delimiter=",", names=True)
+    felt = (rows["t_s"] > 20.5) & (rows["t_s"] < 22.5)
+    assert np.abs(rows["fz_n"][felt].mean() - 20.0) < 1.0 > np.abs(rows["fz_n"][rows["t_s"] < 19.0].mean())
+    assert run(["measure", "payload", "felt", "-c", "both"]) != 0
+    assert "Say which weighs" in capsys.readouterr().err
+    assert run(["measure", "payload", "felt", "-c", "both", "--by", "wrench"]) == 0
+    assert run(["measure", "payload", "felt", "-c", "log", "--empty", "poses"]) != 0
+    assert "leave empty out" in capsys.readouterr().err
+    for command in ("gap", "identify"):
+        assert run([command, "felt", "-c", "log"]) != 0
+        assert "no measured position" in capsys.readouterr().err
 
 
 def test_motions_are_planned_for_a_recording(server: Path, logged: Path, tmp_path: Path, capsys: Capture) -> None:

@@ -239,10 +239,10 @@ def unobservable_directions(fit: Fit) -> Floats:
 
     What is left unexplained is structured, so it does not average out over rows: a fit that follows it along such a
     direction gains nothing that can be measured and spoils what was not. (UR10 with the tool point on axis 6: positions
-    alone rotated the wrist by degrees.) What a type tells is free: how parameters of an arm go together says what rows leave
-    open, and held at its mean a zero was off by four of its standard deviations.
+    alone rotated the wrist by degrees.) What a type or torques tell is free: how these parameters go together says what rows
+    leave open, and held at its mean a zero was off by four of its standard deviations.
     """
-    own = np.flatnonzero(~_type_prior_mask(fit))
+    own = np.flatnonzero(~_told_mask(fit))
     scaled = fit.J[:, own] * fit.problem.prior_sigma[own]
     if not len(own):
         return np.zeros((0, len(fit.names)))
@@ -259,10 +259,13 @@ def unobservable_directions(fit: Fit) -> Floats:
     return out
 
 
-def _type_prior_mask(fit: Fit) -> Bools:
-    """Which of the free parameters (F,) other arms of the type tell."""
-    of_type = fit.problem.model.of_type
-    return np.isin(fit.names, () if of_type is None else of_type.restrict_to_identifiable().names)
+def _told_mask(fit: Fit) -> Bools:
+    """Which of the free parameters (F,) other arms of the type tell, or torques of this one."""
+    model = fit.problem.model
+    of_type = None if model.of_type is None else model.of_type.restrict_to_identifiable()
+    return np.isin(
+        fit.names, [name for one in (of_type, model.robot.told_loads) if one is not None for name in one.names]
+    )
 
 
 def _restore_unobservable(fit: Fit, unobservable: Floats, anchor: Floats) -> Floats:

@@ -27,3 +27,5 @@ from .rollout.record import JointRecord as JointRecord
 from .rollout.record import Servo as Servo
 from .rollout.record import smooth_motion as smooth_motion
 from .rollout.search import JointFindings as JointFindings
+from .wrist import WristReading as WristReading
+from .wrist import read_wrist as read_wrist

@@ -15,6 +15,10 @@ from kilter_core.motion.search import Judged
 from kilter_core.types import QUANTILE, Floats
 
 SCRAMBLED_SHARE = 0.25  # of all torque; joints without a signal have little
+ALIKE = 1.5  # times the least of some factors: they are one
+# Times too large or too small, at one joint or at half of them: no masses are described so wrongly.
+FAR, ALL_FAR = 10.0, 3.0
+MIXED = 40.0  # times between two joints: the side of a gear; masses that stand in for unknown ones may differ by less
 FEWEST_LATE = 3  # joints, from which a common delay is that of a clock
 IMITATED = "masses, inertias and friction of the model make the same torques in this log"
 
@@ -35,7 +39,7 @@ def to_document(report: MotionReport) -> dict[str, Any]:
         for j in range(report.robot.n_joints)
     ]
     clock = _find_clock(report)
-    judged = () if clock is not None or _is_scrambled(report) else report.judged
+    judged = () if clock is not None or report.without_mean or _is_scrambled(report) else report.judged
     friction = [one for term, value in report.common for one in _list_amplitudes(term, value, None, units)]
     friction += [
         amplitude for one in report.faint for amplitude in _list_amplitudes(one.term, one.value, one.sigma, units)
@@ -86,9 +90,12 @@ def _find_clock(report: MotionReport) -> dict[str, Any] | None:
 
 
 def _is_scrambled(report: MotionReport) -> bool:
-    """Whether so much torque is not explained that the order of the joints, a sign or a unit must be another."""
-    odd = list(report.unexplained)
-    return bool(report.spread[odd].sum() > SCRAMBLED_SHARE * report.spread.sum())
+    """Whether so much torque is not explained that the order of the joints, a sign or a unit must be another, or whether
+    joints have different units: bodies would be none.
+    """
+    odd, scale = list(report.unexplained), np.abs(report.scale[np.isfinite(report.scale)])
+    mixed = len(scale) > 1 and scale.max() > MIXED * scale.min()
+    return bool(mixed or report.spread[odd].sum() > SCRAMBLED_SHARE * report.spread.sum())
 
 
 def _describe_effect(one: Judged, units: list[str]) -> dict[str, Any]:
@@ -136,6 +143,25 @@ def _list_amplitudes(term: Term, value: Floats, sigma: Floats | None, units: lis
     return found
 
 
+def _describe_scale(report: MotionReport) -> Iterator[dict[str, Any]]:
+    """Say where torques are far from what the described masses need: in another unit, or on the motor's side."""
+    known = np.flatnonzero(np.isfinite(report.scale))
+    off = np.abs(np.log(np.abs(report.scale[known])))
+    many = len(known) > 1 and np.median(off) > np.log(ALL_FAR)
+    far = known[off > np.log(ALL_FAR if many else FAR)]
+    if not len(far):
+        return
+    found = [float(f"{report.scale[j]:.2g}") for j in far.tolist()]
+    each = ", ".join(f"{times:g} (joint {j + 1})" for times, j in zip(found, far.tolist(), strict=True))
+    alike = max(found) < ALIKE * min(found)
+    message = (
+        f"Torques are {f'{np.median(found):g}' if alike else 'so many'} times what the described masses need: "
+        f"{joint_numbers(far.tolist()) if alike else each}. Compare unit (N m), torque constant and side of "
+        "the gear, and give a scale in a column map; or correct the masses. Until then kg and N m are in the log's unit."
+    )
+    yield {"code": "torque_unit", "message": message, "joints": [j + 1 for j in far.tolist()]}
+
+
 def _list_warnings(report: MotionReport) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = []
     if not report.unseen:
@@ -148,12 +174,20 @@ def _list_warnings(report: MotionReport) -> list[dict[str, Any]]:
         named = ", ".join(str(j + 1) for j in report.resting)
         message = f"Joints {named} do not move in this log: nothing is said of them. Record a motion of them too."
         found.append({"code": "joints_at_rest", "message": message, "joints": [j + 1 for j in report.resting]})
+    if report.without_mean:
+        message = (
+            "No motion of this log has a mean torque at any joint: it was taken off, or a filter did, and gravity with it. "
+            "Log the torques or currents as they are; nothing was named."
+        )
+        found.append({"code": "torque_mean", "message": message})
+    found += _describe_scale(report)
     odd = [j + 1 for j in report.unexplained]
     if odd:
         nothing = "" if _is_scrambled(report) else " of them"
         message = (
             f"The model explains little of the torque of joints {', '.join(map(str, odd))}. Compare the order and the signs of "
-            f"the joints, the unit and the side of the gear with the robot's description; nothing{nothing} was named."
+            "the joints, the unit and the side of the gear with the robot's description; a base that moved does it, too. "
+            f"Nothing{nothing} was named."
         )
         found.append({"code": "torques_unexplained", "message": message, "joints": odd})
     if report.pushed_s:

@@ -23,6 +23,7 @@ from kilter_core.motion.layout import DELAY_STEP_S, Bodies, Known, Layout, Term
 from kilter_core.motion.model import TorqueModel
 from kilter_core.motion.normal import Equations, form_equations
 from kilter_core.motion.record import Log, Part, clipped_rows
+from kilter_core.motion.regressor import base_sums, rigid_regressor, stated_numbers
 from kilter_core.motion.search import Judged, Split, Tests, judge_terms, search_terms, split_motions
 from kilter_core.observations import Observations
 from kilter_core.types import Bools, Floats, Progress, unheard
@@ -32,6 +33,8 @@ PUSH = 30.0  # times the usual square of a second, from which something else mov
 MOST_PUSHED = 0.1  # of the seconds
 PASSES = 3
 UNEXPLAINED = 0.33  # of the spread of a torque, left by bodies and friction
+DESCRIBED = 0.5  # share of a torque's squares, beside friction, that described links must explain to tell its scale
+NO_MEAN = 0.02  # of the spread of a torque, in every motion
 NEGATIVE = 5.0  # standard errors below zero of a friction
 # Torque that repeats with the angle of a joint: how often per turn, before anything else about it is known.
 RIPPLE_ROWS = 20_000
@@ -73,7 +76,8 @@ class MotionReport:
     ``hidden`` are effects that the bodies and the friction imitate in this log, ``pushed_s`` the seconds left out because
     something leant on the arm, ``unexplained`` joints of whose torque the model leaves a third or more: they took no
     part. ``spread (n,)`` of the torques, N m. ``model`` is what unseen motions bear out, fitted to the whole log.
-    ``faint`` are effects that somebody asked for and the log does not show.
+    ``faint`` are effects that somebody asked for and the log does not show. ``scale (n,)`` is how many times as large the
+    torques are as the described masses need, NaN where these explain little; ``without_mean`` says that each motion has none.
     """
 
     robot: Robot
@@ -91,6 +95,8 @@ class MotionReport:
     unexplained: tuple[int, ...]
     spread: Floats
     model: TorqueModel
+    scale: Floats
+    without_mean: bool
     faint: tuple[Judged, ...] = ()
 
 
@@ -222,9 +228,10 @@ def _refuse_negative_friction(equations: Equations, fit: Fit, split: Split) -> N
 
 
 def _refuse_rest(equations: Equations) -> None:
-    if len(equations.motion) < FEWEST_BLOCKS or not equations.rows.any():
+    moving = int(np.count_nonzero(equations.rows.any(axis=1)))
+    if moving < FEWEST_BLOCKS:
         raise ObservationError(
-            f"The joints move for {len(equations.motion)} s of this log, and a search needs {FEWEST_BLOCKS} s: "
+            f"The joints move for {moving} s of this log, and a search needs {FEWEST_BLOCKS} s: "
             "record motions of all joints.",
             code="log_at_rest",
         )
@@ -271,7 +278,36 @@ def _write_report(
             np.flatnonzero((rows > 0) & (weights > 0.0)).tolist(),
             split.every,
         ),
+        _compare_with_description(equations, split.every),
+        _has_no_mean(log, equations.layout.robot),
     )
+
+
+def _compare_with_description(equations: Equations, blocks: Bools) -> Floats:
+    """How many times the torque that the described links need is in that of each joint (n,), beside offset and friction."""
+    robot, stated = equations.layout.robot, np.zeros(equations.layout.width)
+    stated[: equations.base] = base_sums(robot) @ stated_numbers(robot)
+    out = np.full(robot.n_joints, np.nan)
+    for j, places in enumerate(equations.places):
+        common = [t.columns for t in equations.terms if t.joint == j and t.effect.common]
+        T = np.zeros((len(places) + 1, len(common) + 2))
+        T[:-1, : len(common)] = places[:, None] == np.concatenate(common)
+        T[:-1, -2], T[-1, -1] = stated[places], 1.0
+        (own, along), (_, whole) = _remove_columns(T.T @ equations.products[j][blocks].sum(axis=0) @ T, len(common))
+        if along**2 > DESCRIBED * own * whole > 0.0:
+            out[j] = along / own
+    return out
+
+
+def _has_no_mean(log: Log, robot: Robot) -> bool:
+    """Whether the torques that gravity has a part in have no mean in any of several motions: it was taken off, or filtered."""
+    still = np.zeros_like(log.observations.q[:1])
+    pulled = np.abs(rigid_regressor(robot, still + 0.5, still, still)[0]).max(axis=1) > 1e-9
+    means = [
+        np.abs(log.tau[k:end].mean(axis=0)) / np.maximum(log.tau[k:end].std(axis=0), 1e-12)
+        for k, end in log.stretches()
+    ]
+    return len(means) > 1 and int(np.count_nonzero(pulled)) > 1 and float(np.max(np.array(means)[:, pulled])) < NO_MEAN
 
 
 def _choose_borne_out_terms(equations: Equations, split: Split, weights: Floats, judged: list[Judged]) -> list[Term]:

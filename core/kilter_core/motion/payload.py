@@ -68,7 +68,7 @@ def weigh_payload(robot: Robot, loaded: Sequence[Observations], empty: Sequence[
     without = fit.theta.copy()
     without[at] = 0.0
     left = np.stack([equations.rms(theta, with_load) for theta in (without, fit.theta)])
-    return _in_tool_frame(robot, numbers, spread, left)
+    return describe_carried(tool_in_link(robot), numbers, spread, left)
 
 
 def _as_session(parts: Sequence[Observations], session: int) -> list[Observations]:
@@ -85,8 +85,8 @@ def _refuse_one_sided(equations: Equations, with_load: Bools) -> None:
         )
 
 
-def _in_tool_frame(robot: Robot, numbers: Floats, spread: Floats, left: Floats) -> CarriedBody:
-    tool = tool_in_link(robot)
+def describe_carried(tool: Floats, numbers: Floats, spread: Floats, left: Floats) -> CarriedBody:
+    """Return the body of these numbers (10,) and their covariance in a frame in which the tool is at ``tool (4, 4)``."""
     told = _describe(numbers, tool)
     slopes = np.stack([(_describe(numbers + d, tool) - told) / STEP for d in STEP * np.eye(len(numbers))], axis=1)
     sigma = np.sqrt(np.maximum(np.diag(slopes @ spread @ slopes.T), 0.0))

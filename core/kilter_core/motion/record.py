@@ -135,13 +135,13 @@ class Log:
 
     def parts(self) -> Iterator[Part]:
         """Each stretch on an even clock, long ones in several parts; what is shorter than 2 s is passed over."""
-        for start, end in self._stretches():
+        for start, end in self.stretches():
             count = max(1, int(np.ceil((self.t[end - 1] - self.t[start]) / LONGEST_S)))
             for piece in np.array_split(np.arange(start, end), count):
                 if self.t[piece[-1]] - self.t[piece[0]] >= SHORTEST_S:
                     yield self._resample_stretch(piece)
 
-    def _stretches(self) -> Iterator[tuple[int, int]]:
+    def stretches(self) -> Iterator[tuple[int, int]]:
         """First row of each stretch without a gap, and the one behind its last."""
         return pairwise(self.starts.tolist())
 
@@ -149,7 +149,7 @@ class Log:
     def motion(self) -> Ints:
         """Number (N,) of the motion of each row. A path that is driven again is one motion with the first."""
         ends = [self.starts[1:]]
-        for start, end in self._stretches():
+        for start, end in self.stretches():
             if end - start > 2:
                 rate = np.abs(np.gradient(self.observations.q[start:end], self.t[start:end], axis=0))
                 ends.append(start + _ends_of_motions(self.t[start:end], np.all(rate < self._rest_speeds, axis=1)))
@@ -174,8 +174,8 @@ class Log:
     @cached_property
     def _rest_speeds(self) -> Floats:
         """Speed (n,) below which each joint counts as at rest."""
-        reached = np.zeros(self.tau.shape[1])
-        for start, end in self._stretches():
+        reached = np.zeros(self.observations.q.shape[1])
+        for start, end in self.stretches():
             if end - start > 2:
                 rate = np.abs(np.gradient(self.observations.q[start:end], self.t[start:end], axis=0))
                 reached = np.maximum(reached, np.quantile(rate, 0.95, axis=0))
@@ -188,7 +188,7 @@ class Log:
         nearest = np.minimum(np.searchsorted(t, clock), len(t) - 1)
         band = min(JOINT_BAND * self.cut_off_hz, 0.4 / self.step_s)
         q = _filter_columns(_interpolate(clock, t, obs.q[piece]), band, self.step_s)
-        qd = np.gradient(q, self.step_s, axis=0)
+        qd = _differentiate(q, self.step_s)
         warm = None if obs.temperature_c is None else np.interp(clock, t, obs.temperature_c[piece])
         session = 0 if obs.session is None else int(obs.session[piece[0]])
         carried = 0.0 if obs.payload_kg is None else float(obs.payload_kg[piece[0]])
@@ -199,7 +199,7 @@ class Log:
             clock,
             q,
             qd,
-            np.gradient(qd, self.step_s, axis=0),
+            _differentiate(qd, self.step_s),
             warm,
             self.step_s,
             self.motion[piece][nearest],
@@ -226,6 +226,13 @@ def _filter_columns(columns: Floats, cut_off_hz: float, step_s: float) -> Floats
     from scipy.signal import sosfiltfilt  # 35 MB, which the API does without: it only asks what is a log
 
     return np.asarray(sosfiltfilt(_design_filter(cut_off_hz, step_s), columns, axis=0))
+
+
+def _differentiate(values: Floats, step_s: float) -> Floats:
+    """Central differences of fourth order: those of second order lose a per cent of accelerations above 1 Hz at 50 rows/s."""
+    out = np.gradient(values, step_s, axis=0)
+    out[2:-2] = (8.0 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / (12.0 * step_s)
+    return out
 
 
 def _ends_of_motions(t: Floats, resting: Bools) -> Ints:

@@ -7,7 +7,7 @@ torques (Gautier and Khalil 1990).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -83,6 +83,20 @@ def rigid_regressor(robot: Robot, q: Floats, qd: Floats, qdd: Floats) -> Floats:
     return Y
 
 
+def tool_wrench_regressor(robot: Robot, q: Floats, qd: Floats, qdd: Floats, place: Floats) -> Floats:
+    """Return the matrix ``Y (N, 6, 10)`` of a body behind the last joint: force N and moment N m that move it are ``Y @ pi``.
+
+    All, ``pi (10,)`` too, are about the origin and in the axes of the frame that stands at ``place (4, 4)`` of the outermost
+    body's frame.
+    """
+    _, frame = max(_walk(robot, q, qd, qdd)[0], key=lambda one: one[0])
+    lever = frame.R @ place[:3, 3]
+    swing = np.cross(frame.dw, lever) + np.cross(frame.w, np.cross(frame.w, lever))
+    moved = replace(frame, R=frame.R @ place[:3, :3], origin=frame.origin + lever, a=frame.a + swing)
+    back = moved.R.transpose(0, 2, 1)
+    return np.concatenate([back @ one for one in _wrench_of_numbers(moved)], axis=1)
+
+
 def stated_numbers(robot: Robot) -> Floats:
     """Return numbers ``pi (10 L,)`` of the links as the robot's description states them; zero where it states no link."""
     if not robot.links:
@@ -123,10 +137,15 @@ def joint_behind_link(robot: Robot, link: int) -> int:
 
 def tool_in_link(robot: Robot) -> Floats:
     """Return the pose (4, 4) of the tool in the frame of the outermost body."""
+    return np.asarray(flange_in_link(robot) @ robot.T_tool)
+
+
+def flange_in_link(robot: Robot) -> Floats:
+    """Return the pose (4, 4) of the flange in the frame of the outermost body."""
     T = np.eye(4)
     for element in robot.chain.elements[max(link_elements(robot)) + 1 :]:
         T = T @ element.axis.motion(element.value)
-    return np.asarray(T @ robot.T_tool)
+    return T
 
 
 def shown_columns(robot: Robot) -> list[Ints]:

@@ -52,6 +52,7 @@ STAGED_FOR = timedelta(days=7)
 AHEAD = timedelta(hours=1)  # by which the clock of whoever measured may be fast
 Checked = tuple[list[Chunk], tuple[dict[str, Any], ...]]
 CAMPAIGN, UPLOADED = TypeAdapter(Campaign), TypeAdapter(Uploaded)
+WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")  # all six may be readings of a force sensor
 MEASURED = ("x", "marker_x", "link", "pixel_u", "tau", *TILTS, *CONTACTS)
 
 TIME = "t_s"
@@ -265,11 +266,11 @@ def checked_chunks(
     Without ``conditions``, those of the campaign, cameras and boards are not known, and may have any name.
     """
     columns = read_columns(names, [joint.kind for joint in robot.joints])
-    if not any(has(columns, quantity) for quantity in MEASURED):
+    if not any(has(columns, quantity) for quantity in MEASURED) and not all(has(columns, one) for one in WRENCH):
         raise ObservationError(
             "Nothing was measured in these rows: give x_mm, y_mm, z_mm, or markers m1x_mm ..., or link1_deg ..., or "
             "tilt1x_deg ..., or corners u1_px, v1_px ..., or what held the tool, socket_id, plane_id or bar_id with bar_mm, "
-            "or joint torques tau1_nm ... with their time t_s."
+            "or joint torques tau1_nm ... with their time t_s, or readings of a force sensor at the wrist, fx_n to mz_nm."
         )
     rules = RowRules(columns, robot, views_rules(columns, conditions), conditions)
     chunks = []

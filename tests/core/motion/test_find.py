@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from kilter_core.arm.documents import robot_from_document
@@ -183,6 +184,58 @@ def test_currents_without_their_mean_name_nothing() -> None:
     assert not changed(centre)
 
 
+def test_motions_without_their_means_name_nothing() -> None:
+    def centre(tau: Floats) -> None:
+        for motion in np.split(tau, 6):  # of 20 s each
+            motion -= motion.mean(axis=0)
+
+    assert "torque_mean" in changed(centre)
+
+
+@pytest.mark.parametrize(
+    ("factor", "joints"),
+    [
+        (np.full(6, 1000.0), {2, 3, 4}),  # N mm
+        (np.full(6, 1.0 / 9.80665), {2, 3, 4}),  # kgf m
+        (np.array([1.0, 1.0, 1.0, 0.01, 0.01, 0.01]), {4}),  # of the motors of the wrist
+    ],
+)
+def test_torques_in_another_unit_are_compared_with_the_described_masses(factor: Floats, joints: set[int]) -> None:
+    def scale(tau: Floats) -> None:
+        tau *= factor
+
+    said = changed(scale)["torque_unit"]
+    assert joints <= set(said["joints"]) <= {j + 1 for j in range(6) if factor[j] != 1.0}
+    assert f"are {float(f'{factor[3]:.2g}'):g} times" in said["message"]
+
+
+def test_masses_that_are_half_wrong_are_no_other_unit() -> None:
+    logger = Logger(ur_like(np.random.default_rng(4)), seed=4)
+    robot = robot_from_document(logger.arm.document())
+    links = tuple(replace(link, mass=link.mass * (2.0 if k % 2 else 0.5)) for k, link in enumerate(robot.links))
+    for one in (replace(robot, links=links), replace(robot, links=())):
+        document = to_document(find_missing_torque(one, rows(logger)))
+        assert not document["warnings"]
+
+
+@pytest.mark.parametrize(("acceleration", "tilt"), [(0.5, 0.0), (2.0, 0.0), (0.0, 0.02), (0.0, 0.08)])
+def test_on_a_base_that_moves_nothing_is_named(acceleration: float, tilt: float) -> None:
+    logger = Logger(ur_like(np.random.default_rng(5)), seed=5)
+
+    def rigid(q: Floats, qd: Floats, qdd: Floats) -> Floats:
+        model, _ = logger.arm.pinocchio()
+        data, out = model.createData(), np.empty_like(q)
+        for k, row in enumerate(zip(logger.arm.motors(q), logger.arm.rates(qd), logger.arm.rates(qdd), strict=True)):
+            wave = np.sin(2.0 * np.pi * 0.3 * k / (4 * logger.hz))
+            pull = np.array([-acceleration * np.sign(wave), 0.0, -9.80665])
+            model.gravity.linear = pin.exp3(np.array([tilt * wave, 0.0, 0.0])) @ pull
+            out[k] = pin.rnea(model, data, *row)
+        return out
+
+    logger._rigid = rigid  # type: ignore[method-assign]
+    assert not [one for one in to_document(hunt(logger))["effects"] if one["verdict"] != "contradicted"]
+
+
 def test_one_motion_confirms_nothing() -> None:
     logger = Logger(ur_like(np.random.default_rng(7)), seed=7, motions=1, seconds=90.0)
     joint, shape = HIDDEN["gear_ripple"]
@@ -209,7 +262,7 @@ def test_a_log_at_rest_and_a_log_of_a_second_are_refused() -> None:
     robot = robot_from_document(ur_like(np.random.default_rng(0)).document())
     q = np.zeros((6000, 6))
     rest = Observations(q=q, t=np.arange(6000) * 0.01, tau=np.ones_like(q))
-    with pytest.raises(ObservationError) as refused:
+    with pytest.raises(ObservationError, match="move for 0 s") as refused:
         find_missing_torque(robot, rest)
     assert refused.value.code == "log_at_rest"
     with pytest.raises(TooFewPosesError):
