@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kilter_core.arm.kernels import columns as kernel
+from kilter_core.arm.kernels import kinematics as kernel
 from kilter_core.arm.load_slopes import LoadSlopes
 from kilter_core.effects import BASE, TOOL, Batch, Derivative, Effect, Local
 from kilter_core.model.placed_rig import PlacedRig
