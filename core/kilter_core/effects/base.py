@@ -343,9 +343,15 @@ class Effect(ABC):
         return linear(batch, values, [Derivative(k, j, dq=signal[:, j]) for k, (signal, j) in enumerate(places)])
 
 
-def soft_sign(x: Floats, width: float) -> Floats:
-    """sign(x), or tanh(x / width) when ``width`` > 0: a sign read from a noisy moment is not a step."""
-    return np.sign(x) if width <= 0.0 else np.tanh(x / width)
+def joint_twists(joints: Sequence[int], slopes: Floats) -> tuple[Derivative, ...]:
+    """Derivatives of twists ``slopes (N, A, 6)``, by one parameter for each of the ``joints (A)``."""
+    return tuple(Derivative(k, j, xi=slopes[:, k]) for k, j in enumerate(joints))
+
+
+def soft_sign(x: Floats, width: Floats) -> Floats:
+    """sign(x), or tanh(x / width) where ``width`` > 0: a sign read from a noisy moment is not a step."""
+    soft = width > 0.0
+    return np.where(soft, np.tanh(x / np.where(soft, width, 1.0)), np.sign(x)) if np.any(soft) else np.sign(x)
 
 
 # A tanh of this width, in standard deviations, rises through zero as the expectation of the sign does, erf(x / √2 σ).
@@ -361,10 +367,15 @@ class SignedByLoad(Effect):
     about: ClassVar[bool]
     softening_nm: float | tuple[float, ...]
 
-    def sign_half_width(self, batch: Batch, place: int, joint: int) -> float:
-        """Half-width N·m of a sign: that of the configuration (per acting joint), or of the batch's blur where it is wider."""
-        own = self.softening_nm[place] if isinstance(self.softening_nm, tuple) else self.softening_nm
-        return own if batch.blur is None else max(own, BLUR_WIDTH * float(batch.blur[joint, int(self.about)]))
+    def soft_signs(self, batch: Batch, loads: Floats) -> Floats:
+        """Signs of ``loads (N, A)`` on the joints the effect acts on."""
+        return soft_sign(loads, self.sign_half_widths(batch))
+
+    def sign_half_widths(self, batch: Batch) -> Floats:
+        """Half-widths (A,) N·m of the signs: those of the configuration, or of the batch's blur where it is wider."""
+        joints = self.acting(batch.q.shape[1])
+        own = np.broadcast_to(np.asarray(self.softening_nm, dtype=np.float64), len(joints))
+        return own if batch.blur is None else np.maximum(own, BLUR_WIDTH * batch.blur[list(joints), int(self.about)])
 
     def smooth_over(self, load_nm: float) -> bool:
         """Whether every sign changes over more than this."""
@@ -374,8 +385,7 @@ class SignedByLoad(Effect):
         """The sign as soft as it is in this batch."""
         if batch.blur is None:
             return self
-        acting = enumerate(self.acting(batch.q.shape[1]))
-        widths: dict[str, Any] = {"softening_nm": tuple(self.sign_half_width(batch, k, j) for k, j in acting)}
+        widths: dict[str, Any] = {"softening_nm": tuple(self.sign_half_widths(batch).tolist())}
         return replace(self, **widths)
 
 

@@ -39,6 +39,19 @@ class ToolColumns:
             frame = self.frames[slot] if slot < len(self.frames) else UNTURNED
             kernel.put_twist(out, column, self.JX, slot, frame, np.ascontiguousarray(d.xi, dtype=np.float64))
 
+    def put_effects(self, out: Floats, total: Total, places: Mapping[int, int], position: Floats) -> None:
+        """Add the local derivatives of effects to the columns ``places`` of ``out (N, 6, K)``, by their parameters."""
+        for start, local in total.parts:
+            for d in local.derivatives:
+                column = places.get(start + d.parameter)
+                if column is None:
+                    continue
+                self.put(out, column, d)
+                if d.scale is not None:
+                    assert total.stretch is not None
+                    # The stretch that multiplies all columns afterwards must not multiply its own derivative.
+                    out[:, :3, column] += position / total.stretch * d.scale[:, None]
+
     def _slot(self, joint: int) -> int:
         n = len(self.frames)
         return {BASE: n, TOOL: n + 1}.get(joint, joint)
