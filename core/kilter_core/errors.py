@@ -58,6 +58,13 @@ class CancelledError(CoreError):
     default_code = "cancelled"
 
 
+class FindingDocument(dict[str, Any]):
+    """A finding as it is stored and sent: its code, its context by name, and its sentence as ``message``."""
+
+    def __init__(self, code: str, message: str, **context: Any) -> None:
+        super().__init__(code=code, **context, message=message)
+
+
 @dataclass(frozen=True)
 class Finding:
     """A warning, objection or remark: a stable code and what it says, by name. Decisions are made from these.
@@ -74,6 +81,6 @@ class Finding:
         """Return its sentence."""
         return sentences[self.code]({**self.context, **self.only_said})
 
-    def to_document(self, sentences: Sentences) -> dict[str, Any]:
+    def to_document(self, sentences: Sentences) -> FindingDocument:
         """Return it as it is stored and sent, with its sentence."""
-        return {"code": self.code, **self.context, "message": self.message(sentences)}
+        return FindingDocument(self.code, self.message(sentences), **self.context)
