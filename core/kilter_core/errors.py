@@ -61,8 +61,10 @@ class CancelledError(CoreError):
 class FindingDocument(dict[str, Any]):
     """A finding as it is stored and sent: its code, its context by name, and its sentence as ``message``."""
 
-    def __init__(self, code: str, message: str, **context: Any) -> None:
-        super().__init__(code=code, **context, message=message)
+    @staticmethod
+    def make(code: str, message: str, **context: Any) -> FindingDocument:
+        """Return the document of a finding; the class itself is called as ``dict`` is, by ``asdict`` and copies."""
+        return FindingDocument(code=code, **context, message=message)
 
 
 @dataclass(frozen=True)
@@ -83,4 +85,4 @@ class Finding:
 
     def to_document(self, sentences: Sentences) -> FindingDocument:
         """Return it as it is stored and sent, with its sentence."""
-        return FindingDocument(self.code, self.message(sentences), **self.context)
+        return FindingDocument.make(self.code, self.message(sentences), **self.context)

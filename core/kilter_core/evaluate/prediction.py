@@ -57,7 +57,7 @@ def warning(error: Floats, u95: Floats | None) -> Iterator[FindingDocument]:
     most = mm(float(np.nanmedian(others)))
     named = [f"{row + 1} ({off:.3g} mm, {far:.2g} sigma)" for row, off, far in zip(rows, off_mm, sigmas, strict=True)]
     more = f" and {len(named) - LISTED} more" if len(named) > LISTED else ""
-    yield FindingDocument(
+    yield FindingDocument.make(
         "rows_far_off",
         f"{'Row' if len(rows) == 1 else 'Rows'} {', '.join(named[:LISTED])}{more} miss the prediction by far more "
         f"than is expected there; of the others the median misses by {most:.2g} mm. Look at their joints and positions. Where "
@@ -166,7 +166,7 @@ def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Itera
     for stage, (code, simpler, advice) in words.items():
         plain = errors[stage]
         if Difference.from_paired_errors(found, plain).worse:
-            yield FindingDocument(
+            yield FindingDocument.make(
                 code,
                 f"These rows are predicted worse with it ({mm(found.mean()):.3g} mm, mean by pose) than with "
                 f"{simpler} ({mm(plain.mean()):.3g} mm): {advice}",
@@ -179,7 +179,7 @@ def _worse(stages: Mapping[str, Calibration], measurement: Measurement) -> Itera
 def _narrow(within: float | None) -> Iterator[FindingDocument]:
     """Warn where the intervals of a calibration do not cover these rows."""
     if within is not None and within < COVERED:
-        yield FindingDocument(
+        yield FindingDocument.make(
             "intervals_too_narrow",
             f"Only {within:.0%} of the coordinates lie within their 95 % intervals: what the version states of "
             "itself does not hold for these rows.",

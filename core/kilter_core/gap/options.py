@@ -150,7 +150,7 @@ class Budget:
         if not self.left_out:
             return ()
         return (
-            FindingDocument(
+            FindingDocument.make(
                 "budget_spent",
                 f"The {self.seconds:g} s of the budget were not enough: this is the best that was found until then. "
                 f"Left out: {'; '.join(self.left_out)}. Search again with a larger budget_s, with fewer effects, or with "

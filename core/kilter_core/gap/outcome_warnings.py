@@ -80,7 +80,7 @@ def _warn_of_large_residual(outcome: Outcome) -> Iterator[Remark]:
         points = source.model.predict(source.batch, source.model_values(problem.values)).position
         yield from large_residual(size, points)
     elif degrees(size) > LARGE_DEG:
-        yield FindingDocument("large_residual", f"{degrees(size):.2f} deg are left between the encoders.")
+        yield FindingDocument.make("large_residual", f"{degrees(size):.2f} deg are left between the encoders.")
 
 
 def _compare_with_geometry(outcome: Outcome) -> Iterator[Remark]:

@@ -141,7 +141,7 @@ def worse_warning(code: str, words: str, told: Grown, beyond_chance: bool, unit:
     less, more = _format_distinguishably(before, after)
     said = f"Held-out poses are predicted worse ({more} {unit}, {told.quantity}) than with {words} ({less} {unit}): {advice}"
     sizes = {f"simpler_{unit}": before, f"identified_{unit}": after}
-    return FindingDocument(code, said, **sizes, quantity=told.quantity, beyond_chance=beyond_chance)
+    return FindingDocument.make(code, said, **sizes, quantity=told.quantity, beyond_chance=beyond_chance)
 
 
 def _format_distinguishably(*values: float) -> tuple[str, ...]:
@@ -219,7 +219,7 @@ def _warning(anew: Sequence[str], there_mm: float, here_mm: float, remedy: str) 
     numbers = BY_POSE.format(words=words, here=here_mm, there=there_mm, them="it" if one else "them")
     who = "the instrument, or the arm, stood elsewhere" if one else "instrument and tool were set up anew"
     refit = "[" + ", ".join(f'"{name}"' for name in anew) + "]"
-    return FindingDocument(
+    return FindingDocument.make(
         ELSEWHERE,
         f"{numbers}: {who}. {remedy.format(refit=refit)}",
         refit=list(anew),

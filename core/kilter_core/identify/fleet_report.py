@@ -72,12 +72,12 @@ def prior_warnings(fleet: FleetPrior, fit: Fit) -> Iterator[FindingDocument]:
     use = fit.prior_use
     if use is not None and use.state != "used":
         code = "fleet_prior_dropped" if use.state == "dropped" else "fleet_prior_widened"
-        yield FindingDocument(code, _sentence(fleet, fit, []))
+        yield FindingDocument.make(code, _sentence(fleet, fit, []))
     if fleet.left_out:
         message = (
             f"{said_left_out(fleet.left_out)} The prior does without. Identify those robots as this one to count them."
         )
-        yield FindingDocument("fleet_version_left_out", message)
+        yield FindingDocument.make("fleet_version_left_out", message)
 
 
 def _sentence(fleet: FleetPrior, fit: Fit, names: list[str]) -> str:

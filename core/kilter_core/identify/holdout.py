@@ -233,7 +233,7 @@ class Learned:
                 f"{names} was left out: it does not predict poses held out better (p = {self.p_value:.2g}). "
                 "Nothing is left that the joint angles explain; measure more poses, or do without it."
             )
-        return FindingDocument("learned_kept" if self.kept else "learned_left_out", text)
+        return FindingDocument.make("learned_kept" if self.kept else "learned_left_out", text)
 
 
 def select_learned_effects(

@@ -211,7 +211,7 @@ def far_from_stated(rows: Sequence[Mapping[str, Any]]) -> Iterator[FindingDocume
     if not far:
         return
     said = "; ".join(_describe_deviation(row) for row in far)
-    yield FindingDocument(
+    yield FindingDocument.make(
         "mass_far_from_stated",
         f"{said}: more than {FAR:g} standard deviations of what was stated. {_remedy(far)} If they are right, "
         "another effect of the load is missing.",

@@ -118,7 +118,7 @@ def fit_warnings(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[Fi
     """What a metrologist should know before trusting the result."""
     for j in still_joints(train):
         name = fit.problem.model.robot.joints[j].name
-        yield FindingDocument(
+        yield FindingDocument.make(
             "joint_never_moves",
             f"Joint {name} never moves: nothing about it can be identified. Vary it, or fix its parameters.",
             joint=name,
@@ -131,7 +131,7 @@ def fit_warnings(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[Fi
         yield from large_residual(_rms(fit.residual.points), points)
     bent = None if train.markers is None else bending(train.markers, repeats.shots or repeats.between)
     if bent is not None:
-        yield FindingDocument(
+        yield FindingDocument.make(
             "markers_not_rigid",
             f"The distance of markers {bent[0]} and {bent[1]} varies by {mm(bent[2]):.2f} mm (standard "
             "deviation): the set bends, or one of them is loose. Fasten them; until then errors below that mean little.",
@@ -140,7 +140,7 @@ def fit_warnings(fit: Fit, train: Observations, repeats: Repeats) -> Iterator[Fi
     yield from _repeat_warnings(repeats)
     loaded = [e.id for e in fit.problem.model.effects if "moments" in e.needs]
     if loaded and not np.any(fit.problem.batch.wrench):
-        yield FindingDocument(
+        yield FindingDocument.make(
             "no_load",
             f"{', '.join(loaded)} need load moments, but neither link masses nor a payload are known: "
             "give links with mass_kg and com_mm, or payload_kg.",
@@ -153,13 +153,13 @@ def _repeat_warnings(repeats: Repeats) -> Iterator[FindingDocument]:
         only = "No pose was repeated"
         if repeats.shots is not None:
             only = "Poses were only shot several times without motion between, which does not show how the arm comes to rest"
-        yield FindingDocument(
+        yield FindingDocument.make(
             "no_repeats",
             f"{only}, so the noise is that of the fit itself, model errors included. "
             "Come back to a few poses to know what cannot be predicted.",
         )
     if len(repeats.copies):
-        yield FindingDocument(
+        yield FindingDocument.make(
             "repeats_identical",
             f"{len(repeats.copies)} rows measured exactly what an earlier row of their pose did; the first is row "
             f"{repeats.copies[0] + 1} of the rows fitted. Without scatter they are copies, held readings or simulated, and "
@@ -167,7 +167,7 @@ def _repeat_warnings(repeats: Repeats) -> Iterator[FindingDocument]:
             rows=(repeats.copies + 1).tolist(),
         )
     if len(repeats.wrong):
-        yield FindingDocument(
+        yield FindingDocument.make(
             "repeats_differ",
             f"{len(repeats.wrong)} rows stand too far from the repeats of their pose to be noise; the first is row "
             f"{repeats.wrong[0] + 1} of the rows fitted. Backlash does that too, and `kilter gap` finds it. Wrong rows: remove "
@@ -180,7 +180,7 @@ def large_residual(rms_m: float, points: Floats) -> Iterator[FindingDocument]:
     """Say when much of the error is left, measured against the workspace: what that comes from it does not know."""
     spread = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
     if rms_m > LARGE * spread:
-        yield FindingDocument(
+        yield FindingDocument.make(
             "large_residual",
             f"{mm(rms_m):.3g} mm are left over a workspace of {mm(spread):.3g} mm. No swapped, reversed or "
             "otherwise read joints, no unit and no change of tool explain that; the nominal geometry, loads or poor "
@@ -379,7 +379,7 @@ class WorkspaceUncertainty:
 
     def warning(self) -> FindingDocument:
         """The same in words."""
-        return FindingDocument(
+        return FindingDocument.make(
             "poses_ill_conditioned",
             f"The result knows the tool to {mm(self.here):.3g} mm in these poses but only to "
             f"{mm(self.elsewhere):.3g} mm over the joint limits: the poses are too alike ({self.narrow} used "

@@ -65,7 +65,7 @@ def contradicted_scale(fit: Fit) -> Iterator[FindingDocument]:
         return
     names = " and ".join(board.name for board in rig.rig.boards)
     size, half = 1e2 * (1.0 / (1.0 + shorter) - 1.0), 1e2 * QUANTILE * sigma
-    yield FindingDocument(
+    yield FindingDocument.make(
         "board_scale_differs",
         scale_sentence(names, size, half) + " This version has a robot of another size: do not correct with it.",
         boards=[board.name for board in rig.rig.boards],

@@ -183,7 +183,7 @@ def camera_moved(found: Found, moved: Moved | None, numbers: Ints) -> FindingDoc
     other = [f"{one.part.words[0].lower()}{one.part.words[1:]} did" for one in found.others]
     either = ", or ".join([*other, "the base of the robot did" if part.fixed else "the tool did"])
     what = "camera" if part.camera else "board"
-    return FindingDocument(
+    return FindingDocument.make(
         "camera_moved",
         f"{part.words} moved between rows {last} and {row}{sure}{far}, or {either}: this fit averages the places "
         f"before and after. Give the {what} another name from row {row} on (column `{what}`, and a second entry in "
@@ -390,7 +390,7 @@ def too_large_to_deploy(said: dict[str, Any], registered_mm: float | None) -> It
         else (f"Views scatter {between:.2g} times as much as their corners explain, so the model lacks something")
     )
     reason = "" if registered_mm is None or not little else f", and cameras placed alone leave {registered_mm:.3g} mm"
-    yield FindingDocument(
+    yield FindingDocument.make(
         "too_large_to_deploy",
         f"{state}, but the error is too large to deploy: on views held out the tool is off by "
         f"{held['rms_mm']:.3g} mm (95 %: up to {held['high_mm']:.3g} mm){reason}. Take more and sharper views that fill the "
@@ -407,7 +407,7 @@ def tell_less(
     left = (said.get("pixels") or {}).get("left_open")
     if left is None or held_mm is None or left["rms_mm"] <= BEYOND_SHOWN * held_mm:
         return
-    yield FindingDocument(
+    yield FindingDocument.make(
         "views_tell_less",
         f"{seen} the tool is off by {held_mm:.3g} mm rms, but the views that were fitted leave more open: "
         f"{left['rms_mm']:.3g} mm rms, up to {left['high_mm']:.3g} mm (95 %), most of it along the lines of sight and in how "

@@ -84,7 +84,7 @@ def clock_warnings(rows: Timed) -> Iterator[FindingDocument]:
     if clock.fell is None:
         return
     done = "times are counted backwards" if clock.trusted else "the order of the rows replaces the time"
-    yield FindingDocument(
+    yield FindingDocument.make(
         "clock_backwards",
         f"The clock runs backwards at row {clock.fell + 1}: {done}. Give every restart of the clock a session of "
         "its own, or upload the rows with one clock.",

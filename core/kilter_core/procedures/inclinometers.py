@@ -127,7 +127,7 @@ def joint_parameters(robot: Robot, log: Log) -> tuple[list[JointParameter], list
                 warnings.append(swapped)
                 continue
             warnings.append(
-                FindingDocument(
+                FindingDocument.make(
                     "readings_scatter",
                     f"Readings of joint {robot.joints[j].name} scatter by {degrees(scatter):.4f} deg: look for a "
                     "wrong axis, a changed mounting without a new series, or masses that are not the robot's.",
@@ -185,7 +185,7 @@ def _other_axis(robot: Robot, j: int, log: Log, every: Floats, mine: Bools, scat
         return None
     name, (declared, other, sign) = robot.joints[j].name, found
     true = f"{'-' if sign < 0 else ''}{AXES[other]}"
-    return FindingDocument(
+    return FindingDocument.make(
         "inclinometer_axis",
         f"Readings of joint {name} given about {AXES[declared]} fit axis {true} of its frame: they scatter by "
         f"{degrees(scatter):.4f} deg as given and by {degrees(best):.4f} deg so. Remount the inclinometer, or "
@@ -201,7 +201,7 @@ def _negative(robot: Robot, parameters: list[JointParameter]) -> list[dict[str, 
         return []
     joint, names = robot.joints[below[0].joint].name, ", ".join(p.name for p in below)
     return [
-        FindingDocument(
+        FindingDocument.make(
             "inclinometer_axis",
             f"{names} of joint {joint} would be negative, against the load: the inclinometer is the wrong way "
             "round (readings before the joint minus after it), or the masses are not the robot's. Reverse the sign of the "

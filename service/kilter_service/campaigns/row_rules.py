@@ -347,7 +347,7 @@ class JointLimits:
         if all(one.is_doubtful for one in found):
             what = f"Readings are a little outside the limits of their joints: {listed}. "
             what += "They count. Correct the limits of the robot, or leave these rows out."
-            return (FindingDocument(BEYOND_LIMITS, what, rows=rows),)
+            return (FindingDocument.make(BEYOND_LIMITS, what, rows=rows),)
         first = min(found, key=lambda one: one.rows[0])
         count = sum(one.count for one in found)
         remedy = "correct the row or the robot" if count == 1 else "correct the rows or the robot"
@@ -373,7 +373,7 @@ def payload_warning(robot: Robot, payload_kg: float, where: str) -> FindingDocum
         f"{where} is {payload_kg:.6g} kg, but {why}. Is it in grams? Then divide it by 1000 ({payload_kg / 1e3:.4g} kg) "
         'or write unit = "g" in the column map, and upload the rows as a new campaign.'
     )
-    return FindingDocument(UNLIKELY, what)
+    return FindingDocument.make(UNLIKELY, what)
 
 
 class PayloadSize:

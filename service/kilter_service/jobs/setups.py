@@ -109,7 +109,7 @@ class Setups:
     def _warning(self, which: str, refitted: Sequence[dict[str, Any]]) -> FindingDocument:
         said = ", ".join(_describe_frame(frame) for frame in refitted)
         why = "as asked" if self.own else "the frame of a pencil's sheet or a ball bar is new every time"
-        return FindingDocument(
+        return FindingDocument.make(
             f"{which}_refitted",
             f"The {which} was refitted to {said}: {why}. Errors there say nothing about where the {which} was; "
             f'with "refit": [] all rows share one {which}.',
@@ -166,7 +166,7 @@ def remark(job: JobInput, known: Predictive) -> FindingDocument | None:
     if own is None:
         return None
     ((campaign, _),) = job.campaigns.items()
-    return FindingDocument(
+    return FindingDocument.make(
         "another_instrument",
         f"{job.names.get(campaign, campaign)} was measured with {job.instruments[campaign].name}, which the version "
         f"was not fitted to. What that may be wrong by counts as the noise of a coordinate, {to_mm(own):.3g} mm, and not the "

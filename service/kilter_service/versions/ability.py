@@ -56,7 +56,9 @@ def ability(database: Database, version_id: str, temperature_c: float | None) ->
         objection = of_poses(calibration, found, limits, temperature_c)
     except (CoreError, ArithmeticError, ValueError) as error:
         message = error.message if isinstance(error, CoreError) else "the correction of some pose is not a number."
-        return Ability(remarks=[FindingDocument(UNKNOWN, f"What it would correct could not be computed: {message}")])
+        return Ability(
+            remarks=[FindingDocument.make(UNKNOWN, f"What it would correct could not be computed: {message}")]
+        )
     return Ability([] if objection is None else [objection], [], shown)
 
 

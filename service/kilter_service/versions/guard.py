@@ -238,7 +238,7 @@ class Case:
         )
         if core_identify.Difference.from_paired_errors(new, rival).worse:
             return [Objection(code=unfitted_rows.CODE, message=message + unfitted_rows.REMEDY)], []
-        return [], [FindingDocument(unfitted_rows.COMPARED, message)]
+        return [], [FindingDocument.make(unfitted_rows.COMPARED, message)]
 
     def _compare_campaigns(self) -> list[Part | None]:
         for message in self.unseen.left_out.values():
@@ -344,7 +344,7 @@ class Case:
 
     def warn(self, code: str, message: str) -> None:
         """Say what the comparison leaves out."""
-        self.warnings.append(FindingDocument(code, message))
+        self.warnings.append(FindingDocument.make(code, message))
 
 
 def _objection(which: str, compared: Comparison, rival: Rival) -> Objection:

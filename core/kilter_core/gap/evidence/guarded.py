@@ -88,7 +88,7 @@ class Guard:
         plain = _errors(registered, self.rows)
         told = None if plain is None else Guarded.from_errors(self.errors, plain)
         if told is not None and told.worse:
-            yield FindingDocument(
+            yield FindingDocument.make(
                 CODE,
                 f"The confirmation is predicted worse ({mm(told.with_it):.3g} mm) than with base and tool alone "
                 f"({mm(told.without):.3g} mm), both fitted to it: do not activate this version. What was found is not what "

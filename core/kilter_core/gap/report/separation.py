@@ -257,7 +257,7 @@ class ToldApart:
     def warnings(self) -> Iterator[FindingDocument]:
         """Warn where the poses are not enough."""
         if not self.enough:
-            yield FindingDocument("poses_will_not_tell", self.sentence)
+            yield FindingDocument.make("poses_will_not_tell", self.sentence)
 
 
 Proposed = tuple[list[dict[str, Any]], ToldApart | None]  # poses as documents, and whether they tell two apart

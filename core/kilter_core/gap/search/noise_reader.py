@@ -129,7 +129,7 @@ def pose_beside_ways(visits: Visits) -> Ints:
     return plain.conditions()
 
 
-NO_RE_APPROACH = FindingDocument(
+NO_RE_APPROACH = FindingDocument.make(
     "no_re_approach",
     "Repeats were taken without leaving the pose, so how well the arm comes back is not known: unless what is left "
     "is as small as these repeats, every verdict is relative to the scatter of the fit. Approach ten poses anew three times "
@@ -143,7 +143,7 @@ BEYOND = 3.0  # times the instrument, from which repeats show that something mov
 FEWEST_AGAIN = 3  # poses visited again from which a person meant to repeat
 
 
-REPEATS_SET_ASIDE: FindingDocument = FindingDocument(
+REPEATS_SET_ASIDE: FindingDocument = FindingDocument.make(
     "no_repeats",
     "Without the visits that were set aside fewer than three repeated approaches are left, so the noise is that of "
     "the fit: every verdict is relative to it. Repeat ten poses thrice, coming from the same pose before.",
@@ -166,7 +166,7 @@ def no_repeats_warning(visits: Visits) -> FindingDocument:
             f"{len(again)} poses were visited again, but in another session, and too few visits are alike to show the noise; "
             f"{relative} Come back to ten poses thrice within a session."
         )
-    return FindingDocument("no_repeats", said)
+    return FindingDocument.make("no_repeats", said)
 
 
 def rounding_warnings(one: Rounding | None, source: Source, held: bool) -> Iterator[FindingDocument]:
@@ -181,7 +181,7 @@ def rounding_warnings(one: Rounding | None, source: Source, held: bool) -> Itera
         size = f"{mm(step):.4g} mm" if slides else f"{degrees(step):.4g} deg"
         said.append(f"{size} ({joint_numbers(own)})")
     counted = "which the noise holds already" if held else "which counts as noise of its own"
-    yield FindingDocument(
+    yield FindingDocument.make(
         "rounded_readings",
         f"The joint readings are multiples of {' and '.join(said)}: rounding moves the tool by "
         f"{mm(coordinate(one, source)):.2g} mm, rms of a coordinate, {counted}. Record the readings with more digits.",
@@ -196,20 +196,20 @@ def noise_warnings(noise: Noise, joint: bool) -> Iterator[FindingDocument]:
         sizes = {"over the campaign": drift.over_campaign * scale, "per K": drift.per_kelvin * scale}
         said = " and ".join(f"{v:.3g} {unit} {k}" for k, v in sizes.items() if v > 0.0) or f"0 {unit}"
         clock = "" if drift.timed else " (by the order of the rows, because there is no clock)"
-        yield FindingDocument(
+        yield FindingDocument.make(
             "repeats_drift",
             f"The repeats drifted by {said}{clock}, rms of a coordinate. The noise is what is left of them at no "
             "distance in time and temperature. Let arm and instrument warm up, and repeat poses soon after one another.",
         )
     if noise.has_too_few_revisits:
-        yield FindingDocument(
+        yield FindingDocument.make(
             "revisits_bound_noise",
             "The noise is that of poses visited again from other sides or under other loads, and what these do "
             "could not all be fitted: noise is this at most, and no claim is confirmed by it. Come back to ten poses thrice "
             "in the same way.",
         )
     elif noise.most:
-        yield FindingDocument(
+        yield FindingDocument.make(
             "drift_not_separated",
             "The repeats are too few, or all far apart in time, so noise and drift cannot be separated: noise is "
             "this at most, and no claim is confirmed by it. Repeat ten poses with only one other pose in between.",
@@ -222,7 +222,7 @@ def instrument_warnings(noise: Noise, stated: float | None) -> Iterator[FindingD
         return
     ratio = noise.coordinate / stated
     within = "" if noise.within is None else f" ({mm(noise.within):.3g} mm without leaving the pose)"
-    yield FindingDocument(
+    yield FindingDocument.make(
         "noise_beyond_instrument",
         f"Repeats differ by {mm(noise.coordinate):.3g} mm (standard deviation of a coordinate){within}, "
         f"{ratio:.2g} times what the instrument states ({mm(stated):.3g} mm): something moves between visits. Hysteresis "
@@ -236,7 +236,7 @@ def outlier_warnings(problem: LinearizedProblem) -> Iterator[FindingDocument]:
     """Say how many visits were set aside."""
     used = problem.settings.used
     if not used.all():
-        yield FindingDocument(
+        yield FindingDocument.make(
             "outliers",
             f"{int(np.sum(~used))} of {len(used)} visits could be explained by nothing in the library and were set "
             "aside.",

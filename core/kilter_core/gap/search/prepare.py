@@ -314,7 +314,7 @@ class _Preparation:
         )
 
     def _warn(self, code: str, message: str) -> None:
-        self.warnings.append(FindingDocument(code, message))
+        self.warnings.append(FindingDocument.make(code, message))
 
 
 def average_motion_rows(

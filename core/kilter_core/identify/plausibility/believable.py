@@ -274,7 +274,7 @@ def another_arm(calibration: Calibration) -> Iterator[FindingDocument]:
         many = sorted((d for d in differences(calibration) if not d.sigmas <= MANY), key=lambda d: -d.sigmas)
     if many:
         more = f", and {len(many) - NAMED} more" if len(many) > NAMED else ""
-        yield FindingDocument(
+        yield FindingDocument.make(
             CODE,
             f"This is not the arm described: {'; '.join(d.sentence for d in many[:NAMED])}{more}. No arm is made so "
             "far off its drawing: do not activate this version. Register the robot that was measured (another preset, or its "

@@ -122,7 +122,7 @@ def lag_warnings(robot: Robot, rows: Observations) -> list[FindingDocument]:
     ]
     said = ", ".join(f"joint {j + 1} by {size}" for j, size in zip(found, shown, strict=True))
     return [
-        FindingDocument(
+        FindingDocument.make(
             "readings_follow_motion",
             f"Reading less command differs between the two directions of motion: {said}. If the arm had not arrived "
             "when its joints were read, or the log is late, this comes out as a backlash of those joints: read them at rest, "
@@ -189,7 +189,7 @@ def refuse_mixed_up(begin: Calibration, rows: Observations) -> tuple[FindingDocu
             raise
         if rows.unchecked is None or not rows.unchecked.any():
             raise type(error)(f"{error.message} {WAY_OUT}", code=error.code, **error.context) from error
-        warnings.append(FindingDocument(error.code, f"{error.message} The rows count all the same (--unchecked)."))
+        warnings.append(FindingDocument.make(error.code, f"{error.message} The rows count all the same (--unchecked)."))
     return (*warnings, *lag_warnings(begin.robot, rows))
 
 
@@ -296,7 +296,7 @@ def of_held_out(warnings: Iterable[FindingDocument]) -> Iterator[FindingDocument
     for one in warnings:
         if one["code"] == ASTRAY:
             said = f"Of the validation's rows: {one['message'][0].lower()}{one['message'][1:]}"
-            yield FindingDocument(**one | {"message": said})
+            yield FindingDocument.make(**one | {"message": said})
 
 
 def unless_astray(warnings: Iterable[FindingDocument]) -> Iterator[FindingDocument]:
@@ -309,7 +309,7 @@ def unless_astray(warnings: Iterable[FindingDocument]) -> Iterator[FindingDocume
 def _astray_warning(found: list[tuple[int, float]], others_mm: float) -> FindingDocument:
     shown = ", ".join(f"row {row} by {off:.3g} mm" for row, off in found[:SHOWN])
     more = f" and {len(found) - SHOWN} more" if len(found) > SHOWN else ""
-    return FindingDocument(
+    return FindingDocument.make(
         ASTRAY,
         f"The tool is not where the joints put it in {shown}{more}, where the others are within {others_mm:.2g} mm. "
         "No arm does that: a reading that was not taken (zeros), the position of another pose, or joints of another. Leave "

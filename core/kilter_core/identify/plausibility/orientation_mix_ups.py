@@ -179,7 +179,7 @@ def _right_angle(sample: Sample, tool: Floats) -> tuple[FindingDocument, ...]:
     if nearest == 0 or not axis or abs(angle - nearest * np.pi / 2.0) > RIGHT_RAD:
         return ()
     return (
-        FindingDocument(
+        FindingDocument.make(
             "orientation_right_angle",
             f"Positions fit, and the measured orientation is rotated by {90 * nearest} degrees about the "
             f"tool's {axis} axis against the robot's tool. If that is not how the target "
@@ -328,7 +328,7 @@ def astray_views(seen: ViewResiduals, far: Bools, numbers: Ints) -> Iterator[Fin
         return
     size = mm(sizes(seen, ~far))
     rows, off_mm = (numbers[seen.rows[far]] + 1).tolist(), size[far].tolist()
-    yield FindingDocument(
+    yield FindingDocument.make(
         "views_astray",
         f"Rows {rows_off(rows, off_mm)} are far from where the others put the tool, which are off by "
         f"{float(np.median(size[~far])):.2g} mm (median): joints of another picture, an arm that moved, or corners that are "

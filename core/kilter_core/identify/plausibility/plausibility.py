@@ -211,7 +211,7 @@ def _duplicate_marker_warnings(markers: Floats | None) -> Iterator[FindingDocume
     pair = None if markers is None else equal_markers(markers)
     if pair is not None:
         a, b = pair
-        yield FindingDocument(
+        yield FindingDocument.make(
             "markers_equal",
             f"Markers {a} and {b} are equal to the last digit in every row: their columns hold one marker twice. "
             f"Correct the columns of one of them in the export or the column map, or leave marker {b} out.",
@@ -256,7 +256,7 @@ def _description_warnings(sample: Sample) -> Iterator[FindingDocument]:
             shuffled_mm=shuffled,
         )
     lacks = f"It looks to lack {found.lacking}. " if found.lacking else ""
-    yield FindingDocument(
+    yield FindingDocument.make(
         "description_does_not_fit",
         f"The robot's description does not fit the rows: {left}. {lacks}Correct the robot's table or URDF and add "
         "it again.",

@@ -224,7 +224,7 @@ def _mirrored_sense_warnings(sample: _Sample, reversed_: dict[int, float], given
     for j, left in reversed_.items():
         if left < AS_GOOD * given and np.ptp(sample.rows.q[:, j]) > 0.1:
             name = sample.begin.robot.joints[j].name
-            yield FindingDocument(
+            yield FindingDocument.make(
                 "mirrored_sense",
                 f"Joint {name} fits these pictures as well with the opposite sense: camera and board would stand "
                 "elsewhere. Add views in which further joints move, or move that joint alone and see which way the board goes.",

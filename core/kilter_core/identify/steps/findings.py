@@ -219,7 +219,7 @@ def _fixed_and_flange_parts(rig: PlacedRig) -> tuple[str, str]:
 
 
 def _gauge_warning(gauge: str, names: list[str], what: str, other: str) -> FindingDocument:
-    return FindingDocument(
+    return FindingDocument.make(
         "camera_gauge",
         f"{what} ({', '.join(names)}) cannot be told from {other} by these pixels: it keeps what it was given. To "
         f"settle it, {SETTLES[gauge]}.",
@@ -240,7 +240,7 @@ def bent_boards(fit: Fit) -> Iterator[FindingDocument]:
             continue
         (x, y), twist = (mm(v) for v in one.bows), mm(one.twist)
         size, half = mm(one.size), mm(QUANTILE * one.sigma)
-        yield FindingDocument(
+        yield FindingDocument.make(
             "board_not_flat",
             f"Board {one.board} is not flat: from its highest to its lowest corner {size:.2g} mm (95 %: within "
             f"{half:.1g} mm), a bow of {x:.2g} mm along x and {y:.2g} mm along y and a twist of {twist:.2g} mm in z of its "
@@ -293,6 +293,6 @@ def _format_delay(one: Delay) -> str:
 
 
 def _timing_warning(code: str, one: Delay, views: int, message: str) -> FindingDocument:
-    return FindingDocument(
+    return FindingDocument.make(
         code, message, time_s=one.s, u95_s=QUANTILE * one.sigma, rms_px=one.rms_px, views=views, p_value=one.chance
     )

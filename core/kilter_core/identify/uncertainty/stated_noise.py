@@ -97,7 +97,7 @@ class BeyondNoise:
         """What is left, where, and what helps; ``numbers (N,)`` are those of the fitted rows among the ones given."""
         rows = (self.rows if numbers is None else numbers[self.rows]) + 1
         near = rows[self.near]
-        return FindingDocument(
+        return FindingDocument.make(
             "more_than_stated_noise",
             f"The fit leaves {mm(self.left):.3g} mm in a coordinate, {self.factor:.2g} times the noise of "
             f"{mm(self.noise):.3g} mm that is known of the rows: the model lacks something. {self._describe_rows(rows, near)} "

@@ -309,7 +309,7 @@ def compare_with_previous(
             database, job.robot_id, version.calibration, version.report, version.limits, _training(job, used), found[0]
         )
     except CoreError as error:  # the version counts without it
-        return {"warnings": [FindingDocument(error.code, error.message)]}
+        return {"warnings": [FindingDocument.make(error.code, error.message)]}
     return {
         "compared": None if verdict.compared is None else verdict.compared.model_dump(mode="json"),
         "objections": [one.model_dump(mode="json") for one in verdict.objections],

@@ -225,7 +225,7 @@ def _warnings(job: JobInput, known: Predictive) -> Iterator[FindingDocument]:
         named = f"row{'s' if len(unknown) > 1 else ''} {', '.join(str(row) for row in unknown[:MOST_ROWS])}"
         said = f"Not counted: {named}. From which side joints with backlash came to them is not known."
         remedy = "Drive to one pose more before the first."
-        yield FindingDocument("side_unknown", f"{said} {remedy}", campaigns=list(job.campaigns))
+        yield FindingDocument.make("side_unknown", f"{said} {remedy}", campaigns=list(job.campaigns))
     other = remark(job, known)
     if other is not None:
         yield other
@@ -237,7 +237,7 @@ def _of_dates(job: JobInput) -> Iterator[FindingDocument]:
     at = dates.rows
     for code, other in (("dated_before_last_check", dates.last_check), ("dated_before_fit", dates.fitted)):
         if at is not None and other is not None and at < other:
-            yield FindingDocument(code, wire.dated_before(code, campaign, at, other), campaigns=[campaign])
+            yield FindingDocument.make(code, wire.dated_before(code, campaign, at, other), campaigns=[campaign])
 
 
 def _errors(job: JobInput, rows: Observations, known: Predictive, found: Check) -> dict[str, Any]:

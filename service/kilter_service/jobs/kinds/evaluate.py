@@ -70,7 +70,7 @@ def _flattering(fitted: int, rows: int) -> list[FindingDocument]:
         f"The version was fitted to {fitted} of these {rows} rows, in whatever file they came: their errors are smaller than "
         "elsewhere, and count as no number of today. Measure some poses that are only checked."
     )
-    return [FindingDocument("rows_fitted", said)]
+    return [FindingDocument.make("rows_fitted", said)]
 
 
 def preview_job(job: JobInput, found: JobPreview) -> None:

@@ -217,7 +217,7 @@ def bar_lengths(
 
 
 def _other_length(campaign: str, bar: int, read: float, found: float) -> FindingDocument:
-    return FindingDocument(
+    return FindingDocument.make(
         "bar_length_doubtful",
         f"{campaign}: bar {bar} reads {to_mm(read):.3f} mm, but the joints put the tool {to_mm(found):.3f} mm "
         f"from the ball at its fixed end ({found / read:.4g} times), and the rows fit that length better. Is the stated "
@@ -248,7 +248,7 @@ def _check_sheet_orders(robot: Robot, drawn: list[tuple[str, Observations]]) -> 
                 order=list(found.order),
             )
         if found.doubtful or found.unseen:
-            yield FindingDocument("sheet_order_doubtful", _doubt(name, found))
+            yield FindingDocument.make("sheet_order_doubtful", _doubt(name, found))
 
 
 def _doubt(name: str, found: SheetOrder) -> str:

@@ -143,11 +143,13 @@ def _spreads(robot: Robot, joint: LinkJoint, fitted: list[str], predicted: list[
 
 def _dead(robot: Robot, joint: LinkJoint) -> dict[str, str]:
     code = "dead_encoder" if "dead" in str(joint.dead) else "joint_never_moves"
-    return FindingDocument(code, f"Nothing is known of this joint: {joint.dead}.", joint=robot.joints[joint.joint].name)
+    return FindingDocument.make(
+        code, f"Nothing is known of this joint: {joint.dead}.", joint=robot.joints[joint.joint].name
+    )
 
 
 def _at_the_tool(name: str) -> dict[str, str]:
-    return FindingDocument(
+    return FindingDocument.make(
         "joint_without_gravity",
         f"Gravity exerts no moment about joint {name}, so no inclinometer can measure its backlash and stiffness: "
         "measure tool positions reached from both sides, and under a sideways force, and identify them (thesis 4.4.1).",

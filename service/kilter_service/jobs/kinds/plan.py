@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from kilter_core.types import Floats
 
 
-UNCHECKED = FindingDocument(
+UNCHECKED = FindingDocument.make(
     "collisions_not_checked",
     "Collisions are not checked: drive the poses slowly once, or simulate them, before you measure.",
 )

@@ -33,7 +33,7 @@ def run(job: JobInput, progress: Progress) -> JobOutput:
     ((campaign, rows),) = job.campaigns.items()
     report = _report(job, found)
     said = wire.rezero_sentence(found, job.version_id or "", len(rows), job.names.get(campaign, campaign))
-    remark = FindingDocument(REZEROED, said, campaigns=[campaign])
+    remark = FindingDocument.make(REZEROED, said, campaigns=[campaign])
     report |= {"warnings": [remark], REZEROED: {"campaign": campaign, "start": job.version_id, "names": found.names}}
     own = [row for row in report["parameters"] if row["name"] in found.names]
     result = {

@@ -68,7 +68,7 @@ def with_set_up_warning(kind: str, output: JobOutput, job: JobInput) -> JobOutpu
         if change is not None:
             said = _sentence(change, words, ", ".join(job.names.get(c, c) for c in campaigns))
             about = {"campaigns": list(campaigns), "refit": list(change.which), "moved_mm": to_mm(change.moved)}
-            return output.with_warnings(FindingDocument("set_up_changed", said, **about))
+            return output.with_warnings(FindingDocument.make("set_up_changed", said, **about))
     return output
 
 
@@ -112,7 +112,7 @@ def clock_remarks(
             reason = (one.code, one.only_said["laws"], one.only_said["steps"])
             found.setdefault(reason, (one, []))[1].append(campaign)
     return [
-        FindingDocument(
+        FindingDocument.make(
             one.code,
             f"{', '.join(names.get(c, c) for c in campaigns)}: {one.message(core_effects.SENTENCES)}",
             **one.context,
@@ -141,7 +141,7 @@ def with_ability_warning(output: JobOutput, job: JobInput) -> JobOutput:
         objection = ability.of_poses(calibration, found, version.limits)
     except (CoreError, ArithmeticError, ValueError):  # activation says so
         return output
-    return output if objection is None else output.with_warnings(FindingDocument(**objection.model_dump()))
+    return output if objection is None else output.with_warnings(FindingDocument.make(**objection.model_dump()))
 
 
 NEEDED = "direction"
@@ -156,7 +156,7 @@ def with_direction_warning(kind: str, output: JobOutput, job: JobInput) -> JobOu
     said = (
         f"{names}: directions were derived from the order of the rows. State dir1 ... where another order was driven."
     )
-    return output.with_warnings(FindingDocument("directions_derived", said, campaigns=derived))
+    return output.with_warnings(FindingDocument.make("directions_derived", said, campaigns=derived))
 
 
 def _follows_directions(output: JobOutput, job: JobInput) -> bool:
@@ -217,7 +217,7 @@ def with_certificate_warnings(output: JobOutput, job: JobInput) -> JobOutput:
     """Add to result and version what the certificates of the instruments have against the campaigns."""
     return output.with_warnings(
         *(
-            FindingDocument(one.code, f"{job.names.get(campaign, campaign)}: {one.message}", campaigns=[campaign])
+            FindingDocument.make(one.code, f"{job.names.get(campaign, campaign)}: {one.message}", campaigns=[campaign])
             for campaign, remarks in job.certificates.items()
             for one in remarks
         )

@@ -339,7 +339,7 @@ def compare_with_active(
     )
     if mine.beyond(other):
         return [Objection(code=CODE, message=message + REMEDY)], []
-    return [], [FindingDocument(COMPARED, message)]
+    return [], [FindingDocument.make(COMPARED, message)]
 
 
 def larger(now: Mapping[str, Any], before: Mapping[str, Any]) -> float | None:

@@ -79,7 +79,7 @@ class Adequacy:
             return ()
         ratio = float(np.sqrt(max(self.lack_of_fit, 0.0)))
         return (
-            FindingDocument(
+            FindingDocument.make(
                 "noise_too_large",
                 f"What is left is {ratio:.2f} times the noise, less than noise of that size leaves: the repeats "
                 "drifted or were disturbed, or a stated sigma is too large. No claim rests on the size of this noise. "

@@ -85,7 +85,7 @@ def incomplete_sentence(found: Sequence[MissingDirection]) -> str:
 def incomplete_warnings(found: Sequence[MissingDirection]) -> Iterator[FindingDocument]:
     """Say which rotation of which axis the description lacks, before an effect is believed."""
     if found:
-        yield FindingDocument(
+        yield FindingDocument.make(
             "geometry_incomplete",
             f"The description of the robot lacks {', '.join(d.words() for d in found)}, which explains the rows at "
             "least as well as any effect: describe the robot with a complete chain (convention poe, cpc or mcpc), and "
