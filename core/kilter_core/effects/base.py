@@ -30,6 +30,7 @@ _PRISMATIC_UNITS = {
     "rad/K": "m/K",
 }
 
+SHORTEST_M = 1e-6  # of a link that has a length
 BASE, TOOL = -1, -2  # places of a twist besides the joints: right after the base frame, and on the tool
 # Places of a twist of a frame, with their units.
 TWIST = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz", "rad"))
@@ -336,11 +337,42 @@ class Effect(ABC):
             )
         return found
 
+    def restrict_to_long_links(self, robot: Robot) -> Self:
+        """The effect at the joints before links that have a length.
+
+        Raises:
+            OptionError: a joint is named whose link has none.
+
+        """
+        lengths = np.linalg.norm(robot.chain.link_vectors[:-1], axis=1)
+        long = [int(j) for j in np.flatnonzero(lengths > SHORTEST_M)]
+        return self.restrict_to_joints(robot, long, "its link has no length. Name the joint before a long link.")
+
+    def along_links(self, batch: Batch, values: Floats, course: Floats) -> Local:
+        """Local correction that shifts the frame of each joint by ``course (N,)`` of its link, by one parameter for each."""
+        joints = list(self.acting(batch.q.shape[1]))
+        slopes = np.zeros((len(batch), len(joints), 6))
+        slopes[:, :, :3] = course[:, None, None] * batch.link_vectors[joints]
+        return linear(batch, values, joint_twists(joints, slopes))
+
     def joint_angle(self, batch: Batch, values: Floats, *signals: Floats) -> Local:
         """Local correction ``dq_j = value * signal_j`` summed over ``signals (N, n)``; values signal by signal."""
         acting = self.acting(batch.q.shape[1])
         places = [(signal, j) for signal in signals for j in acting]
         return linear(batch, values, [Derivative(k, j, dq=signal[:, j]) for k, (signal, j) in enumerate(places)])
+
+
+def frame_twists(batch: Batch, values: Floats, place: int, moved: Iterable[Floats]) -> Local:
+    """Local corrections of a frame, :data:`BASE` or :data:`TOOL`, by twists ``moved (N, 6)``, one for each parameter."""
+    return linear(batch, values, [Derivative(k, place, xi=xi) for k, xi in enumerate(moved)])
+
+
+def frame_rates(stem: str, per: str, sigma: float, wide: float) -> tuple[Parameter, ...]:
+    """Rates of the base's frame ``per`` second or kelvin: along x, y, z, then about them."""
+    return tuple(
+        Parameter(f"{stem}_{k}", f"{unit}/{per}", 0.0, sigma, -wide, wide, f"rate of the base's {k}")
+        for k, unit in TWIST
+    )
 
 
 def joint_twists(joints: Sequence[int], slopes: Floats) -> tuple[Derivative, ...]:
